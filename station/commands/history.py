@@ -4,6 +4,7 @@ import argparse
 import asyncio
 import json
 import os
+import re
 from collections import defaultdict
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -15,6 +16,7 @@ import numpy as np
 
 from estimator.estimation.control_charts import control_chart
 from estimator.geometry.model import STATES
+from estimator.untrusted import harmless
 from station.errors import UsageError
 from station.render.progress import TracingProgress
 from station.render.template import rendered
@@ -38,7 +40,7 @@ def command_history(arguments: argparse.Namespace) -> int:
     outcome = arguments.outcome and arguments.outcome.upper()
     if not folder.is_dir():
         raise UsageError(f"{folder} is no folder: name the one that holds the recordings")
-    if not f"{since}0000"[:4].isdigit():
+    if not re.fullmatch(r"(\d{4}(-\d\d){0,2})?", since, re.ASCII):
         raise UsageError(f"--since {since}: write a date, for instance 2026-11 or 2026-11-21")
     if outcome not in (None, *OUTCOME_STYLES):
         raise UsageError(f"--outcome {outcome}: write one of {', '.join(OUTCOME_STYLES)}")
@@ -57,7 +59,7 @@ def command_history(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps(found))
     elif arguments.csv:
-        print(rendered("station.render", "history.csv", {**found, "states": STATES}), end="")
+        print(harmless(rendered("station.render", "history.csv", {**found, "states": STATES})), end="")
     else:
         print_rendered(stdout(), "station.render", "history.rich", {**found, "serial": arguments.serial})
     return 0
@@ -81,7 +83,7 @@ def _series(entries: Sequence[Entry]) -> list[list[Entry]]:
     """Return the runs that may be compared with each other, the oldest first."""
     found: dict[Any, list[Entry]] = defaultdict(list)
     for entry in reversed(entries):
-        if entry.series is not None:
+        if entry.series is not None and np.isfinite(sum(sum(gyro.values + gyro.sds) for gyro in entry.gyros)):
             found[entry.series].append(entry)
     return list(found.values())
 
@@ -98,7 +100,7 @@ def _moves(runs: Sequence[Entry]) -> dict[Path, list[dict[str, Any]]]:
         sigmas = (x[1:] - x[last]) / np.hypot(sd[1:], sd[last])
     limit = NormalDist().inv_cdf(1 - _BY_CHANCE / 2 / x[0].size)
     found = defaultdict(list)
-    for n, gyro, state in np.argwhere((abs(sigmas) > limit) & (last >= 0)[:, None, None]):
+    for n, gyro, state in np.argwhere(np.isfinite(sigmas) & (abs(sigmas) > limit) & (last >= 0)[:, None, None]):
         told = {"gyro": _name(runs[0].gyros[gyro]), "state": STATES[state], "sigmas": float(sigmas[n, gyro, state])}
         found[runs[n + 1].path].append({**told, "since": runs[last[n]].path.name})
     return found

@@ -11,6 +11,7 @@ from pathlib import Path
 from drivers.packaged import packaged_toml
 from estimator.calibration.budget import TYPE_A
 from estimator.recordings.reference import TableReadings
+from estimator.untrusted import MOST_TEXT_BYTES, read_bytes
 from station.errors import UsageError
 from station.exports.exported import RAW_RULE, file_sha256, raw_sha256
 from station.render.investigation_printed import verdict_lines
@@ -100,17 +101,16 @@ def _as_found(recorded: Recorded, path: Path) -> Recorded:
     """Return the recording of the device as found; UsageError if that holds nothing to set beside this one."""
     before = read_recorded(path)
     serials = {before.text("device_serial"), recorded.text("device_serial"), ""}
-    if not before.labels or before.labels != recorded.labels or len(serials) > 2:
-        raise UsageError(f"{path}: item.as_found must be a calibration of the same gyros, of the same device")
+    later = recorded.begun_utc and not (before.begun_utc and before.begun_utc <= recorded.begun_utc)
+    if later or not before.labels or before.labels != recorded.labels or len(serials) > 2:
+        raise UsageError(f"{path}: item.as_found must be an earlier calibration of the same gyros of the same device")
     return before
 
 
 def _logo(path: Path) -> str:
     """Return a picture as a data URI; UsageError if it cannot be read, or is none by its name."""
     kind = str(guess_type(path.name)[0])
-    try:
-        if not kind.startswith("image/"):
-            raise UsageError(f"laboratory.logo: {path} is no picture: give a .svg, .png or .jpg")
-        return f"data:{kind};base64,{b64encode(path.read_bytes()).decode()}"
-    except OSError as error:
-        raise UsageError(f"laboratory.logo: {error}") from None
+    if not kind.startswith("image/"):
+        raise UsageError(f"laboratory.logo: {path} is no picture: give a .svg, .png or .jpg")
+    content = read_bytes(path, UsageError, MOST_TEXT_BYTES, f"laboratory.logo: {path}")
+    return f"data:{kind};base64,{b64encode(content).decode()}"

@@ -101,12 +101,16 @@ def read_formal(recorded: Recorded, meta: Path | None = None) -> Formal:
         raise item.fail("serial_number", f"{stated['item_serial_number']!r}: the recording is of {serial!r}")
     if stated.get("decision_rule") == "guard band":
         stated.setdefault("decision_false_accept", _LEAST_BAND)
-    elif stated.pop("decision_false_accept", None) and decision.has("false_accept"):
-        raise decision.fail("false_accept", 'is for rule = "guard band"')
+    elif stated.pop("decision_false_accept", None) and (decision.has("false_accept") or not decision.has("rule")):
+        where = decision if decision.has("false_accept") else bench.table("decision", optional=True)
+        raise where.fail("false_accept", 'is for rule = "guard band"')
     stated.setdefault("certificate_approved_by", recorded.text("accepted_by") or None)
     day = stated.setdefault("performed_date", begun and begun.date())
     if begun is not None and day is not None and abs((day - begun.date()).days) > 1:  # but for the time of the place
         raise performed.fail("date", f"'{day}': the recording began on {begun.date()} UTC")
+    for first, then in (("item_received", "performed_date"), ("performed_date", "certificate_issued")):
+        if (early := stated.get(first)) and (late := stated.get(then)) and (early - late).days > 1:  # likewise
+            raise UsageError(f"{meta}: {first.replace('_', '.')} {early} is after {then.replace('_', '.')} {late}")
     stated |= {field: recorded.text(name) or None for field, name in _RECORDED.items()}
     stated["approved_by_another"] = bench.table("station", optional=True).read("bench.station")["approved_by_another"]
     return Formal(**stated)

@@ -11,6 +11,7 @@ def print_pdf(html: str, pdf: Path) -> None:
     """Print a report to PDF/A-3b (ISO 19005-3) with the fonts of matplotlib; UsageError if Pango is not installed."""
     try:
         from weasyprint import HTML
+        from weasyprint.urls import URLFetcher
     except (ImportError, OSError) as error:
         raise UsageError(
             f"no PDF without WeasyPrint and Pango ({str(error).splitlines()[0]}): apt install libpango-1.0-0 "
@@ -20,5 +21,12 @@ def print_pdf(html: str, pdf: Path) -> None:
 
     folder = Path(get_data_path(), "fonts", "ttf").as_uri()
     sheet = packaged_text("station.report", "print.css").replace("FONTS", folder)
-    document = HTML(string=html.replace("</style>", f"{sheet}</style>", 1))
+
+    class Fonts(URLFetcher):  # type: ignore[misc]
+        def fetch(self, url: str, headers: object = None) -> object:
+            if url.startswith("data:") or f"url({url})" in sheet:
+                return super().fetch(url, headers)
+            raise ValueError(f"{url} is named by a picture, which is to lead to no host and no file")
+
+    document = HTML(string=html.replace("</style>", f"{sheet}</style>", 1), url_fetcher=Fonts())
     write_whole(pdf, document.write_pdf(pdf_variant="pdf/a-3b"))

@@ -11,6 +11,7 @@ from support import SITE, TABLE_1
 
 from estimator.estimation.calibrate import calibrate
 from estimator.geometry.array import tetrahedron
+from estimator.observations.defects.stuck import stuck_doubts
 from sims.physics.hidden import Hidden
 from station.opening import DeviceTruth, simulate
 from station.scripts.loop_scripts import exploration_script, verification_script
@@ -96,3 +97,20 @@ def test_a_coarse_gyro_that_rests_on_a_count_is_not_stuck() -> None:
     coarse = np.round(data.rate_rps / np.radians(0.5)) * np.radians(0.5)
     rounded = replace(recording, sources={name: replace(data, rate_rps=coarse)})
     assert not any("stuck" in one for one in calibrate(rounded, innovations=False).spoilt)
+
+
+def test_a_coarse_and_quiet_gyro_whose_stamps_are_late_is_not_stuck() -> None:
+    quiet = replace(DEVICE, arw_rps_rthz=1e-6)
+    recording = simulate(verification_script(), {"array": quiet}, 1, site=SITE)
+    ((name, data),) = recording.sources.items()
+    counts = np.round(data.rate_rps / np.radians(0.061)) * np.radians(0.061)
+    late = replace(recording, sources={name: replace(data, rate_rps=counts, t_ns=data.t_ns + 60_000_000)})
+    assert stuck_doubts(late) == []
+
+
+def test_gyros_at_the_limit_of_their_range_are_not_stuck() -> None:
+    recording = simulate(verification_script(), {"array": DEVICE}, 1, site=SITE)
+    ((name, data),) = recording.sources.items()
+    most = np.radians(5.0)
+    limited = replace(recording, sources={name: replace(data, rate_rps=np.clip(data.rate_rps, -most, most))})
+    assert stuck_doubts(limited) == []

@@ -17,7 +17,7 @@ from lxml import etree
 
 from station.cli import main
 from station.errors import UsageError
-from station.report.dcc import make_dcc, sign, validate
+from station.report.dcc import make_dcc, read_key, sign, validate
 from station.report.document import Report
 from station.report.formal import read_formal
 from station.report.recorded import read_recorded
@@ -211,18 +211,18 @@ def test_what_is_not_valid_is_told_with_the_place(run: Path) -> None:
         validate(broken)
 
 
-def key_pair(folder: Path) -> tuple[Path, Path]:
+def key_pair(folder: Path, *, edwards: bool = False) -> tuple[Path, Path]:
     """Return the files of a new key and of a certificate that it signed itself."""
     from cryptography import x509
     from cryptography.hazmat.primitives import hashes, serialization
-    from cryptography.hazmat.primitives.asymmetric import ec
+    from cryptography.hazmat.primitives.asymmetric import ec, ed25519
 
-    key = ec.generate_private_key(ec.SECP256R1())
+    key = ed25519.Ed25519PrivateKey.generate() if edwards else ec.generate_private_key(ec.SECP256R1())
     name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "Gyro laboratory")])
     now = datetime.now(UTC)
     builder = x509.CertificateBuilder(name, name, key.public_key(), x509.random_serial_number())
     builder = builder.not_valid_before(now - timedelta(days=1)).not_valid_after(now + timedelta(days=1))
-    certificate = builder.sign(key, hashes.SHA256())
+    certificate = builder.sign(key, None if edwards else hashes.SHA256())
     pem, no_password = serialization.Encoding.PEM, serialization.NoEncryption()
     files = folder / "key.pem", folder / "certificate.pem"
     files[0].write_bytes(key.private_bytes(pem, serialization.PrivateFormat.PKCS8, no_password))
@@ -253,3 +253,6 @@ def test_a_key_that_is_none_is_told_before_the_work(
     assert main([*arguments, "--sign", "k.pem", "--certificate", "c.pem"]) == 2
     assert "--dcc" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+    pytest.importorskip("signxml")
+    with pytest.raises(UsageError, match="sign with RSA or ECDSA"):
+        read_key(*key_pair(tmp_path, edwards=True))

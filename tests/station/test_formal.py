@@ -78,11 +78,22 @@ def test_a_file_of_another_device_or_that_is_wrong_is_refused_with_its_line(tmp_
         '[customer]\nnmae = "x"': r"line 2: customer.nmae: unknown key; did you mean name\?",
         '[decision]\nrule = "simple"\nfalse_accept = "1 %"': r"line 3: decision.false_accept: is for rule = ",
         "[performed]\ndate = 2026-04-20": r"line 2: performed.date: '2026-04-20': the .* began on 2026-05-01",
+        "[item]\nreceived = 2026-05-20": r"item.received 2026-05-20 is after performed.date 2026-05-01",
+        "[certificate]\nissued = 2020-01-01": r"performed.date 2026-05-01 is after certificate.issued 2020-01-01",
         '[[equipment]]\nserial_number = "7"': r"equipment.0: name is missing",
         "[lab]": r"lab: unknown key",
     }.items():
         with pytest.raises(UsageError, match=said):
             read_formal(run, written(tmp_path, text))
+
+
+def test_a_bench_that_states_how_much_may_be_accepted_wrongly_has_a_guard_band_or_is_told(tmp_path: Path) -> None:
+    run = recorded(tmp_path, '[decision]\nfalse_accept = "1 %"\n')
+    with pytest.raises(BenchError, match=r"decision.false_accept: is for rule = \"guard band\""):
+        read_formal(run)
+    for rule, share in (("guard band", 0.01), ("simple", None)):
+        chosen = read_formal(run, written(tmp_path, f'[decision]\nrule = "{rule}"\n'))
+        assert chosen.decision_false_accept == share
 
 
 def test_the_bench_of_a_stranger_leads_to_no_file_but_beside_its_recording(tmp_path: Path) -> None:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import inspect
 import json
+import os
 import re
 import shutil
 import subprocess
 import sys
+from base64 import b64decode, b64encode
 from collections.abc import Callable, Iterator
 from ctypes.util import find_library
 from dataclasses import replace
@@ -37,6 +39,7 @@ from station.exports.exported import raw_sha256
 from station.report.chapters.correction import Correction, snippet
 from station.report.chapters.front import links_of, local_links
 from station.report.formal import read_formal
+from station.report.pdf import print_pdf
 from station.report.recorded import read_recorded
 from station.report.standing import Kind, standing_of
 from station.report.traced import read_traced
@@ -725,13 +728,50 @@ def certified(run: Path, folder: Path, **facts: str) -> str:
     return reported(run, folder, "--meta", folder / "meta.toml")
 
 
-def test_formal_facts_are_in_their_places_and_what_lacks_is_said(copy: Path, tmp_path: Path) -> None:
+def test_a_logo_that_is_no_file_is_refused_at_once(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "zero.png").symlink_to("/dev/zero")
+    os.mkfifo(tmp_path / "pipe.png")
+    (tmp_path / "huge.png").write_bytes(bytes(2 << 20))
+    meta = tmp_path / "meta.toml"
+    for name, said in {"zero": "a pipe or a device", "pipe": "a pipe or a device", "huge": "more than 1 MB"}.items():
+        meta.write_text(f'[laboratory]\nlogo = "{name}.png"\n')
+        assert said in refused(capsys, run, "--meta", meta, "-o", tmp_path / "r.html")
+
+
+def test_a_logo_leads_the_printer_to_no_host_and_no_file(tmp_path: Path) -> None:
+    if find_library("pango-1.0") is None:
+        pytest.skip("no Pango on this machine")
+    pixel = b64decode(
+        "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg=="
+    )
+    (tmp_path / "secret.png").write_bytes(pixel)
+    printed = []
+    for href in (f"file://{tmp_path}/secret.png", "no:where"):
+        image = f'<image href="{href}" width="9" height="9"/>'
+        svg = f'<svg xmlns="http://www.w3.org/2000/svg" width="9" height="9">{image}</svg>'
+        picture = f'<img src="data:image/svg+xml;base64,{b64encode(svg.encode()).decode()}">'
+        print_pdf(f"<html><head><title>t</title><style></style></head><body>{picture}", tmp_path / "r.pdf")
+        printed.append((tmp_path / "r.pdf").read_bytes())
+        (tmp_path / "r.pdf").unlink()
+    assert printed[0] == printed[1]
+
+
+def test_formal_facts_are_in_their_places_and_what_lacks_is_said(
+    copy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     real(copy)
     found = Path(shutil.copy(copy, tmp_path / "as_found.h5"))
     with h5py.File(found, "r+") as file:
         left = float(file["calibration/states"][0, 0]) * 1e6
         file["calibration/states"][0, 0] = 4321e-6
     html = certified(copy, tmp_path, item='as_found = "as_found.h5"')
+    with h5py.File(found, "r+") as file:
+        file.attrs["clock_zero_utc_s"] += 60.0
+    assert "an earlier calibration" in refused(
+        capsys, copy, "--meta", tmp_path / "meta.toml", "-o", tmp_path / "r.html"
+    )
     row = next(words_of(row) for row in parsed(html).iter("tr") if words_of(row).startswith("gyro1 k 43"))
     assert float(row.split()[4]) == pytest.approx(left, rel=0.02)
     text = words_of(parsed(html))

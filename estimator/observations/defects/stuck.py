@@ -6,7 +6,7 @@ from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import BodyRates, TableReadings
 from estimator.types import Flags, runs_of
 
-_LONG_S = 1.0
+_LONG_S, _AWRY_NS = 1.0, 400_000_000  # by the second, stamps may be off the table's: what rests then is not stuck
 _TOGETHER_S, _TOGETHER = 0.05, 8  # samples of so long, at least so many, may be sent, and sent again, together
 _OTHERWISE_RPS = float(
     np.radians(1.0)
@@ -22,7 +22,7 @@ def stuck_doubts(recording: Recording) -> list[str]:
         spans_ns = [data.t_ns[[max(start - 1, 0), stop - 1]] for start, stop in runs_of(_seen_before(data))]
         for first_ns, last_ns in (span for span in spans_ns if np.ptp(span) > _LONG_S * 1e9):
             rates = BodyRates.of(recording.reference, recording.site)
-            within_ns = np.clip([first_ns, last_ns], rates.starts_ns, rates.final_until_ns - 1)
+            within_ns = np.clip([first_ns + _AWRY_NS, last_ns - _AWRY_NS], rates.starts_ns, rates.final_until_ns - 1)
             turned = rates.at(np.linspace(within_ns[0], within_ns[1], 200).astype(np.int64)) @ data.array.p.T
             if np.ptp(turned, axis=0).max() > _OTHERWISE_RPS:
                 after_s = (first_ns - recording.reference.t_ns[0]) * 1e-9
@@ -34,7 +34,7 @@ def stuck_doubts(recording: Recording) -> list[str]:
 
 
 def _seen_before(data: ImuData) -> Flags:
-    """Return which samples (n,) of all gyros are, to the bit, those of a moment before."""
+    """Return which samples (n,) of all gyros are, to the bit, those of a moment before; not those all at a limit."""
     values = np.ascontiguousarray(data.rate_rps, dtype=np.float64)
     bits = values.view(np.int64)
     key = (bits * np.arange(0x9E3779B97F4A7C1, 0x9E3779B97F4A7C1 + 2 * bits.shape[1], 2)).sum(axis=1)
@@ -42,4 +42,5 @@ def _seen_before(data: ImuData) -> Flags:
     rows_ago = np.full(len(key), len(key))
     rows_ago[order[1:]] = np.where(np.diff(key[order]) == 0, np.diff(order), len(key))
     step_s = max(float(np.median(np.diff(data.t_ns[:10000]))) * 1e-9, 1e-6) if len(key) > 1 else _LONG_S
-    return np.asarray((rows_ago <= max(_TOGETHER_S / step_s, _TOGETHER)) & np.isfinite(values).all(axis=1))
+    low, top = np.fmin.reduce(values, initial=np.inf), np.fmax.reduce(values, initial=-np.inf)
+    return np.asarray((rows_ago <= max(_TOGETHER_S / step_s, _TOGETHER)) & ((low < values) & (values < top)).any(1))

@@ -6,7 +6,6 @@ import shutil
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +71,8 @@ def read(path: Path, when_utc_s: float, everything: bool) -> Whole:
 
 def _entry(unread: Entry, file: Any) -> Entry:
     began_utc_s = plain(file.attrs.get("clock_zero_utc_s"))
+    if began_utc_s is not None and not 0 <= float(began_utc_s) < 2.5e11:  # later years have five digits
+        raise ValueError(f"it began {began_utc_s} s after 1970")
     devices = [str(plain(source.attrs.get("device", ""))) for source in file.get("imu", {}).values()]
     rows: Iterable[Any] = ()
     if (group := file.get("calibration")) is not None:
@@ -81,9 +82,7 @@ def _entry(unread: Entry, file: Any) -> Entry:
         )
     return replace(
         unread,
-        when_utc_s=unread.when_utc_s
-        if began_utc_s is None
-        else datetime.fromtimestamp(float(began_utc_s), UTC).timestamp(),
+        when_utc_s=unread.when_utc_s if began_utc_s is None else float(began_utc_s),
         texts={name: str(plain(file.attrs.get(name, ""))) for name in _TEXTS},
         devices=tuple(filter(None, dict.fromkeys(devices))) or (str(plain(file.attrs.get("device", ""))),),
         figures=json.dumps(list(rows)),

@@ -142,7 +142,24 @@ def test_history_fits_80_columns(
 def test_a_folder_that_is_not_there_is_wrong_usage(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["history", "nowhere"]) == 2
     assert "nowhere" in capsys.readouterr().err
-    assert main(["history", ".", "--since", "yesterday"]) == 2
+    for since in ("yesterday", "2026/11/21", "20261121"):
+        assert main(["history", ".", "--since", since]) == 2
+
+
+def test_a_calibration_of_no_numbers_and_a_name_that_steers_harm_no_list(
+    series: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (series / "day-03.h5").rename(series / "day\x1b[31m.h5")
+    with h5py.File(series / "day-05.h5", "r+") as file:
+        file["calibration/states"][0, 0] = np.nan
+    for day in (7, 8):
+        with h5py.File(series / f"day-{day:02}.h5", "r+") as file:
+            file["calibration/sd"][0, 0] = 0.0
+    told = history(capsys, series, "--serial", "SN-0042", "--json")
+    (chart,) = json.loads(told, parse_constant=pytest.fail)["charts"]
+    assert len(chart["files"]) == 11
+    assert "Control charts" in history(capsys, series, "--serial", "SN-0042")
+    assert "\x1b" not in history(capsys, series, "--csv")
 
 
 def test_limits_are_those_of_the_textbook() -> None:

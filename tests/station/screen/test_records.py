@@ -109,7 +109,7 @@ def test_a_first_listing_that_is_cut_short_loses_nothing(whole: Path) -> None:
     assert repr(read) in told(whole)
 
 
-@pytest.mark.parametrize("began_utc_s", [float("nan"), 1e300])
+@pytest.mark.parametrize("began_utc_s", [float("nan"), 1e300, 253402300799.0])
 def test_a_recording_of_no_date_is_damaged_and_harms_no_list(began_utc_s: float, whole: Path) -> None:
     with h5py.File(whole / "first.h5", "r+") as file:
         file.attrs["clock_zero_utc_s"] = began_utc_s
