@@ -62,6 +62,8 @@ def test_figures_are_those_of_a_balanced_study_by_hand(
     studied: tuple[Path, Any], runs: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder, values = studied
+    with h5py.File(runs / "first.h5") as file:
+        sd = file["calibration/sd"][()]
     for outcome in ("ABORTED", "FAULT"):  # which are no measurements
         write_run(folder, runs, 1e6, device_serial="SN-0001", station="bench 1", outcome=outcome)
     (study,) = json.loads(history(capsys, folder, "--gauge", "--json"))["gauge"]
@@ -81,7 +83,8 @@ def test_figures_are_those_of_a_balanced_study_by_hand(
         assert found["reproducibility"] ** 2 == pytest.approx(between[s])
         assert found["parts"] ** 2 == pytest.approx(device[s])
         assert found["grr"] ** 2 == pytest.approx((within + between)[s] / (within + between + device)[s])
-        assert found["ratio_low"] < RUN_SIGMAS < found["ratio_high"]
+        assert found["ratio"] == pytest.approx(np.sqrt(within[s] / np.mean(sd[:, s] ** 2)))
+        assert found["ratio_low"] < found["ratio"] < found["ratio_high"]
 
 
 def test_a_study_fits_80_columns_with_its_sources(

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from itertools import product
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from estimator.estimation.repeatability import GaugeStudy, gauge_study
-from estimator.types import Floats
+from estimator.estimation.repeatability import gauge_study
 
 EXAMPLE = """
  0.29 -0.56 1.34 0.47 -0.80  0.02 0.59 -0.31 2.26 -1.36
@@ -21,25 +22,25 @@ EXAMPLE = """
 -0.11 -1.13 1.09 0.20 -1.07 -0.67 0.01 -0.56 1.45 -1.77
 -0.15 -0.96 0.67 0.11 -1.45 -0.49 0.21 -0.49 1.87 -2.16
 """
-"""The worked example of AIAG, Measurement Systems Analysis, 4th ed., III.B: three trials of each of three appraisers."""
+"""The worked example of AIAG, Measurement Systems Analysis, 4th ed., III.B: three appraisers, three trials of each."""
 
 
-def study(values: Floats, parts: Floats, conditions: Floats, sd: float = 1.0) -> GaugeStudy:
-    """Return the study of values (runs,) that all state the same sigma."""
-    return gauge_study(values[:, None], np.full((len(values), 1), sd), list(parts), list(conditions))
+def study(values: Any, parts: Any, conditions: Any, sd: Any = 1.0) -> SimpleNamespace:
+    """Return the study of values, (runs,) or (runs, states), that state a sigma."""
+    x = values.reshape(len(values), -1)
+    return SimpleNamespace(**gauge_study(x, np.broadcast_to(sd, x.shape), parts.astype(str), conditions.astype(str)))
 
 
-def by_projections(values: Floats, parts: Floats, conditions: Floats) -> Floats:
-    """Return the variances within, of interaction, conditions, parts: Henderson's method 3 with dense projections.
+def by_projections(values: Any, parts: Any, conditions: Any) -> Any:
+    """Return the variances within, of interaction, conditions, parts: Henderson's method 1 with dense projections.
 
     E[y'Qy] is the sum over the factors of variance times tr(Z'QZ), Q the difference of two models' projections.
     """
     cells = parts * (conditions.max() + 1) + conditions
-    z_p, z_c, z_cell = (np.equal.outer(labels, np.unique(labels)).astype(float) for labels in (parts, conditions, cells))
-    one, both = np.ones((len(values), 1)), np.hstack([z_p, z_c])
-    p_p, p_c, p_both, p_cell = (model @ np.linalg.pinv(model) for model in (z_p, z_c, both, z_cell))
-    forms = np.eye(len(values)) - p_cell, p_cell - p_both, p_both - p_p, p_both - p_c
-    assert np.allclose(p_p @ one, one)
+    each = (np.zeros_like(parts), parts, conditions, cells)
+    z_1, z_p, z_c, z_cell = (np.equal.outer(labels, np.unique(labels)).astype(float) for labels in each)
+    p_1, p_p, p_c, p_cell = (model @ np.linalg.pinv(model) for model in (z_1, z_p, z_c, z_cell))
+    forms = np.eye(len(values)) - p_cell, p_cell - p_p - p_c + p_1, p_c - p_1, p_p - p_1
     factors = np.eye(len(values)), z_cell, z_c, z_p
     expected = [[np.trace(z.T @ q @ z) for z in factors] for q in forms]
     return np.linalg.solve(expected, [values @ q @ values for q in forms])
@@ -103,3 +104,21 @@ def test_what_the_runs_do_not_tell_apart_is_no_figure(conditions: list[int]) -> 
     assert np.isnan(found.reproducibility)
     assert found.repeatability == pytest.approx(0.1)
     assert found.parts**2 == pytest.approx(4 / 2 - 0.1**2 / 3)
+
+
+def test_the_interval_of_the_ratio_holds_as_often_as_it_says() -> None:
+    """Four hundred studies of twelve gyros, of which some have three times the sigma of others."""
+    chance = np.random.default_rng(0)
+    parts, conditions = np.repeat(np.arange(12), 4), np.tile([0, 0, 1, 1], 12)
+    sd = np.repeat(np.resize([0.6, 0.7, 1.2, 1.9], 12), 4)[:, None]
+    effects = 20 * chance.normal(size=(12, 1, 400)) + chance.normal(size=(2, 400))
+    effects = effects + 9 * chance.normal(size=(12, 2, 400))
+    found = study(effects[parts, conditions] + sd * chance.normal(size=(48, 400)), parts, conditions, sd)
+    assert 0.92 < np.mean((found.ratio_low < 1) & (found.ratio_high > 1)) < 0.98
+
+
+def test_parts_and_conditions_that_met_only_each_other_are_not_told_apart() -> None:
+    values = np.array([1.0, 1.1, 1.2, 1.3, 3.0, 3.1, 3.2, 3.3])
+    found = study(values, np.repeat([0, 1], 4), np.repeat([0, 1, 2, 3], 2))
+    assert np.isnan([found.parts, found.reproducibility, found.grr]).all()
+    assert found.repeatability == pytest.approx(np.sqrt(0.005))
