@@ -68,6 +68,7 @@ def between_runs(states: Floats, sd: Floats) -> Floats:
     return np.where(_beyond_chance(squares, dof), np.sqrt(np.maximum(squares - dof, 0.0) / spread), 0.0)
 
 
+@np.errstate(all="ignore")  # of values that are none come figures that are none
 def gauge_study(values: Floats, sd: Floats, parts: Sequence[str], conditions: Sequence[str]) -> dict[str, Floats]:
     """Return standard deviations (states,) from values and their stated sigmas (runs, states), some runs repeated.
 
@@ -108,12 +109,11 @@ def gauge_study(values: Floats, sd: Floats, parts: Sequence[str], conditions: Se
         variances[:3] = np.nan
     of_part, ours, e = variances[0], variances[1:].sum(axis=0), variances[3]
     between = ours - e if of_conditions > 1 else np.full_like(e, np.nan)
-    with np.errstate(all="ignore"):
-        ratio = np.sqrt(e / (sd**2).mean(axis=0))
-        alike = dofs * (sd**2).mean(axis=0) ** 2 / (sd**4).mean(axis=0)
-        low, high = (ratio * np.sqrt(alike / chi2.isf(tail, alike)) for tail in (_OUTSIDE / 2, 1 - _OUTSIDE / 2))
-        roots = {"repeatability": e, "reproducibility": between, "parts": of_part, "grr": ours / (ours + of_part)}
-        told = {key: np.sqrt(value) for key, value in roots.items()}
+    ratio = np.sqrt(e / (sd**2).mean(axis=0))
+    alike = dofs * (sd**2).mean(axis=0) ** 2 / (sd**4).mean(axis=0)
+    low, high = (ratio * np.sqrt(alike / chi2.isf(tail, alike)) for tail in (_OUTSIDE / 2, 1 - _OUTSIDE / 2))
+    roots = {"repeatability": e, "reproducibility": between, "parts": of_part, "grr": ours / (ours + of_part)}
+    told = {key: np.sqrt(value) for key, value in roots.items()}
     return {**told, "dof": dofs, "ratio": ratio, "ratio_low": low, "ratio_high": high}
 
 
