@@ -2,7 +2,7 @@
 
 What differs between runs beyond that (switch-on bias, remounting) is the device's repeatability; it is estimated by
 the method of moments (DerSimonian, Laird 1986). Only noise is compared: what is wrong with the table is wrong in
-every run alike.
+every run alike. ``gauge_study`` asks the same of the station, over its runs of many devices.
 """
 
 from collections.abc import Sequence
@@ -15,6 +15,7 @@ from estimator.calibration.values import GyroCalibration
 from estimator.types import Floats
 
 _BY_CHANCE = 0.001
+_OUTSIDE = 0.05  # of the interval of a ratio
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,6 +66,55 @@ def between_runs(states: Floats, sd: Floats) -> Floats:
     dof = states.shape[1] * (len(states) - 1)
     squares, spread = np.sum(_moments(states, sd), axis=1)
     return np.where(_beyond_chance(squares, dof), np.sqrt(np.maximum(squares - dof, 0.0) / spread), 0.0)
+
+
+@np.errstate(all="ignore")  # of values that are none come figures that are none
+def gauge_study(values: Floats, sd: Floats, parts: Sequence[str], conditions: Sequence[str]) -> dict[str, Floats]:
+    """Return standard deviations (states,) from values and their stated sigmas (runs, states), some runs repeated.
+
+    ``repeatability``: one part, one condition, of ``dof`` degrees of freedom; ``reproducibility``: between conditions;
+    ``parts``: between those; NaN where the runs do not tell. ``grr``: the first two in the total. ``ratio``:
+    repeatability over rms sigma; ``ratio_low``, ``ratio_high``: its 95 % interval (chi-square; Satterthwaite).
+
+    Random effects by the method of moments (Henderson 1953, method 1); of equal counts the two-way ANOVA of AIAG,
+    Measurement Systems Analysis, 4th ed., III.B. An interaction not above zero counts as repeatability.
+    """
+    from scipy.stats import chi2
+
+    x = values - values.mean(axis=0)
+    index = tuple(np.unique(labels, return_inverse=True)[1] for labels in (parts, conditions))
+    n = np.zeros([at.max() + 1 for at in index])
+    sums = np.zeros((*n.shape, x.shape[1]))
+    np.add.at(n, index, 1)
+    np.add.at(sums, index, x)
+    if np.count_nonzero(n) == len(n):  # each part met one condition: nothing tells them apart
+        n, sums = n.sum(axis=1, keepdims=True), sums.sum(axis=1, keepdims=True)
+    rows, squares = [], []
+    factors = ((1,), (0,), ())  # parts, conditions, both: the axes that their groups are summed over
+    for group in (*factors, (0, 1)):
+        size = np.maximum(n.sum(axis=group, keepdims=True), 1)
+        shared = [n.sum(axis=tuple({*group} & {*factor}), keepdims=True) for factor in factors]
+        rows.append([*(np.sum(m**2 / size) for m in shared), np.count_nonzero(n.sum(axis=group))])
+        squares.append((sums.sum(axis=group, keepdims=True) ** 2 / size[..., None]).sum(axis=(0, 1)))
+    # What the variances of parts, conditions, both and runs add to the squares of each, and these squares.
+    a, b = np.array([*rows[:3], [len(x)] * 4]) - rows[3], np.array([*squares[:3], (x**2).sum(axis=0)])
+    of_parts, of_conditions, of_both = (row[3] for row in rows[:3])
+    kept = [0, 1, 3] if of_conditions > 1 else [0, 3]
+    found, dof = np.zeros_like(b), len(x) - of_parts - of_conditions + 1
+    found[kept] = np.linalg.pinv(a[np.ix_(kept, kept)]) @ b[kept]
+    full = np.linalg.pinv(a) @ b
+    mixed = (full[2] > 0) & (of_conditions > 1)
+    variances, dofs = np.maximum(np.where(mixed, full, found), 0.0), np.where(mixed, len(x) - of_both, dof)
+    if of_both == of_conditions > 1:  # each condition met one part
+        variances[:3] = np.nan
+    of_part, ours, e = variances[0], variances[1:].sum(axis=0), variances[3]
+    between = ours - e if of_conditions > 1 else np.full_like(e, np.nan)
+    ratio = np.sqrt(e / (sd**2).mean(axis=0))
+    alike = dofs * (sd**2).mean(axis=0) ** 2 / (sd**4).mean(axis=0)
+    low, high = (ratio * np.sqrt(alike / chi2.isf(tail, alike)) for tail in (_OUTSIDE / 2, 1 - _OUTSIDE / 2))
+    roots = {"repeatability": e, "reproducibility": between, "parts": of_part, "grr": ours / (ours + of_part)}
+    told = {key: np.sqrt(value) for key, value in roots.items()}
+    return {**told, "dof": dofs, "ratio": ratio, "ratio_low": low, "ratio_high": high}
 
 
 def _moments(states: Floats, sd: Floats) -> tuple[Floats, Floats]:

@@ -1,11 +1,11 @@
-"""station history: the recordings of a folder, and control charts of a device."""
+"""station history: the recordings of a folder, control charts of a device, and a gauge study of the station."""
 
 import argparse
 import asyncio
 import json
 import os
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from estimator.estimation.control_charts import control_chart
+from estimator.estimation.repeatability import gauge_study
 from estimator.geometry.model import STATES
 from estimator.untrusted import harmless
 from station.errors import UsageError
@@ -35,7 +36,7 @@ _TEXTS = {"device_serial": "serial", "station": "bench"} | {
 
 
 def command_history(arguments: argparse.Namespace) -> int:
-    """List the recordings of a folder, the newest first, and charts of a device; always 0."""
+    """List the recordings of a folder, the newest first, and charts of a device, or a gauge study; always 0."""
     folder, data, since = Path(arguments.folder), arguments.json or arguments.csv, arguments.since or ""
     outcome = arguments.outcome and arguments.outcome.upper()
     if not folder.is_dir():
@@ -44,6 +45,8 @@ def command_history(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--since {since}: write a date, for instance 2026-11 or 2026-11-21")
     if outcome not in (None, *OUTCOME_STYLES):
         raise UsageError(f"--outcome {outcome}: write one of {', '.join(OUTCOME_STYLES)}")
+    if arguments.gauge and arguments.csv:
+        raise UsageError("--gauge with --csv: a study has no line for each recording; give --json in place of --csv")
     entries = asyncio.run(_listed(folder, data))
     moved = {path: moves for runs in _series(entries) for path, moves in _moves(runs).items()}
     wanted = {"device_serial": arguments.serial, "station": arguments.bench, "outcome": outcome}
@@ -56,12 +59,15 @@ def command_history(arguments: argparse.Namespace) -> int:
         "recordings": [_row(entry, folder, moved.get(entry.path, [])) for entry in shown],
         "charts": [_chart(runs) for runs in _series(entries) if arguments.serial and sum(map(_counts, runs)) > 1],
     }
+    if arguments.gauge:
+        found = {"folder": str(folder), "gauge": [_study(runs) for runs in _series(entries[: arguments.last], 2)]}
     if arguments.json:
         print(json.dumps(found))
     elif arguments.csv:
         print(harmless(rendered("station.render", "history.csv", {**found, "states": STATES})), end="")
     else:
-        print_rendered(stdout(), "station.render", "history.rich", {**found, "serial": arguments.serial})
+        name = "gauge.rich" if arguments.gauge else "history.rich"
+        print_rendered(stdout(), "station.render", name, {**found, "serial": arguments.serial, "states": STATES})
     return 0
 
 
@@ -79,12 +85,12 @@ async def _listed(folder: Path, quiet: bool) -> list[Entry]:
     return sorted(found, key=lambda entry: entry.when_utc_s, reverse=True)
 
 
-def _series(entries: Sequence[Entry]) -> list[list[Entry]]:
-    """Return the runs that may be compared with each other, the oldest first."""
+def _series(entries: Sequence[Entry], whatever: int = 0) -> list[list[Entry]]:
+    """Return the runs that may be compared, the oldest first; whatever serial number (1) and bench (2) they are of."""
     found: dict[Any, list[Entry]] = defaultdict(list)
     for entry in reversed(entries):
         if entry.series is not None and np.isfinite(sum(sum(gyro.values + gyro.sds) for gyro in entry.gyros)):
-            found[entry.series].append(entry)
+            found[entry.series[whatever:]].append(entry)
     return list(found.values())
 
 
@@ -113,6 +119,25 @@ def _chart(runs: Sequence[Entry]) -> dict[str, Any]:
     told = {"bench": runs[0].texts["station"], "script": runs[0].texts["script"], "counted": counted}
     names = {"gyros": [_name(gyro) for gyro in runs[0].gyros], "files": [run.path.name for run in runs]}
     return {**told, **names, "when": [run.when for run in runs], **json_object(chart)}
+
+
+def _study(runs: Sequence[Entry]) -> dict[str, Any]:
+    """Return a gauge study of runs, its figures by state in SI; None in place of them if there are too few."""
+    conditions = [(run.texts.get("operator", ""), run.texts.get("station", "")) for run in runs]
+    times = Counter(zip((run.serial for run in runs), conditions, strict=True))
+    repeated = {serial for (serial, _), number in times.items() if number > 1}
+    each = [(run, gyro, str(told)) for run, told in zip(runs, conditions, strict=True) for gyro in run.gyros]
+    study = None
+    if len(repeated) > 1:
+        values, sd = (np.array([getattr(gyro, key) for _, gyro, _ in each], float) for key in ("values", "sds"))
+        parts = [str((run.serial, gyro.source, gyro.name)) for run, gyro, _ in each]
+        figures = gauge_study(values, sd, parts, [told for *_, told in each])
+        study = {key: by_state(value) for key, value in figures.items()}
+    operators, benches = (sorted(set(names)) for names in zip(*conditions, strict=True))
+    of = {"operators": operators, "benches": benches, "devices": len({run.serial for run in runs})}
+    counts = {"runs": len(runs), "failed": sum(not _counts(run) for run in runs), "repeated": len(repeated)}
+    names = {"script": runs[0].texts.get("script", ""), "gyros": [_name(gyro) for gyro in runs[0].gyros]}
+    return {**names, **of, **counts, "study": study}
 
 
 def _row(entry: Entry, folder: Path, moved: Sequence[dict[str, Any]]) -> dict[str, Any]:
