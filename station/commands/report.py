@@ -40,14 +40,14 @@ def command_report(arguments: argparse.Namespace) -> int:
         "recording": arguments.recording,
         "sha256": report.hashes,
     }
-    problem = ""
+    problem, printed = "", None
     try:
         if pdf is not None:
             from station.report.pdf import print_pdf
 
-            print_pdf(report.html, pdf)
+            printed = print_pdf(report.html, pdf)
         if dcc is not None:
-            xml = make_dcc(recorded, formal, report, None if pdf is None else pdf.read_bytes())
+            xml = make_dcc(recorded, formal, report, printed)
             write_whole(dcc, sign(xml, *keys) if keys else xml)
     except UsageError as error:
         problem = str(error)

@@ -7,8 +7,11 @@ from station.atomic_write import write_whole
 from station.errors import UsageError
 
 
-def print_pdf(html: str, pdf: Path) -> None:
-    """Print a report to PDF/A-3b (ISO 19005-3) with the fonts of matplotlib; UsageError if Pango is not installed."""
+def print_pdf(html: str, pdf: Path) -> bytes:
+    """Print a report to PDF/A-3b (ISO 19005-3) with the fonts of matplotlib, and return it.
+
+    Raises UsageError if Pango is not installed.
+    """
     try:
         from weasyprint import HTML
         from weasyprint.urls import URLFetcher
@@ -29,4 +32,6 @@ def print_pdf(html: str, pdf: Path) -> None:
             raise ValueError(f"{url} is named by a picture, which is to lead to no host and no file")
 
     document = HTML(string=html.replace("</style>", f"{sheet}</style>", 1), url_fetcher=Fonts())
-    write_whole(pdf, document.write_pdf(pdf_variant="pdf/a-3b"))
+    content = bytes(document.write_pdf(pdf_variant="pdf/a-3b"))
+    write_whole(pdf, content)
+    return content

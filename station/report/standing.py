@@ -108,10 +108,8 @@ def _kind_of(recorded: Recorded, limits: Limits | None, lines: tuple[LimitLine, 
         return Kind.ELSEWHERE, judged
     if judged is None:
         return Kind.UNJUDGED, None
-    if ended.outcome not in (
-        Outcome.PASS,
-        Outcome.ESTIMATED,
-    ):  # calibrated again since, but the run itself was never judged a pass
+    # Calibrated again since, but the run itself was never judged a pass.
+    if ended.outcome not in (Outcome.PASS, Outcome.ESTIMATED):
         return Kind.FAILED, ended
     return Kind.CERTIFICATE, judged
 

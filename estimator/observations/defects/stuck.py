@@ -8,20 +8,19 @@ from estimator.types import Flags, runs_of
 
 _LONG_S, _AWRY_NS = 1.0, 400_000_000  # by the second, stamps may be off the table's: what rests then is not stuck
 _TOGETHER_S, _TOGETHER = 0.05, 8  # samples of so long, at least so many, may be sent, and sent again, together
-_OTHERWISE_RPS = float(
-    np.radians(1.0)
-)  # by which what a gyro is turned at changes meanwhile: no resolution is so coarse
+# By which what a gyro is turned at changes meanwhile: no resolution is so coarse.
+_OTHERWISE_RPS = float(np.radians(1.0))
 
 
 def stuck_doubts(recording: Recording) -> list[str]:
     """Return, in words, which sources of a recording against a table were stuck, and when."""
     if not isinstance(recording.reference, TableReadings):
         return []
-    doubts = []
+    doubts, rates = [], None
     for source, data in recording.sources.items():
         spans_ns = [data.t_ns[[max(start - 1, 0), stop - 1]] for start, stop in runs_of(_seen_before(data))]
         for first_ns, last_ns in (span for span in spans_ns if np.ptp(span) > _LONG_S * 1e9):
-            rates = BodyRates.of(recording.reference, recording.site)
+            rates = rates or BodyRates.of(recording.reference, recording.site)
             within_ns = np.clip([first_ns + _AWRY_NS, last_ns - _AWRY_NS], rates.starts_ns, rates.final_until_ns - 1)
             turned = rates.at(np.linspace(within_ns[0], within_ns[1], 200).astype(np.int64)) @ data.array.p.T
             if np.ptp(turned, axis=0).max() > _OTHERWISE_RPS:

@@ -50,7 +50,7 @@ class Archive:
                 entry = (await self._read(Path(file[0]), file[1] * 1e-9, everything=False)).entry
                 self._known[file], self.unread = entry, self.unread - 1
                 if settled and (entry.foreign or not entry.wrong):
-                    keep(folder, file, entry)
+                    await asyncio.to_thread(keep, folder, file, entry)  # the disk may be slow, and no key waits for it
             if not self._known[file].foreign:
                 yield self._known[file]
 

@@ -40,12 +40,14 @@ def load(folder: Path) -> dict[File, Entry]:
     texts = "IFNULL(CAST(entry AS TEXT), ''), IFNULL(CAST(figures AS TEXT), '')"  # also where harm made them other
     rows = _done(folder, f"SELECT path, mtime_ns, size, {texts}, checksum FROM recordings")
     gc.disable()  # none of ten thousand entries is garbage: to look for it takes a third of the time
-    for *row, checksum in rows:
-        if checksum == _checksum(row):
-            path, told = os.path.join(folder, os.fsdecode(row[0])), json.loads(row[3])
-            told["devices"] = tuple(told["devices"])
-            found[path, row[1], row[2]] = Entry(Path(path), figures=row[4].decode(), **told)
-    gc.enable()
+    try:
+        for *row, checksum in rows:
+            if checksum == _checksum(row):
+                path, told = os.path.join(folder, os.fsdecode(row[0])), json.loads(row[3])
+                told["devices"] = tuple(told["devices"])
+                found[path, row[1], row[2]] = Entry(Path(path), figures=row[4].decode(), **told)
+    finally:
+        gc.enable()
     return found
 
 
