@@ -10,7 +10,7 @@ states.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -217,10 +217,8 @@ def _steadied(run: Run, columns: Floats) -> Run:
     return replace(run, weight=weight)
 
 
-def _spectra(
-    runs: Sequence[Run], columns: Sequence[Floats], arw: Mapping[str, float] | None = None
-) -> list[GyroSpectra]:
-    spectra = gyro_spectra(runs, arw)
+def _spectra(runs: Sequence[Run], columns: Sequence[Floats]) -> list[GyroSpectra]:
+    spectra = gyro_spectra(runs)
     if [gyro.name for gyro in spectra] != [name for run in runs for name in run.array.names]:
         raise TooShort("too few blocks of a gyro follow on each other")
     for gyro in spectra if columns[0].shape[2] else ():

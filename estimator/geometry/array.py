@@ -97,14 +97,6 @@ def tetrahedron() -> SensorArray:
     return sensor_array(np.vstack([[0.0, 0.0, -1.0], _cone_axes(3, float(np.arccos(1 / 3)))]))
 
 
-def tetrahedron_as_printed() -> SensorArray:
-    """Return eq. 14-16 digit for digit, misprinted J and K included; for reproducing the paper only."""
-    p: list[list[float]] = [[0, 0, -1], [0.9428, 0, 0.3333], [-0.4714, 0.8165, 0.3333], [-0.4714, -0.8165, 0.3333]]
-    j: list[list[float]] = [[1, 0, 0], [-0.3333, 0, 0.9428], [-0.1667, 0.2887, 0.9428], [-0.1667, -0.2887, 0.9428]]
-    k: list[list[float]] = [[0, 1, 0], [0, 1, 0], [0.8660, 0.5, 0], [-0.8660, 0.5, 0]]
-    return sensor_array(p, j, k, as_printed=True)
-
-
 def dodecahedron() -> SensorArray:
     """Return six gyros along the face normals of a regular dodecahedron."""
     a = float(np.arctan(2.0))  # angle between neighbouring face normals

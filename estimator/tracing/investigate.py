@@ -62,22 +62,6 @@ def investigate(
     return _conclude(search, found, held_back, left_out, notes, faults, most_effects, verification)
 
 
-def fit_known(recordings: Sequence[Recording], effects: Sequence[str]) -> Augmented:
-    """Return the model with these effects of the catalogue, estimated on all recordings, whether they are there or not.
-
-    Of effects that come in several kinds (a harmonic's axis and order) the most telling one is taken.
-
-    Raises InvestigationError for an effect that the catalogue does not hold or the recordings cannot show.
-    """
-    search, left_out = _prepared(runs_of_all(recordings)[0], effects)
-    parts: list[Part] = []
-    for effect in effects:
-        if effect in left_out:
-            raise InvestigationError(f"{effect} cannot be estimated: {left_out[effect]}")
-        parts.append(search.best_of(effect, parts))
-    return Augmented.of(search.evidence, search.rescaled(parts))
-
-
 def _same(
     recordings: Sequence[Recording], verification: Sequence[Recording], runs: Sequence[Run], held_back: Sequence[Run]
 ) -> None:
@@ -92,13 +76,13 @@ def _same(
             )
 
 
-def _prepared(runs: Sequence[Run], only: Sequence[str] | None = None) -> tuple[Search, dict[str, str]]:
-    """Return a search among all candidates, or only some effects, and what cannot be tried, with the reason."""
+def _prepared(runs: Sequence[Run]) -> tuple[Search, dict[str, str]]:
+    """Return a search among all candidates, and what cannot be tried, with the reason."""
     span_s = max(float(run.t_s[-1] - run.t_s[0]) + run.length_s for run in runs)
     search = Search(runs, Evidence(gyro_spectra(runs), NoiseShapes.over(span_s, several=True)))
     candidates, left_out = candidates_of(runs)
-    search.add([c for c in candidates if only is None or c.called in only])
-    for candidate in search.leave_out_unexcited() if candidates and only is None else []:
+    search.add(candidates)
+    for candidate in search.leave_out_unexcited():
         if not candidate.depends_on:
             left_out[candidate.called] = "the motion does not excite it"
     return search, left_out

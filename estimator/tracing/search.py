@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from estimator.effects.disturbances import TONE
-from estimator.errors import InvestigationError
 from estimator.estimation.evidence import SCALES, Base, Evidence, Term
 from estimator.estimation.runs.run import Run
 from estimator.observations.turned import by_turns
@@ -214,36 +213,6 @@ class Search:
             if not changed:
                 break
         return chosen, terms
-
-    def best_of(self, effect: str, chosen: Sequence[Part]) -> Part:
-        """Return the most probable of the candidates that are called so, beside those chosen."""
-        model = [c.term for c in chosen if c.tone is None]
-        if effect == TONE.name:
-            tone = self.heard.strongest(model)
-            if tone is None:
-                raise InvestigationError("no tone can be looked for in these recordings")
-            self.heard.take(tone, 1.0, model)
-            self._scored.clear()
-            return self.heard.parts[-1]
-        names = [c.candidate.name for c in chosen]
-        self._refine(model, names)
-        scores = self.scores(model, names)
-        named = [name for name in scores if self.known[name][0].called == effect]
-        if not named:
-            raise InvestigationError(f"the catalogue holds no effect {effect} for these recordings")
-        best = max(named, key=lambda name: scores[name][0])
-        return Part(self.known[best][0], scores[best][1], 1.0, (effect,))
-
-    def rescaled(self, choices: Sequence[Part]) -> list[Part]:
-        """Return the same choices, the prior scale of each as is most probable beside the others."""
-        done = list(choices)
-        for n, choice in enumerate(done):
-            if choice.tone is not None:
-                continue
-            others = [c.term for m, c in enumerate(done) if m != n and c.tone is None]
-            _, term = Base(self.evidence, others).with_term(choice.term)
-            done[n] = replace(choice, term=term)
-        return done
 
     def copies(self, part: Part, terms: Sequence[Term]) -> list[str]:
         """Return the effects that could put out what this one does, within chance, whatever was expected of them."""

@@ -22,6 +22,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 from detection_study.study import STATES, hidden_of
+from known_effects import fit_known
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 from support import SITE
@@ -30,7 +31,7 @@ from estimator.estimation.calibrate import calibrate
 from estimator.geometry.array import tetrahedron
 from estimator.recordings.recording import Recording
 from estimator.tracing.augmented import Augmented
-from estimator.tracing.investigate import fit_known, investigate
+from estimator.tracing.investigate import investigate
 from estimator.tracing.type_model import error_model_of
 from station.opening import DeviceTruth, simulate
 from station.scripts.loop_scripts import exploration_script

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from paper_study.text import tetrahedron_as_printed
 
 from estimator.errors import GeometryError
 from estimator.geometry.array import (
@@ -14,7 +15,6 @@ from estimator.geometry.array import (
     dodecahedron,
     sensor_array,
     tetrahedron,
-    tetrahedron_as_printed,
     triad,
 )
 from sims.physics.geometry import MOUNTS_DEG, mounted

@@ -17,10 +17,11 @@ from baselines import (
     unseen_directions,
 )
 from paper_study.filter import bound, covariance_filter
+from paper_study.text import tetrahedron_as_printed
 
 from estimator.errors import EstimatorError
 from estimator.estimation.gram import Gram, solve
-from estimator.geometry.array import SensorArray, cone, tetrahedron, tetrahedron_as_printed
+from estimator.geometry.array import SensorArray, cone, tetrahedron
 from estimator.geometry.model import Prior, decode, predicted_output, regressor_maps
 from estimator.observations.rows import Observations
 

@@ -10,6 +10,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from known_effects import fit_known
 from support import SITE, TABLE_1
 
 from estimator.calibration.calibration_file import read_calibration, write_calibration
@@ -23,7 +24,6 @@ from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import RateReadings, Turns
 from estimator.recordings.writing import write_recording
 from estimator.tracing.candidates import Candidate, candidates_of
-from estimator.tracing.investigate import fit_known
 from estimator.tracing.investigation import Investigation
 from estimator.tracing.type_model import error_model_of
 from sims.physics.hidden import Hidden

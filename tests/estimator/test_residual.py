@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from detection_study.study import Case, recordings_of
+from known_effects import fit_known
 
 from estimator.estimation.runs.making import runs_of
 from estimator.estimation.runs.run import Run
 from estimator.recordings.recording import Recording
-from estimator.tracing.investigate import fit_known, investigate
+from estimator.tracing.investigate import investigate
 from estimator.tracing.residuals.origin import Origin
 from estimator.tracing.residuals.residual import GyroResidual, Residual, residuals
 

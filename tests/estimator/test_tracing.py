@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from detection_study.study import Case, end_of, recordings_of
+from known_effects import fit_known
 from support import first_gyros
 
 from estimator.errors import InvestigationError
@@ -17,7 +18,7 @@ from estimator.importing.importing import import_recording
 from estimator.importing.mapping.mapping import read_mapping
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import RateReadings, TableReadings
-from estimator.tracing.investigate import fit_known, investigate
+from estimator.tracing.investigate import investigate
 from estimator.tracing.investigation import Finding
 
 DEG = np.pi / 180

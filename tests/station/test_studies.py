@@ -13,7 +13,6 @@ from paper_study import study as paper
 from paper_study import text as paper_text
 from paper_study.printed import print_paper
 
-from estimator.geometry.array import tetrahedron_as_printed
 from estimator.recordings.reading import read_recording
 from station.errors import UsageError
 
@@ -51,7 +50,7 @@ def test_the_notes_are_worked_out_from_the_printed_tables() -> None:
     assert "0.0150 and 0.0170" in notes
     assert "known to 2.0e-09 deg/s" in notes
     assert "signs + - - +" in notes
-    errata = "\n".join(paper_text.errata(tetrahedron_as_printed()))
+    errata = "\n".join(paper_text.errata(paper_text.tetrahedron_as_printed()))
     assert "p.j = 0.629 for gyro3, p.j = 0.629 for gyro4" in errata
     assert "left-handed for gyro1, gyro2 and right-handed for gyro3, gyro4" in errata
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from known_effects import fit_known
 
 from drivers.packaged import packaged_toml
 from drivers.types import Floats
@@ -19,7 +20,7 @@ from estimator.geometry.array import tetrahedron
 from estimator.geometry.kinematics import Site
 from estimator.recordings.recording import Recording
 from estimator.tracing.augmented import Augmented
-from estimator.tracing.investigate import fit_known, investigate
+from estimator.tracing.investigate import investigate
 from estimator.tracing.search import CERTAIN
 from station.campaigns.campaigns import Failure, run_all
 from station.opening import DeviceTruth, Hidden, simulate

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from estimator.geometry.array import tetrahedron_as_printed
 from paper_study.study import BARS_PERCENT, Curve, PaperStudy
 from paper_study.text import (
     NAMES,
@@ -20,6 +19,7 @@ from paper_study.text import (
     errata,
     relative_percent,
     sentences,
+    tetrahedron_as_printed,
 )
 from station.render.terminal import print_rendered, stdout
 

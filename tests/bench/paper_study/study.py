@@ -20,7 +20,7 @@ from drivers.types import Floats
 from estimator.estimation.calibrate import calibrate
 from estimator.estimation.gram import Gram, solve
 from estimator.estimation.live.filter import LiveFilter
-from estimator.geometry.array import SensorArray, tetrahedron, tetrahedron_as_printed
+from estimator.geometry.array import SensorArray, tetrahedron
 from estimator.geometry.kinematics import Site
 from estimator.geometry.model import Prior, decode
 from estimator.geometry.noise import NoiseModel
@@ -37,6 +37,7 @@ from paper_study.text import (
     TABLE_1,
     from_si,
     relative_percent,
+    tetrahedron_as_printed,
     to_si,
 )
 from station.campaigns.campaigns import Failure, run_all

@@ -11,7 +11,7 @@ import numpy as np
 
 from drivers.packaged import packaged_toml
 from drivers.types import Floats
-from estimator.geometry.array import SensorArray
+from estimator.geometry.array import SensorArray, sensor_array
 from station.render.template import rendered
 
 NAMES = ("b", "k", "sigma_j", "sigma_k")
@@ -23,6 +23,14 @@ TABLE_1, TABLE_2, TABLE_3, TABLE_4 = (np.array(_PRINTED[f"table_{number}"]) for 
 RATE_DPS, LATITUDE_DEG, NOISE_DPH, SAMPLE_HZ = (
     float(_PRINTED[key]) for key in ("rate_dps", "latitude_deg", "noise_dph", "sample_hz")
 )
+
+
+def tetrahedron_as_printed() -> SensorArray:
+    """Return eq. 14-16 digit for digit, misprinted J and K included."""
+    p: list[list[float]] = [[0, 0, -1], [0.9428, 0, 0.3333], [-0.4714, 0.8165, 0.3333], [-0.4714, -0.8165, 0.3333]]
+    j: list[list[float]] = [[1, 0, 0], [-0.3333, 0, 0.9428], [-0.1667, 0.2887, 0.9428], [-0.1667, -0.2887, 0.9428]]
+    k: list[list[float]] = [[0, 1, 0], [0, 1, 0], [0.8660, 0.5, 0], [-0.8660, 0.5, 0]]
+    return sensor_array(p, j, k, as_printed=True)
 
 
 def from_si(states: Floats) -> Floats:
