@@ -14,6 +14,7 @@ from estimator.errors import MISSHAPEN, RecordingError
 from estimator.geometry.model import STATES
 from estimator.geometry.noise import NoiseFound, NoiseModel
 from estimator.observations.health import Excluded
+from estimator.packaged import sentence
 from estimator.recordings.recovery import recover
 from estimator.recordings.safe_open import probe
 from estimator.recordings.writing import plain, write_results
@@ -93,9 +94,7 @@ def read_calibration(path: Path, *, trusted: bool = False) -> Calibration:
         with h5py.File(path, "r") as file:
             group = file.get("calibration")
             if not isinstance(group, h5py.Group):
-                raise RecordingError(
-                    f"{path} holds no calibration: `station calibrate --write {path}` estimates one and keeps it there"
-                )
+                raise RecordingError(sentence("calibration.none_held", path=path))
             return _read(path, file, group)
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error}") from None

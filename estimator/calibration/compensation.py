@@ -24,6 +24,7 @@ from estimator.effects.law import settled
 from estimator.errors import EstimatorError
 from estimator.geometry.array import TOLERANCE, SensorArray
 from estimator.geometry.model import decode, predicted_output
+from estimator.packaged import sentence
 from estimator.types import Floats
 
 MOST_ITERATIONS = 30
@@ -109,10 +110,7 @@ class Compensation:
         """Inverse H (3, n) of the sensitivity; CompensationError if the gyros do not span space."""
         g = self.sensitivity
         if len(g) < 3 or np.linalg.svd(g, compute_uv=False)[2] < TOLERANCE:
-            raise CompensationError(
-                f"the gyros {', '.join(self.array.names)} do not span three dimensions: they tell rates about their "
-                "own axes, no rate of the body"
-            )
+            raise CompensationError(sentence("calibration.no_solution", names=", ".join(self.array.names)))
         return np.asarray(np.linalg.pinv(g))
 
     def held(self, name: str) -> Floats | None:

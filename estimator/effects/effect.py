@@ -10,12 +10,10 @@ from __future__ import annotations
 
 import math
 import re
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import partial
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -24,6 +22,7 @@ from estimator.effects.conditions import Axes, Conditions
 from estimator.effects.law import VARIABLES, LawError, columns_of, functions_of, needs_of, parsed, variables_of
 from estimator.errors import EstimatorError
 from estimator.geometry.array import SensorArray
+from estimator.packaged import packaged_toml
 from estimator.types import Floats
 
 Value = float | int | str
@@ -282,9 +281,8 @@ class Effect:
 
 def family(name: str, /, **coded: dict[str, Any]) -> tuple[Record, ...]:
     """Return the effects that the file of a family lists, NAME.toml; ``coded`` is by effect what only code can say."""
-    tables = tomllib.loads(files("estimator.effects").joinpath(f"{name}.toml").read_text(encoding="utf-8"))
     found = []
-    for effect, facts in tables.items():
+    for effect, facts in packaged_toml("estimator.effects", f"{name}.toml").items():
         read = {key: _READ[key](value) if key in _READ else value for key, value in facts.items()}
         found.append(Record(name=effect, **read | coded.get(effect, {})))
     return tuple(found)

@@ -9,16 +9,15 @@ one law are separated by semicolons, each with a coefficient of its own. Memory 
 
 import ast
 import re
-import tomllib
 from collections.abc import Callable, Mapping
 from functools import lru_cache, partial
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
 
 from estimator.effects.conditions import Axes, Conditions, follow
 from estimator.geometry.kinematics import AXES, GRAVITY_MPS2, into_body
+from estimator.packaged import packaged_toml
 from estimator.types import Floats
 
 LAST_SHARE = 0.05
@@ -28,9 +27,7 @@ _CHARACTERS = re.compile(r"[A-Za-z0-9_.+\-*/(),; ]*")  # no comments, no line en
 
 VARIABLES: Mapping[str, tuple[str, str, str]] = {
     name.format(axis=axis): (depends, unit, words.format(axis=axis))
-    for name, (depends, unit, words) in tomllib.loads(
-        files("estimator.effects").joinpath("law.toml").read_text(encoding="utf-8")
-    ).items()
+    for name, (depends, unit, words) in packaged_toml("estimator.effects", "law.toml").items()
     for axis in (AXES if "{axis}" in name else AXES[:1])
 }
 """What a law may name: what it depends on, its unit, and what it is."""

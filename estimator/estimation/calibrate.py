@@ -19,6 +19,7 @@ from estimator.observations.defects.stuck import stuck_doubts
 from estimator.observations.foreign import at_rest, factor_notes, foreign_motion_notes, sparse_doubts
 from estimator.observations.health import Excluded, usable
 from estimator.observations.rests import RestNoise, motion_notes, rest_noise
+from estimator.packaged import sentence
 from estimator.recordings.memory import check_estimating
 from estimator.recordings.recording import Recording
 from estimator.recordings.reference import Poses, TableReadings, Turns
@@ -180,10 +181,7 @@ def _nis_doubts(nis: float, estimates: Sequence[SourceEstimate]) -> list[str]:
     )
     if abs(nis - mean) <= _CHANCE * sd + _NEAR * mean:
         return []
-    return [
-        f"mean NIS {nis:.3g}, where the noise that was found gives {mean:.3g} +- {sd:.2g}: single samples and "
-        "means do not tell of the same noise"
-    ]
+    return [sentence("estimation.nis_unlike", nis=nis, expected=mean, sd=sd)]
 
 
 def _parity_notes(checks: list[GyroParity]) -> list[str]:

@@ -32,6 +32,7 @@ from estimator.observations.blocks import Blocks
 from estimator.observations.foreign import CLUSTER_S, COLOURED, FEWEST_CLUSTERS, at_rest
 from estimator.observations.rows import BLOCK_S, row_length_s, sample_noise, source_blocks
 from estimator.observations.timing import TimeOffset, expected_sd_s
+from estimator.packaged import sentence
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import Poses, RateReadings, TableReadings, Turns
 from estimator.types import Floats
@@ -58,10 +59,7 @@ def check_model(model: ErrorModel, recording: Recording) -> None:
         return
     within = [known.called for known in model.effects if known.record.within_turns]
     if within:
-        raise ModelError(
-            f"{recording.name}: of turns only their angles are known, not what happens within them, so "
-            f"{', '.join(within)} cannot be estimated: take them out of the model, or leave out --model"
-        )
+        raise ModelError(sentence("estimation.within_turns", recording=recording.name, effects=", ".join(within)))
     if len(recording.reference.sd_rad) < FEWEST_TURNS:
         raise ModelError(
             f"{recording.name}: {len(recording.reference.sd_rad)} turns are too few to estimate effects beside the "
@@ -183,10 +181,7 @@ def _run(recording: Recording, number: int, source: str, data: ImuData) -> Run:
     named = replace(data, array=replace(data.array, names=tuple(f"{number} {name}" for name in data.array.names)))
     run = run_of(recording, source, named)
     if run is None:
-        raise TooShort(
-            f"{recording.name}: source {source} holds too little data to estimate effects beside the states: 8 s of "
-            "samples that the reference covers are needed"
-        )
+        raise TooShort(sentence("estimation.short_for_effects", recording=recording.name, source=source))
     if at_rest(recording.reference):  # Earth rate is too slow to tell k from other effects
         return replace(run, w_rps=np.zeros_like(run.w_rps), z_rps=_sample_means(run))
     return run
@@ -362,10 +357,7 @@ def _undeclared_notes(joint: Joint) -> list[str]:
     worst = sorted((name for name in shares if shares[name] > _NAMED), key=lambda name: -shares[name])[:_MOST_NAMED]
     if not worst:
         return []
-    return [
-        f"the sigmas hold effects that this script cannot show, mostly {', '.join(worst)}: the section undeclared "
-        "of the bench file says which are ruled out, --model which there are"
-    ]
+    return [sentence("estimation.undeclared", effects=", ".join(worst))]
 
 
 def _values(joint: Joint, shares: Floats, covariance: Floats) -> tuple[EffectValue, ...]:

@@ -15,6 +15,7 @@ from estimator.observations.blocks import Blocks
 from estimator.observations.poses import estimate as estimate_poses
 from estimator.observations.rows import row_length_s, sample_noise
 from estimator.observations.timing import TimeOffset
+from estimator.packaged import sentence
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import Poses, Turns
 from estimator.types import Floats
@@ -89,8 +90,5 @@ def estimate_laid(poses: Poses, sources: Sources) -> DeviceEstimate:
         estimates.append(SourceEstimate(source, data, found.x, lines, [None] * m, [()] * m, found.noise_rps, samples))
         notes.append(f"{source}: gravity was carried over {found.turns} turns between {len(poses.up)} rests")
         if found.excess > _EXCESS:
-            doubts.append(
-                f"{source}: the turns miss gravity by {np.sqrt(found.excess):.1f} times what noise and accelerometer "
-                "explain; the sigmas are larger by as much"
-            )
+            doubts.append(sentence("estimation.gravity_missed", source=source, times=np.sqrt(found.excess)))
     return DeviceEstimate(estimates, notes, doubts)

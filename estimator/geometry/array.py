@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from estimator.errors import GeometryError
+from estimator.packaged import sentence
 from estimator.types import Floats
 
 TOLERANCE = 1e-3
@@ -65,10 +66,7 @@ def sensor_array(
     if not part_of_array:
         singular = np.linalg.svd(p, compute_uv=False)
         if n < 3 or singular[2] < TOLERANCE:
-            raise GeometryError(
-                "the sense axes lie in a plane (configuration matrix of rank < 3): no rate about its normal "
-                "is sensed; add a gyro with a component out of that plane"
-            )
+            raise GeometryError(sentence("geometry.in_a_plane"))
     if j is None or k is None:
         j = _tilt_axes(p)
         k = np.cross(p, j)
@@ -80,10 +78,7 @@ def sensor_array(
             triad = np.array([p[i], j[i], k[i]])
             skew = float(np.abs(triad @ triad.T - np.eye(3)).max())
             if skew > TOLERANCE:
-                raise GeometryError(
-                    f"axes p, j, k of {label} are not orthonormal (off by {skew:.3g}): correct them, or leave "
-                    "out j and k to have them derived"
-                )
+                raise GeometryError(sentence("geometry.not_orthonormal", name=label, skew=skew))
     return SensorArray(labels, p, j, k)
 
 

@@ -11,6 +11,7 @@ from estimator.errors import MISSHAPEN, RecordingError, first_line
 from estimator.importing.mapping.mapping import FileFormat
 from estimator.importing.table import HUGE, Table, Wanted, no_column
 from estimator.importing.text_rows import read_rows
+from estimator.packaged import sentence
 from estimator.recordings.safe_open import probe
 from estimator.untrusted import read_bytes
 
@@ -49,9 +50,7 @@ def read_table(path: Path, file_format: FileFormat, wanted: Wanted) -> Table:
     if raw[:1] not in (b"\xff", b"\xfe") and len(raw[:_LOOKED_AT].translate(None, _TEXT)) > _BINARY * len(
         raw[:_LOOKED_AT]
     ):
-        raise RecordingError(
-            f'{path.name} is no text: write format = "binary" with its record, "mat", or a protocol, in [file]'
-        )
+        raise RecordingError(sentence("importing.no_text", name=path.name))
     return read_rows(path.name, _decoded(raw, wanted), file_format, wanted)
 
 
@@ -77,9 +76,7 @@ def _read_binary(name: str, raw: bytes, record: np.dtype[Any], header_bytes: int
     _check_present(name, wanted, numeric, "record in [file]")
     count, rest = divmod(len(raw) - header_bytes, record.itemsize)
     if count < 1:
-        raise RecordingError(
-            f"{name} has {len(raw)} bytes, less than header_bytes and one record of {record.itemsize}: check [file]"
-        )
+        raise RecordingError(sentence("importing.short_record", name=name, size=len(raw), record=record.itemsize))
     rows = np.frombuffer(raw, record, count, header_bytes)
     with np.errstate(invalid="ignore"):  # what is no number may spell a signalling NaN
         columns = {key: rows[key].astype(np.float64) for key in wanted}

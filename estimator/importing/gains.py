@@ -17,6 +17,7 @@ from estimator.importing.mapping.columns import UNITS
 from estimator.importing.mapping.mapping import GyroColumns
 from estimator.observations.foreign import FAR_OFF
 from estimator.observations.rows import observations
+from estimator.packaged import sentence
 from estimator.recordings.recording import ImuData, Recording
 from estimator.types import Floats
 
@@ -163,10 +164,7 @@ def _gain_notes(array: SensorArray, found: Sequence[_Gain | None], size_rps: flo
         if gain is None:
             continue
         if gain.follows < _FOLLOWS:
-            notes.append(
-                f"{name}: its output hardly follows the reference ({gain.follows:.0%} of its variance): check columns, "
-                "axes, and that gyro and reference belong to the same times (two files: offset_s)"
-            )
+            notes.append(sentence("importing.not_following", name=name, share=gain.follows))
         elif gain.axis is not None:
             notes.append(
                 f"{name}: its output follows the body rate about {axis_text(gain.axis, 0.95)}, not about "

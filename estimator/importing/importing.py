@@ -24,6 +24,7 @@ from estimator.observations.defects.held import updates
 from estimator.observations.defects.odd_samples import without_odd
 from estimator.observations.poses import accelerometer_note, directions_up
 from estimator.observations.turned import Turned
+from estimator.packaged import sentence
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import Poses, RateReadings, Reference, Turns
 from estimator.types import Floats
@@ -214,10 +215,7 @@ def _coarse_notes(names: Sequence[str], rate: Floats) -> list[str]:
     for name, steps in zip(names, np.abs(np.diff(rate, axis=0)).T, strict=True):
         step = float(np.degrees(steps[steps > _EQUAL_RPS].min(initial=np.inf)))
         if np.isfinite(step) and np.mean(steps <= _EQUAL_RPS) > _COARSE_SHARE:
-            notes.append(
-                f"{name}: its steps of {step:.3g} deg/s are coarser than its noise: at a steady rate, means of many "
-                "samples are no better than a step"
-            )
+            notes.append(sentence("importing.coarse_steps", name=name, step_dps=step))
     return notes
 
 

@@ -12,6 +12,7 @@ from estimator.importing.log import Log
 from estimator.importing.mapping.mapping import Mapping
 from estimator.importing.mapping.reference import Pose, Rests
 from estimator.importing.spans import Refused, of_sections
+from estimator.packaged import sentence
 from estimator.types import Floats, runs_of
 
 _WINDOW_S = 0.25
@@ -74,10 +75,7 @@ def rests_of(
         whole = stated.everywhere
         rests = [_stated(samples, 0, len(rate), pose, stated)] if whole else _found(samples, pose, stated)
         if pose.up is not None and accel is None and len(rests) > 1:
-            notes.append(
-                f"{len(rests)} rests with motion between them count as the one pose that is stated: if the body was "
-                "turned over, cut them into [reference.sections]"
-            )
+            notes.append(sentence("importing.several_poses", rests=len(rests)))
     if stated.earth_rate and any(rest.up is None for rest in rests):
         raise RecordingError(f'{name}: nothing says what points up: add "{name}" to [reference.files]')
     if rests:
@@ -113,10 +111,7 @@ def earth_note(mapping: Mapping, rests: Sequence[Rest]) -> list[str]:
     if level < _LEVEL:
         return []
     size = np.degrees(EARTH_RATE_RPS * np.cos(mapping.site.latitude_rad)) * 3600 * level
-    return [
-        f"the horizontal part of Earth rate, up to {size:.2g} deg/h, stays in the biases: state for each pose the body "
-        'axis that points north (north = "x")'
-    ]
+    return [sentence("importing.level_earth_rate", size_dph=size)]
 
 
 def rest_text(rest: Rest, file_s: float) -> str:
@@ -135,19 +130,14 @@ def _stated(samples: _Samples, first: int, stop: int, pose: Pose, stated: Rests)
     worst = float(np.abs(mean).max())
     if worst > limit:
         raise RecordingError(
-            f"it is said to be at rest but turns at {np.degrees(worst):.1f} deg/s on average, {np.degrees(limit):.3g} "
-            'allowed: check its limits (without sections write where = "found"), or raise rest_limit_dps if that is '
-            "the gyro's bias"
+            sentence("importing.turns_at_rest", rate_dps=np.degrees(worst), limit_dps=np.degrees(limit))
         )
     rows = _window_rows(t_s)
     windows = _windows(part, rows)
     loud = np.abs(windows.mean(axis=1) - np.median(windows.mean(axis=1), axis=0)).max(axis=1) > limit
     if loud.any():
         at = int(np.argmax(loud)) * rows
-        raise RecordingError(
-            f"it is said to be at rest but moves at {t_s[first + at]:.6g} s of the file: make it shorter, or leave "
-            'sections away and write where = "found"'
-        )
+        raise RecordingError(sentence("importing.moves_at_rest", at_s=t_s[first + at]))
     return _posed(samples, first, stop, pose)
 
 
@@ -180,10 +170,7 @@ def _found(samples: _Samples, pose: Pose, stated: Rests) -> list[Rest]:
             if last > first and t_s[last - 1] - t_s[first] >= stated.least_s:
                 rests.append(_posed(samples, first, last, pose))
     if not rests:
-        raise RecordingError(
-            f"no rest of {stated.least_s:g} s is found in it: state where it rests by [reference.sections] with "
-            'start_s and end_s, or write where = "everywhere", or a shorter rest_s'
-        )
+        raise RecordingError(sentence("importing.no_rest", least_s=stated.least_s))
     return rests
 
 
@@ -192,9 +179,7 @@ def _gravity_notes(accel: Floats) -> list[str]:
     length = float(np.nanmedian(np.linalg.norm(accel, axis=1)))
     if abs(length / _GRAVITY_MPS2 - 1) <= _GRAVITY_OFF:
         return []
-    return [
-        f"at rest the accelerometer shows {length:.3g} m/s2 where 9.81 are due: check [accelerometer] unit and count"
-    ]
+    return [sentence("importing.gravity_off", length_mps2=length)]
 
 
 def _posed(samples: _Samples, first: int, stop: int, pose: Pose) -> Rest:
@@ -208,10 +193,7 @@ def _posed(samples: _Samples, first: int, stop: int, pose: Pose) -> Rest:
         length = float(np.linalg.norm(force))
         found = force / length if np.isfinite(length) and length > 0 else None
     if up is not None and found is not None and float(up @ found) < _UP_WITHIN:
-        raise RecordingError(
-            f"it is said to have {_rounded(up)} up, but its accelerometer shows up along {_rounded(found)} (body "
-            "axes): check up, and axes in [accelerometer] (at rest the specific force points up)"
-        )
+        raise RecordingError(sentence("importing.up_elsewhere", stated=_rounded(up), found=_rounded(found)))
     start_s, end_s = float(samples.t_s[first]), float(samples.t_s[stop - 1])
     return Rest(first, stop, start_s, end_s, found if up is None else up, north)
 

@@ -14,6 +14,7 @@ from estimator.importing.log import Log
 from estimator.importing.mapping.mapping import Mapping, beside
 from estimator.importing.mapping.reference import Rests, StatedTurns, Turn, turn_about
 from estimator.importing.table import Table
+from estimator.packaged import sentence
 from estimator.types import Floats
 from estimator.untrusted import read_text
 
@@ -131,9 +132,7 @@ def _labelled(labels: tuple[str, ...], *, once: bool) -> list[tuple[str, int, in
 
 def _listed(path: Path, table: Table) -> list[tuple[str, int, int]]:
     if table.skipped_lines:
-        raise RecordingError(
-            f"{table.name}: {table.skipped_lines} lines are broken, and the section list counts rows: repair the file"
-        )
+        raise RecordingError(sentence("importing.broken_and_listed", file=table.name, lines=table.skipped_lines))
     if not path.is_file():
         raise RecordingError(f"{table.name}: its section list {path.name} is not beside it")
     try:

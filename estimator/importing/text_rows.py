@@ -11,6 +11,7 @@ import numpy as np
 from estimator.errors import RecordingError
 from estimator.importing.mapping.mapping import FileFormat
 from estimator.importing.table import Table, Wanted, no_column
+from estimator.packaged import sentence
 
 Lines = list[tuple[int, str]]
 
@@ -146,10 +147,7 @@ def _heading(name: str, lines: Lines, file_format: FileFormat, wanted: Wanted) -
     best = headers[best_at]
     for key in wanted.all:
         if (count := best.count(key)) > 1:
-            raise RecordingError(
-                f"{name} has {count} columns {key}: name all of its columns, each otherwise, by columns = [...] in "
-                "[file]"
-            )
+            raise RecordingError(sentence("importing.column_twice", file=name, count=count, column=key))
     missing = [key for key in wanted.all if key not in best]
     if not missing:
         return best_at + 1, best

@@ -8,6 +8,7 @@ from estimator.geometry.kinematics import axis_text
 from estimator.observations.rests import REST_RPS
 from estimator.observations.rows import MEAN_S
 from estimator.observations.turned import Turned
+from estimator.packaged import sentence
 from estimator.recordings.recording import Recording
 from estimator.recordings.reference import AttitudeReadings, RateReadings, Reference, rates_from_attitude
 
@@ -33,10 +34,7 @@ def foreign_motion_notes(recording: Recording) -> list[str]:
     """Return what the motion that a rate or an attitude shows leaves unseen, in words."""
     reference = recording.reference
     if at_rest(reference):
-        return [
-            "the body rests wherever the reference knows of it: only the bias can be estimated; scale factor error and "
-            "misalignments need turns about three axes"
-        ]
+        return [sentence("observations.rests_only")]
     if not isinstance(reference, (RateReadings, AttitudeReadings)):
         return []
     rates = rates_from_attitude(reference) if isinstance(reference, AttitudeReadings) else reference
@@ -48,10 +46,7 @@ def foreign_motion_notes(recording: Recording) -> list[str]:
     if len(turned) > 2:
         return []
     what = " and ".join(axis_text(v / v[np.argmax(np.abs(v))], 0.99).strip('"') for v in turned)
-    return [
-        f"the body turns about {what} only: of each gyro the bias and its sensitivity to such turns can be estimated "
-        "(k of a gyro along that axis), not k, sigma_j and sigma_k each by itself; turn about all three axes"
-    ]
+    return [sentence("observations.one_axis", axes=what)]
 
 
 def sparse_doubts(recording: Recording) -> list[str]:
@@ -75,10 +70,7 @@ def sparse_doubts(recording: Recording) -> list[str]:
             continue
         slope = np.sum((whole - whole.mean(axis=0)) * seen) / np.sum((whole - whole.mean(axis=0)) ** 2)
         if abs(slope - 1) > _SELDOM:
-            return [
-                f"the reference is read every {step_s:.3g} s, too seldom for this motion: neither k nor a delay can be "
-                "relied on; read it more often, or turn more slowly"
-            ]
+            return [sentence("observations.seldom_read", step_s=step_s)]
     return []
 
 
@@ -88,7 +80,4 @@ def factor_notes(name: str, k: float, sd: float) -> list[str]:
         return []
     if abs(k - 2) < FAR_OFF:
         return [f"{name}: its output is opposite to the reference, so k is near 2: turn the sign of its axis"]
-    return [
-        f"{name}: its output is {1 - k:.3g} times what the reference says, which is no scale factor error of a gyro: "
-        "check its unit, its count and its axis"
-    ]
+    return [sentence("observations.far_off", gyro=name, factor=1 - k)]

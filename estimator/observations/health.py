@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.observations.defects.odd_samples import without_odd
+from estimator.packaged import sentence
 from estimator.recordings.recording import ImuData
 from estimator.recordings.writing import columns_of
 from estimator.types import Flags, Floats, runs_of
@@ -66,10 +67,7 @@ def usable(data: ImuData, *, fine: bool) -> Usable:
             levels = " and ".join(
                 f"{level * _DEG:.4g} deg/s" for level in (low, high) if (limited & (column == level)).any()
             )
-            notes.append(
-                f"{name}: saturates at {levels}; {share:.0%} of its samples are left out, the rest is used: "
-                "turn slower, or take a wider range"
-            )
+            notes.append(sentence("observations.saturates", gyro=name, levels=levels, share=share))
             parts.append(_only(data, [i], limited))
         else:
             whole.append(i)

@@ -16,6 +16,7 @@ from estimator.geometry.array import SensorArray
 from estimator.geometry.kinematics import GRAVITY_MPS2
 from estimator.geometry.model import Prior, regressor_maps
 from estimator.observations.rows import in_order
+from estimator.packaged import sentence
 from estimator.recordings.recording import ImuData
 from estimator.recordings.reference import Poses
 from estimator.types import Floats
@@ -133,11 +134,7 @@ def accelerometer_note(poses: Poses) -> str:
     if not len(poses.shifts):
         return f"gravity is the reference: {each}; the accelerometer counts as stated"
     common = np.degrees(float(np.sqrt(np.mean(np.sum(poses.shifts**2, axis=(0, 2)) / 2))))
-    return (
-        f"gravity is the reference: {each}, and to {common:.2g} deg in common; factors, skews and offsets of the "
-        "accelerometer are such that gravity is as long in all of them. The body axes are its own: x along its x, y in "
-        "the plane of its x and y"
-    )
+    return sentence("observations.gravity", each=each, common_deg=common)
 
 
 def _unit(vectors: Floats) -> Floats:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimator.geometry.noise import NoiseModel, allan_deviation_of_parts, identify
+from estimator.packaged import sentence
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import RateReadings, TableReadings
 from estimator.types import Floats, runs_of
@@ -69,24 +70,11 @@ def motion_notes(recording: Recording) -> list[str]:
     moving = sorted(axis for axis, count in starts.items() if count)
     notes = []
     if not moving:
-        notes.append(
-            "the table does not move in this recording: only the bias can be estimated (Earth rate taken off if the "
-            "site is known); scale factor error and misalignments need turns about three axes"
-        )
+        notes.append(sentence("observations.table_rests"))
     elif len(moving) < 3:
-        notes.append(
-            f"the table turns about {' and '.join(moving)} only: of each gyro the bias and its sensitivity to "
-            "such turns can be estimated, not k, sigma_j and sigma_k each by itself; turn about all three axes"
-        )
+        notes.append(sentence("observations.table_one_axis", axes=" and ".join(moving)))
     if once := [axis for axis in moving if starts[axis] == 1]:
-        notes.append(
-            f"turned only once: {', '.join(once)}: a scale factor, an alignment or the table's gearing that changed "
-            "before or after that turn passes for a constant and is in no sigma; a script that turns each axis early "
-            "and late shows it"
-        )
+        notes.append(sentence("observations.turned_once", axes=", ".join(once)))
     if moving and not rest_spans(reference):
-        notes.append(
-            f"there is no rest of {REST_S:g} s in this recording: the noise is taken from the residual in motion "
-            "alone; begin or end the script with a rest"
-        )
+        notes.append(sentence("observations.no_rest", length_s=REST_S))
     return notes

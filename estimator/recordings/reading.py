@@ -15,6 +15,7 @@ from estimator.geometry.array import sensor_array
 from estimator.geometry.kinematics import Site, check_gimbals
 from estimator.geometry.model import Prior
 from estimator.geometry.noise import NoiseModel
+from estimator.packaged import sentence
 from estimator.recordings.memory import READING, check_memory
 from estimator.recordings.recording import FORMAT, FORMAT_VERSION, LAYOUT, ImuData, Recording, possible
 from estimator.recordings.recovery import recover
@@ -55,15 +56,10 @@ def read_recording(path: Path, *, trusted: bool = False) -> Recording:
 def _read(path: Path, file: Any) -> Recording:
     attributes = {key: plain(value) for key, value in file.attrs.items()}
     if attributes.get("format") != FORMAT:
-        raise RecordingError(
-            f'{path} is an HDF5 file, but no recording: it lacks the attribute format = "{FORMAT}"; '
-            "bring foreign data in with `station import`"
-        )
+        raise RecordingError(sentence("recordings.no_recording", path=path, format=FORMAT))
     version = attributes.get("format_version")
     if not isinstance(version, (int, np.integer)) or version > FORMAT_VERSION:
-        raise RecordingError(
-            f"{path} is of format version {version}, this program reads up to {FORMAT_VERSION}: update it"
-        )
+        raise RecordingError(sentence("recordings.newer", path=path, version=version, ours=FORMAT_VERSION))
     groups = (*file.get("imu", {}).values(), file.get("table", {}))
     columns = [group[key] for group in groups for key in group if "dimensions" in LAYOUT.get(key, {})]
     check_memory(path, sum(8 * int(column.size or 0) for column in columns), READING)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +13,13 @@ from estimator.geometry.array import SensorArray
 from estimator.geometry.kinematics import Site
 from estimator.geometry.model import Prior
 from estimator.geometry.noise import NoiseModel
+from estimator.packaged import packaged_toml
 from estimator.recordings.reference import Reference
 from estimator.types import Floats, Stamps
 
 FORMAT = "turntable-recording"
 FORMAT_VERSION = 1
-LAYOUT = tomllib.loads(files("estimator.recordings").joinpath("layout.toml").read_text(encoding="utf-8"))
+LAYOUT = packaged_toml("estimator.recordings", "layout.toml")
 """What each column of a recording is, in memory as in its file."""
 
 

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from estimator.errors import RecordingError, first_line
 from estimator.geometry.array import SensorArray
 from estimator.geometry.model import Prior
+from estimator.packaged import sentence
 from estimator.recordings.journal import ARRIVED, ATTRIBUTES, ROWS, Entry, Journal, journal_of, sync
 from estimator.recordings.recording import FORMAT, FORMAT_VERSION, LAYOUT, ImuData, Recording
 from estimator.recordings.reference import Reference, TableReadings, TableUncertainty
@@ -65,9 +66,7 @@ class RecordingWriter:
             except FileExistsError as error:
                 if error.filename != str(journal_of(path)):
                     raise RecordingError(f"cannot create {path}: {first_line(error)}") from None
-                raise RecordingError(
-                    f"{error.filename} is the journal of a run that did not end: `station report {path}` recovers it"
-                ) from None
+                raise RecordingError(sentence("recordings.left_journal", journal=error.filename, path=path)) from None
             except (OSError, ValueError) as error:
                 raise RecordingError(f"cannot create {path}: {first_line(error)}") from None
             undone.pop_all()
@@ -151,9 +150,7 @@ class RecordingWriter:
         wanted = self._pending_bytes()
         if self._allowed_bytes() < wanted + _RESERVE_BYTES:
             self._pending.clear()
-            raise RecordingError(
-                f"{self.path} is as large as this process may make a file: raise the limit (ulimit -f)"
-            )
+            raise RecordingError(sentence("recordings.file_limit", path=self.path))
         free = shutil.disk_usage(self.path.parent).free
         if free > wanted + _PLENTY_BYTES:
             self._write()

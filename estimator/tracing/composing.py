@@ -5,10 +5,8 @@ a lag, or a play, each with one constant to be found; the product of two. Longer
 length together are expected as often as a shorter one less some (Rissanen 1983).
 """
 
-import tomllib
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from importlib.resources import files
 from itertools import combinations
 
 import numpy as np
@@ -18,6 +16,7 @@ from estimator.effects.effect import Effect
 from estimator.effects.law import needs_of
 from estimator.estimation.evidence import Term
 from estimator.estimation.runs.run import Run
+from estimator.packaged import packaged_toml
 from estimator.tracing.candidates import Candidate
 from estimator.tracing.scan import Scan, at
 from estimator.tracing.search import Found, Search
@@ -35,7 +34,7 @@ _MOST_LAWS, _LAWS_TRIED = 2, 12
 _BETWEEN = 1.3  # by so much more a law may explain with a constant between those that it is tried with
 _CLEARLY = 3.0  # natural logarithm by which a law must be the more probable
 _RIVAL = -6.0  # natural logarithm of how much less probable laws may be and still be rivals, a few together
-_LAWS = tomllib.loads(files("estimator.tracing").joinpath("laws.toml").read_text(encoding="utf-8"))["length"]
+_LAWS = packaged_toml("estimator.tracing", "laws.toml")["length"]
 
 
 def laws_of(runs: Sequence[Run]) -> list[Candidate]:

@@ -11,6 +11,7 @@ from estimator.estimation.runs.making import runs_of_all
 from estimator.estimation.runs.run import Run, growth_notes, same_devices
 from estimator.estimation.spectra import NoiseShapes, gyro_spectra
 from estimator.observations.defects.faults import Fault
+from estimator.packaged import sentence
 from estimator.recordings.recording import Recording
 from estimator.tracing.augmented import Augmented, Part
 from estimator.tracing.candidates import candidates_of
@@ -51,10 +52,7 @@ def investigate(
     _same(recordings, verification, runs, held_back)
     if held_back and _at_rest(runs) != _at_rest(held_back):
         still, turning = ("recordings", "verification run") if _at_rest(runs) else ("verification run", "recordings")
-        raise InvestigationError(
-            f"the {still} only rest and the {turning} turn: they have no conditions in common to judge by; "
-            "verify on a run of the same kind"
-        )
+        raise InvestigationError(sentence("tracing.nothing_in_common", still=still, turning=turning))
     tell(0.1, "residual")
     search, left_out = _prepared(runs)
     found = _trace(search, most_effects, lambda share: tell(0.1 + 0.6 * share, "tracing"))
@@ -157,16 +155,10 @@ def _parts_notes(certain: Sequence[Part], taken_back: Sequence[str]) -> list[str
     """Return, in words, what was taken back, and what of the effects that were added holds for one run only."""
     notes = []
     if taken_back:
-        notes.append(
-            f"{', '.join(taken_back)}: the recordings speak for it, but it does not lower the error on the "
-            "verification run beyond chance: taken back"
-        )
+        notes.append(sentence("tracing.taken_back", effects=", ".join(taken_back)))
     for part in certain:
         if part.tone is not None and not part.tone.found.locked:
-            notes.append(
-                f"the tone at {part.candidate.theta:.3f} Hz has another phase in each run: it is known, but cannot "
-                "be taken off the rates of another run"
-            )
+            notes.append(sentence("tracing.tone_phases", frequency_hz=part.candidate.theta))
     return notes
 
 

@@ -23,6 +23,7 @@ from estimator.observations.defects.faults import Fault, held_samples, saturatio
 from estimator.observations.health import usable
 from estimator.observations.rows import sample_noise, turn_rows
 from estimator.observations.turned import Turned, by_turns
+from estimator.packaged import sentence
 from estimator.recordings.memory import check_estimating
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import Poses, TableReadings, Turns
@@ -68,10 +69,7 @@ def runs_of(recording: Recording, block_s: float = BLOCK_S, order: int = 0) -> t
             if run is not None:
                 runs.append(run)
     if isinstance(recording.reference, Poses):
-        raise InvestigationError(
-            f"{recording.name}: gravity between rests tells what three gyros do together, for which nothing is traced; "
-            'station calibrate gives the states, and imported with kind = "rest" the rests can be traced'
-        )
+        raise InvestigationError(sentence("estimation.untraced_gravity", recording=recording.name))
     if not runs and isinstance(recording.reference, Turns):
         raise InvestigationError(
             f"{recording.name}: {len(recording.reference.sd_rad)} turns and rests of known angle are too few to trace "

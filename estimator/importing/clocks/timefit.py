@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.errors import RecordingError
+from estimator.packaged import sentence
 from estimator.types import Floats
 
 REGULAR_WITHIN = 0.3
@@ -60,9 +61,7 @@ def fit_times(stamps_s: Floats, values: Floats, position: NDArray[np.int64] | No
     Raises RecordingError for stamps that are not finite, do not advance, or go back as two runs in a file do.
     """
     if len(stamps_s) < 8:
-        raise RecordingError(
-            f"has {len(stamps_s)} rows, too few for a fit of their times: record more, or state rate_hz in [time]"
-        )
+        raise RecordingError(sentence("importing.few_stamps", rows=len(stamps_s)))
     if not np.isfinite(stamps_s).all():
         raise RecordingError("has time stamps that are no numbers: repair the time column")
     forward = np.diff(stamps_s)
@@ -84,9 +83,7 @@ def fit_times(stamps_s: Floats, values: Floats, position: NDArray[np.int64] | No
     done = f", {replayed} replayed rows left out" if replayed else ""
     done += f", {doubled} rows left out that were written twice" if doubled else ""
     if best.even:
-        text = (
-            f"even grid of {1 / best.period_s:.6g} Hz fitted to the stamps (they scatter by {best.scatter:.2f} periods)"
-        )
+        text = sentence("importing.even_grid", rate_hz=1 / best.period_s, periods=best.scatter)
         t_s = best.number * np.float64(best.period_s)
         return TimeFit(t_s, rows, replayed, text + done, doubled, float(np.median(t - t_s)))
     if (wandering := _wandering(t)) is not None:
@@ -195,11 +192,7 @@ def _without_replays(stamps_s: Floats, values: Floats, period_s: float) -> NDArr
         before = values[:first][stamps_s[:first] >= stamps_s[first] - 0.1]
         same = np.mean([bool((before == row).all(axis=1).any()) for row in values[first:stop]])
         if back_s > _LONGEST_REPLAY_S or same < _SAME_SHARE:
-            raise RecordingError(
-                f"has a time column that goes back by {back_s:.3g} s at data row {first + 1}, where it does not "
-                "repeat what was there: split the file if it holds two runs, or read one by from_row or until_row in "
-                "[file]; for a counter that goes round state wraps_at in [time]; in a binary file check record"
-            )
+            raise RecordingError(sentence("importing.stamps_back", back_s=back_s, row=first + 1))
         keep[first:stop] = False
         start = stop
     return np.flatnonzero(keep)

@@ -1,10 +1,9 @@
 """Columns of a foreign file, their units and their axes, as a mapping file states them."""
 
 import math
-import tomllib
 from dataclasses import dataclass
-from importlib.resources import files
 
+from estimator.packaged import packaged_toml
 from estimator.strict_toml import StrictTable
 from estimator.types import Floats
 
@@ -20,7 +19,7 @@ UNITS = {
 }
 """What a column can be, and the size in SI of the units it may have."""
 _SHIFT = {"K": -273.15}
-KEYS = tomllib.loads(files("estimator.importing.mapping").joinpath("keys.toml").read_text(encoding="utf-8"))
+KEYS = packaged_toml("estimator.importing.mapping", "keys.toml")
 """Plain keys by table, as ``StrictTable.stated`` takes them."""
 
 Vector = tuple[float, float, float]

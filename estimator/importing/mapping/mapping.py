@@ -20,6 +20,7 @@ from estimator.geometry.array import SensorArray, sensor_array
 from estimator.geometry.kinematics import Site
 from estimator.importing.mapping.columns import KEYS, Columns, Vector, direction, stated_columns
 from estimator.importing.mapping.reference import ForeignReference, Measured, Rests, read_reference
+from estimator.packaged import sentence
 from estimator.strict_toml import StrictTable
 from estimator.types import Floats
 from estimator.untrusted import read_text
@@ -172,10 +173,7 @@ def _check(mapping: Mapping, section: StrictTable) -> None:
             raise section.fail("file", "is for kind = rate, angle or attitude")
         if mapping.gyro.sign_from_data or mapping.gyro.scale_from_data:
             key = "sign" if mapping.gyro.sign_from_data else "scale"
-            raise RecordingError(
-                f'{mapping.name}: {key} = "from data" in [gyro] needs a rate, an angle or an attitude beside the '
-                "samples; against turns or rests state axes, unit and count"
-            )
+            raise RecordingError(sentence("importing.from_data", mapping=mapping.name, key=key))
     if isinstance(reference, Rests) and reference.gravity and mapping.accelerometer is None:
         raise section.fail("kind", "gravity needs what feels it: add the table [accelerometer]")
     if not mapping.earth_rate:

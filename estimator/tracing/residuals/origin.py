@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from estimator.estimation.runs.run import Run
 from estimator.estimation.spectra import NoiseShapes, Stretch, cosines
 from estimator.geometry.model import decode
+from estimator.packaged import sentence
 from estimator.tracing.augmented import Augmented
 from estimator.types import Floats
 
@@ -69,10 +70,7 @@ def split_of(runs: Sequence[Run], rests: Sequence[Floats], model: Augmented) -> 
     rank = int((singular > _SEEN * singular[0]).sum())
     if count <= rank:
         axes = "one axis" if rank == 1 else f"{rank} axes"
-        return None, (
-            f"{count} gyro{'s' * (count > 1)} on {axes}: any error of their own could be one of the rate itself; "
-            "it takes more gyros than axes to tell"
-        )
+        return None, sentence("tracing.too_few_gyros", gyros=count, plural="s" * (count > 1), axes=axes)
     sums = np.zeros((len(_BANDS), 3))
     for stretch, rest in _together(runs, rests, names):
         white = cosines(rest / arw) * np.sqrt(stretch.length_s / shape_of(model, stretch))[:, None]

@@ -1,0 +1,19 @@
+"""Tables that ship beside the modules; among them sentences that people read, ``sentences.toml``."""
+
+import tomllib
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+
+@cache
+def packaged_toml(package: str, name: str) -> dict[str, Any]:
+    """Return what a TOML file that ships in a package holds; it is read once and must not be changed."""
+    return tomllib.loads(files(package).joinpath(name).read_text(encoding="utf-8"))
+
+
+def sentence(key: str, **values: object) -> str:
+    """Return the sentence of a name, "table.name", its fields filled in by these values."""
+    table, name = key.split(".")
+    text: str = packaged_toml("estimator", "sentences.toml")[table][name]
+    return text.format(**values)
