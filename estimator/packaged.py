@@ -12,7 +12,7 @@ def packaged_toml(package: str, name: str) -> dict[str, Any]:
     return tomllib.loads(files(package).joinpath(name).read_text(encoding="utf-8"))
 
 
-def sentence(key: str, **values: object) -> str:
+def sentence(key: str, /, **values: object) -> str:
     """Return the sentence of a name, "table.name", its fields filled in by these values."""
     table, name = key.split(".")
     text: str = packaged_toml("estimator", "sentences.toml")[table][name]
