@@ -6,7 +6,7 @@ from drivers.tables.modbus import cia402
 from drivers.tables.modbus.cia402 import DriveState
 from drivers.tables.modbus.registers import DriveProfile
 from sims.physics.table import TableModel
-from sims.wires.watchdog import Watchdog
+from sims.wires.line_controller import Watchdog
 
 TURN = 2 * math.pi
 _RELATIVE, _HALT = 0x40, 0x100  # bits 6 and 8 of the controlword

@@ -17,8 +17,18 @@ from typing import Any, Generic, TypeVar
 import can
 import numpy as np
 
-from sims.physics.hidden.errors import HiddenError
-from sims.physics.hidden.fields import check, choice, flag, given, key_of, read, refuse_unknown, share, whole
+from sims.physics.hidden.fields import (
+    FLAG,
+    SHARE,
+    WHOLE,
+    HiddenError,
+    check,
+    choice,
+    given,
+    key_of,
+    read,
+    refuse_unknown,
+)
 from sims.physics.table import FOLLOWING_ERROR, TableModel
 from sims.wires.frames import FrameSink
 from sims.wires.wires import ByteDevice, Plug, Write
@@ -47,19 +57,19 @@ class WireFaults:
 
     latency_s: float = field(default=0.0, metadata=given("s", least=0))
     jitter_s: float = field(default=0.0, metadata=given("s", least=0))
-    late: float = field(default=0.0, metadata=share())
+    late: float = field(default=0.0, metadata=SHARE)
     late_by_s: float = field(default=0.0, metadata=given("s", least=0))
-    loss: float = field(default=0.0, metadata=share())
-    doubled: float = field(default=0.0, metadata=share())
-    byte_loss: float = field(default=0.0, metadata=share())
-    bit_flips: float = field(default=0.0, metadata=share())
-    one_byte: bool = field(default=False, metadata=flag())
+    loss: float = field(default=0.0, metadata=SHARE)
+    doubled: float = field(default=0.0, metadata=SHARE)
+    byte_loss: float = field(default=0.0, metadata=SHARE)
+    bit_flips: float = field(default=0.0, metadata=SHARE)
+    one_byte: bool = field(default=False, metadata=FLAG)
     silent_from_s: float = field(default=math.inf, metadata=given("s", least=0))
     silent_until_s: float = field(default=math.inf, metadata=given("s", least=0))
     unplug_s: float = field(default=math.inf, metadata=given("s", least=0))
     replug_s: float = field(default=math.inf, metadata=given("s", least=0))
     another_s: float = field(default=math.inf, metadata=given("s", least=0))
-    swapped: float = field(default=0.0, metadata=share())
+    swapped: float = field(default=0.0, metadata=SHARE)
     repeats_s: float = field(default=math.inf, metadata=given("s", least=0))
     backwards_s: float = field(default=math.inf, metadata=given("s", least=0))
 
@@ -93,14 +103,14 @@ class DeviceFaults:
     ``no_temperature`` its temperature is no number.
     """
 
-    stuck: int = field(default=0, metadata=whole())
-    saturated: int = field(default=0, metadata=whole())
+    stuck: int = field(default=0, metadata=WHOLE)
+    saturated: int = field(default=0, metadata=WHOLE)
     from_s: float = field(default=0.0, metadata=given("s", least=0))
     until_s: float = field(default=math.inf, metadata=given("s", least=0))
-    dropped: float = field(default=0.0, metadata=share())
-    doubled: float = field(default=0.0, metadata=share())
-    huge: float = field(default=0.0, metadata=share())
-    no_temperature: bool = field(default=False, metadata=flag())
+    dropped: float = field(default=0.0, metadata=SHARE)
+    doubled: float = field(default=0.0, metadata=SHARE)
+    huge: float = field(default=0.0, metadata=SHARE)
+    no_temperature: bool = field(default=False, metadata=FLAG)
     clock: float = field(default=0.0, metadata=given("ppm"))
 
     def __post_init__(self) -> None:

@@ -244,10 +244,7 @@ def _record(section: StrictTable) -> np.dtype[Any]:
 def _timing(section: StrictTable, file_format: FileFormat) -> Timing:
     given = [key for key in ("rate_hz", "rate_variable", "column") if section.has(key)]
     if len(given) != 1:
-        raise section.fail(
-            given[0] if given else None,
-            "give one of rate_hz, rate_variable, column: a rate, one in a .mat file, or stamps with their unit",
-        )
+        raise section.fail(given[0] if given else None, sentence("importing.one_of_times"))
     if given[0] == "column":
         calendar = section.again().value("unit") == "iso"
         if calendar and file_format.kind != "csv":
@@ -270,11 +267,7 @@ def _gyro(section: StrictTable, file_format: FileFormat) -> GyroColumns:
     where = "axes" if section.has("axes") else "columns"
     letters, p = section.take("axes", _axes(["x", "y", "z"]), _axes)
     if file_format.kind == "csv" and len(columns.names) != len(p):
-        raise section.fail(
-            where,
-            f"does not fit: there are {len(columns.names)} columns and {len(p)} axes (x, y, z if none are stated); "
-            'state the sense axis of each column, for instance axes = ["z"] for one gyro',
-        )
+        raise section.fail(where, sentence("importing.columns_of_axes", columns=len(columns.names), axes=len(p)))
     numbered = [f"gyro{i + 1}" for i in range(len(p))]
     named = [letter or number for letter, number in zip(letters, numbered, strict=True)]
     names = section.strings("names", tuple(named if len(set(named)) == len(named) else numbered))

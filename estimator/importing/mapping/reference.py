@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from estimator.importing.mapping.columns import KEYS, Columns, Vector, direction, signed_axis, stated_columns
+from estimator.packaged import sentence
 from estimator.strict_toml import StrictTable, typed
 
 
@@ -231,10 +232,7 @@ def _sections(section: StrictTable) -> tuple[Cuts, dict[str, StrictTable]]:
     )
     timed = [name for name, own in tables.items() if own.has("start_s") or own.has("end_s")]
     if (list_name is not None) + (column is not None) + bool(timed) != 1:
-        raise section.fail(
-            "sections",
-            "needs section_list (a JSON file), section_column (labels), or start_s and end_s in each: one of the three",
-        )
+        raise section.fail("sections", sentence("importing.one_of_sections"))
     limits = {}
     for name, own in tables.items() if timed else ():
         start, end = own.number("start_s", least=0.0), own.number("end_s", positive=True)

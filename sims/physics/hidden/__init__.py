@@ -6,7 +6,7 @@ rad/s. Times are those of a bench clock that goes on from run to run.
 """
 
 from sims.physics.hidden.effects import KINDS, Hidden
-from sims.physics.hidden.errors import HiddenError
+from sims.physics.hidden.fields import HiddenError
 from sims.physics.hidden.temperature import Temperature
 
 __all__ = ["KINDS", "Hidden", "HiddenError", "Temperature"]

@@ -8,8 +8,7 @@ import numpy as np
 
 from drivers.types import Floats
 from sims.physics.hidden.converter import Converter, DeadBand, SampleHold, Saturation, Stuck
-from sims.physics.hidden.errors import HiddenError
-from sims.physics.hidden.fields import for_gyros
+from sims.physics.hidden.fields import HiddenError, for_gyros
 from sims.physics.hidden.outputs import Added, BiasWalk, Sensed
 from sims.physics.hidden.scene import Scene, World
 from sims.physics.hidden.timing import Bandwidth, Hysteresis, LastTurn, Latency, LowPass, RateDependentDelay

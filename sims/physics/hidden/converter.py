@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 
 from drivers.types import Floats
-from sims.physics.hidden.errors import HiddenError
-from sims.physics.hidden.fields import Each, each, given, hidden, whole
+from sims.physics.hidden.fields import WHOLE, Each, HiddenError, each, given, hidden
 
 KINDS: dict[str, type[Any]] = {}
 
@@ -30,14 +29,14 @@ class Saturation:
 class SampleHold:
     """A new output only every ``samples`` samples, beginning with the first."""
 
-    samples: int = field(metadata=whole())
+    samples: int = field(metadata=WHOLE)
 
 
 @hidden(KINDS, "stuck")
 class Stuck:
     """An output of one gyro, counted from 1, that stays what it was between two instants of the bench clock."""
 
-    gyro: int = field(metadata=whole())
+    gyro: int = field(metadata=WHOLE)
     from_s: float = field(metadata=given("s"))
     until_s: float = field(metadata=given("s"))
 

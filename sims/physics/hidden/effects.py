@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from sims.physics.hidden.converter import KINDS as CONVERTER
-from sims.physics.hidden.errors import HiddenError
-from sims.physics.hidden.fields import check, read, refuse_unknown
+from sims.physics.hidden.fields import HiddenError, check, read, refuse_unknown
 from sims.physics.hidden.outputs import KINDS as OUTPUTS
 from sims.physics.hidden.table import KINDS as TABLE
 from sims.physics.hidden.table import OfTable, TableFaults

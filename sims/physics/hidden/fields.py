@@ -16,13 +16,22 @@ import numpy as np
 
 from drivers.types import Floats
 from drivers.units import split_quantity, unit_size
-from sims.physics.hidden.errors import HiddenError
 
 Each = float | Sequence[float] | Floats
 """A number for all gyros, or one for each."""
 T = TypeVar("T")
 
+SHARE: Mapping[str, object] = {"like": "%", "least": 0.0, "most": 1.0}
+"""Describes a share, 0 to 1."""
+FLAG: Mapping[str, object] = {"flag": True}
+"""Describes true or false."""
+WHOLE: Mapping[str, object] = {"whole": True}
+"""Describes a whole number from 1 on."""
 _SUFFIX = re.compile(r"_(rps|rps2|rad|s|c|hz|rps_rts)$")
+
+
+class HiddenError(ValueError):
+    """A hidden effect that cannot be what it says; the message names file, table and key where there are such."""
 
 
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(field,))
@@ -42,24 +51,9 @@ def given(like: str, *, least: float | None = None) -> dict[str, object]:
     return {"like": like, "least": least}
 
 
-def share() -> dict[str, object]:
-    """Describe a share, 0 to 1."""
-    return {"like": "%", "least": 0.0, "most": 1.0}
-
-
-def flag() -> dict[str, object]:
-    """Describe true or false."""
-    return {"flag": True}
-
-
 def each(like: str, *, least: float | None = None) -> dict[str, object]:
     """Describe a number for all gyros, or a list of one each."""
     return {"like": like, "least": least, "each": True}
-
-
-def whole() -> dict[str, object]:
-    """Describe a whole number from 1 on."""
-    return {"whole": True}
 
 
 def choice(choices: Sequence[str]) -> dict[str, object]:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from drivers.types import Floats
-from sims.physics.hidden.fields import Each, choice, each, given, hidden, whole
+from sims.physics.hidden.fields import WHOLE, Each, choice, each, given, hidden
 from sims.physics.hidden.scene import Scene
 
 KINDS: dict[str, type[Any]] = {}
@@ -113,7 +113,7 @@ class BiasWalk(Added):
     """
 
     size: Each = field(metadata=each("deg/h/rth"))
-    seed: int = field(default=0, metadata=whole())
+    seed: int = field(default=0, metadata=WHOLE)
     path: WalkPath | None = None
 
     def for_run(self, count: int, seed: tuple[int, ...]) -> BiasWalk:
@@ -234,7 +234,7 @@ class TableHarmonic(Sensed):
     """What goes round with an axis of the table: cosine and sine (rad/s) of ``order`` times its angle."""
 
     axis: str = field(metadata=choice(AXES))
-    order: int = field(default=1, metadata=whole())
+    order: int = field(default=1, metadata=WHOLE)
     cosine: Each = field(default=0.0, metadata=each("deg/s"))
     sine: Each = field(default=0.0, metadata=each("deg/s"))
 

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from drivers.types import Floats
-from sims.physics.hidden.errors import HiddenError
-from sims.physics.hidden.fields import choice, flag, given, hidden, whole
+from sims.physics.hidden.fields import FLAG, WHOLE, HiddenError, choice, given, hidden
 
 KINDS: dict[str, type[Any]] = {}
 ALL = "all"
@@ -74,7 +73,7 @@ class EncoderEccentricity(OfTable):
     """
 
     size_rad: float = field(metadata=given("deg"))
-    order: int = field(default=3, metadata=whole())
+    order: int = field(default=3, metadata=WHOLE)
     phase_rad: float = field(default=0.0, metadata=given("deg"))
     axis: str = field(default=ALL, metadata=choice((*_UNIT, ALL)))
 
@@ -111,9 +110,9 @@ class TableReading(OfTable):
     rate: float = field(default=0.0, metadata=given("%"))
     jump_rad: float = field(default=0.0, metadata=given("deg"))
     creep_rps: float = field(default=0.0, metadata=given("deg/s"))
-    frozen: bool = field(default=False, metadata=flag())
-    stale: bool = field(default=False, metadata=flag())
-    followed: bool = field(default=False, metadata=flag())
+    frozen: bool = field(default=False, metadata=FLAG)
+    stale: bool = field(default=False, metadata=FLAG)
+    followed: bool = field(default=False, metadata=FLAG)
 
     def shift(self, angles: Angles, started_s: float) -> Angles:
         """Return by how much the angle gains and creeps; the bench clock stands at ``started_s`` at the instant 0."""

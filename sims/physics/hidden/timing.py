@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from drivers.types import Floats
-from sims.physics.hidden.errors import HiddenError
-from sims.physics.hidden.fields import Each, each, given, hidden
+from sims.physics.hidden.fields import Each, HiddenError, each, given, hidden
 
 KINDS: dict[str, type[Any]] = {}
 
