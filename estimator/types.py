@@ -1,4 +1,4 @@
-"""The types of arrays that the estimator shares, and where flags are true."""
+"""The types of arrays that the estimator shares, where flags are true, and in which steps values come."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,6 +7,11 @@ Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 """Instants in ns."""
 Flags = NDArray[np.bool_]
+
+
+def least_steps(steps: Floats, above: float = 1e-9) -> Floats:
+    """Return the smallest step of each column (m,) of absolute steps (k, m) above rounding; infinite without one."""
+    return np.array([float(column[column > above].min(initial=np.inf)) for column in steps.T])
 
 
 def runs_of(flags: Flags) -> list[tuple[int, int]]:

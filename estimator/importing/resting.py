@@ -13,7 +13,7 @@ from estimator.importing.mapping.mapping import Mapping
 from estimator.importing.mapping.reference import Pose, Rests
 from estimator.importing.spans import Refused, of_sections
 from estimator.packaged import sentence
-from estimator.types import Floats, runs_of
+from estimator.types import Floats, least_steps, runs_of
 
 _WINDOW_S = 0.25
 _FEWEST_ROWS = 10  # a window of fewer does not tell its scatter
@@ -212,14 +212,10 @@ def _windows(values: Floats, rows: int) -> Floats:
 
 def _quiet_scatter(scatter: Floats, channels: Floats) -> Floats:
     """Return the scatter (m,) of each channel at rest, not below that of rounding."""
-    out = np.empty(scatter.shape[1])
-    for i, column in enumerate(scatter.T):
-        moving = column[column > 0]
-        steps = np.abs(np.diff(channels[:, i]))
-        step = float(steps[steps > 1e-9].min(initial=np.inf))
-        quiet = float(np.quantile(moving, _QUIET_TENTH)) if len(moving) else 0.0
-        out[i] = max(quiet, step / 3 if np.isfinite(step) else 0.0)
-    return out
+    steps = least_steps(np.abs(np.diff(channels, axis=0)))
+    moving = [column[column > 0] for column in scatter.T]
+    quiet = np.array([np.quantile(own, _QUIET_TENTH) if len(own) else 0.0 for own in moving])
+    return np.maximum(quiet, np.where(np.isfinite(steps), steps / 3, 0.0))
 
 
 def _level(mean: Floats, first: int, stop: int, tilt_rad: float) -> list[tuple[int, int]]:

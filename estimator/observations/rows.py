@@ -15,7 +15,7 @@ from estimator.recordings.reference import (
     Turns,
     rates_from_attitude,
 )
-from estimator.types import Floats, Stamps
+from estimator.types import Floats, Stamps, least_steps
 
 BLOCK_S = 0.2
 """Length of a block of the live filter."""
@@ -155,9 +155,8 @@ def sample_noise(data: ImuData) -> Floats:
 
 def _quantum(rate_rps: Floats) -> Floats:
     """Return the smallest step between neighbouring samples of each channel (m,); infinite if all are equal."""
-    steps = np.abs(np.diff(rate_rps, axis=0))
     # Differences of the same two decimals differ in their last binary digits: 1e-9 rad/s is no step.
-    return np.array([float(column[column > 1e-9].min(initial=np.inf)) for column in steps.T])
+    return least_steps(np.abs(np.diff(rate_rps, axis=0)))
 
 
 def in_order(data: ImuData) -> tuple[Stamps, Floats]:

@@ -4,12 +4,14 @@ Source: Lawicel's CAN232 and CANUSB manuals; the FD commands d, D, b, B and Y ar
 Every command ends with CR; CR says done, BELL says refused.
 """
 
+import re
 from collections import deque
 from collections.abc import Callable
 
 import can
 from can.util import CAN_FD_DLC, len2dlc
 
+from drivers.packaged import packaged_toml
 from sims.wires.line_controller import LineDevice
 
 CR, BELL = b"\r", b"\a"
@@ -17,6 +19,7 @@ CR, BELL = b"\r", b"\a"
 _FIFO = 64
 _STAMP_WRAP_MS = 60_000
 _FRAMES = "tTrRdDbB"
+_TAKEN: dict[str, str] = packaged_toml("sims", "codes.toml")["slcan"]
 
 
 class SlcanAdapter(LineDevice):
@@ -72,7 +75,7 @@ class SlcanAdapter(LineDevice):
         name, rest = text[0], text[1:]
         if name in _FRAMES:
             return self._transmit(text)
-        if name in "SsYMmZOLC":
+        if name == "C" or name in _TAKEN:
             return self._set_up(name, rest)
         if name in "XPA":
             return self._poll(name, rest)
@@ -92,23 +95,13 @@ class SlcanAdapter(LineDevice):
             return CR if was_open and not rest else BELL
         if self.is_open:
             return BELL
-        if name in "OL":
-            if rest:
-                return BELL
-            self.is_open, self._listens_only = True, name == "L"
-            return CR
         if name == "Z":
             self._stamps = rest == "1"
-        # Filters are taken only where they let everything pass: this twin has none.
-        known = {
-            "S": len(rest) == 1 and rest in "0123456789",
-            "s": _is_hex(rest, 4),
-            "Y": rest in ("2", "5"),
-            "M": rest == "00000000",
-            "m": rest.upper() == "FFFFFFFF",
-            "Z": rest in ("0", "1"),
-        }
-        return CR if known[name] else BELL
+        if not re.fullmatch(_TAKEN[name], rest):
+            return BELL
+        if name in "OL":
+            self.is_open, self._listens_only = True, name == "L"
+        return CR
 
     def _poll(self, name: str, rest: str) -> bytes:
         """Hand out the frames that wait, where the host wants to ask for them."""

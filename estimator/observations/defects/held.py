@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.types import Floats
+from estimator.types import Floats, least_steps
 
 _FEWEST_UPDATES = 20
 _SHORT_SHARE = 0.05  # of the runs of equal rows, how many may be one row long all the same
@@ -30,7 +30,7 @@ def updates(values: Floats) -> NDArray[np.intp] | None:
     if np.mean(periods == 1) < _AT_PERIOD or np.mean(np.abs(runs - periods * period) <= 1) < _ON_PERIOD:
         return None
     steps = np.nan_to_num(np.abs(np.diff(values, axis=0))[changes - 1])
-    largest = np.max(steps / _quantum(steps), axis=1)
+    largest = np.max(steps / least_steps(steps, 1e-12), axis=1)
     if np.mean(largest > 1.5) < _FINE_STEPS:
         return None
     # A value that happens to come twice is an update too: long runs are cut into periods.
@@ -39,8 +39,3 @@ def updates(values: Floats) -> NDArray[np.intp] | None:
     last = np.arange(changes[-1], len(values), period)
     rows = np.round(np.concatenate([first, *parts, last])).astype(np.intp)
     return rows[rows < len(values)]
-
-
-def _quantum(steps: Floats) -> Floats:
-    """Return the smallest step of each column (m,); infinite where there is none."""
-    return np.array([float(column[column > 1e-12].min(initial=np.inf)) for column in steps.T])
