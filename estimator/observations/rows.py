@@ -65,8 +65,7 @@ def observations(recording: Recording, data: ImuData) -> Iterator[Observations]:
 
 def table_rows(recording: Recording, data: ImuData) -> Iterator[Observations]:
     reference = recording.reference
-    if not isinstance(reference, TableReadings):
-        raise TypeError("rows against a table need one")
+    assert isinstance(reference, TableReadings), "rows against a table need one"
     rates = BodyRates.of(reference, recording.site)
     yield from _sampled(data, rates.starts_ns, rates.final_until_ns, rates.at)
 
@@ -89,8 +88,7 @@ def _sampled(data: ImuData, first_ns: int, last_ns: int, at: Callable[[Stamps], 
 def source_blocks(recording: Recording, data: ImuData, length_s: float = BLOCK_S) -> Blocks:
     """Return the rows of one source against a table or a rate, summed by block from the first reading of these."""
     reference = recording.reference
-    if not isinstance(reference, (TableReadings, RateReadings)):
-        raise TypeError("blocks are of recordings against a table or a rate")
+    assert isinstance(reference, (TableReadings, RateReadings)), "blocks are against a table or a rate"
     t_ns = data.t_ns
     period_s = float(np.median(np.diff(t_ns))) * 1e-9 if len(t_ns) > 1 else length_s
     sums = BlockSums(len(data.array), int(reference.t_ns[0]), length_s, period_s)

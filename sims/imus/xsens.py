@@ -150,11 +150,9 @@ class XsensDevice:
             self.report(_INVALID_PARAMETER)
             return
         if known:
-            self.outputs = tuple(self._granted(o) for o in known if self._has(o))
+            held = [o for o in known if mtdata2.kind_of(o.data_id) not in _FROM_FORCE or self._force_g is not None]
+            self.outputs = tuple(self._granted(o) for o in held)
         self._write(encode(Mid.OUTPUT_CONFIGURATION + 1, mtdata2.encode_outputs(self.outputs)))
-
-    def _has(self, output: mtdata2.Output) -> bool:
-        return mtdata2.kind_of(output.data_id) not in _FROM_FORCE or self._force_g is not None
 
     def _granted(self, wanted: mtdata2.Output) -> mtdata2.Output:
         if mtdata2.kind_of(wanted.data_id) in _COUNTS_AND_STATUS:

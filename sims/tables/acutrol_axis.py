@@ -22,7 +22,7 @@ class AcutrolAxisTwin:
         data = table.data[axis]
         self.most = {"rate": math.degrees(data.max_rate_rps), "acceleration": math.degrees(data.max_acceleration_rps2)}
         self.limits = {(what, mode): self.most[what] for what in self.most for mode in LIMITED_MODES}
-        self._mode = "off"
+        self.mode = "off"
         self.powered = False
         """Whether the interlock is closed."""
         self.faulty = False
@@ -33,7 +33,7 @@ class AcutrolAxisTwin:
     def update(self) -> None:
         """Let a pulled fault input or a pressed limit switch open the interlock."""
         if self._axis in self._table.tripped or (self.powered and self._pressed_ahead()):
-            self.faulty, self.powered, self._mode = True, False, "off"
+            self.faulty, self.powered, self.mode = True, False, "off"
             self._brake()
 
     def interlock(self, word: str) -> None:
@@ -48,19 +48,11 @@ class AcutrolAxisTwin:
         else:
             self.powered = True
 
-    def interlock_text(self) -> str:
-        """Return the state of the interlock."""
-        return "Fault" if self.faulty else "Closed" if self.powered else "Open"
-
-    def mode_text(self) -> str:
-        """Return the mode as it is told."""
-        return self._mode.capitalize()
-
     def enter(self, mode: str) -> None:
         """Change the mode; position mode holds where the axis stands."""
         if mode != "off" and not self.powered:
             raise AclError("Interlock not closed")
-        self._mode = mode
+        self.mode = mode
         if mode == "rate":
             self._follow_rate()
         else:
@@ -73,11 +65,11 @@ class AcutrolAxisTwin:
             if abs(value) > self.limits["rate", "rate"] * 1.001:
                 raise AclError("Demand exceeds limit")
             self._rate_demand = value
-            if self._mode == "rate":
+            if self.mode == "rate":
                 self._follow_rate()
         elif what == "acceleration":
             self.set_limit("acceleration", "rate", value)
-        elif self._mode != "position":
+        elif self.mode != "position":
             raise AclError("Not in position mode")
         elif what == "delta":
             if abs(value) > 180.0:
@@ -111,7 +103,7 @@ class AcutrolAxisTwin:
     def power_down(self) -> None:
         """Open the interlock: the drive brakes and lets go."""
         self._brake()
-        self.powered, self._mode = False, "off"
+        self.powered, self.mode = False, "off"
 
     def _follow_rate(self) -> None:
         self._table.motion[self._axis].jog(
@@ -134,6 +126,6 @@ class AcutrolAxisTwin:
     def _pressed_ahead(self) -> bool:
         """Return whether the axis stands on a limit switch and is sent further on."""
         pressed = self._table.pressed.get(self._axis, 0)
-        if self._mode == "rate":
+        if self.mode == "rate":
             return self._rate_demand * pressed > 0
-        return self._mode == "position" and (self._position_demand - self.angle_deg()) * pressed > 1e-3
+        return self.mode == "position" and (self._position_demand - self.angle_deg()) * pressed > 1e-3

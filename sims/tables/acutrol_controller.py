@@ -85,11 +85,11 @@ class AcutrolController(LineController):
             raise AclError("Axis missing")
         if subsystem == "interlock":
             if query:
-                return axis.interlock_text()
+                return "Fault" if axis.faulty else "Closed" if axis.powered else "Open"
             axis.interlock(_full(word, _WORDS["interlock"]))
         elif subsystem == "mode":
             if query:
-                return axis.mode_text()
+                return axis.mode.capitalize()
             axis.enter(_full(word or given[-1], _WORDS["mode"]))
         elif subsystem == "read":
             return f"{axis.read(_full(word, _WORDS['read'])):.6f}"

@@ -55,7 +55,7 @@ class GalilAxisTwin:
             now = self._table.clock()
             motion, rate_rps = self._table.motion[self._axis], self._table.rate_rps(self._axis)
             mean_rps = (motion.at(now)[0] - motion.at(now - self._window_s)[0]) / self._window_s
-            return self._to_counts(mean_rps + self._table.read_rate_rps(self._axis) - rate_rps)
+            return (mean_rps + self._table.read_rate_rps(self._axis) - rate_rps) / TURN * self._per_turn
         if word == "TE":
             lost = self._table.tripped.get(self._axis) == FOLLOWING_ERROR
             return self._settings["ER"] + 1 if lost else 0
@@ -79,7 +79,9 @@ class GalilAxisTwin:
             raise Refused(galil.NOT_WHILE_RUNNING)
         if word == "JG" and self._moving and self._mode != "JG":
             raise Refused(galil.NOT_JOGGING)
-        self._check_range(word, value)
+        _, low, high = _SETTINGS.get(word, (0, -_LARGEST_COUNT - 1, _LARGEST_COUNT))
+        if not low <= value <= high:
+            raise Refused(galil.OUT_OF_RANGE)
         if word in ("AC", "DC"):
             value = galil.floor_acceleration(value)
         elif word == "SP":
@@ -208,11 +210,3 @@ class GalilAxisTwin:
 
     def _to_rad(self, counts: float) -> float:
         return counts / self._per_turn * TURN
-
-    def _to_counts(self, angle_rad: float) -> float:
-        return angle_rad / TURN * self._per_turn
-
-    def _check_range(self, word: str, value: float) -> None:
-        _, low, high = _SETTINGS.get(word, (0, -_LARGEST_COUNT - 1, _LARGEST_COUNT))
-        if not low <= value <= high:
-            raise Refused(galil.OUT_OF_RANGE)

@@ -88,8 +88,7 @@ def white_solution(
     table. It is linear about what was ``taken_off`` up to each of some instants, ns and s, as ``LiveFilter`` does.
     """
     reference = recording.reference
-    if not isinstance(reference, TableReadings):
-        raise TypeError("samples are compared with the readings of a table")
+    assert isinstance(reference, TableReadings), "samples are compared with the readings of a table"
     rates = BodyRates.of(reference, recording.site)
     m, count = len(data.array), columns.count if columns is not None else 0
     width = 4 + count

@@ -1,22 +1,12 @@
 """Columns of a foreign file, their units and their axes, as a mapping file states them."""
 
-import math
 from dataclasses import dataclass
 
 from estimator.packaged import packaged_toml
 from estimator.strict_toml import StrictTable
 from estimator.types import Floats
 
-_DEG, _TURN = math.pi / 180, 2 * math.pi
-_ANGLES = {"rad": 1.0, "deg": _DEG, "mrad": 1e-3, "rev": _TURN, "arcmin": _DEG / 60, "arcsec": _DEG / 3600}
-UNITS = {
-    "angle": _ANGLES,
-    "rate": {f"{unit}/s": size for unit, size in _ANGLES.items()}
-    | {"deg/h": _DEG / 3600, "mdps": 1e-3 * _DEG, "rpm": _TURN / 60},
-    "acceleration": {"m/s2": 1.0, "g": 9.80665, "mg": 9.80665e-3},
-    "temperature": {"degC": 1.0, "K": 1.0},
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "iso": 1.0},
-}
+UNITS: dict[str, dict[str, float]] = packaged_toml("estimator.importing.mapping", "units.toml")
 """What a column can be, and the size in SI of the units it may have."""
 _SHIFT = {"K": -273.15}
 KEYS = packaged_toml("estimator.importing.mapping", "keys.toml")
