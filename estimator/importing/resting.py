@@ -215,7 +215,7 @@ def _quiet_scatter(scatter: Floats, channels: Floats) -> Floats:
     steps = least_steps(np.abs(np.diff(channels, axis=0)))
     moving = [column[column > 0] for column in scatter.T]
     quiet = np.array([np.quantile(own, _QUIET_TENTH) if len(own) else 0.0 for own in moving])
-    return np.maximum(quiet, np.where(np.isfinite(steps), steps / 3, 0.0))
+    return np.asarray(np.maximum(quiet, np.where(np.isfinite(steps), steps / 3, 0.0)))
 
 
 def _level(mean: Floats, first: int, stop: int, tilt_rad: float) -> list[tuple[int, int]]:

@@ -102,7 +102,7 @@ async def on_pty(make: Callable[[Write], ByteDevice], plug: Plug | None = None) 
     With a ``plug`` the name is a link, which leads nowhere while unplugged, and to another terminal thereafter.
     """
     with ExitStack() as stack:
-        wire = _Pty(stack.enter_context(ExitStack()), plug is not None)
+        wire = _Pty(stack, plug is not None)
         device = make(wire.write)
         wire.plug_in(device.received)
         if plug is not None:
@@ -117,7 +117,6 @@ class _Pty:
 
     def __init__(self, stack: ExitStack, replaceable: bool) -> None:
         self._end: _PtyEnd | None = None
-        self._terminal = ExitStack()
         self._folder = Path(stack.enter_context(tempfile.TemporaryDirectory())) if replaceable else None
         self.name = ""
 
@@ -126,30 +125,33 @@ class _Pty:
             self._end.write(data)
 
     def plug_in(self, received: Write) -> None:
-        ours, theirs = _open_pty(self._terminal)
-        self._end = _PtyEnd(ours, theirs)
-        self._terminal.callback(self._end.close)
-        self._end.hear(received)
-        self.name = theirs
+        self._end = _PtyEnd(received)
+        self.name = self._end.name
         if self._folder is not None:
-            (self._folder / "tty").symlink_to(theirs)
+            (self._folder / "tty").symlink_to(self.name)
             self.name = str(self._folder / "tty")
 
     def unplug(self) -> None:
-        self._end = None
-        self._terminal.close()
+        end, self._end = self._end, None
+        if end is not None:
+            end.close()
         if self._folder is not None:
             (self._folder / "tty").unlink(missing_ok=True)
 
 
 class _PtyEnd:
-    """Our end of a pseudo-terminal, read and written by the loop.
+    """Our end of a new raw pseudo-terminal, read and written by the loop; ``name`` is that of the other.
 
     Its other end is open only while a station has it open: that is how the two are told apart.
     """
 
-    def __init__(self, descriptor: int, name: str) -> None:
-        self._descriptor, self._name = descriptor, name
+    def __init__(self, received: Write) -> None:
+        self._descriptor, theirs = os.openpty()
+        tty.setraw(self._descriptor)
+        tty.setraw(theirs)
+        self.name, self._received = os.ttyname(theirs), received
+        os.close(theirs)
+        os.set_blocking(self._descriptor, False)
         self._waiting = bytearray()
         self._loop = asyncio.get_running_loop()
         self._scale = max(loop_scale(self._loop), 1.0)
@@ -157,19 +159,17 @@ class _PtyEnd:
         self._holds_some = False
         # By its edges: a terminal without a station is hung up all the time.
         self._events = select.epoll()
-        self._events.register(descriptor, select.EPOLLIN | select.EPOLLET)
+        self._events.register(self._descriptor, select.EPOLLIN | select.EPOLLET)
         self._hung_up = select.poll()
-        self._hung_up.register(descriptor, 0)
+        self._hung_up.register(self._descriptor, 0)
+        self._loop.add_reader(self._events.fileno(), self._read)
 
-    def hear(self, received: Write) -> None:
-        def read() -> None:
-            self._events.poll(0)
-            with suppress(OSError):  # nothing more, or nobody there
-                while data := os.read(self._descriptor, _READ):
-                    received(data)
-            self._is_open()
-
-        self._loop.add_reader(self._events.fileno(), read)
+    def _read(self) -> None:
+        self._events.poll(0)
+        with suppress(OSError):  # nothing more, or nobody there
+            while data := os.read(self._descriptor, _READ):
+                self._received(data)
+        self._is_open()
 
     def write(self, data: bytes) -> None:
         self._waiting.extend(data)
@@ -206,7 +206,7 @@ class _PtyEnd:
     @contextmanager
     def _other_end(self) -> Iterator[int]:
         """Open the end of the stations for a moment; OSError if one wants it for itself."""
-        port = os.open(self._name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        port = os.open(self.name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         try:
             yield port
         finally:
@@ -217,18 +217,7 @@ class _PtyEnd:
             self._soon.cancel()
         self._loop.remove_reader(self._events.fileno())
         self._events.close()
-
-
-def _open_pty(stack: ExitStack) -> tuple[int, str]:
-    """Return our end of a new raw pseudo-terminal, closed with the stack, and the other's name."""
-    ours, theirs = os.openpty()
-    stack.callback(os.close, ours)
-    tty.setraw(ours)
-    tty.setraw(theirs)
-    name = os.ttyname(theirs)
-    os.close(theirs)
-    os.set_blocking(ours, False)
-    return ours, name
+        os.close(self._descriptor)
 
 
 @asynccontextmanager
