@@ -20,7 +20,7 @@ from estimator.importing.mapping.reference import ForeignReference, Gravity, Mea
 from estimator.importing.resting import Rest, earth_note, rest_rates, rest_text, rests_of
 from estimator.importing.spans import Refused, Span, turn_spans
 from estimator.importing.table import Table
-from estimator.observations.defects.held import updates
+from estimator.observations.defects.faults import updates
 from estimator.observations.defects.odd_samples import without_odd
 from estimator.observations.poses import accelerometer_note, directions_up
 from estimator.observations.turned import Turned
