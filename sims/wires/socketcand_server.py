@@ -85,6 +85,11 @@ class SocketcandServer:
         identifier = f"{msg.arbitration_id:08X}" if msg.is_extended_id else f"{msg.arbitration_id:03X}"
         self._unsent.append(f"< frame {identifier} {loop.time():.6f} {bytes(msg.data).hex().upper()} >".encode())
 
+    def hang_up(self) -> None:
+        """End the connections of all clients; they may come again."""
+        for writer in list(self._sessions):
+            writer.close()
+
     async def close(self) -> None:
         """Stop to listen, and wait until all connections are gone; what a client has not taken is lost."""
         server, self._server = self._server, None
