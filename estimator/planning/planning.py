@@ -149,8 +149,7 @@ def _information(conditions: Conditions, device: PlannedDevice, effects: Sequenc
     found = []
     for gyro, gyro_map in enumerate(regressor_maps(device.array)):
         columns = [regressors @ (gyro_map.T * np.sqrt(device.prior.variances()))]
-        for effect in effects:
-            columns.append(effect.columns(conditions, device.array, gyro) * effect.largest)
+        columns += [effect.columns(conditions, device.array, gyro) * effect.largest for effect in effects]
         found.append(products(np.hstack(columns)))
     return found
 

@@ -153,13 +153,9 @@ def _conclude(
 
 def _parts_notes(certain: Sequence[Part], taken_back: Sequence[str]) -> list[str]:
     """Return, in words, what was taken back, and what of the effects that were added holds for one run only."""
-    notes = []
-    if taken_back:
-        notes.append(sentence("tracing.taken_back", effects=", ".join(taken_back)))
-    for part in certain:
-        if part.tone is not None and not part.tone.found.locked:
-            notes.append(sentence("tracing.tone_phases", frequency_hz=part.candidate.theta))
-    return notes
+    notes = [sentence("tracing.taken_back", effects=", ".join(taken_back))] if taken_back else []
+    loose = [part for part in certain if part.tone is not None and not part.tone.found.locked]
+    return notes + [sentence("tracing.tone_phases", frequency_hz=part.candidate.theta) for part in loose]
 
 
 def _left(

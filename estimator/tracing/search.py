@@ -90,11 +90,9 @@ class Search:
 
     def leave_out_unexcited(self) -> list[Candidate]:
         """Leave out the candidates of which not even the largest plausible size would show; return them."""
-        out = []
-        for candidate, term in self.known.values():
-            columns = list(term.columns)
-            if columns and sum(float(g[0, columns, columns].max()) for g in self.evidence.grams) < _UNEXCITED**2:
-                out.append(candidate)
+        grams, known = self.evidence.grams, [(c, list(term.columns)) for c, term in self.known.values()]
+        squares = [(c, sum(float(gram[0, own, own].max()) for gram in grams)) for c, own in known if own]
+        out = [candidate for candidate, square in squares if square < _UNEXCITED**2]
         self.forget([candidate.name for candidate in out])
         return out
 
