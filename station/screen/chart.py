@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 from typing import ClassVar
@@ -18,10 +19,11 @@ from textual_plot.axis_formatter import NumericAxisFormatter
 from textual_plot.plot_widget import Legend
 
 from drivers.types import Floats
-from station.screen.drawings import Drawing
+from station.screen.drawings import DIALS, Drawing
 
-_DOTS, _DOTS_WIDE = HiResMode.BRAILLE, 2
+_DOTS, _DOTS_WIDE, _DOTS_HIGH = HiResMode.BRAILLE, 2, 4
 _LABEL_WIDTH, _TICK_WIDTH, _MARGIN = 9, 6, 0.06
+_DIAL_REACH = 1.08
 
 
 class _Canvas(Canvas):
@@ -63,14 +65,15 @@ class Chart(PlotWidget, inherit_bindings=False):
     KEYBOARD_PAN_FACTOR = 8.0
     KEYBOARD_ZOOM_FACTOR = 0.5
 
-    def __init__(self, draw: Callable[[], None]) -> None:
+    def __init__(self, draw: Callable[[], None], name: str) -> None:
         """``draw`` has this chart drawn: it gets its size late, in a part that is scrolled to."""
-        super().__init__()
+        super().__init__(classes=name)
+        self._notes: Sequence[tuple[str, str]] = ()
         self._draw_again = draw
         self._x_formatter, self._y_formatter = self._over, self._along = _Ticks(), _Ticks()
         self.set_reactive(PlotWidget.margin_top, 0)
-        self.set_reactive(PlotWidget.margin_bottom, 1)
-        self.set_reactive(PlotWidget.margin_left, _LABEL_WIDTH)
+        self.set_reactive(PlotWidget.margin_bottom, int(name not in DIALS))
+        self.set_reactive(PlotWidget.margin_left, 0 if name in DIALS else _LABEL_WIDTH)
 
     def on_resize(self) -> None:
         """Draw anew once the size is there."""
@@ -93,6 +96,8 @@ class Chart(PlotWidget, inherit_bindings=False):
     def show(self, drawing: Drawing, window: tuple[float, float] | None) -> None:
         """Show a drawing, all of its time or a window of it; its title has the words that there is room for."""
         low, high = window or (drawing.span[0], max(drawing.span[1], drawing.span[0] + 1.0))
+        if drawing.dial:
+            low, high = -math.inf, math.inf
         cells = max(self.size.width - _LABEL_WIDTH, _TICK_WIDTH)
         self._over.room, self._over.unit = cells // _TICK_WIDTH, f" {drawing.over}"
         self._along.room = (self.size.height - 1) // 2
@@ -109,9 +114,13 @@ class Chart(PlotWidget, inherit_bindings=False):
                 self.errorbar(times[part], values[part], None, sds[part], "●", self._style(style))
             else:
                 self.plot(times[part], values[part], self._style(style), _DOTS)
-        self.set_xlimits(low, high)
-        self.set_yticks(None if drawing.curves else [])
-        self.set_ylimits(*drawing.range or _around(np.concatenate(shown[1:] or shown)))
+        self._notes = drawing.notes
+        if drawing.dial:
+            self._round_off()
+        else:
+            self.set_xlimits(low, high)
+            self.set_yticks(None if drawing.curves else [])
+            self.set_ylimits(*drawing.range or _around(np.concatenate(shown[1:] or shown)))
         name, *others = drawing.words
         room, title = self.size.width - 4, Content(" ")
         for text, style in [name, *([("0 shows all", "limit")] if window else []), *others]:
@@ -119,6 +128,22 @@ class Chart(PlotWidget, inherit_bindings=False):
                 title += Content.assemble((text, self._style(style) if style else ""), " ")
         self.border_title = title
         self.render()  # now, so that the terminal is written to once for all that this tick has changed
+
+    def _round_off(self) -> None:
+        """Scale both ways alike, with a circle of radius 1 on the left."""
+        dots = max(self.size.width - 2, 1) * _DOTS_WIDE / (max(self.size.height - 2, 1) * _DOTS_HIGH)
+        reach = _DIAL_REACH * max(1.0, 1 / dots)
+        self.set_ylimits(-reach, reach)
+        self.set_xlimits(-_DIAL_REACH, 2 * reach * dots - _DIAL_REACH)
+        self.set_xticks([])
+        self.set_yticks([])
+
+    def _render_plot(self) -> None:
+        """Draw, and write the notes to the right of a circle of radius 1."""
+        super()._render_plot()
+        column = self.get_pixel_from_coordinate(_DIAL_REACH, 0.0)[0] + 1 if self._notes else 0
+        for row, (text, style) in enumerate(self._notes, 1):
+            self.query_one("#plot", Canvas).write_text(column, row, f"[{self._style(style)}]{text}")
 
     def _style(self, name: str) -> str:
         return str(self.get_component_rich_style(f"chart--{name}"))

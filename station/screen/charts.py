@@ -27,7 +27,7 @@ class Charts(Grid):
     BINDINGS = [Binding("0", "show_all", "All of the time", show=False)]  # noqa: RUF012
 
     def __init__(self, names: Sequence[str], draw: Callable[[str], Drawing | None]) -> None:
-        super().__init__(id="charts")
+        super().__init__()
         self._names, self._draw = names, draw
         self._charts: list[Chart] = []
         self._turn = 0
@@ -40,14 +40,15 @@ class Charts(Grid):
     async def _bring(self) -> None:
         kind = (await asyncio.to_thread(import_module, "station.screen.chart")).Chart
         if self.is_attached:
-            charts = [kind(self.draw) for _ in self._names]
+            charts = [kind(self.draw, name) for name in self._names]
             await self.mount(*charts)
             self._charts = charts
+            self.on_resize()
             self.draw()
 
     def on_resize(self) -> None:
         """Choose the columns that leave each chart the most room; if that is too little for all, show one."""
-        count, size = len(self._names), self.size
+        count, size = sum(chart.display for chart in self._charts) or len(self._names), self.size
         room = {n: min(size.width / n / _WIDE_TO_HIGH, size.height / -(-count // n)) for n in range(1, count + 1)}
         across = max(room, key=room.__getitem__)
         fits = room[across] >= _LEAST_ROWS
@@ -57,10 +58,10 @@ class Charts(Grid):
     def draw(self, only: int | None = None) -> None:
         """Draw all charts, or one of them."""
         for at, chart in enumerate(self._charts):
-            if only in (None, at):
+            if only in (None, at) and chart.size.area:
                 drawing = self._draw(self._names[at])
                 chart.visible = drawing is not None
-                if drawing is not None and chart.size.area:
+                if drawing is not None:
                     chart.show(drawing, self._window)
 
     def draw_next(self) -> None:

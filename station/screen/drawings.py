@@ -6,12 +6,13 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
-from station.run.snapshot import GyroSnapshot
+from station.run.snapshot import GyroSnapshot, Snapshot
 from station.screen.sessions.live_run import LiveRun, Trend
 from station.views.figures import STATE_FIGURES, number
 
 STATE_CHARTS = tuple(state.name for state in STATE_FIGURES)
-RUN_CHARTS = ("rate", "residual", "NIS", "temperature", *STATE_CHARTS)
+DIALS = ("axes",)
+RUN_CHARTS = ("rate", "residual", "NIS", "temperature", *STATE_CHARTS, *DIALS)
 _AXIS_STYLES = ("first", "second", "third")
 _LIMITS = ("k", "b_rps", "sigma_rad", "sigma_rad")
 _RECENT, _LEAST_SIGMAS, _MARGIN = 0.2, 3.0, 1.15
@@ -19,6 +20,7 @@ _SHOWN_BY_MOTION = 0.5  # of the sigma that a state begins with
 _SIGMAS = 2.0
 _DEG = math.degrees(1)
 _EVER = (-1e12, 1e12)
+_ARC_PARTS, _GIMBALS_APART = 48, 0.3
 
 
 class Curve(NamedTuple):
@@ -33,7 +35,8 @@ class Curve(NamedTuple):
 class Drawing(NamedTuple):
     """One chart: words of its title with their styles, curves, the range of values (None: that of the curves).
 
-    ``span`` is the range of times in the unit ``over``, ``marks`` are instants.
+    ``span`` is the range of times in the unit ``over``, ``marks`` are instants. A ``dial`` is drawn round its origin,
+    to a radius of 1, with ``notes`` beside it.
     """
 
     words: Sequence[tuple[str, str]]
@@ -42,10 +45,14 @@ class Drawing(NamedTuple):
     span: tuple[float, float] = (0.0, 1.0)
     marks: Sequence[float] = ()
     over: str = "s"
+    dial: bool = False
+    notes: Sequence[tuple[str, str]] = ()
 
 
 def run_drawing(name: str, run: LiveRun, gyro: GyroSnapshot) -> Drawing:
     """Return a chart of a run, one of ``RUN_CHARTS``, with its steps marked."""
+    if name == "axes" and run.snapshot is not None:
+        return _axes_drawing(run, run.snapshot)
     marks = [float(step["start_s"]) for step in run.hello.get("script", {}).get("steps", [])]
     limits = run.hello.get("limits") or {}
     if name in STATE_CHARTS:
@@ -81,6 +88,37 @@ def _seen(name: str, run: LiveRun, gyro: GyroSnapshot, nis_limits: Sequence[floa
     curves = [Curve(times, rate, style) for rate, (_, style) in zip(rates, axes, strict=True)]
     curves.append(Curve(times, [g.rate_rps * _DEG for g in of_gyro]))
     return Drawing([("rate (deg/s)", ""), (gyro.name, "line"), *axes], curves)
+
+
+def _axes_drawing(run: LiveRun, snapshot: Snapshot) -> Drawing:
+    """Return the gimbals within each other, the outermost outside: zero on top, positive angles anticlockwise.
+
+    Each has a hand at its angle; that which turns has the colour of its axis, and the way that its step still goes.
+    """
+    styles = dict(zip(sorted(axis.name for axis in snapshot.axes), _AXIS_STYLES, strict=False))
+    steps = run.hello.get("script", {}).get("steps", [])
+    begun = [step for step in steps if float(step["start_s"]) <= snapshot.elapsed_s][-1:]
+    goals = {step.get("axis"): float(step.get("to_rad", math.nan)) for step in begun}
+    curves, notes = [], []
+    for place, axis in enumerate(snapshot.axes):
+        radius = 1.0 - place * _GIMBALS_APART
+        turns, style = axis.state == "turning" and not run.at_rest, styles[axis.name]
+        at, goal = axis.angle_rad, goals.get(axis.name, math.nan)
+        curves.append(_arc(radius, 0.0, 2 * math.pi, style if turns else "mark"))
+        notes.append((f"{axis.name} {number(at * _DEG, 1):>8} deg", style))
+        if turns:
+            notes.append((f"  {number(axis.rate_rps * _DEG, 1):>8} deg/s", style))
+        if turns and math.isfinite(at) and math.isfinite(goal):
+            curves.append(_arc(radius, at, min(max(goal, at - 2 * math.pi), at + 2 * math.pi), "line"))
+            notes.append((f"to{number(goal * _DEG, 1):>8} deg", "line"))
+        hand = radius, radius - _GIMBALS_APART
+        curves.append(Curve([-r * math.sin(at) for r in hand], [r * math.cos(at) for r in hand], style))
+    return Drawing([("axes, outermost outside", "")], curves, dial=True, notes=notes)
+
+
+def _arc(radius: float, begin_rad: float, end_rad: float, style: str) -> Curve:
+    angles = [begin_rad + (end_rad - begin_rad) * n / _ARC_PARTS for n in range(_ARC_PARTS + 1)]
+    return Curve([-radius * math.sin(a) for a in angles], [radius * math.cos(a) for a in angles], style)
 
 
 def state_drawing(index: int, trend: Trend, limit: float, over: str = "s") -> Drawing:

@@ -12,8 +12,13 @@ from station.views.figures import clock, three_digits
 
 def columns(rows: Sequence[Sequence[str]], gap: str = "  ") -> list[str]:
     """Return rows of cells as lines: the first column left-aligned, the others right-aligned."""
+    return list(map(gap.join, padded(rows)))
+
+
+def padded(rows: Sequence[Sequence[str]]) -> list[list[str]]:
+    """Return the cells of ``columns``, each as wide as its column."""
     first, *others = (max(map(len, column)) for column in zip(*rows, strict=True))
-    return [gap.join([row[0].ljust(first), *map(str.rjust, row[1:], others)]) for row in rows]
+    return [[row[0].ljust(first), *map(str.rjust, row[1:], others)] for row in rows]
 
 
 def templated(name: str, values: Mapping[str, Any]) -> Text:
@@ -29,4 +34,11 @@ def bar(share: float, width: int) -> str:
     return ("█" * whole + (" ▏▎▍▌▋▊▉"[part] if part else "")).ljust(width, "·")
 
 
-_FUNCTIONS = {"columns": columns, "bar": bar, "clock": clock, "three_digits": three_digits, "hypot": math.hypot}
+_FUNCTIONS = {
+    "columns": columns,
+    "padded": padded,
+    "bar": bar,
+    "clock": clock,
+    "three_digits": three_digits,
+    "hypot": math.hypot,
+}

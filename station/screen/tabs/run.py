@@ -17,11 +17,11 @@ from station.screen.bars import SILENCE_S, Lines
 from station.screen.base import StationScreen
 from station.screen.charts import Charts
 from station.screen.dialogs import AskTextDialog
-from station.screen.drawings import RUN_CHARTS, Drawing, run_drawing
+from station.screen.drawings import DIALS, RUN_CHARTS, Drawing, run_drawing
 from station.screen.figures import templated
 from station.screen.sessions.live_run import LiveRun, Stage
 
-_SOURCES, _EVENTS = ("sources", "details"), ("events", "latest")  # beside the figures, or at the end of all
+_SOURCES = ("sources", "details")  # beside the figures, or at the end of all
 _MOST_EVENTS = 24
 _REASON_ROWS = 4
 _NIS_OFF = 0.25
@@ -46,15 +46,16 @@ class RunScreen(StationScreen):
         with Container(id="columns"):
             yield Lines(id="figures")
             yield Lines(id="sources")
-            yield Lines(id="events")
+            yield Charts(DIALS, self._drawing)
         yield Charts(RUN_CHARTS, self._drawing)
-        yield Lines(id="latest")
+        yield Lines(id="events")
         yield Lines(id="details")
 
     def redraw(self) -> None:
         """Draw all at once, the charts too."""
         self.tick()
-        self.query_one(Charts).draw()
+        for charts in self.query(Charts):
+            charts.draw()
 
     on_screen_resume = redraw
 
@@ -66,7 +67,7 @@ class RunScreen(StationScreen):
         shown = {"run": run, "others": self.station.others, "width": width, "wrapped": wrapped, "silence_s": SILENCE_S}
         self._show("progress", templated("progress.rich", shown))
         if run is None or run.snapshot is None:  # what is there is of the run before
-            for name in ("figures", *_SOURCES, *_EVENTS):
+            for name in ("figures", *_SOURCES, "events"):
                 self._show(name, Text())
             return
         values = _values(run, run.snapshot, self.has_class("-large"))
@@ -74,11 +75,10 @@ class RunScreen(StationScreen):
         sources = templated("sources.rich", values)
         for name in _SOURCES:
             self._show(name, sources)
-        events = {"events": list(run.events)[-_MOST_EVENTS:], "wrap": textwrap.wrap}
-        for name in _EVENTS:
-            if (room := self.query_one(f"#{name}")).display:
-                self._show(name, templated("events.rich", {**events, "width": max(room.size.width, 30)}))
-        self.query_one(Charts).draw_next()
+        events = {"events": list(run.events)[-_MOST_EVENTS:], "wrap": textwrap.wrap, "width": max(width, 30)}
+        self._show("events", templated("events.rich", events))
+        for charts in self.query(Charts):
+            charts.draw_next()
 
     def _show(self, name: str, text: Text) -> None:
         self.query_one(f"#{name}", Lines).show(text, text.plain.count("\n") + 1 if text else 0)

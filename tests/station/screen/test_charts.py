@@ -49,7 +49,7 @@ def test_a_snapshot_tells_rate_and_residual_of_each_gyro_and_one_of_before_is_re
 
 
 @pytest.mark.full
-@pytest.mark.parametrize(("size", "count"), [((80, 24), 1), ((120, 40), 8), ((200, 60), 8)])
+@pytest.mark.parametrize(("size", "count"), [((80, 24), 1), ((120, 40), 9), ((200, 60), 9)])
 def test_charts_fill_the_room_there_is(place: Path, size: tuple[int, int], count: int) -> None:
     async def drive(pilot: Pilot[None]) -> None:
         await until(pilot, lambda: app.shown and app.shown.snapshot and len(charts(app)) == count)

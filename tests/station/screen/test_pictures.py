@@ -98,10 +98,11 @@ def test_a_run(place: Path, snap_compare: Compare, size: tuple[int, int]) -> Non
         assert snap_compare(app, terminal_size=size, run_before=attached(app, 35.0))
 
 
-def test_another_chart_of_another_gyro_enlarged_at_80_x_24(place: Path, snap_compare: Compare) -> None:
+@pytest.mark.parametrize("charts", [4, 9], ids=["temperature", "axes"])
+def test_another_chart_of_another_gyro_enlarged_at_80_x_24(place: Path, snap_compare: Compare, charts: int) -> None:
     with Replay("pass", 36.0):
         app = StationApp(CHOICES, attach=True)
-        assert snap_compare(app, terminal_size=SMALL, run_before=attached(app, 35.0, "right", "c", "c", "c", "c", "z"))
+        assert snap_compare(app, terminal_size=SMALL, run_before=attached(app, 35.0, "right", *"c" * charts, "z"))
 
 
 def test_a_note_is_asked_for_with_stop_in_sight(place: Path, snap_compare: Compare) -> None:
