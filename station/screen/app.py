@@ -28,7 +28,7 @@ from station.screen.bars import SCREENS, STOP_KEY, StopBar
 from station.screen.base import StationScreen
 from station.screen.choices import TWIN_SCALE, Choices
 from station.screen.dialogs import AskDialog, ChooseDialog, HelpDialog, StationDialog
-from station.screen.memory import HIGH_CONTRAST, REMEMBERED, Remembered, load_remembered, save_remembered
+from station.screen.memory import REMEMBERED, Remembered, high_contrast, load_remembered, save_remembered
 from station.screen.sessions.link import SessionLink, sessions_on, sessions_there, stop_session
 from station.screen.sessions.live_run import LiveRun, Stage
 from station.screen.sessions.programs import SessionProcess
@@ -76,7 +76,7 @@ class StationApp(App[None]):
             self.DEFAULT_MODE = "run"
         super().__init__()
         self.remembered: Remembered = load_remembered()
-        self.register_theme(HIGH_CONTRAST)
+        self.register_theme(high_contrast())
         self.theme = self.remembered.theme if self.remembered.theme in self.available_themes else self.theme
         entered = {key: getattr(choices, key) or getattr(self.remembered, key) for key in REMEMBERED}
         self.choices = replace(choices, **entered)

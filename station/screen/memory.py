@@ -1,13 +1,13 @@
 """What the screen remembers from one day to the next: the operator and when that was confirmed, files, the theme."""
 
+from __future__ import annotations
+
 import json
 import os
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
-
-from textual.theme import Theme
+from typing import TYPE_CHECKING, Any
 
 from drivers.packaged import packaged_toml
 from estimator.errors import MISSHAPEN
@@ -15,12 +15,13 @@ from estimator.untrusted import harmless, read_text
 from station.atomic_write import write_whole
 from station.errors import UsageError
 
+if TYPE_CHECKING:
+    from textual.theme import Theme
+
 _FOLDER = "turntable-station"
 _FILE = "screen.json"
 REMEMBERED = ("operator", "bench", "script")
 """What is remembered of the fields: the number of a device is not, the next device has another."""
-HIGH_CONTRAST = Theme(**packaged_toml("station.screen", "themes.toml"))
-"""Beside the themes of textual, dark and light."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +39,13 @@ def state_folder() -> Path:
     """Return the folder for what programs remember (XDG base directories)."""
     given = os.environ.get("XDG_STATE_HOME", "")
     return (Path(given) if given.startswith("/") else Path.home() / ".local" / "state") / _FOLDER
+
+
+def high_contrast() -> Theme:
+    """Return the theme that is there beside those of textual, dark and light."""
+    from textual.theme import Theme  # which a command that lists recordings does without
+
+    return Theme(**packaged_toml("station.screen", "themes.toml"))
 
 
 def load_remembered() -> Remembered:

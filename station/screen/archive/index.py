@@ -11,21 +11,23 @@ import json
 import os
 import sqlite3
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing, suppress
+from functools import cache
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 from drivers.packaged import packaged_text
 from estimator.errors import MISSHAPEN
-from station.screen.archive.entries import Entry
+from station.screen.archive.entries import TEXTS, Entry, File
 from station.screen.memory import state_folder
 
-_VERSION = 1  # of what an entry holds: an older index is left to older stations
+_VERSION = 2  # of what an entry holds: an older index is left to older stations
 _PATIENCE_S = 1.0  # for another station, which writes for some milliseconds
-_TOLD = ("when_utc_s", "wrong", "foreign", "devices", "texts")
-File: TypeAlias = tuple[str, int, int]
-"""Path of a file, when it was changed in nanoseconds since 1970, and its size in bytes."""
+_NUMBERS = ("mtime_ns", "size", "when_utc_s", "is_other")
+_COLUMNS = {"station": "bench", "device_serial": "serial"}  # what is not called as its attribute is
+_NAMES = ("path", "wrong", "devices", *(_COLUMNS.get(name, name) for name in TEXTS), "figures")
+_AS_BYTES = "IFNULL(CAST({} AS BLOB), x'')"  # also where harm made it no text
 
 
 def index_file(folder: Path) -> Path:
@@ -36,34 +38,41 @@ def index_file(folder: Path) -> Path:
 
 def load(folder: Path) -> dict[File, Entry]:
     """Return what the index of a folder holds; nothing if there is none, or none that can be read."""
-    found = {}
-    texts = "IFNULL(CAST(entry AS TEXT), ''), IFNULL(CAST(figures AS TEXT), '')"  # also where harm made them other
-    rows = _done(folder, f"SELECT path, mtime_ns, size, {texts}, checksum FROM recordings")
+    found, top, devices = {}, os.path.join(folder, ""), cache(lambda told: tuple(json.loads(told)))
+    rows = _done(
+        folder, f"SELECT checksum, {', '.join(_NUMBERS)}, {', '.join(map(_AS_BYTES.format, _NAMES))} FROM recordings"
+    )
     gc.disable()  # none of ten thousand entries is garbage: to look for it takes a third of the time
     try:
-        for *row, checksum in rows:
-            if checksum == _checksum(row):
-                path, told = os.path.join(folder, os.fsdecode(row[0])), json.loads(row[3])
-                told["devices"] = tuple(told["devices"])
-                found[path, row[1], row[2]] = Entry(Path(path), figures=row[4].decode(), **told)
+        for checksum, mtime_ns, size, when_utc_s, foreign, *texts, figures in rows:
+            if checksum == _checksum((mtime_ns, size, when_utc_s, foreign), texts, figures):
+                path, wrong, told, *others = b"\0".join(texts).decode(errors="surrogateescape").split("\0")
+                about = dict(zip(TEXTS, others, strict=True))
+                entry = Entry(top + path, when_utc_s, wrong, bool(foreign), about, devices(told), figures)
+                found[entry.file, mtime_ns, size] = entry
     finally:
         gc.enable()
     return found
 
 
-def keep(folder: Path, file: File, entry: Entry) -> None:
-    """Add a recording to the index of a folder, if it can be written."""
-    told = json.dumps({name: getattr(entry, name) for name in _TOLD})
-    row = [os.fsencode(os.path.relpath(file[0], folder)), *file[1:], told.encode(), entry.figures.encode()]
-    values = "CAST(? AS TEXT), ?, ?, CAST(? AS TEXT), CAST(? AS TEXT), ?"
-    _done(folder, f"REPLACE INTO recordings VALUES ({values})", *row, _checksum(row))
+def keep(folder: Path, entries: Mapping[File, Entry]) -> None:
+    """Add recordings to the index of a folder, if it can be written."""
+    rows = []
+    for (path, *about), entry in entries.items():
+        numbers = (*about, entry.when_utc_s, int(entry.foreign))
+        told = (os.path.relpath(path, folder), entry.wrong, json.dumps(entry.devices), *map(entry.texts.get, TEXTS))
+        texts = [(text or "").encode(errors="surrogateescape") for text in told]
+        rows.append([_checksum(numbers, texts, entry.figures), *numbers, *texts, entry.figures])
+    names = ", ".join(("checksum", *_NUMBERS, *_NAMES))
+    values = "?, " * (1 + len(_NUMBERS)) + ", ".join(["CAST(? AS TEXT)"] * len(_NAMES))
+    _done(folder, f"REPLACE INTO recordings ({names}) VALUES ({values})", rows)
 
 
-def _checksum(row: Sequence[Any]) -> int:
-    return zlib.crc32(row[4], zlib.crc32(row[3], zlib.crc32(repr(row[:3]).encode())))
+def _checksum(numbers: tuple[Any, ...], texts: Sequence[bytes], figures: bytes) -> int:
+    return zlib.crc32(figures, zlib.crc32(b"\0".join(texts), zlib.crc32(repr(numbers).encode())))
 
 
-def _done(folder: Path, sql: str, *values: Any) -> list[Any]:
+def _done(folder: Path, sql: str, rows: Sequence[Sequence[Any]] | None = None) -> list[Any]:
     """Return what a statement gives, nothing if it fails; then an index that is not just busy goes."""
     path = index_file(folder)
     try:
@@ -71,7 +80,7 @@ def _done(folder: Path, sql: str, *values: Any) -> list[Any]:
         with closing(sqlite3.connect(path, timeout=_PATIENCE_S)) as index, index:
             index.text_factory = bytes
             index.executescript(packaged_text("station.screen.archive", "index.sql"))
-            return index.execute(sql, values).fetchall()
+            return (index.execute(sql) if rows is None else index.executemany(sql, rows)).fetchall()
     except (sqlite3.Error, *MISSHAPEN) as error:  # of a damaged one the words of an error may be no text
         if getattr(error, "sqlite_errorcode", None) != sqlite3.SQLITE_BUSY:
             with suppress(OSError):
