@@ -91,13 +91,16 @@ class Archive:
         for entry in [self._known[file] for file in files if file in self._known]:
             if not entry.foreign:
                 yield entry
+        unkept, enough = dict[File, Entry](), 1
         async with aclosing(self._new(others)) as new:
             async for found in new:
                 self._known |= found
                 self.unread -= len(found)
                 kept = {file: entry for file, entry in found.items() if entry.foreign or not entry.wrong}
-                settled = {file: kept[file] for file in kept if abs(began_ns - file[1]) > _TICK_NS}
-                await asyncio.to_thread(keep, folder, settled)  # the disk may be slow, and no key waits for it
+                unkept |= {file: kept[file] for file in kept if abs(began_ns - file[1]) > _TICK_NS}
+                if len(unkept) >= enough:  # the disk may be slow, and no key waits for it
+                    done = await asyncio.to_thread(keep, folder, unkept)
+                    unkept, enough = ({}, 1) if done else (unkept, 2 * len(unkept))  # it is busy, or has no room
                 for entry in found.values():
                     if not entry.foreign:
                         yield entry

@@ -44,7 +44,7 @@ def load(folder: Path) -> dict[File, Entry]:
     )
     gc.disable()  # none of ten thousand entries is garbage: to look for it takes a third of the time
     try:
-        for checksum, mtime_ns, size, when_utc_s, foreign, *texts, figures in rows:
+        for checksum, mtime_ns, size, when_utc_s, foreign, *texts, figures in rows or ():
             if checksum == _checksum((mtime_ns, size, when_utc_s, foreign), texts, figures):
                 path, wrong, told, *others = b"\0".join(texts).decode(errors="surrogateescape").split("\0")
                 about = dict(zip(TEXTS, others, strict=True))
@@ -55,8 +55,8 @@ def load(folder: Path) -> dict[File, Entry]:
     return found
 
 
-def keep(folder: Path, entries: Mapping[File, Entry]) -> None:
-    """Add recordings to the index of a folder, if it can be written."""
+def keep(folder: Path, entries: Mapping[File, Entry]) -> bool:
+    """Add recordings to the index of a folder; return whether it could be written."""
     rows = []
     for (path, *about), entry in entries.items():
         numbers = (*about, entry.when_utc_s, int(entry.foreign))
@@ -65,15 +65,15 @@ def keep(folder: Path, entries: Mapping[File, Entry]) -> None:
         rows.append([_checksum(numbers, texts, entry.figures), *numbers, *texts, entry.figures])
     names = ", ".join(("checksum", *_NUMBERS, *_NAMES))
     values = "?, " * (1 + len(_NUMBERS)) + ", ".join(["CAST(? AS TEXT)"] * len(_NAMES))
-    _done(folder, f"REPLACE INTO recordings ({names}) VALUES ({values})", rows)
+    return _done(folder, f"REPLACE INTO recordings ({names}) VALUES ({values})", rows) is not None
 
 
 def _checksum(numbers: tuple[Any, ...], texts: Sequence[bytes], figures: bytes) -> int:
     return zlib.crc32(figures, zlib.crc32(b"\0".join(texts), zlib.crc32(repr(numbers).encode())))
 
 
-def _done(folder: Path, sql: str, rows: Sequence[Sequence[Any]] | None = None) -> list[Any]:
-    """Return what a statement gives, nothing if it fails; then an index that is not just busy goes."""
+def _done(folder: Path, sql: str, rows: Sequence[Sequence[Any]] | None = None) -> list[Any] | None:
+    """Return what a statement gives, None if it fails; then an index that is not just busy goes."""
     path = index_file(folder)
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -85,4 +85,4 @@ def _done(folder: Path, sql: str, rows: Sequence[Sequence[Any]] | None = None) -
         if getattr(error, "sqlite_errorcode", None) != sqlite3.SQLITE_BUSY:
             with suppress(OSError):
                 path.unlink()
-        return []
+        return None
