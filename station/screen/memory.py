@@ -1,22 +1,16 @@
 """What the screen remembers from one day to the next: the operator and when that was confirmed, files, the theme."""
 
-from __future__ import annotations
-
 import json
 import os
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from drivers.packaged import packaged_toml
 from estimator.errors import MISSHAPEN
 from estimator.untrusted import harmless, read_text
 from station.atomic_write import write_whole
 from station.errors import UsageError
-
-if TYPE_CHECKING:
-    from textual.theme import Theme
 
 _FOLDER = "turntable-station"
 _FILE = "screen.json"
@@ -39,13 +33,6 @@ def state_folder() -> Path:
     """Return the folder for what programs remember (XDG base directories)."""
     given = os.environ.get("XDG_STATE_HOME", "")
     return (Path(given) if given.startswith("/") else Path.home() / ".local" / "state") / _FOLDER
-
-
-def high_contrast() -> Theme:
-    """Return the theme that is there beside those of textual, dark and light."""
-    from textual.theme import Theme  # which a command that lists recordings does without
-
-    return Theme(**packaged_toml("station.screen", "themes.toml"))
 
 
 def load_remembered() -> Remembered:

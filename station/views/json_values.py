@@ -1,16 +1,12 @@
 """Values as JSON can hold them: null for what is not finite."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import is_dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from estimator.calibration.values import GyroCalibration
 from estimator.geometry.model import STATES
-
-if TYPE_CHECKING:
-    from estimator.calibration.values import GyroCalibration
 
 
 def json_object(value: Any) -> Any:

@@ -18,8 +18,6 @@ File: TypeAlias = tuple[str, int, int]
 """Path of a file, when it was changed in nanoseconds since 1970, and its size in bytes."""
 INVESTIGATION = "-investigation"
 """What is added to the name of a recording for the file of its investigation."""
-TEXTS = ("station", "script", "outcome", "reason", "operator", "device_serial", "accepted_by", "accepted_utc")
-"""Attributes of a recording that are listed."""
 NO_LIMITS: tuple[float, ...] = (math.inf,) * 4
 
 

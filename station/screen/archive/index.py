@@ -13,21 +13,17 @@ import sqlite3
 import zlib
 from collections.abc import Mapping, Sequence
 from contextlib import closing, suppress
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 from drivers.packaged import packaged_text
 from estimator.errors import MISSHAPEN
-from station.screen.archive.entries import TEXTS, Entry, File
+from station.screen.archive.entries import Entry, File
 from station.screen.memory import state_folder
 
-_VERSION = 2  # of what an entry holds: an older index is left to older stations
+_VERSION = 1  # of what an entry holds: an older index is left to older stations
 _PATIENCE_S = 1.0  # for another station, which writes for some milliseconds
-_NUMBERS = ("mtime_ns", "size", "when_utc_s", "is_other")
-_COLUMNS = {"station": "bench", "device_serial": "serial"}  # what is not called as its attribute is
-_NAMES = ("path", "wrong", "devices", *(_COLUMNS.get(name, name) for name in TEXTS), "figures")
-_AS_BYTES = "IFNULL(CAST({} AS BLOB), x'')"  # also where harm made it no text
+_TOLD = ("when_utc_s", "wrong", "foreign", "devices", "texts")
 
 
 def index_file(folder: Path) -> Path:
@@ -38,18 +34,17 @@ def index_file(folder: Path) -> Path:
 
 def load(folder: Path) -> dict[File, Entry]:
     """Return what the index of a folder holds; nothing if there is none, or none that can be read."""
-    found, top, devices = {}, os.path.join(folder, ""), cache(lambda told: tuple(json.loads(told)))
-    rows = _done(
-        folder, f"SELECT checksum, {', '.join(_NUMBERS)}, {', '.join(map(_AS_BYTES.format, _NAMES))} FROM recordings"
-    )
+    found, top = {}, os.path.join(folder, "")
+    texts = "IFNULL(CAST(entry AS TEXT), ''), IFNULL(CAST(figures AS TEXT), '')"  # also where harm made them other
+    rows = _done(folder, f"SELECT path, mtime_ns, size, {texts}, checksum FROM recordings") or ()
     gc.disable()  # none of ten thousand entries is garbage: to look for it takes a third of the time
     try:
-        for checksum, mtime_ns, size, when_utc_s, foreign, *texts, figures in rows or ():
-            if checksum == _checksum((mtime_ns, size, when_utc_s, foreign), texts, figures):
-                path, wrong, told, *others = b"\0".join(texts).decode(errors="surrogateescape").split("\0")
-                about = dict(zip(TEXTS, others, strict=True))
-                entry = Entry(top + path, when_utc_s, wrong, bool(foreign), about, devices(told), figures)
-                found[entry.file, mtime_ns, size] = entry
+        sound = [row for *row, checksum in rows if checksum == _checksum(row)]
+        about = json.loads(b"[%b]" % b",".join(row[3] for row in sound))
+        for (path, mtime_ns, size, _, figures), told in zip(sound, about, strict=True):
+            told["devices"] = tuple(told["devices"])
+            entry = Entry(top + os.fsdecode(path), figures=figures, **told)
+            found[entry.file, mtime_ns, size] = entry
     finally:
         gc.enable()
     return found
@@ -58,18 +53,16 @@ def load(folder: Path) -> dict[File, Entry]:
 def keep(folder: Path, entries: Mapping[File, Entry]) -> bool:
     """Add recordings to the index of a folder; return whether it could be written."""
     rows = []
-    for (path, *about), entry in entries.items():
-        numbers = (*about, entry.when_utc_s, int(entry.foreign))
-        told = (os.path.relpath(path, folder), entry.wrong, json.dumps(entry.devices), *map(entry.texts.get, TEXTS))
-        texts = [(text or "").encode(errors="surrogateescape") for text in told]
-        rows.append([_checksum(numbers, texts, entry.figures), *numbers, *texts, entry.figures])
-    names = ", ".join(("checksum", *_NUMBERS, *_NAMES))
-    values = "?, " * (1 + len(_NUMBERS)) + ", ".join(["CAST(? AS TEXT)"] * len(_NAMES))
-    return _done(folder, f"REPLACE INTO recordings ({names}) VALUES ({values})", rows) is not None
+    for file, entry in entries.items():
+        told = json.dumps({name: getattr(entry, name) for name in _TOLD})
+        rows.append([os.fsencode(os.path.relpath(file[0], folder)), *file[1:], told.encode(), entry.figures])
+    values = "CAST(? AS TEXT), ?, ?, CAST(? AS TEXT), CAST(? AS TEXT), ?"
+    rows = [[*row, _checksum(row)] for row in rows]
+    return _done(folder, f"REPLACE INTO recordings VALUES ({values})", rows) is not None
 
 
-def _checksum(numbers: tuple[Any, ...], texts: Sequence[bytes], figures: bytes) -> int:
-    return zlib.crc32(figures, zlib.crc32(b"\0".join(texts), zlib.crc32(repr(numbers).encode())))
+def _checksum(row: Sequence[Any]) -> int:
+    return zlib.crc32(row[4], zlib.crc32(row[3], zlib.crc32(repr(row[:3]).encode())))
 
 
 def _done(folder: Path, sql: str, rows: Sequence[Sequence[Any]] | None = None) -> list[Any] | None:

@@ -1,5 +1,5 @@
--- What is kept of each recording of a folder. Figures of which one is not finite are no JSON to SQLite, and not in the
--- view.
+-- What is kept of each recording of a folder. What people may ask for is derived from the entry. Figures of which one is
+-- not finite are no JSON to SQLite, and not in the view.
 PRAGMA journal_mode = MEMORY;   -- no file beside it that another station might take for its own
 PRAGMA synchronous = OFF;       -- what a power cut leaves of it is seen by the checksums, and made anew
 PRAGMA cell_size_check = ON;
@@ -7,20 +7,15 @@ CREATE TABLE IF NOT EXISTS recordings (
     path TEXT PRIMARY KEY,
     mtime_ns INTEGER,
     size INTEGER,
-    when_utc_s REAL,
-    is_other INTEGER,           -- some other HDF5 file, no recording
-    wrong TEXT,                 -- why it cannot be read, and then nothing else is known
-    serial TEXT,
-    devices TEXT,               -- names, as JSON
-    bench TEXT,
-    script TEXT,
-    outcome TEXT,
-    reason TEXT,
-    operator TEXT,
-    accepted_by TEXT,
-    accepted_utc TEXT,
+    entry TEXT,
     figures TEXT,               -- of each gyro of the calibration its name, its source, the states, their sigmas
-    checksum INTEGER
+    checksum INTEGER,
+    when_utc_s REAL AS (json_extract(entry, '$.when_utc_s')),
+    serial TEXT AS (json_extract(entry, '$.texts.device_serial')),
+    devices TEXT AS (json_extract(entry, '$.devices')),
+    bench TEXT AS (json_extract(entry, '$.texts.station')),
+    script TEXT AS (json_extract(entry, '$.texts.script')),
+    outcome TEXT AS (json_extract(entry, '$.texts.outcome'))
 );
 CREATE VIEW IF NOT EXISTS gyros AS SELECT
     recordings.path, when_utc_s, serial, bench, script, outcome,

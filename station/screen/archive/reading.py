@@ -19,11 +19,12 @@ from estimator.recordings.recording import FORMAT, FORMAT_VERSION
 from estimator.recordings.recovery import recover
 from estimator.recordings.writing import plain, write_attributes
 from station.errors import BenchError
-from station.screen.archive.entries import INVESTIGATION, NO_LIMITS, TEXTS, Entry, File, Whole
+from station.screen.archive.entries import INVESTIGATION, NO_LIMITS, Entry, File, Whole
 from station.screen.sessions.live_run import Trend
 
 _MOST_POINTS = 400
 _LISTED = re.compile(rb"\.|imu(/[^/]+)?|calibration(/(states|sd|name|source))?")  # what an entry is made of
+_TEXTS = ("station", "script", "outcome", "reason", "operator", "device_serial", "accepted_by", "accepted_utc")
 
 
 def accept(path: Path, attributes: Mapping[str, str]) -> str:
@@ -89,7 +90,7 @@ def _entry(unread: Entry, file: Any) -> Entry:
     return replace(
         unread,
         when_utc_s=unread.when_utc_s if began_utc_s is None else float(began_utc_s),
-        texts={name: str(plain(file.attrs.get(name, ""))) for name in TEXTS},
+        texts={name: str(plain(file.attrs.get(name, ""))) for name in _TEXTS},
         devices=tuple(filter(None, dict.fromkeys(devices))) or (str(plain(file.attrs.get("device", ""))),),
         figures=json.dumps(list(rows)).encode(),
     )
