@@ -22,105 +22,46 @@ from station.screen.archive.index import keep, load
 
 _LIMIT_S = 10.0
 _WRITE_LIMIT_S = 120.0
-_MOST_AT_ONCE = 32
+_KEPT_AT_ONCE = 64
 _MANY = 200  # files, to read which several processes are begun
 _PER_CORE = 2  # processes: one waits for its disk while another computes
 _LATER = 10
 _TICK_NS = 50_000_000  # a file that changed less ago may change again under the same date
 
 
-class _Readers:
-    """Processes that read. What takes too long or kills its reader is called damaged, and costs nothing else."""
-
-    def __init__(self, count: int) -> None:
-        self.count = count
-        self.turn = asyncio.Semaphore(count)
-        self._pool: ProcessPool | None = None
-
-    async def do(self, work: str, *about: Any, limit_s: float = _LIMIT_S) -> Any:
-        """Return what a function of ``reading`` comes to, or in words why it came to nothing."""
-        if self._pool is None:
-            with redirect_stderr(sys.__stderr__):  # its process gets a file; textual's stand-in is none
-                resource_tracker.ensure_running()
-            spawn = multiprocessing.get_context("spawn")
-            self._pool = ProcessPool(self.count, context=spawn, initializer=_begin, initargs=(self.count > 1,))
-        try:
-            return await asyncio.wrap_future(self._pool.schedule(_done, (work, *about), timeout=limit_s))
-        except TooLong:
-            return f"it is damaged, or its disk hangs: no end within {limit_s:g} s"
-        except ProcessExpired:
-            return "it is damaged: the HDF5 library failed on it"
-
-    async def entries(self, files: Sequence[File]) -> dict[File, Entry]:
-        """Return the entries of files that are read together; if that fails, of one after the other."""
-        async with self.turn:
-            found = await self.do("entries", files)
-        if not isinstance(found, str):
-            return dict(zip(files, found, strict=True))
-        if len(files) == 1:
-            return {file: Entry(file[0], file[1] * 1e-9, wrong=found) for file in files}
-        return {file: entry for each in files for file, entry in (await self.entries([each])).items()}
-
-    async def close(self) -> None:
-        """End the processes."""
-        pool, self._pool = self._pool, None
-        if pool is not None:
-            pool.stop()  # type: ignore[no-untyped-call]
-            await asyncio.to_thread(pool.join)
-
-
 class Archive:
-    """Recordings of folders: those that an index knows at once, others as they are read."""
+    """Reads recordings, as many at once as it has processes. What takes too long or kills its reader is damaged."""
 
-    def __init__(self) -> None:
-        self._readers = _Readers(1)
+    def __init__(self, count: int = 1) -> None:
+        self._count, self._turn = count, asyncio.Semaphore(count)
+        self._pool: ProcessPool | None = None
         self._known: dict[File, Entry] = {}
         self.unread = 0
 
     async def entries(self, folder: Path) -> AsyncIterator[Entry]:
         """Yield the recordings of a folder and its subfolders: known ones, then ``unread`` others.
 
-        Of both those that changed last come first. What is read is indexed at once; what cannot be read is tried again
-        by the next program.
+        Of both those that changed last come first. What is read is soon indexed; what cannot be read is tried again by
+        the next program.
         """
         began_ns, files = time.time_ns(), await asyncio.to_thread(_files, folder)
         if not self._known.keys() >= set(files):
             self._known |= await asyncio.to_thread(load, folder)
         others = [file for file in files if file not in self._known]
-        self.unread = len(others)
+        self.unread, unkept, enough = len(others), dict[File, Entry](), 1
         for entry in [self._known[file] for file in files if file in self._known]:
             if not entry.foreign:
                 yield entry
-        unkept, enough = dict[File, Entry](), 1
-        async with aclosing(self._new(others)) as new:
-            async for found in new:
-                self._known |= found
-                self.unread -= len(found)
-                kept = {file: entry for file, entry in found.items() if entry.foreign or not entry.wrong}
-                unkept |= {file: kept[file] for file in kept if abs(began_ns - file[1]) > _TICK_NS}
-                if len(unkept) >= enough:  # the disk may be slow, and no key waits for it
-                    done = await asyncio.to_thread(keep, folder, unkept)
-                    unkept, enough = ({}, 1) if done else (unkept, 2 * len(unkept))  # it is busy, or has no room
-                for entry in found.values():
-                    if not entry.foreign:
-                        yield entry
-
-    async def _new(self, files: Sequence[File]) -> AsyncGenerator[dict[File, Entry]]:
-        """Yield entries of files in their order, few at first; many are read by several processes at once."""
-        many = len(files) > _MANY
-        readers = _Readers(_PER_CORE * (os.cpu_count() or 1)) if many else self._readers
-        begun, size, at = deque[asyncio.Task[dict[File, Entry]]](), 1, 0
-        try:
-            while begun or at < len(files):
-                while at < len(files) and len(begun) <= readers.count:
-                    begun.append(asyncio.create_task(readers.entries(files[at : at + size])))
-                    at, size = at + size, min(2 * size, _MOST_AT_ONCE)
-                yield await begun.popleft()
-        finally:
-            for task in begun:
-                task.cancel()
-            if many:
-                await readers.close()
+        async with aclosing(self._read_all(others)) as found:
+            async for file, entry in found:
+                self._known[file], self.unread = entry, self.unread - 1
+                if abs(began_ns - file[1]) > _TICK_NS and (entry.foreign or not entry.wrong):
+                    unkept[file] = entry
+                if len(unkept) >= enough or file == others[-1]:  # the disk may be slow, and no key waits for it
+                    kept = await asyncio.to_thread(keep, folder, unkept)
+                    unkept, enough = ({}, min(2 * enough, _KEPT_AT_ONCE)) if kept else (unkept, 2 * enough)
+                if not entry.foreign:
+                    yield entry
 
     async def read(self, path: Path) -> Whole:
         """Return a whole recording; its entry says what is wrong, if something is."""
@@ -128,21 +69,56 @@ class Archive:
             when_utc_s = (await asyncio.to_thread(path.stat)).st_mtime
         except OSError as error:
             return Whole(Entry(str(path), 0.0, wrong=error.strerror or "it cannot be read"))
-        async with self._readers.turn:
-            found = await self._readers.do("read", path, when_utc_s, True)
-        return Whole(Entry(str(path), when_utc_s, wrong=found)) if isinstance(found, str) else found
+        return await self._read(path, when_utc_s, everything=True)
 
     async def accept(self, path: Path, attributes: Mapping[str, str]) -> str:
         """Write who accepted a recording into it; return what went wrong, empty if nothing did."""
-        async with self._readers.turn:
-            wrong = str(await self._readers.do("accept", path, dict(attributes), limit_s=_WRITE_LIMIT_S))
+        async with self._turn:
+            wrong = str(await self._do("accept", path, dict(attributes), limit_s=_WRITE_LIMIT_S))
             if wrong:  # HDF5 does not get over a write that failed
-                await self._readers.close()
+                await self.close()
         return wrong
 
     async def close(self) -> None:
-        """End the process that reads."""
-        await self._readers.close()
+        """End the processes that read."""
+        pool, self._pool = self._pool, None
+        if pool is not None:
+            pool.stop()  # type: ignore[no-untyped-call]
+            await asyncio.to_thread(pool.join)
+
+    async def _read_all(self, files: Sequence[File]) -> AsyncGenerator[tuple[File, Entry]]:
+        """Yield files with their entries; many are read by several processes, which end with it."""
+        many = len(files) > _MANY
+        readers, tasks = Archive(_PER_CORE * (os.cpu_count() or 1)) if many else self, deque[asyncio.Task[Whole]]()
+        try:
+            for at, file in enumerate(files):
+                for path, mtime_ns, _ in files[at + len(tasks) : at + 2 * readers._count]:
+                    tasks.append(asyncio.create_task(readers._read(Path(path), mtime_ns * 1e-9, everything=False)))
+                yield file, (await tasks.popleft()).entry
+        finally:
+            for task in tasks:
+                task.cancel()
+            if many:
+                await readers.close()
+
+    async def _read(self, path: Path, when_utc_s: float, *, everything: bool) -> Whole:
+        async with self._turn:
+            found = await self._do("read", path, when_utc_s, everything)
+        return Whole(Entry(str(path), when_utc_s, wrong=found)) if isinstance(found, str) else found
+
+    async def _do(self, work: str, *about: Any, limit_s: float = _LIMIT_S) -> Any:
+        """Return what a function of ``reading`` comes to, or in words why it came to nothing."""
+        if self._pool is None:
+            with redirect_stderr(sys.__stderr__):  # its process gets a file; textual's stand-in is none
+                resource_tracker.ensure_running()
+            spawn = multiprocessing.get_context("spawn")
+            self._pool = ProcessPool(self._count, context=spawn, initializer=_begin, initargs=(self._count > 1,))
+        try:
+            return await asyncio.wrap_future(self._pool.schedule(_done, (work, *about), timeout=limit_s))
+        except TooLong:
+            return f"it is damaged, or its disk hangs: no end within {limit_s:g} s"
+        except ProcessExpired:
+            return "it is damaged: the HDF5 library failed on it"
 
 
 def _begin(gives_way: bool) -> None:

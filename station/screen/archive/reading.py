@@ -19,7 +19,7 @@ from estimator.recordings.recording import FORMAT, FORMAT_VERSION
 from estimator.recordings.recovery import recover
 from estimator.recordings.writing import plain, write_attributes
 from station.errors import BenchError
-from station.screen.archive.entries import INVESTIGATION, NO_LIMITS, Entry, File, Whole
+from station.screen.archive.entries import INVESTIGATION, NO_LIMITS, Entry, Whole
 from station.screen.sessions.live_run import Trend
 
 _MOST_POINTS = 400
@@ -47,11 +47,6 @@ def accept(path: Path, attributes: Mapping[str, str]) -> str:
     finally:
         copy.unlink(missing_ok=True)
     return ""
-
-
-def entries(files: Iterable[File]) -> list[Entry]:
-    """Return the entries of recordings; each says what is wrong, if something is."""
-    return [read(Path(path), mtime_ns * 1e-9, everything=False).entry for path, mtime_ns, _ in files]
 
 
 def read(path: Path, when_utc_s: float, everything: bool) -> Whole:
