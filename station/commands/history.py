@@ -15,11 +15,9 @@ from typing import Any
 import numpy as np
 
 from estimator.estimation.control_charts import control_chart
-from estimator.estimation.repeatability import gauge_study
 from estimator.geometry.model import STATES
 from estimator.untrusted import harmless
 from station.errors import UsageError
-from station.render.progress import TracingProgress
 from station.render.template import rendered
 from station.render.terminal import print_rendered, stdout
 from station.run.snapshot import GyroSnapshot
@@ -47,17 +45,21 @@ def command_history(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--outcome {outcome}: write one of {', '.join(OUTCOME_STYLES)}")
     if arguments.gauge and arguments.csv:
         raise UsageError("--gauge with --csv: a study has no line for each recording; give --json in place of --csv")
-    entries = asyncio.run(_listed(folder, data))
-    moved = {path: moves for runs in _series(entries) for path, moves in _moves(runs).items()}
+    every = asyncio.run(_listed(folder, data))
     wanted = {"device_serial": arguments.serial, "station": arguments.bench, "outcome": outcome}
     wanted = {key: value for key, value in wanted.items() if value is not None}
-    entries = [entry for entry in entries if entry.when >= since and wanted.items() <= entry.texts.items()]
+    entries = [entry for entry in every if wanted.items() <= entry.texts.items()]
+    entries = [entry for entry in entries if entry.when >= since] if since else entries
     shown = entries[: arguments.last or (len(entries) if data else _MOST_ROWS)]
+    serials = set() if arguments.gauge else {entry.serial for entry in shown}  # ten thousand figures take a while
+    alike = _series([entry for entry in every if entry.serial in serials])
+    moved = {path: moves for runs in alike for path, moves in _moves(runs).items()}
+    charted = _series(entries) if arguments.serial else []
     found = {
         "folder": str(folder),
         "found": len(entries),
-        "recordings": [_row(entry, folder, moved.get(entry.path, [])) for entry in shown],
-        "charts": [_chart(runs) for runs in _series(entries) if arguments.serial and sum(map(_counts, runs)) > 1],
+        "recordings": [_row(entry, folder, moved.get(entry.file, [])) for entry in shown],
+        "charts": [_chart(runs) for runs in charted if sum(map(_counts, runs)) > 1],
     }
     if arguments.gauge:
         found = {"folder": str(folder), "gauge": [_study(runs) for runs in _series(entries[: arguments.last], 2)]}
@@ -78,6 +80,8 @@ async def _listed(folder: Path, quiet: bool) -> list[Entry]:
         async for entry in archive.entries(folder):
             found.append(entry)
             if archive.unread:
+                from station.render.progress import TracingProgress  # takes as long as what is listed here
+
                 bar = bar or stack.enter_context(TracingProgress(quiet))
                 left = archive.unread
                 bar.show(len(found) / (len(found) + left), f"reading {folder}: {left} left")
@@ -98,7 +102,7 @@ def _counts(run: Entry) -> bool:
     return run.texts.get("outcome") != "FAIL"
 
 
-def _moves(runs: Sequence[Entry]) -> dict[Path, list[dict[str, Any]]]:
+def _moves(runs: Sequence[Entry]) -> dict[str, list[dict[str, Any]]]:
     """Return by run what moved since the last before it that did not fail, by more than its sigmas explain."""
     x, sd = (np.array([[getattr(gyro, key) for gyro in run.gyros] for run in runs]) for key in ("values", "sds"))
     last = np.maximum.accumulate([n if _counts(run) else -1 for n, run in enumerate(runs)])[:-1]
@@ -108,7 +112,7 @@ def _moves(runs: Sequence[Entry]) -> dict[Path, list[dict[str, Any]]]:
     found = defaultdict(list)
     for n, gyro, state in np.argwhere(np.isfinite(sigmas) & (abs(sigmas) > limit) & (last >= 0)[:, None, None]):
         told = {"gyro": _name(runs[0].gyros[gyro]), "state": STATES[state], "sigmas": float(sigmas[n, gyro, state])}
-        found[runs[n + 1].path].append({**told, "since": runs[last[n]].path.name})
+        found[runs[n + 1].file].append({**told, "since": runs[last[n]].path.name})
     return found
 
 
@@ -123,6 +127,8 @@ def _chart(runs: Sequence[Entry]) -> dict[str, Any]:
 
 def _study(runs: Sequence[Entry]) -> dict[str, Any]:
     """Return a gauge study of runs, its figures by state in SI; None in place of them if there are too few."""
+    from estimator.estimation.repeatability import gauge_study  # takes longer than ten thousand recordings to list
+
     conditions = [(run.texts.get("operator", ""), run.texts.get("station", "")) for run in runs]
     times = Counter(zip((run.serial for run in runs), conditions, strict=True))
     repeated = {serial for (serial, _), number in times.items() if number > 1}

@@ -20,15 +20,17 @@ from textual.css.query import NoMatches
 from textual.driver import Driver
 from textual.message import Message
 from textual.screen import Screen
+from textual.theme import Theme
 from textual.worker import WorkType
 
+from drivers.packaged import packaged_toml
 from station.remote.attaching import running_sessions
 from station.screen.archive.archive import Archive
 from station.screen.bars import SCREENS, STOP_KEY, StopBar
 from station.screen.base import StationScreen
 from station.screen.choices import TWIN_SCALE, Choices
 from station.screen.dialogs import AskDialog, ChooseDialog, HelpDialog, StationDialog
-from station.screen.memory import HIGH_CONTRAST, REMEMBERED, Remembered, load_remembered, save_remembered
+from station.screen.memory import REMEMBERED, Remembered, load_remembered, save_remembered
 from station.screen.sessions.link import SessionLink, sessions_on, sessions_there, stop_session
 from station.screen.sessions.live_run import LiveRun, Stage
 from station.screen.sessions.programs import SessionProcess
@@ -76,7 +78,7 @@ class StationApp(App[None]):
             self.DEFAULT_MODE = "run"
         super().__init__()
         self.remembered: Remembered = load_remembered()
-        self.register_theme(HIGH_CONTRAST)
+        self.register_theme(Theme(**packaged_toml("station.screen", "themes.toml")))  # beside those of textual
         self.theme = self.remembered.theme if self.remembered.theme in self.available_themes else self.theme
         entered = {key: getattr(choices, key) or getattr(self.remembered, key) for key in REMEMBERED}
         self.choices = replace(choices, **entered)

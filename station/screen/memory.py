@@ -7,9 +7,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from textual.theme import Theme
-
-from drivers.packaged import packaged_toml
 from estimator.errors import MISSHAPEN
 from estimator.untrusted import harmless, read_text
 from station.atomic_write import write_whole
@@ -19,8 +16,6 @@ _FOLDER = "turntable-station"
 _FILE = "screen.json"
 REMEMBERED = ("operator", "bench", "script")
 """What is remembered of the fields: the number of a device is not, the next device has another."""
-HIGH_CONTRAST = Theme(**packaged_toml("station.screen", "themes.toml"))
-"""Beside the themes of textual, dark and light."""
 
 
 @dataclass(frozen=True, slots=True)

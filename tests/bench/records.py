@@ -2,6 +2,7 @@
 
 python tests/bench/records.py                  1,000 recordings
 python tests/bench/records.py --count 10000    as many as a bench leaves in years
+python tests/bench/records.py --folder FOLDER  in a folder that is kept, and filled only if it is not there
 
 Recordings are copies of one run on twins, each cut to 20 rows a dataset and with its own number, date, outcome and
 states. Nothing is made faster by that but the disk: what is read for the index is whole.
@@ -107,12 +108,12 @@ def harmed(index: Path, times: int) -> Iterator[str]:
 def measure(folder: Path, count: int, harms: int) -> None:
     """Print what takes how long; AssertionError where a list is not as the files say."""
     took, truth = listed(folder)
-    print(f"{len(truth)} recordings: index made in {took / count * 1000:.1f} s per 1,000", flush=True)
+    print(f"{len(truth)} recordings: index made in {took / count * 1000:.1f} s per 1,000, {_load()}", flush=True)
     assert len(truth) == count
     index = index_file(folder)
     print(f"index: {index.stat().st_size / 1e6:.1f} MB")
     took = min(_as(truth, folder) for _ in range(5))
-    print(f"opened in {took:.2f} s (best of 5)", flush=True)
+    print(f"opened in {took:.2f} s (best of 5), {_load()}", flush=True)
     for options in ([], ["--serial", "SN-0007"], ["--csv"]):
         began = time.monotonic()
         assert station("history", folder, *options).returncode == 0
@@ -121,6 +122,10 @@ def measure(folder: Path, count: int, harms: int) -> None:
         print(f"after {what}: {_as(truth, folder):.1f} s", flush=True)
     index.unlink()
     print(f"after its deletion: {_as(truth, folder):.1f} s")
+
+
+def _load() -> str:
+    return "load " + " ".join(f"{load:.1f}" for load in os.getloadavg())
 
 
 def _as(truth: list[Entry], folder: Path) -> float:
@@ -134,9 +139,12 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=1000)
     parser.add_argument("--harms", type=int, default=10)
+    parser.add_argument("--folder", type=Path)
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         os.environ["XDG_STATE_HOME"] = str(Path(name, "state"))
-        recordings = Path(name, "recordings")
-        fill(recordings, arguments.count)
+        recordings = arguments.folder or Path(name, "recordings")
+        if not recordings.exists():
+            recordings.parent.mkdir(parents=True, exist_ok=True)
+            fill(recordings, arguments.count)
         measure(recordings, arguments.count, arguments.harms)

@@ -7,59 +7,68 @@ import multiprocessing
 import os
 import sys
 import time
-from collections.abc import AsyncIterator, Mapping
+from collections import deque
+from collections.abc import AsyncGenerator, AsyncIterator, Mapping, Sequence
 from concurrent.futures import TimeoutError as TooLong
-from contextlib import redirect_stderr, suppress
+from contextlib import aclosing, redirect_stderr, suppress
 from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any
 
 from pebble import ProcessExpired, ProcessPool
 
-from station.screen.archive.entries import Entry, Whole
-from station.screen.archive.index import File, keep, load
+from station.screen.archive.entries import Entry, File, Whole
+from station.screen.archive.index import keep, load
 
 _LIMIT_S = 10.0
 _WRITE_LIMIT_S = 120.0
+_KEPT_AT_ONCE = 64
+_MANY = 200  # files, to read which several processes are begun
+_PER_CORE = 2  # processes: one waits for its disk while another computes
+_LATER = 10
 _TICK_NS = 50_000_000  # a file that changed less ago may change again under the same date
 
 
 class Archive:
-    """Reads recordings one after the other. What takes too long or kills its reader is called damaged."""
+    """Reads recordings, as many at once as it has processes. What takes too long or kills its reader is damaged."""
 
-    def __init__(self) -> None:
+    def __init__(self, count: int = 1) -> None:
+        self._count, self._turn = count, asyncio.Semaphore(count)
         self._pool: ProcessPool | None = None
-        self._turn = asyncio.Lock()
         self._known: dict[File, Entry] = {}
         self.unread = 0
 
     async def entries(self, folder: Path) -> AsyncIterator[Entry]:
         """Yield the recordings of a folder and its subfolders: known ones, then ``unread`` others.
 
-        Of both those that changed last come first. What is read is indexed at once; what cannot be read is tried again
-        by the next program.
+        Of both those that changed last come first. What is read is soon indexed; what cannot be read is tried again by
+        the next program.
         """
-        files = await asyncio.to_thread(_files, folder)
+        began_ns, files = time.time_ns(), await asyncio.to_thread(_files, folder)
         if not self._known.keys() >= set(files):
             self._known |= await asyncio.to_thread(load, folder)
-        others = {file for file in files if file not in self._known}
-        self.unread = len(others)
-        for file in sorted(files, key=others.__contains__):
-            if file not in self._known:
-                settled = abs(time.time_ns() - file[1]) > _TICK_NS
-                entry = (await self._read(Path(file[0]), file[1] * 1e-9, everything=False)).entry
+        others = [file for file in files if file not in self._known]
+        self.unread, unkept, enough = len(others), dict[File, Entry](), 1
+        for entry in [self._known[file] for file in files if file in self._known]:
+            if not entry.foreign:
+                yield entry
+        async with aclosing(self._read_all(others)) as found:
+            async for file, entry in found:
                 self._known[file], self.unread = entry, self.unread - 1
-                if settled and (entry.foreign or not entry.wrong):
-                    await asyncio.to_thread(keep, folder, file, entry)  # the disk may be slow, and no key waits for it
-            if not self._known[file].foreign:
-                yield self._known[file]
+                if abs(began_ns - file[1]) > _TICK_NS and (entry.foreign or not entry.wrong):
+                    unkept[file] = entry
+                if len(unkept) >= enough or file == others[-1]:  # the disk may be slow, and no key waits for it
+                    kept = await asyncio.to_thread(keep, folder, unkept)
+                    unkept, enough = ({}, min(2 * enough, _KEPT_AT_ONCE)) if kept else (unkept, 2 * enough)
+                if not entry.foreign:
+                    yield entry
 
     async def read(self, path: Path) -> Whole:
         """Return a whole recording; its entry says what is wrong, if something is."""
         try:
             when_utc_s = (await asyncio.to_thread(path.stat)).st_mtime
         except OSError as error:
-            return Whole(Entry(path, 0.0, wrong=error.strerror or "it cannot be read"))
+            return Whole(Entry(str(path), 0.0, wrong=error.strerror or "it cannot be read"))
         return await self._read(path, when_utc_s, everything=True)
 
     async def accept(self, path: Path, attributes: Mapping[str, str]) -> str:
@@ -71,16 +80,31 @@ class Archive:
         return wrong
 
     async def close(self) -> None:
-        """End the process that reads."""
+        """End the processes that read."""
         pool, self._pool = self._pool, None
         if pool is not None:
             pool.stop()  # type: ignore[no-untyped-call]
             await asyncio.to_thread(pool.join)
 
+    async def _read_all(self, files: Sequence[File]) -> AsyncGenerator[tuple[File, Entry]]:
+        """Yield files with their entries; many are read by several processes, which end with it."""
+        many = len(files) > _MANY
+        readers, tasks = Archive(_PER_CORE * (os.cpu_count() or 1)) if many else self, deque[asyncio.Task[Whole]]()
+        try:
+            for at, file in enumerate(files):
+                for path, mtime_ns, _ in files[at + len(tasks) : at + 2 * readers._count]:
+                    tasks.append(asyncio.create_task(readers._read(Path(path), mtime_ns * 1e-9, everything=False)))
+                yield file, (await tasks.popleft()).entry
+        finally:
+            for task in tasks:
+                task.cancel()
+            if many:
+                await readers.close()
+
     async def _read(self, path: Path, when_utc_s: float, *, everything: bool) -> Whole:
         async with self._turn:
             found = await self._do("read", path, when_utc_s, everything)
-        return Whole(Entry(path, when_utc_s, wrong=found)) if isinstance(found, str) else found
+        return Whole(Entry(str(path), when_utc_s, wrong=found)) if isinstance(found, str) else found
 
     async def _do(self, work: str, *about: Any, limit_s: float = _LIMIT_S) -> Any:
         """Return what a function of ``reading`` comes to, or in words why it came to nothing."""
@@ -88,7 +112,7 @@ class Archive:
             with redirect_stderr(sys.__stderr__):  # its process gets a file; textual's stand-in is none
                 resource_tracker.ensure_running()
             spawn = multiprocessing.get_context("spawn")
-            self._pool = ProcessPool(1, context=spawn, initializer=_begin)
+            self._pool = ProcessPool(self._count, context=spawn, initializer=_begin, initargs=(self._count > 1,))
         try:
             return await asyncio.wrap_future(self._pool.schedule(_done, (work, *about), timeout=limit_s))
         except TooLong:
@@ -97,9 +121,11 @@ class Archive:
             return "it is damaged: the HDF5 library failed on it"
 
 
-def _begin() -> None:
-    """Leave the terminal to the screen: what HDF5 says of errors, too."""
+def _begin(gives_way: bool) -> None:
+    """Leave the terminal to the screen: what HDF5 says of errors, too. ``gives_way``: to a run beside it."""
     os.setsid()
+    if gives_way:
+        os.nice(_LATER)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
 
 
@@ -110,9 +136,13 @@ def _done(work: str, *about: Any) -> Any:
 
 
 def _files(folder: Path) -> list[File]:
-    found = []
-    for path in (os.path.join(top, name) for top, _, names in os.walk(folder) for name in names):
-        with suppress(OSError):
-            if path.endswith(".h5"):
-                found.append((path, (status := os.stat(path)).st_mtime_ns, status.st_size))
+    found, folders = [], [os.fspath(folder)]
+    while folders:
+        with suppress(OSError), os.scandir(folders.pop()) as inside:
+            for each in inside:
+                if each.is_dir(follow_symlinks=False):
+                    folders.append(each.path)
+                elif each.name.endswith(".h5"):
+                    with suppress(OSError):
+                        found.append((each.path, (status := each.stat()).st_mtime_ns, status.st_size))
     return sorted(found, key=lambda file: file[1], reverse=True)

@@ -9,11 +9,13 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 from station.run.snapshot import GyroSnapshot
 from station.screen.sessions.live_run import Trend
 
+File: TypeAlias = tuple[str, int, int]
+"""Path of a file, when it was changed in nanoseconds since 1970, and its size in bytes."""
 INVESTIGATION = "-investigation"
 """What is added to the name of a recording for the file of its investigation."""
 NO_LIMITS: tuple[float, ...] = (math.inf,) * 4
@@ -26,13 +28,18 @@ class Entry:
     ``foreign``: it is no recording at all, but some other HDF5 file. ``figures``: ``gyros`` as JSON, see there.
     """
 
-    path: Path
+    file: str
     when_utc_s: float
     wrong: str = ""
     foreign: bool = False
     texts: Mapping[str, str] = field(default_factory=dict)
     devices: tuple[str, ...] = ()
-    figures: str = "[]"
+    figures: bytes = b"[]"
+
+    @cached_property
+    def path(self) -> Path:
+        """Where it is."""
+        return Path(self.file)
 
     @cached_property
     def gyros(self) -> tuple[GyroSnapshot, ...]:

@@ -11,21 +11,19 @@ import json
 import os
 import sqlite3
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing, suppress
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 from drivers.packaged import packaged_text
 from estimator.errors import MISSHAPEN
-from station.screen.archive.entries import Entry
+from station.screen.archive.entries import Entry, File
 from station.screen.memory import state_folder
 
 _VERSION = 1  # of what an entry holds: an older index is left to older stations
 _PATIENCE_S = 1.0  # for another station, which writes for some milliseconds
 _TOLD = ("when_utc_s", "wrong", "foreign", "devices", "texts")
-File: TypeAlias = tuple[str, int, int]
-"""Path of a file, when it was changed in nanoseconds since 1970, and its size in bytes."""
 
 
 def index_file(folder: Path) -> Path:
@@ -36,44 +34,48 @@ def index_file(folder: Path) -> Path:
 
 def load(folder: Path) -> dict[File, Entry]:
     """Return what the index of a folder holds; nothing if there is none, or none that can be read."""
-    found = {}
+    found, top = {}, os.path.join(folder, "")
     texts = "IFNULL(CAST(entry AS TEXT), ''), IFNULL(CAST(figures AS TEXT), '')"  # also where harm made them other
-    rows = _done(folder, f"SELECT path, mtime_ns, size, {texts}, checksum FROM recordings")
+    rows = _done(folder, f"SELECT path, mtime_ns, size, {texts}, checksum FROM recordings") or ()
     gc.disable()  # none of ten thousand entries is garbage: to look for it takes a third of the time
     try:
-        for *row, checksum in rows:
-            if checksum == _checksum(row):
-                path, told = os.path.join(folder, os.fsdecode(row[0])), json.loads(row[3])
-                told["devices"] = tuple(told["devices"])
-                found[path, row[1], row[2]] = Entry(Path(path), figures=row[4].decode(), **told)
+        sound = [row for *row, checksum in rows if checksum == _checksum(row)]
+        about = json.loads(b"[%b]" % b",".join(row[3] for row in sound))
+        for (path, mtime_ns, size, _, figures), told in zip(sound, about, strict=True):
+            told["devices"] = tuple(told["devices"])
+            entry = Entry(top + os.fsdecode(path), figures=figures, **told)
+            found[entry.file, mtime_ns, size] = entry
     finally:
         gc.enable()
     return found
 
 
-def keep(folder: Path, file: File, entry: Entry) -> None:
-    """Add a recording to the index of a folder, if it can be written."""
-    told = json.dumps({name: getattr(entry, name) for name in _TOLD})
-    row = [os.fsencode(os.path.relpath(file[0], folder)), *file[1:], told.encode(), entry.figures.encode()]
+def keep(folder: Path, entries: Mapping[File, Entry]) -> bool:
+    """Add recordings to the index of a folder; return whether it could be written."""
+    rows = []
+    for file, entry in entries.items():
+        told = json.dumps({name: getattr(entry, name) for name in _TOLD})
+        rows.append([os.fsencode(os.path.relpath(file[0], folder)), *file[1:], told.encode(), entry.figures])
     values = "CAST(? AS TEXT), ?, ?, CAST(? AS TEXT), CAST(? AS TEXT), ?"
-    _done(folder, f"REPLACE INTO recordings VALUES ({values})", *row, _checksum(row))
+    rows = [[*row, _checksum(row)] for row in rows]
+    return _done(folder, f"REPLACE INTO recordings VALUES ({values})", rows) is not None
 
 
 def _checksum(row: Sequence[Any]) -> int:
     return zlib.crc32(row[4], zlib.crc32(row[3], zlib.crc32(repr(row[:3]).encode())))
 
 
-def _done(folder: Path, sql: str, *values: Any) -> list[Any]:
-    """Return what a statement gives, nothing if it fails; then an index that is not just busy goes."""
+def _done(folder: Path, sql: str, rows: Sequence[Sequence[Any]] | None = None) -> list[Any] | None:
+    """Return what a statement gives, None if it fails; then an index that is not just busy goes."""
     path = index_file(folder)
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         with closing(sqlite3.connect(path, timeout=_PATIENCE_S)) as index, index:
             index.text_factory = bytes
             index.executescript(packaged_text("station.screen.archive", "index.sql"))
-            return index.execute(sql, values).fetchall()
+            return (index.execute(sql) if rows is None else index.executemany(sql, rows)).fetchall()
     except (sqlite3.Error, *MISSHAPEN) as error:  # of a damaged one the words of an error may be no text
         if getattr(error, "sqlite_errorcode", None) != sqlite3.SQLITE_BUSY:
             with suppress(OSError):
                 path.unlink()
-        return []
+        return None

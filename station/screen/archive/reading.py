@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
@@ -23,6 +24,7 @@ from station.screen.archive.entries import INVESTIGATION, NO_LIMITS, Broken, Ent
 from station.screen.sessions.live_run import Trend
 
 _MOST_POINTS = 400
+_LISTED = re.compile(rb"\.|imu(/[^/]+)?|calibration(/(states|sd|name|source))?")  # what an entry is made of
 _TEXTS = ("station", "script", "outcome", "reason", "operator", "device_serial", "accepted_by", "accepted_utc")
 
 
@@ -50,13 +52,13 @@ def accept(path: Path, attributes: Mapping[str, str]) -> str:
 
 def read(path: Path, when_utc_s: float, everything: bool) -> Whole:
     """Return a recording that was changed last at ``when_utc_s``, or only its entry; the entry says what is wrong."""
-    unread = Entry(path, when_utc_s)
+    unread = Entry(str(path), when_utc_s)
     with suppress(RecordingError):  # of a run that goes on, or where nothing can be written: it is shown as it is
         recover(path)
     try:
         # Without HDF5's locks: a session that writes the same file must never find it locked by a reader.
         with h5py.File(path, "r", locking=False) as file:
-            list(objects(path, file))  # which leads nowhere else, and can be held
+            list(objects(path, file, None if everything else _LISTED))  # which leads nowhere else, and can be held
             if plain(file.attrs.get("format")) != FORMAT:
                 return Whole(replace(unread, wrong="an HDF5 file, but no recording", foreign=True))
             version = plain(file.attrs.get("format_version", 0))
@@ -88,7 +90,7 @@ def _entry(unread: Entry, file: Any) -> Entry:
         when_utc_s=unread.when_utc_s if began_utc_s is None else float(began_utc_s),
         texts={name: str(plain(file.attrs.get(name, ""))) for name in _TEXTS},
         devices=tuple(filter(None, dict.fromkeys(devices))) or (str(plain(file.attrs.get("device", ""))),),
-        figures=json.dumps(list(rows)),
+        figures=json.dumps(list(rows)).encode(),
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
 import re
 import shutil
 from collections.abc import Sequence
@@ -13,9 +14,12 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from conftest import HistoryFirst, driven, until
+from textual.pilot import Pilot
 
 from estimator.estimation.control_charts import control_chart
 from station.cli import main
+from station.screen.choices import Choices
 
 _DAY_S = 86_400
 _NOON_S = 1_795_262_400  # 2026-11-21 12:00:00 UTC
@@ -89,6 +93,32 @@ def test_a_device_that_moved_is_told_at_once(series: Path, capsys: pytest.Captur
     (only,) = [each for each in json.loads(history(capsys, series, "--json"))["recordings"] if each["moved"]]
     assert (only["file"], [(m["gyro"], m["state"]) for m in only["moved"]]) == ("day-11.h5", [("gyro1", "b_rps")])
     assert only["moved"][0]["since"] == "day-10.h5"
+
+
+def test_the_end_of_a_run_tells_that_the_device_has_moved(
+    series: Path, runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = ["--bench", str(runs / "bench.toml"), "--script", str(runs / "tiny.toml")]
+    for name in ("new.h5", "newer.h5"):
+        main(["run", *files, "--serial-number", "SN-0042", "-o", str(series / name)])
+        shown = " ".join(capsys.readouterr().out.split())
+        assert ("MOVED since 2026-12-02 12:00 (day-11.h5): b of gyro1 -" in shown) == (name == "new.h5")
+        assert ("MOVED" in shown) == (name == "new.h5")
+        os.utime(series / name, (_NOON_S + 40 * _DAY_S,) * 2)
+
+
+def test_a_result_on_the_screen_tells_that_the_device_has_moved(series: Path) -> None:
+    app = HistoryFirst(Choices(folder=series, operator="A. Operator"))
+
+    async def drive(pilot: Pilot[None]) -> None:
+        for name, moved in (("day-11.h5", True), ("day-10.h5", False)):
+            app.open_recording(series / name)
+            await until(pilot, lambda: app.current_mode == "result")
+            await until(pilot, lambda name=name: f"day-{int(name[4:6]) - 1}" in str(app.screen.query_one("#change").render()))
+            told = " ".join(str(app.screen.query_one("#verdict").render()).split())
+            assert ("MOVED since 2026-12-01 12:00 (day-10.h5): b of gyro1 +" in told) == moved
+
+    driven(app, drive)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import os
 import random
-from contextlib import aclosing
+import sqlite3
+from contextlib import aclosing, closing
 from pathlib import Path
 
 import h5py
@@ -101,6 +102,29 @@ def test_several_stations_use_an_index_at_once(whole: Path) -> None:
     found = asyncio.run(together())
     assert len({tuple(sorted(map(repr, each))) for each in found}) == 1
     assert len(found[0]) == 2
+
+
+def test_an_index_that_another_program_locks_costs_no_recording_and_stays(whole: Path) -> None:
+    before = told(whole)
+    with closing(sqlite3.connect(index_file(whole))) as other:
+        other.execute("BEGIN EXCLUSIVE")
+        assert told(whole) == before
+    spoil(whole / "first.h5")
+    assert told(whole) == before
+
+
+@pytest.mark.full
+def test_many_recordings_are_read_by_several_processes_and_a_hostile_one_costs_only_itself(whole: Path) -> None:
+    for number in range(220):
+        os.link(whole / "first.h5", whole / f"copy-{number:03d}.h5")
+    with h5py.File(whole / "second.h5", "r+") as file:
+        del file["calibration/states"]
+        file["calibration/states"] = h5py.ExternalLink("first.h5", "calibration/states")
+    found = asyncio.run(listed(whole))
+    assert len(found) == 222
+    (wrong,) = [entry for entry in found if entry.wrong]
+    assert wrong.path.name == "second.h5"
+    assert "another file" in wrong.wrong
 
 
 def test_a_first_listing_that_is_cut_short_loses_nothing(whole: Path) -> None:
