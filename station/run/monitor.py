@@ -17,6 +17,7 @@ from drivers.types import ImuBlock
 from station.opening import OpenBench
 from station.opening.reopening import Reopening
 from station.run.live import LiveEstimate
+from station.run.manual import ManualSequencer
 from station.run.sequencer import Sequencer
 from station.run.snapshot import AxisSnapshot, GyroSnapshot, Phase, Snapshot, SourceSnapshot
 from station.run.table_watch import TableRow
@@ -49,8 +50,8 @@ class Monitor:
         self.phase = Phase.CONNECTING
         self.planned_s = 0.0
         """How long the script takes."""
-        self.sequencer: Sequencer | None = None
-        """What drives the script, once it has begun."""
+        self.sequencer: Sequencer | ManualSequencer | None = None
+        """What drives the table, once it is at home."""
         self.row: TableRow | None = None
         """The last row of table readings."""
         self._ended_s: float | None = None

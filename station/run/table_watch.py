@@ -14,6 +14,7 @@ import numpy as np
 from drivers.errors import DeviceFault, LinkLost
 from drivers.protocols import Turntable
 from drivers.types import AxisState, Floats
+from station.run.manual import ManualSequencer
 from station.run.sequencer import Sequencer
 from station.run.uncommanded import MotionGuard
 
@@ -120,7 +121,7 @@ async def watch_table(
     table: Turntable,
     axes: tuple[str, ...],
     rate_hz: float,
-    sequencer: Sequencer,
+    sequencer: Sequencer | ManualSequencer,
     on_row: Callable[[TableRow], None],
     on_lost: Callable[[LinkLost], Awaitable[None]],
 ) -> None:
