@@ -17,7 +17,6 @@ from drivers.types import ImuBlock
 from station.opening import OpenBench
 from station.opening.reopening import Reopening
 from station.run.live import LiveEstimate
-from station.run.manual import ManualSequencer
 from station.run.sequencer import Sequencer
 from station.run.snapshot import AxisSnapshot, GyroSnapshot, Phase, Snapshot, SourceSnapshot
 from station.run.table_watch import TableRow
@@ -50,8 +49,8 @@ class Monitor:
         self.phase = Phase.CONNECTING
         self.planned_s = 0.0
         """How long the script takes."""
-        self.sequencer: Sequencer | ManualSequencer | None = None
-        """What drives the table, once it is at home."""
+        self.sequencer: Sequencer | None = None
+        """What drives the script, once it has begun."""
         self.row: TableRow | None = None
         """The last row of table readings."""
         self._ended_s: float | None = None

@@ -183,11 +183,8 @@ class Session:
         self._script_under_way().resume()
 
     def drive(self, action: str, given: Mapping[str, Any]) -> None:
-        """Have a word of manual mode obeyed (``ManualSequencer.obey``); UsageError if it cannot be."""
-        sequencer = self._script_under_way()
-        if not isinstance(sequencer, ManualSequencer):
-            raise UsageError("this run follows its script: manual mode is `station run --manual`")
-        sequencer.obey(action, given)
+        """Have a word of manual mode obeyed; UsageError if it cannot be, or not now."""
+        self._script_under_way().obey(action, given)
 
     def note(self, text: str) -> None:
         """Keep a note of the operator in the record; UsageError if it is empty, too long, or too late.
@@ -206,7 +203,7 @@ class Session:
         now = self._monitor.brief()
         return f"stopped by {who} in {f'step {now.label!r}' if now.label else f'phase {now.phase.value!r}'}"
 
-    def _script_under_way(self) -> Sequencer | ManualSequencer:
+    def _script_under_way(self) -> Sequencer:
         """Return the sequencer; UsageError if there is no script under way."""
         if self._monitor.sequencer is None:
             raise UsageError("the script has not begun")
@@ -245,15 +242,13 @@ class Session:
             tell = partial(self._event, EventKind.SCRIPT)
             for text in too_steep(self._script, (loop.time() - began_s) / len(axes)):
                 self._event(EventKind.NOTE, text)
-            sequencer = monitor.sequencer = (
-                ManualSequencer(table, acquisition.end_step, tell, self._options.time_scale)
-                if self._options.manual
-                else Sequencer(table, self._script, acquisition.end_step, tell)
-            )
+            end_step, scale = acquisition.end_step, self._options.time_scale
+            sequencer = monitor.sequencer = Sequencer(table, self._script, end_step, tell)
+            if self._options.manual:
+                sequencer = monitor.sequencer = ManualSequencer(table, end_step, tell, scale)
             monitor.phase = Phase.RUNNING
             rate_hz, restore = self._bench.table.poll_rate_hz, partial(self._reopening.restore, "table", table)
-            watch = watch_table(table, axes, rate_hz, sequencer, self._take_row, restore)
-            services.append(_serve(group, watch))
+            services.append(_serve(group, watch_table(table, axes, rate_hz, sequencer, self._take_row, restore)))
             tell("script begins")
             if self._early_end is None:
                 await sequencer.run()
@@ -284,9 +279,7 @@ class Session:
         self._acquisition.take_row(row)
         self._on_progress(self._monitor.brief)
 
-    async def _run_until_enough(
-        self, group: asyncio.TaskGroup, sequencer: Sequencer | ManualSequencer, early_end: EarlyEnd
-    ) -> None:
+    async def _run_until_enough(self, group: asyncio.TaskGroup, sequencer: Sequencer, early_end: EarlyEnd) -> None:
         """Run the script to its end, or until enough has been seen: the table is then still to be stopped."""
 
         async def enough_seen() -> str:

@@ -14,7 +14,6 @@ import numpy as np
 from drivers.errors import DeviceFault, LinkLost
 from drivers.protocols import Turntable
 from drivers.types import AxisState, Floats
-from station.run.manual import ManualSequencer
 from station.run.sequencer import Sequencer
 from station.run.uncommanded import MotionGuard
 
@@ -121,7 +120,7 @@ async def watch_table(
     table: Turntable,
     axes: tuple[str, ...],
     rate_hz: float,
-    sequencer: Sequencer | ManualSequencer,
+    sequencer: Sequencer,
     on_row: Callable[[TableRow], None],
     on_lost: Callable[[LinkLost], Awaitable[None]],
 ) -> None:
