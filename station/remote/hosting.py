@@ -148,7 +148,7 @@ class Host:
             case {"do": "stop" | "pause" | "resume" as action}:
                 getattr(self._run, action)()
             case {"do": "jog" | "go" | "home" | "hold" | "end" as action, **given}:
-                self._run.drive(action, given)
+                self._run.drive(action, cast(Mapping[str, Any], given))
             case {"do": action}:
                 raise UsageError(f"not understood: {str(action)[:40]!r}")
             case _:

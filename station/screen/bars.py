@@ -109,7 +109,8 @@ def _stop_words(run: LiveRun) -> tuple[str, str]:
     if run.silent_s > SILENCE_S:
         return f"{STOP_WORDS}   no word from the session for {run.silent_s:.0f} s", "armed"
     snapshot = run.snapshot
-    doing = "starting" if snapshot is None else f"{snapshot.phase}, {clock(snapshot.remaining_s)} left"
+    doing = "starting" if snapshot is None else str(snapshot.phase)
+    doing += f", {clock(snapshot.remaining_s)} left" if snapshot is not None and snapshot.remaining_s else ""
     return f"{STOP_WORDS}   or Ctrl+C, or press here   {doing}", "armed"
 
 

@@ -14,12 +14,12 @@ from textual.containers import Container
 
 from station.run.snapshot import Snapshot
 from station.screen.bars import SILENCE_S, Lines
-from station.screen.base import StationScreen
 from station.screen.charts import Charts
 from station.screen.dialogs import AskTextDialog
 from station.screen.drawings import RUN_CHARTS, Drawing, run_drawing
 from station.screen.figures import templated
 from station.screen.sessions.live_run import LiveRun, Stage
+from station.screen.tabs.manual import ManualScreen
 
 _SOURCES, _EVENTS = ("sources", "details"), ("events", "latest")  # beside the figures, or at the end of all
 _MOST_EVENTS = 24
@@ -29,7 +29,7 @@ _WHITE_OFF = 0.2
 _MANY_SIGMAS = 4.0  # by which both are off before anybody is to look
 
 
-class RunScreen(StationScreen):
+class RunScreen(ManualScreen):
     """The run, live."""
 
     MODE = "run"
@@ -43,6 +43,7 @@ class RunScreen(StationScreen):
 
     def body(self) -> ComposeResult:
         yield Lines(id="progress")
+        yield Lines(id="manual")
         with Container(id="columns"):
             yield Lines(id="figures")
             yield Lines(id="sources")
@@ -65,6 +66,8 @@ class RunScreen(StationScreen):
         wrapped = partial(textwrap.wrap, width=max(width, 1), max_lines=_REASON_ROWS, placeholder=" ...")
         shown = {"run": run, "others": self.station.others, "width": width, "wrapped": wrapped, "silence_s": SILENCE_S}
         self._show("progress", templated("progress.rich", shown))
+        self._show("manual", templated("manual.rich", self.manual_values(run.snapshot if run is not None else None)))
+        self.query_one("#manual").display = bool(self.table)
         if run is None or run.snapshot is None:  # what is there is of the run before
             for name in ("figures", *_SOURCES, *_EVENTS):
                 self._show(name, Text())
