@@ -228,3 +228,20 @@ def test_an_axis_that_turns_by_itself_in_manual_mode_is_a_fault(tmp_path: Path) 
     result = by_hand(tmp_path, bench_of(tmp_path, more=fault), operate)
     assert result.verdict.outcome is Outcome.FAULT
     assert "axis x turns at" in result.verdict.reason
+
+
+def test_an_interlock_that_opens_is_named_and_check_says_so_before_anything_moves(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    async def operate(hand: Hand) -> None:
+        with suppress(UsageError):  # the session has ended
+            while True:
+                await hand.hold_key("y", 5 * DEG, 0.2)
+
+    fault = '[twin.fault]\naxis = "x"\nat = "{at} s"\nkind = "interlock"'
+    result = by_hand(tmp_path, bench_of(tmp_path, "acutrol_vectornav", fault.format(at=9)), operate)
+    assert result.verdict.outcome is Outcome.FAULT
+    assert "interlock open, or emergency stop pressed" in result.verdict.reason
+    bench_of(tmp_path, "acutrol_vectornav", fault.format(at=0))
+    assert main(["check", str(tmp_path / "bench.toml"), "--json"]) == 4
+    assert "interlock open, or emergency stop pressed" in capsys.readouterr().out
