@@ -24,7 +24,7 @@ class Drive:
     def __init__(self, table: TableModel, axis: str, profile: DriveProfile, watchdog_s: float) -> None:
         """Start in Switch-on disabled; ``watchdog_s`` of silence stops the axis (0: never)."""
         self._table, self._axis = table, axis
-        self._errors = profile.errors
+        self._errors, self._interlock = profile.errors, profile.interlock
         self._state = DriveState.SWITCH_ON_DISABLED
         self._controlword = 0
         self._watchdog_s = watchdog_s
@@ -53,6 +53,8 @@ class Drive:
             return self._table.read_rate_rps(self._axis) / TURN
         if register == "error_code":
             return self._error_code()
+        if register == self._interlock[0]:
+            return 0.0 if self._table.interlock_open else self._interlock[1]
         return self.values[register]
 
     def write(self, register: str, value: float) -> None:
@@ -82,7 +84,7 @@ class Drive:
     def _control(self, word: int) -> None:
         before, self._controlword = self._controlword, word
         rising = word & ~before
-        if rising & 0x80 and self._state is DriveState.FAULT:
+        if rising & 0x80 and self._state is DriveState.FAULT and not self._table.interlock_open:
             self._table.tripped.pop(self._axis, None)
             self._state = DriveState.SWITCH_ON_DISABLED
             return

@@ -44,7 +44,7 @@ def test_no_axis_is_enabled_while_the_interlock_is_open(kind: str) -> None:
             await table.enable()
             status = await table.status("x")
             assert status.enabled
-            assert not (status.interlock or status.fault)
+            assert not status.trouble
 
     virtually(main)
 
