@@ -1,6 +1,7 @@
 """A CiA 402 servo drive over one axis of the table model: state machine, modes, set-points, watchdog."""
 
 import math
+from collections.abc import Callable
 
 from drivers.tables.modbus import cia402
 from drivers.tables.modbus.cia402 import DriveState
@@ -43,19 +44,15 @@ class Drive:
     def read(self, register: str) -> float:
         """Return what a register says now."""
         self._update()
-        if register == "statusword":
-            return self._statusword()
-        if register == "controlword":
-            return self._controlword
-        if register == "position":
-            return self._table.encoder_turns(self._axis)
-        if register == "rate":
-            return self._table.read_rate_rps(self._axis) / TURN
-        if register == "error_code":
-            return self._error_code()
-        if register == self._interlock[0]:
-            return 0.0 if self._table.interlock_open else self._interlock[1]
-        return self.values[register]
+        told: dict[str, Callable[[], float]] = {
+            "statusword": self._statusword,
+            "controlword": lambda: self._controlword,
+            "position": lambda: self._table.encoder_turns(self._axis),
+            "rate": lambda: self._table.read_rate_rps(self._axis) / TURN,
+            "error_code": self._error_code,
+            self._interlock[0]: lambda: 0 if self._table.interlock_open else self._interlock[1],
+        }
+        return told[register]() if register in told else self.values[register]
 
     def write(self, register: str, value: float) -> None:
         """Take a value; a controlword acts at once."""

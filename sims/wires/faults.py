@@ -117,10 +117,7 @@ class DeviceFaults:
 
 @dataclass(frozen=True, slots=True)
 class TableFault:
-    """A fault of one axis of the table at an instant: a fault input, a limit switch, a servo that trips or turns it.
-
-    An ``interlock`` opens for all axes.
-    """
+    """A fault at an instant: of an axis its input, limit switch, servo that trips or turns it; of all the interlock."""
 
     axis: str = field(metadata=choice(("x", "y", "z")))
     at_s: float = field(metadata=given("s", least=0))

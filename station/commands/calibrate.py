@@ -99,8 +99,7 @@ def estimate(name: str, *, limits: _Rules | None, write: bool, model: ErrorModel
     text, plugins = str(recording.attributes.get("bench", "")), recording.attributes.get("plugins", ())
     least, excluded = limits or (read_limits(text), read_excluded(text, plugins))
     calibration = calibrate(recording, model=model, excluded=excluded)
-    by_hand = recording.attributes.get("outcome") == Outcome.MANUAL
-    verdict = MANUAL_VERDICT if by_hand else judge(calibration, least)
+    verdict = MANUAL_VERDICT if recording.attributes.get("outcome") == Outcome.MANUAL else judge(calibration, least)
     if write:
         try:
             write_calibration(Path(name), calibration)

@@ -83,10 +83,8 @@ def choices_of(arguments: argparse.Namespace) -> Choices:
     from station.screen.choices import Choices
 
     given = vars(arguments)
-    if given.get("output") or given.get("json") or given.get("manual"):
-        raise UsageError(
-            "--ui goes without --json, --output (give a folder to `station ui --folder`) and --manual (F10 on Prepare)"
-        )
+    if given.get("output") or given.get("json"):
+        raise UsageError("--ui goes without --json and --output: give a folder to `station ui --folder`")
     run_options = [word for name in ("reset_fault", "end_early") if given.get(name) for word in (_option(name),)]
     for name in ("model", "seed"):
         if given.get(name) is not None:

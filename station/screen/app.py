@@ -2,7 +2,6 @@
 
 import asyncio
 import gc
-import math
 import os
 import select
 import sys
@@ -35,8 +34,9 @@ from station.screen.sessions.live_run import LiveRun, Stage
 from station.screen.sessions.programs import SessionProcess
 from station.screen.tabs.giving_out import offered
 from station.screen.tabs.history import HistoryScreen
+from station.screen.tabs.manual import begin_manual
 from station.screen.tabs.prepare import PrepareScreen
-from station.screen.tabs.prospects import Prospect, look_ahead
+from station.screen.tabs.prospects import Prospect
 from station.screen.tabs.result import ResultScreen
 from station.screen.tabs.run import RunScreen
 
@@ -45,7 +45,6 @@ _YIELD_S = 0.001  # after which a chart that is being drawn lets the thread go o
 _HANGUP_S = 0.5
 _OTHERS_S = 2.0
 _SETTLED_S = 2.0
-_AGAIN_S = 5.0
 _STOP_KEYS = (STOP_KEY, "ctrl+c")
 
 
@@ -93,7 +92,6 @@ class StationApp(App[None]):
         self._told_by_key = False
         self._leaving = False
         self._to_open: tuple[Path, bool] | None = None
-        self._refused: dict[str, float] = {}
 
     @property
     def busy(self) -> bool:
@@ -156,7 +154,10 @@ class StationApp(App[None]):
         """Offer what can be made of the recording on the screen, and what textual offers; keys are told by F1."""
         if isinstance(screen, StationScreen) and screen.recording is not None:
             yield from offered(self, screen.recording)
-        yield SystemCommand("Manual mode", "Jog, go to, home and hold by hand, without a script", self.begin_manual)
+        if isinstance(screen, StationScreen):
+            yield SystemCommand(
+                "Manual mode", "Drive the table by hand, without a script", partial(begin_manual, screen)
+            )
         yield from (command for command in super().get_system_commands(screen) if command.title != "Keys")
 
     async def action_quit(self) -> None:
@@ -178,36 +179,15 @@ class StationApp(App[None]):
     def start_run(self, prospect: Prospect) -> None:
         """Start a session with what was chosen on a bench, keep what was entered, and show the session."""
         self._remember()
-        self.work(partial(self._start, prospect, self.choices), "start")
+        self.work(partial(self._start, prospect), "start")
 
-    def begin_manual(self) -> None:
-        """Ask, and begin manual mode on the bench that is chosen: the table is homed first."""
-        if self.busy:
-            self.notify("a session runs: F3 shows it", title="Not started", severity="warning")
-        else:
-            answers = [("back", "Back"), ("begin", "Begin: the table moves to its home")]
-            question = (
-                f"Manual mode on {self.choices.bench or 'the built-in twins'}: drive by hand, recorded, not judged."
-            )
-            begin = partial(self.work, self._begin_manual, "start")
-            self.push_screen(AskDialog(question, answers), lambda answer: begin() if answer == "begin" else None)
-
-    async def _begin_manual(self) -> None:
-        prospect = await asyncio.to_thread(look_ahead, self.choices)
-        wrong = prospect.bench_wrong or prospect.folder_wrong
-        if self.bench_recalled and not prospect.all_twins:
-            wrong = f"bench {prospect.bench} is that of the last run, and real: F6 on Prepare opens it"
-        if wrong:
-            self.notify(wrong, title="Not started", severity="error", markup=False)
-        else:
-            await self._start(prospect, self.choices.by_hand(prospect.all_twins))
-
-    async def _start(self, prospect: Prospect, choices: Choices) -> None:
+    async def _start(self, prospect: Prospect) -> None:
         others = await sessions_on(prospect.bench, self.choices.bench)
         if self.busy or others:
             said = f"process {others[0]}" if others else "it is on F3"
             self.notify(f"a session runs on this bench already: {said}", title="Not started", severity="error")
             return
+        choices = self.choices.by_hand(prospect.all_twins) if prospect.manual else self.choices
         recording = await asyncio.to_thread(lambda: choices.new_recording().absolute())
         scale = choices.scale or (TWIN_SCALE if prospect.all_twins else None)
         try:
@@ -351,10 +331,8 @@ class StationApp(App[None]):
     def _tick(self) -> None:
         self._show_stop()
         while self.shown is not None and self.shown.refusals:
-            text, now_s = self.shown.refusals.popleft(), time.monotonic()
-            if self._refused.get(text, -math.inf) < now_s - _AGAIN_S:  # a key that is held says it again and again
-                self._refused[text] = now_s
-                self.notify(text, title="The session refused", severity="warning", markup=False)
+            self.clear_notifications()  # a key that is held is refused again and again
+            self.notify(self.shown.refusals.popleft(), title="The session refused", severity="warning", markup=False)
         with suppress(ScreenStackError, NoMatches):  # the screen is on its way in, or the app on its way out
             for screen in self.screen_stack:  # also below a question
                 if isinstance(screen, StationScreen):

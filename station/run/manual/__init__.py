@@ -99,15 +99,15 @@ class ManualSequencer(Sequencer):
         self._word.set()
 
     async def run(self) -> None:
-        """Carry out words until "end"; DeviceRefused if an axis does not come to rest, or not where it was sent."""
+        """Carry out words until "end"; DeviceRefused if an axis does not come to rest."""
         while not self._ended:
-            self._word.clear()
-            while self._orders:
+            if self._orders:
                 step = self._orders[0]
                 await self._turn(step)
                 if self._orders and self._orders[0] is step:
                     self._orders.popleft()
-            if not self._ended:
+            else:
+                self._word.clear()
                 await self._word.wait()
 
     async def _turn(self, step: Move) -> None:
@@ -133,13 +133,13 @@ class ManualSequencer(Sequencer):
     async def _arrives(self, step: Move) -> bool:
         """Return whether an axis came where it was sent, before another word came or the last was too old."""
         loop, due_s = asyncio.get_running_loop(), self._step_began_s + self._durations_s[0] + OVERDUE_S
-        while self._orders and self._orders[0] is step and loop.time() < self._until_s:
+        while self._orders and self._orders[0] is step and loop.time() < min(self._until_s, due_s):
             await asyncio.sleep(WATCH_S)
-            if (await self._table.status(step.axis)).target_reached or loop.time() > due_s:
-                angle_rad = (await self._table.read(step.axis)).angle_rad
-                if abs(angle_rad - step.angle_rad) < ON_TARGET_RAD:
-                    return True
-                self._check_due(step, angle_rad, due_s)
+            off_rad = (await self._table.read(step.axis)).angle_rad - step.angle_rad
+            if abs(off_rad) < ON_TARGET_RAD and (await self._table.status(step.axis)).target_reached:
+                return True
+        if loop.time() > due_s:
+            self._tell(f"overdue, ended: {step.label}")
         return False
 
     async def _halt(self, step: Move) -> float:
@@ -154,11 +154,8 @@ class ManualSequencer(Sequencer):
             angle_rad = (await self._table.read(axis)).angle_rad
             if reached and abs(angle_rad - before_rad) < ON_TARGET_RAD:
                 break
-            self._check_due(step, angle_rad, now_s + ramp_s + OVERDUE_S)
+            if asyncio.get_running_loop().time() > now_s + ramp_s + OVERDUE_S:
+                said = f"axis {axis} was to come to rest, and is not seen at rest at {angle_rad * _DEG:.2f} deg"
+                raise DeviceRefused("table", said)
         await self._table.move(axis, angle_rad, _HOLD_RPS, step.acceleration_rps2)  # a rate of zero may drift
         return angle_rad
-
-    def _check_due(self, step: Move, angle_rad: float, due_s: float) -> None:
-        if asyncio.get_running_loop().time() > due_s:
-            said = f"{step.label!r} is overdue: axis {step.axis} is at {angle_rad * _DEG:.2f} deg and not at rest there"
-            raise DeviceRefused("table", said)

@@ -43,7 +43,6 @@ class RunScreen(ManualScreen):
 
     def body(self) -> ComposeResult:
         yield Lines(id="progress")
-        yield Lines(id="manual")
         with Container(id="columns"):
             yield Lines(id="figures")
             yield Lines(id="sources")
@@ -65,9 +64,7 @@ class RunScreen(ManualScreen):
         width = self.size.width - 4
         wrapped = partial(textwrap.wrap, width=max(width, 1), max_lines=_REASON_ROWS, placeholder=" ...")
         shown = {"run": run, "others": self.station.others, "width": width, "wrapped": wrapped, "silence_s": SILENCE_S}
-        self._show("progress", templated("progress.rich", shown))
-        self._show("manual", templated("manual.rich", self.manual_values(run.snapshot if run is not None else None)))
-        self.query_one("#manual").display = bool(self.table)
+        self._show("progress", templated("progress.rich", {**shown, **self.manual_values()}))
         if run is None or run.snapshot is None:  # what is there is of the run before
             for name in ("figures", *_SOURCES, *_EVENTS):
                 self._show(name, Text())
