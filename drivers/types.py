@@ -84,13 +84,22 @@ class AxisState:
 
 @dataclass(frozen=True, slots=True)
 class AxisStatus:
-    """Condition of one axis; ``fault`` is the device's own text, ``caution`` what else to know; empty if nothing."""
+    """Condition of one axis; ``fault`` is the device's own text, ``caution`` what else to know; empty if nothing.
+
+    ``interlock``: that an interlock or emergency stop keeps it from moving; empty, too, where no protocol tells.
+    """
 
     enabled: bool
     target_reached: bool
     fault: str
     text: str
     caution: str = ""
+    interlock: str = ""
+
+    @property
+    def trouble(self) -> str:
+        """Why the axis must not be moved, empty if it may be."""
+        return "; ".join(filter(None, (self.interlock, self.fault)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,6 +7,7 @@ from drivers.errors import DeviceFault, DeviceRefused
 from drivers.tables.halting import bring_to_rest
 from drivers.types import AxisLimits, AxisState, AxisStatus
 
+INTERLOCK_OPEN = "interlock open, or emergency stop pressed: close it"
 _HOMING_LIMIT_S = 60.0
 
 
@@ -29,24 +30,24 @@ class Table:
             if not (await self.status(axis)).fault:
                 continue
             await self._clear_fault(axis)
-            if fault := (await self.status(axis)).fault:
-                raise DeviceFault(self._device, f"{fault}; it stays after a reset, its cause is still there")
+            if trouble := (await self.status(axis)).trouble:
+                raise DeviceFault(self._device, f"{trouble}; it stays after a reset, its cause is still there")
 
     async def _clear_fault(self, axis: str) -> None:
         raise NotImplementedError
 
     async def _sound(self, axis: str) -> AxisStatus:
-        """Return the status of an axis that is to be enabled; DeviceFault if it is in fault."""
+        """Return the status of an axis that is to be enabled; DeviceFault in a fault or interlock."""
         status = await self.status(axis)
-        if status.fault:
-            raise DeviceFault(self._device, f"{status.fault}; clear its cause, then start with --reset-fault")
+        if status.trouble:
+            raise DeviceFault(self._device, f"{status.trouble}; clear its cause, then start with --reset-fault")
         return status
 
     async def _at_home(self, axis: str) -> bool:
         """Return whether an axis that was sent home is there; DeviceFault if it is in fault."""
         status = await self.status(axis)
-        if status.fault:
-            raise DeviceFault(self._device, status.fault)
+        if status.trouble:
+            raise DeviceFault(self._device, status.trouble)
         return status.target_reached
 
     async def _wait_for_home(self, poll_s: float) -> None:

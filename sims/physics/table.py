@@ -11,6 +11,7 @@ from sims.physics.hidden.table import TableFaults
 from sims.physics.motion import AxisMotion
 
 FOLLOWING_ERROR = "following error"  # reason of a trip by which the servo itself gives up
+SAFE_TORQUE_OFF = "safe torque off"  # of one by an open interlock
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +49,7 @@ class TableModel:
         self.read = {name: faults.read(name, motion.at, started_s) for name, motion in self.motion.items()}
         """Angle from the mechanical home position (rad) and rate (rad/s) as they are read, by axis, at an instant."""
         self.tripped: dict[str, str] = {}
+        self.interlock_open = False
         self.pressed: dict[str, int] = {}  # limit switches: 1 forward, -1 reverse
         # Encoders count from where they were switched on until a homing run zeroes them at home.
         self._zero = {name: data.start_angle_rad for name, data in axes.items()}
@@ -102,6 +104,12 @@ class TableModel:
         """Pull the fault input of an axis: it brakes by itself and its drive goes to fault."""
         self.tripped[axis] = reason
         self.stop(axis)
+
+    def open_interlock(self) -> None:
+        """Open the interlock, or press the emergency stop: every axis brakes, and no reset helps until it is closed."""
+        self.interlock_open = True
+        for axis in self.data:
+            self.trip(axis, SAFE_TORQUE_OFF)
 
     def press_limit(self, axis: str, direction: int) -> None:
         """Press the limit switch of a direction, 1 or -1: an axis that turns that way brakes by itself."""

@@ -42,7 +42,7 @@ class AcutrolAxisTwin:
             self.power_down()
         elif word == "reset":
             self._table.tripped.pop(self._axis, None)
-            self.faulty = False
+            self.faulty = self._table.interlock_open
         elif self.faulty:
             raise AclError("Interlock fault")
         else:

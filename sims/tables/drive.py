@@ -1,6 +1,7 @@
 """A CiA 402 servo drive over one axis of the table model: state machine, modes, set-points, watchdog."""
 
 import math
+from collections.abc import Callable
 
 from drivers.tables.modbus import cia402
 from drivers.tables.modbus.cia402 import DriveState
@@ -24,7 +25,7 @@ class Drive:
     def __init__(self, table: TableModel, axis: str, profile: DriveProfile, watchdog_s: float) -> None:
         """Start in Switch-on disabled; ``watchdog_s`` of silence stops the axis (0: never)."""
         self._table, self._axis = table, axis
-        self._errors = profile.errors
+        self._errors, self._interlock = profile.errors, profile.interlock
         self._state = DriveState.SWITCH_ON_DISABLED
         self._controlword = 0
         self._watchdog_s = watchdog_s
@@ -43,17 +44,15 @@ class Drive:
     def read(self, register: str) -> float:
         """Return what a register says now."""
         self._update()
-        if register == "statusword":
-            return self._statusword()
-        if register == "controlword":
-            return self._controlword
-        if register == "position":
-            return self._table.encoder_turns(self._axis)
-        if register == "rate":
-            return self._table.read_rate_rps(self._axis) / TURN
-        if register == "error_code":
-            return self._error_code()
-        return self.values[register]
+        told: dict[str, Callable[[], float]] = {
+            "statusword": self._statusword,
+            "controlword": lambda: self._controlword,
+            "position": lambda: self._table.encoder_turns(self._axis),
+            "rate": lambda: self._table.read_rate_rps(self._axis) / TURN,
+            "error_code": self._error_code,
+            self._interlock[0]: lambda: 0 if self._table.interlock_open else self._interlock[1],
+        }
+        return told[register]() if register in told else self.values[register]
 
     def write(self, register: str, value: float) -> None:
         """Take a value; a controlword acts at once."""
@@ -82,7 +81,7 @@ class Drive:
     def _control(self, word: int) -> None:
         before, self._controlword = self._controlword, word
         rising = word & ~before
-        if rising & 0x80 and self._state is DriveState.FAULT:
+        if rising & 0x80 and self._state is DriveState.FAULT and not self._table.interlock_open:
             self._table.tripped.pop(self._axis, None)
             self._state = DriveState.SWITCH_ON_DISABLED
             return

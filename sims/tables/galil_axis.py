@@ -4,7 +4,7 @@ import math
 
 from drivers.packaged import packaged_toml
 from drivers.tables.galil import language as galil
-from sims.physics.table import FOLLOWING_ERROR, TableModel
+from sims.physics.table import FOLLOWING_ERROR, SAFE_TORQUE_OFF, TableModel
 from sims.wires.line_controller import Refused
 
 TURN = 2 * math.pi
@@ -40,7 +40,8 @@ class GalilAxisTwin:
             self._moving, self._stop_code = False, galil.REVERSE_LIMIT if self._way < 0 else galil.FORWARD_LIMIT
         elif reason is not None and not self.motor_off:
             self.motor_off, self._moving = True, False
-            self._stop_code = galil.OFF_ON_ERROR if reason == FOLLOWING_ERROR else galil.AMPLIFIER_FAULT
+            codes = {FOLLOWING_ERROR: galil.OFF_ON_ERROR, SAFE_TORQUE_OFF: galil.ABORT_INPUT}
+            self._stop_code = codes.get(reason, galil.AMPLIFIER_FAULT)
         if self._moving and pressed and pressed == self._way and self._end not in galil.LIMIT_STOPS:
             self._end = galil.FORWARD_LIMIT if pressed > 0 else galil.REVERSE_LIMIT
             self._brake(self._table.data[self._axis].max_acceleration_rps2)
@@ -110,7 +111,7 @@ class GalilAxisTwin:
         if word == "MO":
             self.motor_off = True
         elif word == "SH":
-            if self._table.rate_rps(self._axis) == 0.0:
+            if self._table.rate_rps(self._axis) == 0.0 and not self._table.interlock_open:
                 self._table.tripped.pop(self._axis, None)
                 self.motor_off = False
         else:

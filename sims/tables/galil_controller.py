@@ -42,7 +42,7 @@ class GalilController(LineController):
         """Axes have letters as addresses; velocities are means of the option ``velocity_window`` (s)."""
         super().__init__(seat, write)
         by_letter = sorted(seat.addresses.items(), key=lambda a: str(a[1]))
-        window_s = seat.options["velocity_window"]
+        self._table, window_s = seat.table, seat.options["velocity_window"]
         self._axes = {letter: GalilAxisTwin(seat.table, axis, window_s) for axis, letter in by_letter}
         self._echo, self._revision, self._serial = echo, revision, serial + seat.number
         self._error = 0
@@ -150,11 +150,12 @@ class GalilController(LineController):
         """Tell texts in quotation marks, numbers, and what the controller knows (``_TPA``)."""
         parts = []
         decimals = round(self._own["VF"][0] % 1 * 10)
+        own = {"_BN": self._serial, "_AB": int(not self._table.interlock_open)}
         for part in re.findall(r'"[^"]*"|[^,"]+', operand):
             if part.startswith('"'):
                 parts.append(part[1:-1])
-            elif part.strip() == "_BN":
-                parts.append(f" {self._serial}.0000")
+            elif part.strip() in own:
+                parts.append(f" {own[part.strip()]}.0000")
             elif part.strip().startswith("_"):
                 name = part.strip()
                 parts.append(f"{self._axis(name[3:]).get(name[1:3]): .{decimals}f}")

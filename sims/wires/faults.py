@@ -36,7 +36,7 @@ from sims.wires.wires import ByteDevice, Plug, Write
 T = TypeVar("T")
 
 _MOST_UNDER_WAY = 100_000
-_KINDS = {"fault": "fault input", "limit": "limit switch", "servo": FOLLOWING_ERROR, "runaway": ""}
+_KINDS = {"fault": "fault input", "limit": "limit switch", "servo": FOLLOWING_ERROR, "runaway": "", "interlock": ""}
 _RUNAWAY_RPS = math.radians(20.0)
 
 
@@ -127,7 +127,7 @@ class DeviceFaults:
 
 @dataclass(frozen=True, slots=True)
 class TableFault:
-    """A fault of one axis of the table at an instant: a fault input, a limit switch, a servo that trips or turns it."""
+    """A fault at an instant: of an axis its input, limit switch, servo that trips or turns it; of all the interlock."""
 
     axis: str = field(metadata=choice(("x", "y", "z")))
     at_s: float = field(metadata=given("s", least=0))
@@ -137,6 +137,8 @@ class TableFault:
         """Let it happen; ``limits_trip`` is of drives that know a limit switch only as a reason to trip."""
         if self.kind == "runaway":
             table.motion[self.axis].jog(table.clock(), _RUNAWAY_RPS, table.data[self.axis].max_acceleration_rps2)
+        elif self.kind == "interlock":
+            table.open_interlock()
         elif self.kind == "limit" and not limits_trip:
             table.press_limit(self.axis, 1 if table.rate_rps(self.axis) >= 0 else -1)
         else:

@@ -32,7 +32,7 @@ from station.render.printing import (
     result_object,
 )
 from station.render.terminal import print_rendered, stdout
-from station.run.outcome import Verdict, judge
+from station.run.outcome import MANUAL_VERDICT, Outcome, Verdict, judge
 
 _IN_FULL = 5  # more recordings than this are printed a line each: a person compares them
 _KEPT = ("device", "devices", "script", "seed", "clock_zero_utc_s", "outcome", "reason")
@@ -99,7 +99,7 @@ def estimate(name: str, *, limits: _Rules | None, write: bool, model: ErrorModel
     text, plugins = str(recording.attributes.get("bench", "")), recording.attributes.get("plugins", ())
     least, excluded = limits or (read_limits(text), read_excluded(text, plugins))
     calibration = calibrate(recording, model=model, excluded=excluded)
-    verdict = judge(calibration, least)
+    verdict = MANUAL_VERDICT if recording.attributes.get("outcome") == Outcome.MANUAL else judge(calibration, least)
     if write:
         try:
             write_calibration(Path(name), calibration)

@@ -34,7 +34,8 @@ from station.scripts.script import Script, check, load_script, paper_script
 
 
 def command_run(arguments: argparse.Namespace) -> int:
-    """Run a script on a bench; a hosted run goes on when its terminal is gone."""
+    """Run a script on a bench, or words; a hosted run goes on when its terminal is gone."""
+    arguments.host |= arguments.manual
     if arguments.host:
         ignore_hang_up()
     with lasting_streams() if arguments.host else nullcontext():
@@ -46,7 +47,12 @@ def _run(arguments: argparse.Namespace) -> int:
         bench = chosen_bench(arguments)
         operator = bench.checked_operator(arguments.operator) if arguments.operator is not None else ""
         serial = bench.checked_serial(arguments.serial_number) if arguments.serial_number is not None else ""
-        script = load_script(Path(arguments.script)) if arguments.script else paper_script()
+        if arguments.manual and (arguments.script or arguments.end_early or arguments.model):
+            raise UsageError(
+                "--manual: it follows no script and estimates nothing; leave --script, --end-early, --model out"
+            )
+        script = Script("manual", ()) if arguments.manual else paper_script()
+        script = load_script(Path(arguments.script)) if arguments.script else script
         script = check(script, bench.table.limits)
         if arguments.end_early:
             check_early_end(bench)
@@ -63,6 +69,7 @@ def _run(arguments: argparse.Namespace) -> int:
             arguments.serial_reason or "",
             host is not None,
             scale or 1.0,
+            arguments.manual,
         )
         with clock(bench, scale) as runner:
             result = run_to_end(runner, drive(bench, script, path, options, arguments.json, host, arguments.bench))
@@ -186,7 +193,7 @@ async def drive(
         session = Session(opened, script, path, options, on_progress=progress.show, on_event=on_event)
         if host is None:
             return await session.run()
-        told = {key: getattr(options, key) for key in ("time_scale", "operator", "device_serial")}
+        told = {key: getattr(options, key) for key in ("time_scale", "operator", "device_serial", "manual")}
         await host.begin(session, {**introduction(bench, bench_file, script, path, session.gyros), **told})
         result = await session.run()
         with suppress(asyncio.CancelledError):  # what was seen of the table is told whatever comes now

@@ -129,8 +129,8 @@ async def _check_table(opened: OpenBench, time_scale: float) -> DeviceCheck:
             check.identity = await table.identify()
         for axis in bench.table.gimbals:
             status = await table.status(axis)
-            if status.fault:
-                check.wrong.append(f"{status.fault}; clear its cause, then run with --reset-fault")
+            if status.trouble:
+                check.wrong.append(f"{status.trouble}; clear its cause, then run with --reset-fault")
             elif status.caution:
                 check.wrong.append(status.caution)
             trips = []

@@ -172,6 +172,10 @@ class RemoteSession:
         """Have a note kept in the recording."""
         self._say({"do": "note", "text": text})
 
+    def drive(self, action: str, **given: str | float) -> None:
+        """Say a word of manual mode: "jog", "go", "home", "hold" or "end", with axis and numbers in SI."""
+        self._say({"do": action, **given})
+
     def ask_course(self) -> None:
         """Have it told, as a message of the kind "course", how the estimates went so far."""
         self._say({"do": "course"})
@@ -180,7 +184,7 @@ class RemoteSession:
         """Hang up; the session goes on."""
         self._transport.close()
 
-    def _say(self, request: Mapping[str, str]) -> None:
+    def _say(self, request: Mapping[str, str | float]) -> None:
         self._transport.write(json.dumps(request).encode() + b"\n")
 
 

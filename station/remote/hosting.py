@@ -2,8 +2,8 @@
 
 JSON, a line each. To a client: "hello", the events so far, then every new event and ten snapshots a second of the
 wall's clock, "result" at the end. From a client: ``{"do": "stop"}``, "pause" (after the step under way), "resume",
-``{"do": "note", "text": ...}``; "course", which is answered by the estimates so far, thinned. What is not understood
-or cannot be done is answered "refused" with its reason.
+``{"do": "note", "text": ...}``; "course", which is answered by the estimates so far, thinned; in manual mode the words
+that drive (``station.run.manual``). What is not understood or cannot be done is answered "refused" with its reason.
 
 Nothing a client does, or leaves undone, delays the session: what a slow one does not take is not kept for it, beside
 the events, and the next snapshot that it gets is the newest.
@@ -147,6 +147,8 @@ class Host:
                 self._run.note(text)
             case {"do": "stop" | "pause" | "resume" as action}:
                 getattr(self._run, action)()
+            case {"do": "jog" | "go" | "home" | "hold" | "end" as action, **given}:
+                self._run.drive(action, cast(Mapping[str, Any], given))
             case {"do": action}:
                 raise UsageError(f"not understood: {str(action)[:40]!r}")
             case _:
@@ -295,6 +297,7 @@ def introduction(
             "gyros": gyros,
             "axes": bench.table.gimbals,
             "limits": bench.limits,
+            "table": bench.table.limits,
         }
     )
     return found

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 _NOTE = "note: "  # what a session writes before a note
-_MAY_LACK_ESTIMATE = (Outcome.FAIL, Outcome.ABORTED, Outcome.FAULT)
+_MAY_LACK_ESTIMATE = (Outcome.MANUAL, Outcome.FAIL, Outcome.ABORTED, Outcome.FAULT)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

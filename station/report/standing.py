@@ -28,6 +28,7 @@ class Kind(Enum):
     OVERDUE = ("Calibration report", ": the calibration of an instrument that was used was over")
     NOT_APPROVED = ("Calibration report", ": nobody but the operator approved it, and the bench file asks for another")
     NO_ESTIMATE = ("Report of a failed calibration", ": the run came to no estimate")
+    MANUAL = ("Report of a session in manual mode", ": the table was driven by hand, and nothing was judged")
     ABORTED = ("Report of an aborted run", ": the run was ended before its time")
     FAULT = ("Report of a run that ended by a fault", ": a device failed during the run")
 
@@ -93,7 +94,7 @@ def _guarded(line: LimitLine, found: Calibration, false_accept: float | None) ->
 
 def _kind_of(recorded: Recorded, limits: Limits | None, lines: tuple[LimitLine, ...]) -> tuple[Kind, Verdict | None]:
     ended = _ended(recorded)
-    if ended is not None and ended.outcome in (Outcome.ABORTED, Outcome.FAULT):
+    if ended is not None and ended.outcome in (Outcome.MANUAL, Outcome.ABORTED, Outcome.FAULT):
         return Kind[ended.outcome.name], ended
     if recorded.calibration is None:
         return Kind.NO_ESTIMATE, ended

@@ -19,6 +19,7 @@ class Outcome(StrEnum):
 
     PASS = "PASS"
     ESTIMATED = "ESTIMATED"
+    MANUAL = "MANUAL"
     FAIL = "FAIL"
     ABORTED = "ABORTED"
     FAULT = "FAULT"
@@ -26,7 +27,7 @@ class Outcome(StrEnum):
     @property
     def exit_code(self) -> int:
         """Exit code of the command that ended so."""
-        return {"PASS": 0, "ESTIMATED": 0, "FAIL": 1, "ABORTED": 3, "FAULT": 4}[self.value]
+        return {"PASS": 0, "ESTIMATED": 0, "MANUAL": 0, "FAIL": 1, "ABORTED": 3, "FAULT": 4}[self.value]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +40,7 @@ class Verdict:
     because: tuple[str, ...] = ()
 
 
+MANUAL_VERDICT = Verdict(Outcome.MANUAL, "driven by hand: nothing was judged")
 _UNSEEN_HINT = (
     "these sigmas are mostly effects that this script cannot show: the section undeclared of the bench file says which "
     "are ruled out"

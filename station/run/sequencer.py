@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 from drivers.errors import DeviceRefused
 from drivers.protocols import Turntable
@@ -14,9 +15,9 @@ from station.run.uncommanded import Commanded
 from station.scripts.polling import MARGIN_S, ramp_s, wanted_hz
 from station.scripts.script import Move, Rest, Rotate, Script
 
-_WATCH_S = 0.05  # how often arrival is asked for, from this long before it is due
-_OVERDUE_S = 5.0
-_ON_TARGET_RAD = math.radians(0.05)
+WATCH_S = 0.05  # how often arrival is asked for, from this long before it is due
+OVERDUE_S = 5.0
+ON_TARGET_RAD = math.radians(0.05)
 _PAUSE = "pause"
 
 
@@ -69,6 +70,10 @@ class Sequencer:
         self._tell("resumed" if self.paused == PAUSED else "pause taken back")
         self.paused = ""
         self._resumed.set()
+
+    def obey(self, action: str, given: Mapping[str, Any]) -> None:
+        """Raise UsageError: only a ``ManualSequencer`` is driven by words."""
+        raise UsageError("this run follows its script: `station run --manual` begins one that is driven by hand")
 
     def commanded(self, axis: str) -> Commanded:
         """Return what an axis was told last."""
@@ -139,19 +144,19 @@ class Sequencer:
         self._target_rad[axis] = target
         await self._table.move(axis, target, abs(step.rate_rps), step.acceleration_rps2)
         loop = asyncio.get_running_loop()
-        await asyncio.sleep(max(due_s - _WATCH_S - loop.time(), 0.0))
+        await asyncio.sleep(max(due_s - WATCH_S - loop.time(), 0.0))
         while not (await self._table.status(axis)).target_reached:
-            if loop.time() > due_s + _OVERDUE_S:
+            if loop.time() > due_s + OVERDUE_S:
                 state = await self._table.read(axis)
                 raise DeviceRefused(
                     "table",
                     f"axis {axis} is overdue in step {step.label!r}: it is at {math.degrees(state.angle_rad):.2f} deg, "
                     f"it was sent to {math.degrees(target):.2f} deg",
                 )
-            await asyncio.sleep(_WATCH_S)
+            await asyncio.sleep(WATCH_S)
         await asyncio.sleep(max(due_s - loop.time(), 0.0))
         angle = (await self._table.read(axis)).angle_rad
-        if abs(angle - target) > _ON_TARGET_RAD:
+        if abs(angle - target) > ON_TARGET_RAD:
             raise DeviceRefused(
                 "table",
                 f"axis {axis} says it has arrived in step {step.label!r}, but is at {math.degrees(angle):.3f} deg "

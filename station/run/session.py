@@ -29,7 +29,8 @@ from station.run.early_end import EarlyEnd
 from station.run.event_loop.loops import is_virtual
 from station.run.event_loop.signals import heeded_signals
 from station.run.final_estimate import final_estimate
-from station.run.outcome import Outcome, Verdict, judge
+from station.run.manual import ManualSequencer
+from station.run.outcome import MANUAL_VERDICT, Outcome, Verdict, judge
 from station.run.sequencer import Sequencer
 from station.run.snapshot import EventKind, Phase, Snapshot
 from station.run.table_watch import TableRow, check_axes, watch_table
@@ -70,7 +71,7 @@ class RunOptions:
     ``model``: effects to estimate beside the states; it must fit the table. ``operator`` and ``device_serial`` are
     recorded; without the latter, what the device under test says if there is one. A device that says another number
     ends the run, unless ``serial_reason`` says why both are right. ``outlives_terminal``: SIGHUP does not end the run.
-    ``time_scale`` is how fast the loop's clock runs.
+    ``time_scale`` is how fast the loop's clock runs. ``manual``: words drive the table, the script has no steps.
     """
 
     reset_fault: bool = False
@@ -81,6 +82,7 @@ class RunOptions:
     serial_reason: str = ""
     outlives_terminal: bool = False
     time_scale: float = 1.0
+    manual: bool = False
 
 
 class Session:
@@ -180,6 +182,10 @@ class Session:
         """Go on after a pause, or take it back; UsageError if there is none."""
         self._script_under_way().resume()
 
+    def drive(self, action: str, given: Mapping[str, Any]) -> None:
+        """Have a word of manual mode obeyed; UsageError if it cannot be, or not now."""
+        self._script_under_way().obey(action, given)
+
     def note(self, text: str) -> None:
         """Keep a note of the operator in the record; UsageError if it is empty, too long, or too late.
 
@@ -236,11 +242,13 @@ class Session:
             tell = partial(self._event, EventKind.SCRIPT)
             for text in too_steep(self._script, (loop.time() - began_s) / len(axes)):
                 self._event(EventKind.NOTE, text)
-            sequencer = monitor.sequencer = Sequencer(table, self._script, acquisition.end_step, tell)
+            end_step, scale = acquisition.end_step, self._options.time_scale
+            sequencer = monitor.sequencer = Sequencer(table, self._script, end_step, tell)
+            if self._options.manual:
+                sequencer = monitor.sequencer = ManualSequencer(table, end_step, tell, scale)
             monitor.phase = Phase.RUNNING
             rate_hz, restore = self._bench.table.poll_rate_hz, partial(self._reopening.restore, "table", table)
-            watch = watch_table(table, axes, rate_hz, sequencer, self._take_row, restore)
-            services.append(_serve(group, watch))
+            services.append(_serve(group, watch_table(table, axes, rate_hz, sequencer, self._take_row, restore)))
             tell("script begins")
             if self._early_end is None:
                 await sequencer.run()
@@ -330,7 +338,7 @@ class Session:
             attributes = {"ended_early": self._ended_early} if self._ended_early else {}
             await acquisition.close(attributes, whole=self._verdict is None)
         calibration, agreement = None, float("nan")
-        verdict = self._verdict
+        verdict = self._verdict or (MANUAL_VERDICT if self._options.manual else None)
         if verdict is None:
             self._monitor.phase = Phase.ESTIMATING
             try:

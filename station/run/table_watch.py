@@ -185,8 +185,8 @@ async def check_axes(table: Turntable, axes: tuple[str, ...]) -> None:
     """See that every axis is in operation; DeviceFault if one is not."""
     for axis in axes:
         status = await table.status(axis)
-        if status.fault:
-            raise DeviceFault("table", status.fault)
+        if status.trouble:
+            raise DeviceFault("table", status.trouble)
         if not status.enabled:
             raise DeviceFault(
                 "table", f"axis {axis} has left operation by itself (now {status.text}): its watchdog or an interlock"

@@ -36,6 +36,7 @@ from station.screen.sessions.live_run import LiveRun, Stage
 from station.screen.sessions.programs import SessionProcess
 from station.screen.tabs.giving_out import offered
 from station.screen.tabs.history import HistoryScreen
+from station.screen.tabs.manual import begin_manual
 from station.screen.tabs.prepare import PrepareScreen
 from station.screen.tabs.prospects import Prospect
 from station.screen.tabs.result import ResultScreen
@@ -155,6 +156,10 @@ class StationApp(App[None]):
         """Offer what can be made of the recording on the screen, and what textual offers; keys are told by F1."""
         if isinstance(screen, StationScreen) and screen.recording is not None:
             yield from offered(self, screen.recording)
+        if isinstance(screen, StationScreen):
+            yield SystemCommand(
+                "Manual mode", "Drive the table by hand, without a script", partial(begin_manual, screen)
+            )
         yield from (command for command in super().get_system_commands(screen) if command.title != "Keys")
 
     async def action_quit(self) -> None:
@@ -184,19 +189,25 @@ class StationApp(App[None]):
             said = f"process {others[0]}" if others else "it is on F3"
             self.notify(f"a session runs on this bench already: {said}", title="Not started", severity="error")
             return
-        recording = await asyncio.to_thread(lambda: self.choices.new_recording().absolute())
-        scale = self.choices.scale or (TWIN_SCALE if prospect.all_twins else None)
+        choices = self.choices.by_hand(prospect.all_twins) if prospect.manual else self.choices
+        recording = await asyncio.to_thread(lambda: choices.new_recording().absolute())
+        scale = choices.scale or (TWIN_SCALE if prospect.all_twins else None)
         try:
-            process = SessionProcess(self.choices.run_arguments(recording, scale))
+            process = SessionProcess(choices.run_arguments(recording, scale))
         except OSError as error:
             self.notify(str(error), title="Not started", severity="error", markup=False)
             return
-        self._follow(LiveRun(recording, self.choices.script), process=process)
+        self._follow(LiveRun(recording, choices.script), process=process)
 
     def pause_run(self) -> None:
         """Hold the run after the step under way, or let it go on."""
         if self._link is not None and self.busy:
             self._link.pause()
+
+    def drive(self, action: str, **given: str | float) -> None:
+        """Say a word of manual mode to the session that is shown."""
+        if self._link is not None and self.busy:
+            self._link.drive(action, **given)
 
     def note_run(self, text: str | None) -> None:
         if not text:
@@ -322,6 +333,7 @@ class StationApp(App[None]):
     def _tick(self) -> None:
         self._show_stop()
         while self.shown is not None and self.shown.refusals:
+            self.clear_notifications()  # a key that is held is refused again and again
             self.notify(self.shown.refusals.popleft(), title="The session refused", severity="warning", markup=False)
         with suppress(ScreenStackError, NoMatches):  # the screen is on its way in, or the app on its way out
             for screen in self.screen_stack:  # also below a question

@@ -9,16 +9,15 @@ from textual.app import RenderResult
 from textual.widget import Widget
 from textual.widgets import Static
 
+from station.render.template import rendered
 from station.screen.seen_app import SeenApp
-from station.screen.sessions.live_run import LiveRun, Stage
+from station.screen.sessions.live_run import LiveRun
 from station.views.figures import clock
 
 STOP_KEY = "f9"
 STOP_WORDS = "■ STOP  F9"
-_PATIENCE_S = 2.0  # that a session has to be seen to heed STOP
 SILENCE_S = 3.0
 """After so long without a word from a session, what is shown of it is old."""
-_EMERGENCY = "USE THE EMERGENCY STOP"
 SCREENS = (("prepare", "F2", "Prepare"), ("run", "F3", "Run"), ("result", "F4", "Result"), ("history", "F5", "History"))
 
 
@@ -67,7 +66,9 @@ class StopBar(Widget):
 
     def show(self, run: LiveRun | None, others: int) -> None:
         """Show a run's state; if none is shown, how many ``others`` there are."""
-        text, kind = _stop_words(run) if run is not None else _others_words(others)
+        values = {"run": run, "others": others, "stop": STOP_WORDS, "silence_s": SILENCE_S}
+        line = rendered("station.screen", "stop.txt", {**values, "clock": clock})
+        kind, _, text = line.strip("\n").partition(" ")
         if text != self._text:
             self._text = text
             for each in ("armed", "sent", "rest"):
@@ -82,41 +83,3 @@ class StopBar(Widget):
         """Stop when the button goes down: nobody waits for it to come up."""
         event.stop()
         cast(SeenApp, self.app).action_stop()
-
-
-def _others_words(others: int) -> tuple[str, str]:
-    if not others:
-        return "no session runs", ""
-    what = "your session" if others == 1 else f"your {others} sessions"
-    return f"{STOP_WORDS}   or Ctrl+C: stops {what}, not shown here (F3 o: show)", "armed"
-
-
-def _stop_words(run: LiveRun) -> tuple[str, str]:
-    if run.stage is Stage.ENDED:
-        ended = f"the run has ended: {run.outcome or 'no result'}"
-        if run.at_rest:
-            return f"{ended}, table at rest", "rest"
-        unseen = run.moved or run.unconfirmed
-        return (f"{ended}; TABLE NOT SEEN AT REST: {_EMERGENCY}", "armed") if unseen else (ended, "")
-    if run.at_rest:
-        return f"{'STOP sent, ' if run.stop_asked else ''}table at rest", "rest"
-    if run.unconfirmed:
-        return f"{STOP_WORDS}   THE TABLE DID NOT CONFIRM IT: {_EMERGENCY}", "armed"
-    if run.stop_asked:
-        return _asked_words(run)
-    if run.stage is Stage.LOST:
-        return f"{STOP_WORDS}   link to the session lost: {run.trouble}", "armed"
-    if run.silent_s > SILENCE_S:
-        return f"{STOP_WORDS}   no word from the session for {run.silent_s:.0f} s", "armed"
-    snapshot = run.snapshot
-    doing = "starting" if snapshot is None else f"{snapshot.phase}, {clock(snapshot.remaining_s)} left"
-    return f"{STOP_WORDS}   or Ctrl+C, or press here   {doing}", "armed"
-
-
-def _asked_words(run: LiveRun) -> tuple[str, str]:
-    """Return how far a STOP has come that was pressed: sent is not heard, and heard is not at rest."""
-    if run.stop_heard:
-        return f"{STOP_WORDS}   heard; the table is coming to rest", "sent"
-    if run.stop_age_s < _PATIENCE_S:
-        return f"{STOP_WORDS}   sent; waiting for the session to heed it", "sent"
-    return f"{STOP_WORDS}   sent {run.stop_age_s:.0f} s ago, NOT HEEDED: {_EMERGENCY}", "armed"

@@ -106,7 +106,8 @@ class Run:
         script = folder / "script.toml"
         script.write_text(SCRIPT)
         self.path = folder / "r.h5"
-        words = command("run", "--host", "--scale", "3", "--bench", bench_file(folder), "--script", script)
+        words = command("run", "--host", "--scale", "3", "--bench", bench_file(folder))
+        words += [] if "--manual" in options else ["--script", str(script)]
         words += [*map(str, options), "--json", "-o", str(self.path)]
         self.process = subprocess.Popen(words, **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **how})
 
@@ -555,3 +556,38 @@ def _wait_until(condition: Callable[[], bool]) -> None:
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.05)  # another process: there is nothing to await
+
+
+def test_a_jog_ends_when_the_link_of_who_said_it_is_cut(place: Path, tmp_path: Path) -> None:
+    run = Run(tmp_path, "--manual")
+
+    async def rate(session: RemoteSession, holds: Callable[[float], bool]) -> float:
+        """Return when the rate of x first holds, by the session's clock."""
+        async for message in session.messages():
+            if message["kind"] == "snapshot" and message["phase"] == "running":
+                shown = snapshot_of(message)
+                if holds(next(axis.rate_rps for axis in shown.axes if axis.name == "x")):
+                    return shown.elapsed_s
+        raise AssertionError("the session is gone")
+
+    async def main() -> None:
+        hand, other = await run.connect(), await run.connect()
+        assert hand.hello["table"]["x"]["rate_rps"] > 1.0
+        await rate(hand, lambda rps: rps == 0.0)
+        hand.drive("jog", axis="x", rate_rps=0.5)
+        turned_s = await rate(other, lambda rps: rps > 0.4)
+        hand.drive("jog", axis="x", rate_rps=0.5)
+        hand.close()
+        assert await rate(other, lambda rps: rps == 0.0) - turned_s < 3 * 2.0  # at three times as fast as the wall
+        other.drive("dance")
+        other.drive("end")
+        async for message in other.messages():
+            if message["kind"] == "refused":
+                refused.append(message["reason"])
+        other.close()
+
+    refused: list[str] = []
+    asyncio.run(main())
+    code, said, _ = run.end()
+    assert (code, said["outcome"], said["gyros"]) == (0, "MANUAL", [])
+    assert refused == ["not understood: 'dance'"]

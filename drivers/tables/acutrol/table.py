@@ -15,6 +15,7 @@ from drivers.protocols import ByteLink
 from drivers.requests.exchange import Answer, Unanswered, UnexpectedReply
 from drivers.specs import AxisSetup, TableSetup, TableSpec, described
 from drivers.tables.acutrol import language as acutrol
+from drivers.tables.base import INTERLOCK_OPEN
 from drivers.tables.halting import kept
 from drivers.tables.line_table import LineTable, unwrapped
 from drivers.tables.unwrap import Unwrapper
@@ -143,18 +144,16 @@ class AcutrolTable(LineTable):
     async def status(self, axis: str) -> AxisStatus:
         """Get mode, interlock and status byte, and the fault in words with both."""
         self._raise_failure()
-        own = self._axes[axis]
-        interlock = (await self._ask(f":interlock? {own.own.address}", acutrol.WORD)).text
-        mode = (await self._ask(f":mode? {own.own.address}", acutrol.WORD)).text
+        interlock, mode = await self._interlock(axis), await self._mode(axis)
         fault = ""
-        if interlock.lower() == "fault":
+        if interlock == "fault":
             byte = round(float((await self._ask("*stb?", acutrol.NUMBER)).text))
             summary = ", interlock summary set" if byte & acutrol.INTERLOCK_SUMMARY else ""
-            fault = f"axis {axis}: its interlock says {interlock} (status byte {byte}{summary})"
-        enabled = interlock.lower() not in ("fault", "open") and mode.lower() != "off"
-        return AxisStatus(
-            enabled, enabled and await self._reached(axis), fault, f"mode {mode.lower()}, interlock {interlock.lower()}"
-        )
+            fault = f"axis {axis}: its interlock says {interlock.capitalize()} (status byte {byte}{summary})"
+        enabled = interlock not in ("fault", "open") and mode != "off"
+        text = f"mode {mode}, interlock {interlock}"
+        open_now = INTERLOCK_OPEN if fault else ""
+        return AxisStatus(enabled, enabled and await self._reached(axis), fault, text, interlock=open_now)
 
     async def stop(self) -> str:
         """Bring every axis to rest in rate mode with the acceleration it is allowed, over a new connection if need be.

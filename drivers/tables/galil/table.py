@@ -7,6 +7,7 @@ from drivers.errors import DeviceFault, DeviceRefused
 from drivers.protocols import ByteLink
 from drivers.requests.exchange import Answer
 from drivers.specs import TableSetup, TableSpec, described
+from drivers.tables.base import INTERLOCK_OPEN
 from drivers.tables.galil import language as galil
 from drivers.tables.halting import bring_to_rest
 from drivers.tables.line_table import LineTable
@@ -153,7 +154,13 @@ class GalilTable(LineTable):
             target_reached=reached and not switches.motor_off,
             fault=fault,
             text=f"{switches.text} (TS {switches.word}); SC {stop}, {galil.stop_text(stop)}",
+            interlock=INTERLOCK_OPEN if switches.motor_off and await self._abort_input() else "",
         )
+
+    async def _abort_input(self) -> bool:
+        """Return whether the abort input is active (_AB is 0): an emergency stop; OE then has the motors off."""
+        answer = await self._exchange.ask("MG _AB", galil.NUMBER)
+        return not answer.refused and float(answer.text) == 0.0
 
     async def stop(self) -> str:
         """Stop every axis with the deceleration it is allowed, over a new connection if need be."""
@@ -179,7 +186,7 @@ class GalilTable(LineTable):
             switches, stop, fault = await self._condition(axis)
             if not fault:
                 continue
-            if not switches.motor_off and switches.error_exceeded:
+            if await self._abort_input() or (not switches.motor_off and switches.error_exceeded):
                 raise DeviceFault(self._device, f"axis {axis} stays in fault, its cause is still there: {fault}")
             self._known_stops[axis] = stop
             if switches.motor_off:

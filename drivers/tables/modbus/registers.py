@@ -72,7 +72,8 @@ class DriveProfile:
     """Everything that tells one make of drive from another.
 
     ``on_open``: registers and what is written to them when the link is opened. ``errors``: plain words of the codes
-    in the register ``error_code``; codes that are single bits may come together.
+    in the register ``error_code``; codes that are single bits may come together. ``interlock``: the register of the
+    inputs that enable the power stage, and what it says while all of them do.
     """
 
     name: str
@@ -81,6 +82,7 @@ class DriveProfile:
     homing_method: int
     on_open: tuple[tuple[str, int], ...] = ()
     errors: Mapping[int, str] = field(default_factory=dict)
+    interlock: tuple[str, int] = ("", 0)
 
     def error_text(self, code: int) -> str:
         """Return what an error code means, the code included."""
@@ -124,12 +126,13 @@ def load_profile(name_or_path: str) -> DriveProfile:
             data["homing"]["method"],
             tuple((write["register"], write["value"]) for write in data.get("on_open", [])),
             {int(code, 0): text for code, text in data.get("errors", {}).items()},
+            (data["interlock"]["register"], data["interlock"]["closed"]) if "interlock" in data else ("", 0),
         )
     except (LookupError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
         raise ProfileError(f"drive profile {path} lacks or misspells {error}") from None
-    for name, _ in profile.on_open:
-        if name not in profile.registers:
-            raise ProfileError(f"drive profile {path} lacks the register {name} of [[on_open]]")
+    for name in (*(name for name, _ in profile.on_open), profile.interlock[0]):
+        if name and name not in profile.registers:
+            raise ProfileError(f"drive profile {path} lacks the register {name} of [[on_open]] or [interlock]")
     return profile
 
 

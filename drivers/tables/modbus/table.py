@@ -8,7 +8,7 @@ from functools import partial
 
 from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused
 from drivers.specs import TableSetup
-from drivers.tables.base import Table
+from drivers.tables.base import INTERLOCK_OPEN, Table
 from drivers.tables.halting import kept
 from drivers.tables.modbus import cia402
 from drivers.tables.modbus.line import Address, ModbusLine, Reply
@@ -158,7 +158,14 @@ class ModbusTable(Table):
             if state is cia402.DriveState.QUICK_STOP_ACTIVE
             else "",
             text=f"{state.text}, internal limit active" if word & cia402.INTERNAL_LIMIT else state.text,
+            interlock=INTERLOCK_OPEN if await self._interlock_open(axis, state) else "",
         )
+
+    async def _interlock_open(self, axis: str, state: cia402.DriveState) -> bool:
+        """Return whether an input that enables the power stage is off, where the profile knows; not so in operation."""
+        register, closed = self._profile.interlock
+        asked = register and state is not cia402.DriveState.OPERATION_ENABLED
+        return bool(asked) and int(await self._read(axis, register)) != closed
 
     async def stop(self) -> str:
         """Quick-stop every drive along its ramp, over a new connection if need be, and return what was seen."""

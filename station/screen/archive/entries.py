@@ -65,7 +65,7 @@ class Entry:
     @property
     def series(self) -> tuple[object, ...] | None:
         """What comparable runs have in common; None for what is compared with none."""
-        if not self.serial or not self.gyros or self.texts.get("outcome") in ("ABORTED", "FAULT"):
+        if not self.serial or not self.gyros or self.texts.get("outcome") in ("MANUAL", "ABORTED", "FAULT"):
             return None
         gyros = tuple((gyro.source, gyro.name) for gyro in self.gyros)
         return (self.serial, self.texts.get("station"), self.texts.get("script"), gyros)

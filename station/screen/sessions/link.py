@@ -52,6 +52,11 @@ class SessionLink:
             holds = self.run.snapshot is not None and self.run.snapshot.paused
             self._remote.resume() if holds else self._remote.pause()
 
+    def drive(self, action: str, **given: str | float) -> None:
+        """Say a word of manual mode; what a broken link swallows is not said again."""
+        if self._remote is not None:
+            self._remote.drive(action, **given)
+
     def note(self, text: str) -> bool:
         """Have a note kept in the recording; return whether there was a way to tell the session."""
         if self._remote is None:

@@ -24,7 +24,7 @@ ANYTHING = r".*\S.*"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prospect:
-    """A bench and a script that belong together, or what is wrong with either; ``files`` are what may be named."""
+    """A bench and a script, or ``manual``, or what is wrong with either; ``files`` are what may be named."""
 
     bench: str = ""
     bench_wrong: str = ""
@@ -39,6 +39,7 @@ class Prospect:
     motion: PlannedMotion | None = None
     folder_wrong: str = ""
     files: tuple[str, ...] = ()
+    manual: bool = False
 
 
 def look_ahead(choices: Choices) -> Prospect:

@@ -14,12 +14,12 @@ from textual.containers import Container
 
 from station.run.snapshot import Snapshot
 from station.screen.bars import SILENCE_S, Lines
-from station.screen.base import StationScreen
 from station.screen.charts import Charts
 from station.screen.dialogs import AskTextDialog
 from station.screen.drawings import DIALS, RUN_CHARTS, Drawing, run_drawing
 from station.screen.figures import templated
 from station.screen.sessions.live_run import LiveRun, Stage
+from station.screen.tabs.manual import ManualScreen
 
 _SOURCES = ("sources", "details")  # beside the figures, or at the end of all
 _MOST_EVENTS = 24
@@ -29,7 +29,7 @@ _WHITE_OFF = 0.2
 _MANY_SIGMAS = 4.0  # by which both are off before anybody is to look
 
 
-class RunScreen(StationScreen):
+class RunScreen(ManualScreen):
     """The run, live."""
 
     MODE = "run"
@@ -65,7 +65,7 @@ class RunScreen(StationScreen):
         width = self.size.width - 4
         wrapped = partial(textwrap.wrap, width=max(width, 1), max_lines=_REASON_ROWS, placeholder=" ...")
         shown = {"run": run, "others": self.station.others, "width": width, "wrapped": wrapped, "silence_s": SILENCE_S}
-        self._show("progress", templated("progress.rich", shown))
+        self._show("progress", templated("progress.rich", {**shown, **self.manual_values()}))
         if run is None or run.snapshot is None:  # what is there is of the run before
             for name in ("figures", *_SOURCES, "events"):
                 self._show(name, Text())

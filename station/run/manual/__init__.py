@@ -1,0 +1,161 @@
+"""Manual mode: a person drives the table by words, in the place of a script."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+from drivers.errors import DeviceRefused
+from drivers.protocols import Turntable
+from station.errors import UsageError
+from station.run.sequencer import ON_TARGET_RAD, OVERDUE_S, WATCH_S, Sequencer
+from station.scripts.script import Move, Rest, Script, check
+
+_HOLDING = Script("manual", (Rest(0.0, "holding"),))
+_FIRST_S = 0.7  # that a jog lasts after its first word: a key that is held repeats after half a second or so
+_RENEWED_S = 0.4  # and after each further word: by the host's clock, for it is a person who may be gone
+_ENDLESS_RAD = 1e6  # where there is no travel: days of turning
+_HOLD_RPS = math.radians(1.0)  # of a move to where the axis stands; a language may know whole deg/s only
+_DEG = math.degrees(1)
+_WORDS = (
+    'not understood: say "jog" with axis, rate_rps; "go" with axis, angle_rad, rate_rps; "home" with rate_rps, and '
+    'axis if not all; all may have acceleration_rps2, the axis\' limit without; "hold"; "end"'
+)
+
+
+class ManualSequencer(Sequencer):
+    """Carries out the last word that was said, one motion at a time.
+
+    A jog is a dead man's switch: it goes on while the word comes again, and the axis is brought to rest soon after the
+    last, whatever has become of who said it. An axis with a travel is sent to its end: so the controller keeps it.
+    """
+
+    def __init__(
+        self, table: Turntable, on_step: Callable[[str, int, int], None], tell: Callable[[str], None], time_scale: float
+    ) -> None:
+        """``time_scale`` is how fast the loop's clock runs."""
+        super().__init__(table, _HOLDING, on_step, tell)
+        self._scale, self._zero_s = time_scale, asyncio.get_running_loop().time()
+        self._orders: deque[Move] = deque()
+        self._until_s = math.inf
+        self._word = asyncio.Event()
+        self._ended = False
+
+    def pause(self) -> None:
+        """Raise UsageError: there is no script."""
+        raise UsageError('manual mode has no script to pause: "hold" brings the table to rest')
+
+    def times_s(self, now_s: float) -> tuple[float, float]:
+        """Return how long it has gone on; nothing is planned."""
+        return now_s - self._zero_s, 0.0
+
+    def obey(self, action: str, given: Mapping[str, Any]) -> None:
+        """Take a word, which takes the place of the last; UsageError if it is not understood, or beyond a limit."""
+        numbers = [value for key, value in given.items() if key != "axis"]
+        if not all(isinstance(value, int | float) and math.isfinite(value) for value in numbers):
+            raise UsageError(_WORDS)
+        match action, given:
+            case "jog", {"axis": str(axis), "rate_rps": rate}:
+                self._jog(axis, rate, given)
+            case "go", {"axis": str(axis), "angle_rad": angle, "rate_rps": rate}:
+                self._order([self._checked(f"{axis} to {angle * _DEG:.6g} deg", axis, angle, rate, given)])
+            case "home", {"rate_rps": rate}:
+                axes = [str(given["axis"])] if "axis" in given else self._table.limits
+                self._order([self._checked(f"{axis} home", axis, 0.0, rate, given) for axis in axes])
+            case "hold" | "end", _:
+                self._ended = action == "end"
+                self._order([])
+            case _:
+                raise UsageError(_WORDS)
+
+    def _jog(self, axis: str, rate_rps: float, given: Mapping[str, Any]) -> None:
+        """Begin a jog, or let one go on that is of the same rate."""
+        limits = self._table.limits.get(axis)
+        low, high = (limits and limits.travel_rad) or (-_ENDLESS_RAD, _ENDLESS_RAD)
+        end = high if rate_rps > 0 else low
+        step = self._checked(f"jog {axis} at {rate_rps * _DEG:+.6g} deg/s", axis, end, rate_rps, given)
+        now_s = asyncio.get_running_loop().time()
+        if self._orders and self._orders[0] == step:
+            self._until_s = max(self._until_s, now_s + _RENEWED_S * self._scale)
+        elif self.driven_axis is None and abs(self._target_rad[axis] - end) < ON_TARGET_RAD:
+            raise UsageError(f"axis {axis} stands at the end of its travel, {end * _DEG:g} deg")
+        else:
+            self._order([step], now_s + _FIRST_S * self._scale)
+
+    def _checked(self, label: str, axis: str, angle_rad: float, rate_rps: float, given: Mapping[str, Any]) -> Move:
+        """Return a step as the table does it; ScriptError if it is beyond a limit."""
+        limits = self._table.limits.get(axis)
+        acceleration = given.get("acceleration_rps2", limits.acceleration_rps2 if limits else 1.0)
+        step = Move(axis, angle_rad, rate_rps, acceleration, label)
+        (driven,) = check(Script("by hand", (step,)), self._table.limits).steps
+        assert isinstance(driven, Move)
+        return driven
+
+    def _order(self, steps: Iterable[Move], until_s: float = math.inf) -> None:
+        self._orders, self._until_s = deque(steps), until_s
+        self._word.set()
+
+    async def run(self) -> None:
+        """Carry out words until "end"; DeviceRefused if an axis does not come to rest."""
+        while not self._ended:
+            if self._orders:
+                step = self._orders[0]
+                await self._turn(step)
+                if self._orders and self._orders[0] is step:
+                    self._orders.popleft()
+            else:
+                self._word.clear()
+                await self._word.wait()
+
+    async def _turn(self, step: Move) -> None:
+        """Carry out a step as long as it is wanted; what the controller refuses of it does no harm to the next."""
+        loop, axis = asyncio.get_running_loop(), step.axis
+        self._way_rad, self._target_rad[axis] = step.angle_rad - self._target_rad[axis], step.angle_rad
+        self._script, self._step_began_s = Script("manual", (step,)), loop.time()
+        self._durations_s = [abs(self._way_rad / step.rate_rps) + abs(step.rate_rps) / step.acceleration_rps2]
+        self._tell(step.label)
+        try:
+            if abs(step.angle_rad) == _ENDLESS_RAD:
+                await self._table.jog(axis, step.rate_rps, step.acceleration_rps2)
+            else:
+                await self._table.move(axis, step.angle_rad, abs(step.rate_rps), step.acceleration_rps2)
+            arrived = await self._arrives(step)
+        except DeviceRefused as error:
+            self._tell(f"refused: {error.message}")
+            arrived = False
+        self._target_rad[axis] = step.angle_rad if arrived else await self._halt(step)
+        self._on_step(step.label, round(self._step_began_s * 1e9), round(loop.time() * 1e9))
+        self._script, self._durations_s, self._stands_since_s[axis] = _HOLDING, [0.0], loop.time()
+
+    async def _arrives(self, step: Move) -> bool:
+        """Return whether an axis came where it was sent, before another word came or the last was too old."""
+        loop, due_s = asyncio.get_running_loop(), self._step_began_s + self._durations_s[0] + OVERDUE_S
+        while self._orders and self._orders[0] is step and loop.time() < min(self._until_s, due_s):
+            await asyncio.sleep(WATCH_S)
+            off_rad = (await self._table.read(step.axis)).angle_rad - step.angle_rad
+            if abs(off_rad) < ON_TARGET_RAD and (await self._table.status(step.axis)).target_reached:
+                return True
+        if loop.time() > due_s:
+            self._tell(f"overdue, ended: {step.label}")
+        return False
+
+    async def _halt(self, step: Move) -> float:
+        """Bring an axis to rest along its ramp and have it hold its angle (rad), which is returned."""
+        axis, angle_rad, now_s = step.axis, math.inf, asyncio.get_running_loop().time()
+        ramp_s = abs(step.rate_rps) / step.acceleration_rps2
+        self._durations_s = [now_s - self._step_began_s + ramp_s]
+        await self._table.jog(axis, 0.0, step.acceleration_rps2)
+        while True:
+            await asyncio.sleep(WATCH_S)
+            reached, before_rad = (await self._table.status(axis)).target_reached, angle_rad
+            angle_rad = (await self._table.read(axis)).angle_rad
+            if reached and abs(angle_rad - before_rad) < ON_TARGET_RAD:
+                break
+            if asyncio.get_running_loop().time() > now_s + ramp_s + OVERDUE_S:
+                said = f"axis {axis} was to come to rest, and is not seen at rest at {angle_rad * _DEG:.2f} deg"
+                raise DeviceRefused("table", said)
+        await self._table.move(axis, angle_rad, _HOLD_RPS, step.acceleration_rps2)  # a rate of zero may drift
+        return angle_rad

@@ -1,0 +1,111 @@
+"""Manual mode on the screen: how it begins, which axis and rate are chosen, what its keys say to the session."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from dataclasses import replace
+from functools import partial
+from typing import Any, ClassVar
+
+from textual import events
+from textual.binding import Binding
+
+from drivers.packaged import packaged_toml
+from station.screen.base import StationScreen
+from station.screen.dialogs import AskDialog, AskTextDialog
+from station.screen.tabs.prospects import look_ahead
+
+_KNOWN: dict[str, Any] = packaged_toml("station.screen", "manual.toml")
+_RATES_DPS: list[float] = _KNOWN["rates_dps"]
+_STALE_S = 0.25
+
+
+def begin_manual(screen: StationScreen) -> None:
+    """Ask, and begin manual mode on the bench that is chosen: its table is homed first."""
+    station = screen.station
+
+    async def begin() -> None:
+        prospect = await asyncio.to_thread(look_ahead, station.choices)
+        wrong = prospect.bench_wrong or prospect.folder_wrong
+        if station.bench_recalled and not prospect.all_twins:
+            wrong = f"bench {prospect.bench} is that of the last run, and real: F6 on Prepare opens it"
+        if wrong:
+            screen.notify(wrong, title="Not started", severity="error", markup=False)
+        else:
+            station.start_run(replace(prospect, manual=True))
+
+    question = f"Manual mode on {station.choices.bench or 'the built-in twins'}: driven by hand, recorded, not judged."
+    dialog = AskDialog(question, [("back", "Back"), ("begin", "Begin: the table moves to its home")])
+    screen.app.push_screen(dialog, lambda answer: station.work(begin, "begin") if answer == "begin" else None)
+
+
+class ManualScreen(StationScreen):
+    """A screen whose keys drive the table while a session in manual mode is shown."""
+
+    BINDINGS: ClassVar = [
+        Binding("m", "manual", "Manual"),
+        *(
+            Binding(k, f"drive('{word}')", says, key_display=shown, show=False)
+            for k, word, shown, says in _KNOWN["keys"]
+        ),
+    ]
+    _axis = 0
+    _rate = _RATES_DPS.index(_KNOWN["begin_dps"])
+
+    @property
+    def table(self) -> dict[str, dict[str, Any]]:
+        """The limits of each axis of a session in manual mode, empty for another."""
+        run = self.station.shown
+        by_hand = run is not None and run.active and run.hello.get("manual")
+        return dict(sorted(run.hello["table"].items())) if run is not None and by_hand else {}
+
+    def manual_values(self) -> dict[str, Any]:
+        """Return what the bar shows: axes with their limits, which is chosen, the rate in deg/s, angles by axis."""
+        table, run = self.table, self.station.shown
+        chosen = list(table)[self._axis % len(table)] if table else ""
+        angles = {a.name: a.angle_rad for a in run.snapshot.axes} if run is not None and run.snapshot else {}
+        return {"table": table, "chosen": chosen, "rate_dps": _RATES_DPS[self._rate], "angles": angles}
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Show the keys that drive in manual mode, and those of a script else."""
+        return bool(self.table) == (action == "drive") or action not in ("drive", "manual", "pause")
+
+    def on_key(self, event: events.Key) -> None:
+        """Let no key drive that waited for its turn: whoever held it may have let go."""
+        if event.key in ("comma", "full_stop") and time.monotonic() - event.time > _STALE_S:
+            event.stop()
+
+    def action_manual(self) -> None:
+        """Begin manual mode."""
+        begin_manual(self)
+
+    def action_drive(self, word: str) -> None:
+        """Choose, or say a word to the session with what is chosen."""
+        axis = self.manual_values()["chosen"]
+        rate_dps, drive = _RATES_DPS[self._rate], self.station.drive
+        if word == "axis":
+            self._axis += 1
+        elif word in ("slower", "faster"):
+            most_dps = math.degrees(self.table[axis]["rate_rps"])
+            fit = [n for n, rate in enumerate(_RATES_DPS) if rate <= most_dps or not n]
+            self._rate = min(max(self._rate + (1 if word == "faster" else -1), 0), fit[-1])
+        elif word == "go":
+            question = f"Angle of axis {axis} from home, in deg, to go to at {rate_dps:g} deg/s"
+            self.app.push_screen(AskTextDialog(question), partial(self._go, axis, rate_dps))
+        elif word in ("hold", "end"):
+            drive(word)
+        elif word == "home":
+            drive(word, axis=axis, rate_rps=math.radians(rate_dps))
+        else:
+            drive("jog", axis=axis, rate_rps=math.radians(float(f"{word}{rate_dps}")))
+        self.tick()
+
+    def _go(self, axis: str, rate_dps: float, text: str | None) -> None:
+        try:
+            angle_rad = math.radians(float(text or ""))
+            self.station.drive("go", axis=axis, angle_rad=angle_rad, rate_rps=math.radians(rate_dps))
+        except ValueError:
+            if text:
+                self.notify(f"{text!r} is no angle in deg", severity="warning", markup=False)
