@@ -1,7 +1,5 @@
 """The four seams to hardware. Nothing inherits from these to plug in."""
 
-from __future__ import annotations
-
 from collections.abc import AsyncIterator, Mapping
 from typing import Protocol, runtime_checkable
 

@@ -4,8 +4,6 @@ Such a record stands in the folder of its device, plain facts in spec.toml, the 
 ``drivers.imus.registry`` and ``drivers.tables.registry`` name them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

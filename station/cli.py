@@ -1,7 +1,5 @@
 """The command line; ``commands.toml`` holds what can be typed, other modules do it."""
 
-from __future__ import annotations
-
 import argparse
 import codecs
 import importlib
@@ -164,7 +162,7 @@ def _add(parser: argparse._ActionsContainer, options: Sequence[Any]) -> None:
             _take(parser, spelled, text, **(more[0] if more else {}))
 
 
-def _add_command(commands: argparse._SubParsersAction[_Parser], name: str, said: dict[str, Any]) -> None:
+def _add_command(commands: "argparse._SubParsersAction[_Parser]", name: str, said: dict[str, Any]) -> None:
     parser = commands.add_parser(name, help=said["line"], description=said["text"])
     _add(parser, said.get("options", ()))
     if "group" in said:

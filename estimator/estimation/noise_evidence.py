@@ -8,8 +8,6 @@ residual is beyond all models, up or down, its own spectrum is the noise. Withou
 states.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

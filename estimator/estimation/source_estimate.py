@@ -1,7 +1,5 @@
 """The estimate of one source, whichever way it is found; under white noise where there is too little to tell more."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Rows of numbers of a text log, which may have broken lines, comments, a preamble and a row of units."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime

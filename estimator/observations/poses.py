@@ -5,8 +5,6 @@ brings the direction up of the rest before into that of the rest behind, if scal
 turn gives two numbers, of all gyros together, so their states are one estimate. Biases come of the rests as well.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

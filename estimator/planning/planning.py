@@ -6,8 +6,6 @@ noise, and what happens within these blocks at the weight of their noise there. 
 of its state or the largest plausible size of its effect, so that the prior information is one everywhere.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Rows that grow in place: what a run reads of its table."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -5,8 +5,6 @@ Records one after another, each a mark, length and CRC-32 of what follows, and t
 its check and costs itself alone. The format is documented in docs/pages/reference/recording.md.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import struct

@@ -1,7 +1,5 @@
 """Whether there is memory for what is to be done with a recording; said before it is begun."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from pathlib import Path
 

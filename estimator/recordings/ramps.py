@@ -6,8 +6,6 @@ again, and the angle that this sums up to, which knows the corners much better t
 to know what was commanded: a drive rounds accelerations, and recordings of others hold no commands.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

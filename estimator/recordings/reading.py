@@ -1,7 +1,5 @@
 """A recording read from its HDF5 file."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, cast

@@ -1,7 +1,5 @@
 """A recording whose run died is made whole from its journal when it is next opened."""
 
-from __future__ import annotations
-
 import logging
 import os
 import re

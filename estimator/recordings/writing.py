@@ -4,8 +4,6 @@ The layout is documented in docs/pages/reference/recording.md. Files are plain H
 library bounds), which is what survives a process that dies between two flushes.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import shutil

@@ -1,7 +1,5 @@
 """What is left of each gyro beside a model, and how much of it a candidate would take: cheap, before it is judged."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Which effects a model lacks: one is added at a time, and each is tried to be removed or exchanged again."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What an investigation says of the next devices of the same type."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from estimator.calibration.error_model import ErrorModel, KnownEffect, Size

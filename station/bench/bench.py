@@ -1,7 +1,5 @@
 """The bench file: what stands in the lab, what it may do, and what counts as a pass."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections import Counter

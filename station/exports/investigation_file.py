@@ -1,7 +1,5 @@
 """What an investigation is kept in: an HDF5 file with the verdict as JSON and the residuals before and after."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from contextlib import suppress

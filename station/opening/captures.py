@@ -1,7 +1,5 @@
 """Captures of the protocols that the drivers decode: bytes off a line, or a log of a bus, as columns for an import."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Whether everything on a bench answers: identities, limits, and two seconds of samples of each source."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections.abc import Callable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """A plan as a person reads it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

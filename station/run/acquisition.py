@@ -1,7 +1,5 @@
 """What comes of the devices of a run: into the recording, the live filters, and what can be seen meanwhile."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable, Mapping
 from contextlib import suppress

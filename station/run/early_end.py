@@ -1,7 +1,5 @@
 """When a run has shown enough: every sigma that the bench requires reached, and the residual clean."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable, Sequence
 from dataclasses import replace

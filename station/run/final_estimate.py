@@ -1,7 +1,5 @@
 """The estimate at the end of a run: from the recorded samples, beside what the live filter came to."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The estimate while the run goes on: samples wait for the table's readings, then feed the live filters."""
 
-from __future__ import annotations
-
 from collections import deque
 from typing import Any
 

@@ -3,8 +3,6 @@
 What comes with every block and every row is only kept; all work is done for who looks.
 """
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections import Counter, defaultdict, deque

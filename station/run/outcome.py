@@ -1,7 +1,5 @@
 """How a run ended, and whether its calibration is within limits."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum

@@ -1,7 +1,5 @@
 """Carries out a script on a table."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections.abc import Callable, Mapping

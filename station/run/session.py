@@ -1,7 +1,5 @@
 """One run from first contact to verdict: everything opened, the script driven, all recorded, the table at rest."""
 
-from __future__ import annotations
-
 import asyncio
 import hashlib
 import importlib.metadata

@@ -3,8 +3,6 @@
 All figures in SI units; NaN where nothing is known, null in JSON.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, is_dataclass

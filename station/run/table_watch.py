@@ -1,7 +1,5 @@
 """Reads the table regularly, puts its readings on common instants, and watches over its condition."""
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 from collections import deque

@@ -1,7 +1,5 @@
 """Motion that nobody asked for: every reading of an axis against what the axis was told."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections.abc import Callable

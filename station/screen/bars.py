@@ -1,7 +1,5 @@
 """What every screen has: the row of screens on top, and STOP at the bottom."""
 
-from __future__ import annotations
-
 from typing import cast
 
 from textual import events

@@ -1,7 +1,5 @@
 """The frame of the four screens: what a terminal that is too small shows, where STOP is, how a tick gets there."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, ClassVar, cast
 

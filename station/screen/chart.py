@@ -1,7 +1,5 @@
 """One chart, drawn by textual-plot. It loads numpy: import it where nobody waits for a picture."""
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """The charts of a screen: side by side as the room allows, or one in sight and the others scrolled to."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable, Sequence
 from importlib import import_module

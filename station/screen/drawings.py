@@ -1,7 +1,5 @@
 """What the charts show: a run as it goes, the states of a gyro over time and over calibrations, a script's motion."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """The screen in a browser of this machine: textual-serve on the loopback, for who has the address with its key."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import secrets
@@ -15,7 +13,7 @@ from station.errors import UsageError
 from station.screen.sessions.programs import command_line
 
 if TYPE_CHECKING:
-    from aiohttp import web
+    pass
 
 _HOST = "127.0.0.1"
 _END_S = 2.0

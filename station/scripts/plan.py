@@ -1,7 +1,5 @@
 """What a script will show on a bench, before anything moves."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

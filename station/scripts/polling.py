@@ -1,7 +1,5 @@
 """How often the table is read: so often that each ramp is seen, and what a link is too slow for."""
 
-from __future__ import annotations
-
 import math
 
 from station.scripts.script import Rest, Script

@@ -3,8 +3,6 @@
 Facts: VN-100 User Manual UM001, 4.2 and 5.1; field sizes also from VectorNav's own programming library and SDK (MIT).
 """
 
-from __future__ import annotations
-
 import binascii
 import re
 from collections.abc import Mapping

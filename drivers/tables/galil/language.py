@@ -5,8 +5,6 @@ Upper-case two-letter commands, axis letters A to H (X, Y, Z, W are A to D), end
 data, CR LF and ``:``, or ``?`` for a refusal, whose code ``TC1`` tells.
 """
 
-from __future__ import annotations
-
 import re
 import secrets
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Runs as tracing sees them, made of recordings."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache

@@ -4,8 +4,6 @@ Noise may grow with the rate (scale factor noise): variance s0^2 (1 + (g w)^2), 
 differences of block means hold neither bias nor scale factor error nor any effect of a steady rate.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise

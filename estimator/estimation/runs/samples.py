@@ -1,7 +1,5 @@
 """Samples of a run as they fell, and their means over its blocks."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the gyros went through in a run, on a grid of instants: temperature, gimbals, specific force."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from estimator.effects.conditions import Conditions

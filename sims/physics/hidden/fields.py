@@ -4,8 +4,6 @@ A field's metadata say what it takes. Its key in the file is its name without th
 ends in; without a default it must be there.
 """
 
-from __future__ import annotations
-
 import difflib
 import re
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Effects of time on what is sensed: looked at late, low-passed; and what the last rotation leaves behind."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from typing import Any

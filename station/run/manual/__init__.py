@@ -1,7 +1,5 @@
 """Manual mode: a person drives the table by words, in the place of a script."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections import deque

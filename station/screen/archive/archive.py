@@ -1,7 +1,5 @@
 """Reads recordings in a process beside the screen that may be given up."""
 
-from __future__ import annotations
-
 import asyncio
 import multiprocessing
 import os

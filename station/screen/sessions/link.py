@@ -1,7 +1,5 @@
 """The screen's connection to a session: found, followed, found again after a break, told to stop at once."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A run as its messages tell it: what every screen that shows a run looks at."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections import deque

@@ -1,7 +1,5 @@
 """What can be made of a recording, offered in the command palette: its path copied, report, PDF, exports."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Manual mode on the screen: how it begins, which axis and rate are chosen, what its keys say to the session."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 import time

@@ -1,7 +1,5 @@
 """Run: what the table and the gyros do now, how the estimates narrow, whether the filter is right."""
 
-from __future__ import annotations
-
 import math
 import textwrap
 from functools import partial

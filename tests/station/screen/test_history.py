@@ -114,7 +114,9 @@ def test_a_result_on_the_screen_tells_that_the_device_has_moved(series: Path) ->
         for name, moved in (("day-11.h5", True), ("day-10.h5", False)):
             app.open_recording(series / name)
             await until(pilot, lambda: app.current_mode == "result")
-            await until(pilot, lambda name=name: f"day-{int(name[4:6]) - 1}" in str(app.screen.query_one("#change").render()))
+            await until(
+                pilot, lambda name=name: f"day-{int(name[4:6]) - 1}" in str(app.screen.query_one("#change").render())
+            )
             told = " ".join(str(app.screen.query_one("#verdict").render()).split())
             assert ("MOVED since 2026-12-01 12:00 (day-10.h5): b of gyro1 +" in told) == moved
 
