@@ -1,7 +1,5 @@
 """What comes in kinds, by name: built in, by the entry points of installed packages, or out of Python files."""
 
-from __future__ import annotations
-
 import os
 import sys
 import traceback
@@ -66,7 +64,7 @@ class Registry(Mapping[str, T]):
         """``own`` are the built-in ones, or modules that hold them as SPEC; ``group`` is that of entry points."""
         self._kind, self._group, self._own = kind, group, own
 
-    def beside(self, modules: Iterable[ModuleType]) -> Registry[T]:
+    def beside(self, modules: Iterable[ModuleType]) -> "Registry[T]":
         """Return the registry with the records in these modules, too; PluginError for a name that is taken."""
         own = dict(self._own)
         for record in (record for module in modules for record in records_of(module, self._kind)):

@@ -1,8 +1,7 @@
 """The values that cross the seams to hardware, and the types of arrays that drivers, twins and the station share."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, field
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,7 +71,7 @@ class AxisState:
     rate_window_ns: int = 0
 
     @classmethod
-    def told(cls, angle: _Told, rate: _Told, window_s: float = 0.0) -> AxisState:
+    def told(cls, angle: _Told, rate: _Told, window_s: float = 0.0) -> Self:
         """Return the state of two round trips: when each was sent and here (s of the loop), and what it told."""
         angle_s, rate_s = ((sent_s + here_s) / 2 for sent_s, here_s, _ in (angle, rate))
         half_width_s = max(here_s - sent_s for sent_s, here_s, _ in (angle, rate)) / 2

@@ -1,7 +1,5 @@
 """Times of samples that carry no count and are known to be taken regularly."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import pairwise
@@ -133,7 +131,7 @@ class RegularClock:
         early_s = -float(self._fit.lateness_of(place * self._period_s, arrival).max())
         return early_s > max(_TOO_EARLY_PERIODS * self._period_s, _TOO_EARLY_S)
 
-    def _search(self, excess: Floats, own: Flags) -> _Search:
+    def _search(self, excess: Floats, own: Flags) -> "_Search":
         """Look for what has been lost or doubled; if nothing is known yet of lateness, guess, and guess better."""
         equal = self._equal()
         if not self._lateness.learned:
@@ -142,7 +140,7 @@ class RegularClock:
             self._lateness.guess(better[own], float(better.min()))
         return self._searched(excess, own, equal)
 
-    def _searched(self, excess: Floats, own: Flags, equal: Flags) -> _Search:
+    def _searched(self, excess: Floats, own: Flags, equal: Flags) -> "_Search":
         return _Search(self._lateness, self._period_s, excess, own, equal, self._shifts, self._lost_share)
 
     def _equal(self) -> Flags:

@@ -1,7 +1,5 @@
 """A python-can bus within one loop: frames arrive by a call, without the thread that python-can's own needs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -11,7 +9,7 @@ import can
 class MemoryBus(can.BusABC):
     """One node of a bus in memory; ``on_message`` is called for each frame of the others."""
 
-    _buses: dict[str, list[MemoryBus]] = {}  # noqa: RUF012  # nodes find each other by channel, within a process
+    _buses: "dict[str, list[MemoryBus]]" = {}  # noqa: RUF012  # nodes find each other by channel, within a process
 
     def __init__(self, channel: str, on_message: Callable[[can.Message], None] | None = None) -> None:
         """Join the bus of this name."""

@@ -8,11 +8,10 @@ jumps where the rate changes sign, is worked out from the rate without it, once 
 for: rates of change are differences from the sample before, so they lag by half a period.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
+from typing import Self
 
 import numpy as np
 
@@ -67,7 +66,7 @@ class Compensation:
     left_out: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, gyros: Sequence[GyroCalibration], arrays: Mapping[str, SensorArray], model: str = "") -> Compensation:
+    def of(cls, gyros: Sequence[GyroCalibration], arrays: Mapping[str, SensorArray], model: str = "") -> Self:
         """Return that of calibrated gyros; ``arrays`` are those of their sources, ``model`` is ``Calibration.model``.
 
         Gyros of one name in two devices get the device's before it. Raises ModelError for a model of another version,
@@ -117,7 +116,7 @@ class Compensation:
         """Return the parameters (n, p) of an effect that there is once at most, None if there is none."""
         return next((effect.values for effect in self.effects if effect.name == name), None)
 
-    def simplified(self, keep: Collection[str], temperature_c: float) -> tuple[Compensation, dict[str, str]]:
+    def simplified(self, keep: Collection[str], temperature_c: float) -> tuple[Self, dict[str, str]]:
         """Return what is left for a form that holds only some effects, and why each other one is not in it.
 
         Effects of the temperature are then those at ``temperature_c``, and a warm-up is over.

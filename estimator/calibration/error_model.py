@@ -6,13 +6,11 @@ which states and effects of that device are then estimated together. The file is
 ``station investigate -o`` writes holds the same text.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import h5py
 import numpy as np
@@ -154,7 +152,7 @@ class ErrorModel:
         return json.dumps(whole, indent=1)
 
     @classmethod
-    def parse(cls, text: str, where: str) -> ErrorModel:
+    def parse(cls, text: str, where: str) -> Self:
         """Return the model that a text holds; ModelError, with what is wrong, if there is none."""
         try:
             whole = json.loads(harmless(text))
@@ -177,7 +175,7 @@ class ErrorModel:
         return cls(effects, left_out)
 
     @classmethod
-    def read(cls, path: Path) -> ErrorModel:
+    def read(cls, path: Path) -> Self:
         """Return the model in a file: JSON, or what an investigation wrote (HDF5). ModelError if it holds none."""
         try:
             if not path.is_file():

@@ -1,11 +1,9 @@
 """What gyros on a table go through: all that the regressor of an effect may depend on."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,7 +76,7 @@ class Conditions:
         """Spacing of the grid."""
         return float(self.t_s[1] - self.t_s[0])
 
-    def rows(self, chosen: slice | NDArray[np.intp]) -> Conditions:
+    def rows(self, chosen: slice | NDArray[np.intp]) -> Self:
         """Return those at some instants; what was before is not known of them."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         cut: dict[str, Any] = {name: v[chosen] for name, v in values.items() if isinstance(v, np.ndarray)}
@@ -95,7 +93,7 @@ class Conditions:
         *,
         temperature_c: Floats | None = None,
         site: Site | None = None,
-    ) -> Conditions:
+    ) -> Self:
         """Return what a motion of gimbals (N, g) puts a body through. Raises RecordingError for unknown gimbals."""
         names = check_gimbals(gimbals)
         return cls(

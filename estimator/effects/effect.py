@@ -6,8 +6,6 @@ instant, a frequency), how it is looked for, kept and undone. An ``Effect`` is o
 at some values. A file of a family holds its records; ``catalogue`` names them all.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -187,7 +185,7 @@ class Record:
         """The setting that is looked for among many values."""
         return next((setting for setting in self.settings if setting.grid is not None), None)
 
-    def effect(self, gimbals: Sequence[str] = (), **settings: Value) -> Effect:
+    def effect(self, gimbals: Sequence[str] = (), **settings: Value) -> "Effect":
         """Return the effect on a table with these axes, its settings at these values.
 
         Raises LawError for a law that is none.

@@ -4,8 +4,6 @@ Everything is linear and Gaussian given the noise: states under the data sheet's
 prior of mean zero whose scale, the same for all parameters of an effect, is some share of the largest plausible size.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -38,7 +36,7 @@ class Term:
     log_tries: float = 0.0
     sizes: tuple[float, ...] = ()
 
-    def scaled(self, scale: float) -> Term:
+    def scaled(self, scale: float) -> "Term":
         """Return the same with another scale."""
         return replace(self, scale=scale)
 
@@ -78,7 +76,7 @@ class Profile:
         return np.asarray(self.factor[np.searchsorted(edges, hz)])
 
     @classmethod
-    def of(cls, hz: Floats, squares: Floats, freedom: Floats, *, less: bool) -> Profile:
+    def of(cls, hz: Floats, squares: Floats, freedom: Floats, *, less: bool) -> "Profile":
         """Return that of what is left by band (n,); 1 where that may be chance, or smaller and not ``less``.
 
         Neighbouring bands are taken together until they tell something.
@@ -122,7 +120,7 @@ class Evidence:
         self.misfit: dict[tuple[str, int], float] = {}
         self.refresh()
 
-    def without(self, fold: Callable[[int, Stretch], bool]) -> Evidence:
+    def without(self, fold: Callable[[int, Stretch], bool]) -> "Evidence":
         """Return that of all stretches but those that ``fold`` names by their number."""
         kept = [[n for n, stretch in enumerate(gyro.stretches) if not fold(n, stretch)] for gyro in self.gyros]
         gyros = [

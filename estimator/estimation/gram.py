@@ -5,8 +5,6 @@ an estimate needs (sufficient statistics): one pass over the data, any number of
 recordings are sums of matrices, and the digits that a covariance filter loses are kept.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,12 +29,12 @@ class Gram:
     products: Floats
 
     @classmethod
-    def empty(cls, channels: int) -> Gram:
+    def empty(cls, channels: int) -> "Gram":
         """Return the sum over no rows."""
         return cls(0, np.zeros((4 + channels, 4 + channels)))
 
     @classmethod
-    def of(cls, w_rps: Floats, y_rps: Floats, weight: Floats | None = None) -> Gram:
+    def of(cls, w_rps: Floats, y_rps: Floats, weight: Floats | None = None) -> "Gram":
         """Return the products of body rates (rows, 3) and outputs (rows, m); ``weight`` (rows,) scales rows."""
         rows, channels = y_rps.shape
         total = np.zeros((4 + channels, 4 + channels))
@@ -53,7 +51,7 @@ class Gram:
             total += block @ block.T
         return cls(rows, total)
 
-    def __add__(self, other: Gram) -> Gram:
+    def __add__(self, other: "Gram") -> "Gram":
         return Gram(self.rows + other.rows, self.products + other.products)
 
 

@@ -5,8 +5,6 @@ has independent coefficients, exactly (its increments mirror at both ends); flic
 weight for each frequency, and the products of all columns, summed within narrow bands, serve every noise model.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -54,7 +52,7 @@ class Stretch:
     used: float = 1.0
 
     @classmethod
-    def of(cls, run: int, blocks: slice, length_s: float, alone: bool) -> Stretch:
+    def of(cls, run: int, blocks: slice, length_s: float, alone: bool) -> "Stretch":
         """Return that of some blocks; ``alone`` if there is no other recording: power was not off in between."""
         n = blocks.stop - blocks.start
         frequency = np.arange(n) / (2 * n * length_s)
@@ -89,7 +87,7 @@ class NoiseShapes:
     span_s: float
 
     @classmethod
-    def over(cls, span_s: float, stated: NoiseModel | None = None, *, several: bool = False) -> NoiseShapes:
+    def over(cls, span_s: float, stated: NoiseModel | None = None, *, several: bool = False) -> "NoiseShapes":
         """Return those that one or ``several`` recordings of this length can tell; ``stated`` by a data sheet."""
         arw = stated.arw if stated is not None else 0.0
         ratios = (stated.instability / arw, stated.walk / arw) if stated is not None and arw > 0 else (0.0, 0.0)
@@ -99,7 +97,7 @@ class NoiseShapes:
         b, k, t = (part.ravel() for part in np.meshgrid(instability, walk, turn_on, indexing="ij"))
         return cls(b, k, t, np.log(np.einsum("b,k,t->bkt", chance_b, chance_k, chance_t).ravel()), span_s)
 
-    def select(self, keep: NDArray[np.bool_]) -> NoiseShapes:
+    def select(self, keep: NDArray[np.bool_]) -> "NoiseShapes":
         """Return only these."""
         parts = (self.instability[keep], self.walk[keep], self.turn_on[keep], self.log_prior[keep])
         return NoiseShapes(*parts, self.span_s)

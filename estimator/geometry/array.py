@@ -1,7 +1,5 @@
 """Geometry of an array of single-axis gyros: which way each one senses, and its two tilt axes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -28,7 +26,7 @@ class SensorArray:
     def __len__(self) -> int:
         return len(self.names)
 
-    def select(self, rows: Sequence[int]) -> SensorArray:
+    def select(self, rows: Sequence[int]) -> "SensorArray":
         """Return the array of only these gyros, in this order; rank is not asked of a part."""
         index = list(rows)
         return SensorArray(tuple(self.names[i] for i in index), self.p[index], self.j[index], self.k[index])

@@ -5,10 +5,9 @@ deviation is flat at 0.664 B. It is represented by Gauss-Markov processes spread
 correlation time, each with variance ``B^2 / pi`` per unit of it, from a second to ten times the span looked at.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -49,7 +48,7 @@ class MeansCovariance:
     walk: Floats
 
     @classmethod
-    def of(cls, t_s: Floats, length_s: float, held_s: Floats) -> MeansCovariance:
+    def of(cls, t_s: Floats, length_s: float, held_s: Floats) -> Self:
         """Return it for blocks centred at ``t_s`` (B,), of which samples cover ``held_s`` (B,)."""
         lag = np.abs(t_s[:, None] - t_s[None, :])
         same = np.eye(len(t_s), dtype=bool)

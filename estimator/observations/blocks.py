@@ -1,7 +1,5 @@
 """Sums of rows over short blocks of time: all that estimates, noise and residuals need of a long recording."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -39,7 +37,7 @@ class Blocks:
         share = np.round(20 * self.rows * self.period_s / self.length_s)
         return np.asarray(np.clip(share, 1, 20) / 20 * self.length_s)
 
-    def merged(self, factor: int) -> Blocks:
+    def merged(self, factor: int) -> "Blocks":
         """Return blocks ``factor`` times as long; what differed between the short ones is now within the long."""
         if factor == 1:
             return self
@@ -52,7 +50,7 @@ class Blocks:
         within = self.within + (spread * self.rows[:, None]).T @ spread
         return Blocks(long[first], rows, means[:, :3], means[:, 3:], within, self.length_s * factor, self.period_s)
 
-    def select(self, keep: NDArray[np.bool_]) -> Blocks:
+    def select(self, keep: NDArray[np.bool_]) -> "Blocks":
         """Return the means of these blocks only; what is within stays that of all."""
         return replace(
             self, index=self.index[keep], rows=self.rows[keep], w_rps=self.w_rps[keep], z_rps=self.z_rps[keep]

@@ -5,9 +5,8 @@ interval and the turn in the same interval; for an encoder that is a difference 
 with the rate of sampling. A delay between the two is a look at the same turn earlier.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +37,7 @@ class Turned:
     reach_s: float = 0.0
 
     @classmethod
-    def of_increments(cls, t_s: Floats, increments: Floats, longest_s: float | None = None) -> Turned:
+    def of_increments(cls, t_s: Floats, increments: Floats, longest_s: float | None = None) -> Self:
         """Return the sum of ``increments`` (k - 1, c) from each instant to the next, NaN where they are not known.
 
         Over ``longest_s`` (some usual steps) they are not known either.
@@ -52,7 +51,7 @@ class Turned:
         return cls(t_s, np.vstack([zero, summed]), np.concatenate([[0.0], np.cumsum(unknown)]))
 
     @classmethod
-    def of_rates(cls, t_ns: NDArray[np.int64], rate_rps: Floats, longest_s: float | None = None) -> Turned:
+    def of_rates(cls, t_ns: NDArray[np.int64], rate_rps: Floats, longest_s: float | None = None) -> Self:
         """Return the integral of rates (k, c) that are samples, by cubics; NaN where they are not known."""
         order = np.argsort(t_ns, kind="stable")
         order = order[np.concatenate([[True], np.diff(t_ns[order]) > 0])]
@@ -63,7 +62,7 @@ class Turned:
         return cls.of_increments(t_s, 0.5 * (rate[1:] + rate[:-1]) * step_s - bend * step_s**2 / 12, longest_s)
 
     @classmethod
-    def of_reference(cls, reference: Reference, site: Site | None) -> Turned:
+    def of_reference(cls, reference: Reference, site: Site | None) -> Self:
         """Return the turn (k, 3) in body axes of an attitude, a rate, or the angle of a table with one axis."""
         if isinstance(reference, AttitudeReadings):
             rates = rates_from_attitude(reference)
@@ -82,7 +81,7 @@ class Turned:
             turn += into_body(site.earth_rate_rps(), middle[:, None], reference.gimbals) * np.diff(t_s)[:, None]
         return cls.of_increments(t_s, turn)
 
-    def smoothed(self, period_s: float) -> Turned:
+    def smoothed(self, period_s: float) -> Self:
         """Return the same through three means over two periods each.
 
         Between two noisy readings linear interpolation has half their noise, so that any delay of half a period would

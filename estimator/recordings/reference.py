@@ -1,7 +1,5 @@
 """What the body really did: body rate at any instant, from what the table or another reference measured."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
@@ -27,7 +25,7 @@ _SURE_RPS = float(np.radians(0.02))  # to which the doubt of its instant must le
 _NEAR_NS = 1_000_000  # so near on both sides a change of rate is looked for
 _AT_ONCE = 1024  # readings: sums over more lose digits
 _KEPT_NS = 60_000_000_000  # rows and readings: more than windows, ramps and gaps between readings reach back
-_MADE: WeakKeyDictionary[TableReadings, dict[Site | None, BodyRates]] = WeakKeyDictionary()
+_MADE: "WeakKeyDictionary[TableReadings, dict[Site | None, BodyRates]]" = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +144,7 @@ class BodyRates:
         self._done, self._starts_ns = 0, 2**62
 
     @classmethod
-    def of(cls, readings: TableReadings, site: Site | None) -> BodyRates:
+    def of(cls, readings: TableReadings, site: Site | None) -> "BodyRates":
         """Return those of readings that are all there, final to the last: made once as long as they are kept."""
         made = _MADE.setdefault(readings, {})
         if site not in made:

@@ -1,9 +1,8 @@
 """The model with effects added: what it predicts of a run, and how sure it is."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -64,7 +63,7 @@ class Augmented:
     walk: float
 
     @classmethod
-    def of(cls, evidence: Evidence, parts: Sequence[Part], weight: Floats | None = None) -> Augmented:
+    def of(cls, evidence: Evidence, parts: Sequence[Part], weight: Floats | None = None) -> Self:
         """Return the model of an estimate, and of tones that were fitted before it.
 
         ``weight`` (G,) is that of the noise models, by default as the recordings say beside the parts.
@@ -93,7 +92,7 @@ class Augmented:
         names = tuple(gyro.name for gyro in evidence.gyros)
         return cls(names, np.array(means), np.array(covariances), (*own, *shared, *tones), prior, arw, *noise)
 
-    def estimated(self, posterior: Posterior) -> Augmented:
+    def estimated(self, posterior: Posterior) -> Self:
         """Return the same model with another estimate; its tones stay as they are."""
         mean, covariance = self.mean.copy(), self.covariance.copy()
         for g, (own, its) in enumerate(zip(posterior.means, posterior.covariances, strict=True)):

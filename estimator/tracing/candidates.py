@@ -1,13 +1,11 @@
 """What is tried: the effects of the catalogue, and general dependences that stand for what is not in it."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -63,7 +61,7 @@ class Candidate:
     settings: Settings = field(default_factory=dict)
 
     @classmethod
-    def among(cls, name: str, of: Callable[[float], Effect], start: Floats, begin: int = 0, **more: Any) -> Candidate:
+    def among(cls, name: str, of: Callable[[float], Effect], start: Floats, begin: int = 0, **more: Any) -> Self:
         """Return an effect of which what is not linear is looked for from some values on, number ``begin`` first."""
         theta = float(start[begin])
         return cls(name, of(theta), theta=theta, of=of, start=start, **more)

@@ -5,10 +5,9 @@ one expected size that is not known. Where an effect alone explains a residual, 
 where much is left beside it, the sum is there anyway, and could say what the effect says.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +35,7 @@ class OpenWorld:
     by_size: Floats
 
     @classmethod
-    def beside(cls, evidence: Evidence, model: Sequence[Term], columns: Columns, sizes: Floats) -> OpenWorld:
+    def beside(cls, evidence: Evidence, model: Sequence[Term], columns: Columns, sizes: Floats) -> Self:
         """Return that of a model; ``columns``, times ``sizes`` (c,) of 1 rad/s rms, are the functions there may be."""
         base = Base(evidence, model)
         closed = log_mean(base.by_noise(), evidence.shapes.log_prior)

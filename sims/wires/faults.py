@@ -4,15 +4,13 @@ A bench file turns them in [twin.fault] for the table and [twin.NAME.fault] for 
 the twins, on the loop's clock. Faults of a wire sit between device and wire, so one serves every wire.
 """
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections import deque
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, fields, replace
 from types import SimpleNamespace
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Self, TypeVar
 
 import can
 import numpy as np
@@ -78,7 +76,7 @@ class WireFaults:
         check(self)
 
     @property
-    def to_device(self) -> WireFaults:
+    def to_device(self) -> Self:
         """Those that also act on what the host sends."""
         return replace(self, late=0.0, swapped=0.0, repeats_s=math.inf, backwards_s=math.inf)
 

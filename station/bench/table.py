@@ -1,12 +1,10 @@
 """The [table] section of a bench file: which controller turns the axes, how it is reached, what it may be asked for."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from drivers.plugins import Registry
 from drivers.specs import AxisSetup, TableSpec
@@ -52,7 +50,7 @@ class TableConfig:
         """The links of all axes, each once."""
         return tuple(dict.fromkeys(axis.link or self.link for axis in self.axes.values()))
 
-    def at(self, link: str) -> TableConfig:
+    def at(self, link: str) -> Self:
         """Return the same table at another link, with all its axes."""
         axes = {name: replace(axis, link="") for name, axis in self.axes.items()}
         return replace(self, link=link, axes=axes)

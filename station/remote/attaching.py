@@ -3,8 +3,6 @@
 Plain asyncio. What a session says is JSON, a line each (``station.remote.hosting`` has the other end).
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os
@@ -16,7 +14,7 @@ from collections import deque
 from collections.abc import AsyncIterator, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from station.errors import UsageError
 
@@ -112,14 +110,14 @@ def _answers(path: Path) -> bool:
 class RemoteSession:
     """A session in another process. What is said to it takes effect there; refusals come as messages."""
 
-    def __init__(self, transport: asyncio.Transport, inbox: _Inbox, hello: Mapping[str, Any]) -> None:
+    def __init__(self, transport: asyncio.Transport, inbox: "_Inbox", hello: Mapping[str, Any]) -> None:
         """``connect`` makes one."""
         self._transport, self._inbox = transport, inbox
         self.hello = dict(hello)
         """What the session says of itself: version, pid, bench, script, recording, gyros, axes, limits, ..."""
 
     @classmethod
-    async def connect(cls, path: Path) -> RemoteSession:
+    async def connect(cls, path: Path) -> Self:
         """Connect to a session's socket; UsageError if none is there, or one that speaks another language."""
         loop = asyncio.get_running_loop()
         try:

@@ -9,8 +9,6 @@ Nothing a client does, or leaves undone, delays the session: what a slow one doe
 the events, and the next snapshot that it gets is the newest.
 """
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 import json
@@ -22,7 +20,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any, cast
+from typing import Any, Self, cast
 
 from station.bench.bench import Bench
 from station.errors import UsageError
@@ -65,7 +63,7 @@ class Host:
         self._course: list[bytes] = []
         self._blind = False
 
-    async def __aenter__(self) -> Host:
+    async def __aenter__(self) -> Self:
         """Make the socket, which nobody sees yet; UsageError if that cannot be."""
         if not hasattr(socket, "AF_UNIX"):
             raise UsageError("--host: this system has no Unix sockets")
@@ -120,7 +118,7 @@ class Host:
             with suppress(OSError):
                 path.unlink()
 
-    def welcome(self, client: _Client) -> None:
+    def welcome(self, client: "_Client") -> None:
         """Take in a client: hello, events, and where the run is."""
         if len(self.clients) >= _MOST_CLIENTS:
             client.transport.write(_refused(f"{_MOST_CLIENTS} others look at this session already"))

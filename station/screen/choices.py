@@ -1,9 +1,8 @@
 """What the operator chose: bench, script, folder, and what else goes to the commands."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 from station.atomic_write import new_recording
 
@@ -52,7 +51,7 @@ class Choices:
         words = [word for option, value in given.items() if value for word in (option, value)]
         return ["run", "--host", "--json", *words, *self.link_options, *self.device_options, *self.run_options]
 
-    def by_hand(self, all_twins: bool) -> Choices:
+    def by_hand(self, all_twins: bool) -> Self:
         """Return what manual mode is started with on the same bench: no script, no serial no.; twins in real time."""
         options = ("--manual", *(option for option in self.run_options if option == "--reset-fault"))
         scale = self.scale or (1.0 if all_twins else None)

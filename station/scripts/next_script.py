@@ -1,11 +1,10 @@
 """The script that tells rivals apart: of those that the table can do, the one predicted to settle it soonest."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise, permutations
+from typing import Self
 
 import numpy as np
 
@@ -66,7 +65,7 @@ class Past:
     prior: Prior
 
     @classmethod
-    def of(cls, run: Run) -> Past:
+    def of(cls, run: Run) -> Self:
         """Return it for a run; noise that no data sheet states is taken from the samples."""
         data, noise = run.data, run.data.noise
         if noise is None:
@@ -147,7 +146,7 @@ class _Grams:
     shared: frozenset[str]
 
     @classmethod
-    def of(cls, runs: Sequence[Past], effects: Mapping[str, Sequence[Effect]], origin_s: float | None) -> _Grams:
+    def of(cls, runs: Sequence[Past], effects: Mapping[str, Sequence[Effect]], origin_s: float | None) -> Self:
         matrices: dict[tuple[str, str], Floats] = {}
         counts = [sum(len(e.parameters) for e in group) for group in effects.values()]
         edges = np.cumsum([4, *counts]).tolist()
@@ -168,7 +167,7 @@ class _Grams:
         shared = frozenset(name for name, group in effects.items() if group and group[0].shared)
         return cls(matrices, own, shared)
 
-    def __add__(self, other: _Grams) -> _Grams:
+    def __add__(self, other: Self) -> Self:
         """Return what both show together."""
         matrices = {key: matrix + other.matrices.get(key, 0.0) for key, matrix in self.matrices.items()}
         return replace(self, matrices=matrices)

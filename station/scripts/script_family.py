@@ -9,8 +9,6 @@ The sums are exact for a base that does not turn: a trapezoid about a fixed dire
 angle and its integral of rate squared.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -89,11 +87,11 @@ class Shape:
         moves = tuple(step for step in self._steps(self.least) if isinstance(step, Move))
         self._fixed = sums(Script("moves", moves), gimbals)
 
-    def again(self, cycles: int) -> Shape:
+    def again(self, cycles: int) -> "Shape":
         """Return the same ways gone through so many times."""
         return Shape(self.ways, cycles, float(self.least[-1]), self._limits, self._gimbals)
 
-    def with_ramps(self, acceleration_rps2: float) -> Shape:
+    def with_ramps(self, acceleration_rps2: float) -> "Shape":
         """Return the same ways, no ramp steeper than this."""
         limits = {
             axis: replace(limit, acceleration_rps2=min(limit.acceleration_rps2, acceleration_rps2))

@@ -3,11 +3,9 @@
 Source: Aceinna's public documentation of the OpenIMU300RI's J1939 application; SAE J1939-21 for identifiers.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Self
 
 import drivers.imus.can.dbc
 from drivers.imus.signals import parameter_group
@@ -89,7 +87,7 @@ class Name:
     function: int
 
     @classmethod
-    def decode(cls, data: bytes) -> Name | None:
+    def decode(cls, data: bytes) -> Self | None:
         """Return the NAME of eight bytes, None of any other number."""
         if len(data) != 8:
             return None

@@ -1,7 +1,5 @@
 """Any IMU on CAN that a DBC describes, with a mapping of its signals to channels."""
 
-from __future__ import annotations
-
 import asyncio
 import threading
 from collections import deque
@@ -224,7 +222,7 @@ class CanImu(OneSource[FrameLink]):
             for inlet in self._inlets(frame):
                 inlet.take(Piece(self._order, frame.t_ns, frame.data))
 
-    def _inlets(self, frame: Frame) -> Sequence[_Inlet]:
+    def _inlets(self, frame: Frame) -> "Sequence[_Inlet]":
         """Return who takes a frame, by its identifier or by its J1939 parameter group."""
         if exact := self._exact.get((frame.identifier, frame.extended)):
             return exact

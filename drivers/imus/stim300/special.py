@@ -2,10 +2,8 @@
 trim, extended error. Payloads only, from behind the id to before the CRC; ``drivers.imus.stim300.codec`` frames
 them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Self, TypeAlias
 
 from drivers.packaged import packaged_codes
 
@@ -38,7 +36,7 @@ class PartNumber:
         return packed + bytes(3) + self.revision.encode("latin-1")
 
     @classmethod
-    def parse(cls, payload: bytes) -> PartNumber:
+    def parse(cls, payload: bytes) -> Self:
         """Read the 15 bytes; a digit that cannot be one becomes ``?``."""
         p12, p13, p14, p15, p16, p17 = _nibbles(payload[8:11])
         last = [p17, p12 + 16 * p16, p13, p14 + 16 * p15]
@@ -60,7 +58,7 @@ class SerialNumber:
         return b"N" + _packed([_digit(c) for c in self.text[1:]]) + bytes(7)
 
     @classmethod
-    def parse(cls, payload: bytes) -> SerialNumber:
+    def parse(cls, payload: bytes) -> Self:
         """Read the 15 bytes."""
         return cls("N" + "".join(_DIGITS[d] for d in _nibbles(payload[1:8])))
 
@@ -86,7 +84,7 @@ class Configuration:
         accel_range_g: int = 10,
         revision: str = "K",
         firmware: int = 0,
-    ) -> Configuration:
+    ) -> Self:
         """Return the configuration of a device with all axes on, 262 Hz filters and the rest at 0."""
         data = bytearray(21)
         data[0], data[1] = ord(revision), firmware
@@ -106,7 +104,7 @@ class Configuration:
         return self.data
 
     @classmethod
-    def parse(cls, payload: bytes) -> Configuration:
+    def parse(cls, payload: bytes) -> Self:
         """Keep the 21 bytes."""
         return cls(payload)
 
@@ -165,7 +163,7 @@ class BiasTrim:
         return offsets + self.reference.to_bytes(4, "big") + self.saves_left.to_bytes(2, "big") + bytes(2)
 
     @classmethod
-    def parse(cls, payload: bytes) -> BiasTrim:
+    def parse(cls, payload: bytes) -> Self:
         """Read the 35 bytes."""
         v = [int.from_bytes(payload[i : i + 3], "big", signed=True) for i in range(0, 27, 3)]
         reference, saves = int.from_bytes(payload[27:31], "big"), int.from_bytes(payload[31:33], "big")
@@ -183,7 +181,7 @@ class ExtendedError:
         return self.bits.to_bytes(16, "big")
 
     @classmethod
-    def parse(cls, payload: bytes) -> ExtendedError:
+    def parse(cls, payload: bytes) -> Self:
         """Read the 16 bytes."""
         return cls(int.from_bytes(payload, "big"))
 

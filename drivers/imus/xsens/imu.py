@@ -1,7 +1,5 @@
 """An Xsens MTi on a byte link: identity, output configuration, and its MTData2 messages as blocks of rates."""
 
-from __future__ import annotations
-
 from collections.abc import AsyncIterator
 from itertools import groupby
 
@@ -193,7 +191,7 @@ class XsensImu(XbusDevice):
             sent = ", ".join(mtdata2.name_of(packet.data_id) for packet in samples.packets)
             raise BadReply(self._device, f"it sends no RateOfTurn, only {sent}; {_LET_CONFIGURE}")
 
-    def _timing_by(self, samples: mtdata2.Samples) -> _Timing:
+    def _timing_by(self, samples: mtdata2.Samples) -> "_Timing":
         if samples.has(mtdata2.SAMPLE_TIME_FINE):
             ticks = max(round(1 / (mtdata2.SAMPLE_TIME_TICK_S * self._rate_hz)), 1)
             clock = CounterClock(mtdata2.SAMPLE_TIME_TICK_S, mtdata2.SAMPLE_TIME_MODULUS, ticks, counts=self._counts)

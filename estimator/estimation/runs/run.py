@@ -1,10 +1,9 @@
 """One run as tracing sees it: block means of output errors, and what the gyros went through meanwhile."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,7 +110,7 @@ class Run:
         """Whether the body turns and another instrument says how: errors of that one are in the residual, too."""
         return self.turns and by_turns(self.recording.reference)
 
-    def coarse(self) -> Run:
+    def coarse(self) -> Self:
         """Return the run with a fifth of its grid: a few instants in each block do where many functions are tried."""
         blocks = len(self.t_s)
         stride = 5 if len(self.grid.t_s) // blocks % 5 == 0 else 1

@@ -6,8 +6,6 @@ projections say how wrong the compensated rate is in that phase, and whether its
 phases in which the two models differ by more than an interval's standard deviation, over all if they are the same.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -104,7 +102,7 @@ class Drawn:
     after: Floats
     blocks: float
 
-    def __add__(self, other: Drawn) -> Drawn:
+    def __add__(self, other: "Drawn") -> "Drawn":
         return Drawn(self.before + other.before, self.after + other.after, self.blocks + other.blocks)
 
     @property

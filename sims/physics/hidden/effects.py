@@ -1,9 +1,8 @@
 """All hidden effects: what is wrong with a table and its gyros, and the file that says so."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Self
 
 from sims.physics.hidden.converter import KINDS as CONVERTER
 from sims.physics.hidden.fields import HiddenError, check, read, refuse_unknown
@@ -38,7 +37,7 @@ class Hidden:
             check(self.temperature)
 
     @classmethod
-    def of(cls, tables: Mapping[str, object]) -> Hidden:
+    def of(cls, tables: Mapping[str, object]) -> Self:
         """Return what tables of texts with units say; HiddenError for what is wrong, which begins with table and key.
 
         An effect that is there more than once is a list of tables, named in errors by its place: "tone.1".
@@ -53,7 +52,7 @@ class Hidden:
         temperature = read(Temperature, tables["temperature"], "temperature") if "temperature" in tables else None
         return cls(tuple(effects), temperature, _devices(tables.get("devices")))
 
-    def of_device(self, name: str) -> Hidden:
+    def of_device(self, name: str) -> Self:
         """Return what is hidden from this device: effects of its gyros only if it is among the devices."""
         if self.devices is None or name in self.devices:
             return self

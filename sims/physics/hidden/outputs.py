@@ -3,12 +3,10 @@
 Each gives what it adds, (n, m) in rad/s. Times are those of the bench clock, which goes on from run to run.
 """
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from dataclasses import field, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -114,9 +112,9 @@ class BiasWalk(Added):
 
     size: Each = field(metadata=each("deg/h/rth"))
     seed: int = field(default=0, metadata=WHOLE)
-    path: WalkPath | None = None
+    path: "WalkPath | None" = None
 
-    def for_run(self, count: int, seed: tuple[int, ...]) -> BiasWalk:
+    def for_run(self, count: int, seed: tuple[int, ...]) -> Self:
         """Return the walk of ``count`` gyros of one device, which ``seed`` names in a run."""
         return replace(self, path=WalkPath(count, (self.seed, *seed[1:]) if self.seed else seed))
 

@@ -1,7 +1,5 @@
 """Recordings as the screen shows them."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -9,7 +7,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, Self, TypeAlias
 
 from station.run.snapshot import GyroSnapshot
 from station.screen.sessions.live_run import Trend
@@ -70,17 +68,17 @@ class Entry:
         gyros = tuple((gyro.source, gyro.name) for gyro in self.gyros)
         return (self.serial, self.texts.get("station"), self.texts.get("script"), gyros)
 
-    def same_device(self, other: Entry) -> bool:
+    def same_device(self, other: Self) -> bool:
         """Whether both are of one device: the same serial number or, where neither has one, the same gyros."""
         if self.serial or other.serial:
             return self.serial == other.serial
         return self._same_gyros(other)
 
-    def same_calibrated(self, other: Entry) -> bool:
+    def same_calibrated(self, other: Self) -> bool:
         """Whether the other is another recording of the device, with a calibration of the same gyros."""
         return self._same_gyros(other) and self.path != other.path and self.same_device(other)
 
-    def _same_gyros(self, other: Entry) -> bool:
+    def _same_gyros(self, other: Self) -> bool:
         own, others = ({(gyro.source, gyro.name) for gyro in entry.gyros} for entry in (self, other))
         return bool(own) and own == others
 
