@@ -129,6 +129,11 @@ class Run:
         return [slice(int(a), int(b)) for a, b in pairwise(starts.tolist())]
 
 
+def with_gyro(runs: Sequence[Run], name: str) -> list[tuple[int, Run, int]]:
+    """Return the runs that have a gyro of this name: their number, the run, and the gyro's number in it."""
+    return [(n, run, run.array.names.index(name)) for n, run in enumerate(runs) if name in run.array.names]
+
+
 def growth_notes(runs: Sequence[Run]) -> list[str]:
     """Return, in words, which runs have noise that grows with the rate."""
     found = []
