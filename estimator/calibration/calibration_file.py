@@ -99,10 +99,7 @@ def read_calibration(path: Path, *, trusted: bool = False) -> Calibration:
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error}") from None
     except MISSHAPEN as error:
-        raise RecordingError(
-            f"{path} holds a damaged calibration ({type(error).__name__}: {error}): `station calibrate --write {path}` "
-            "estimates it again"
-        ) from None
+        raise RecordingError(sentence("calibration.broken", path=path, kind=type(error).__name__, why=error)) from None
 
 
 def _read(path: Path, file: Any, group: Any) -> Calibration:

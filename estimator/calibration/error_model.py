@@ -19,6 +19,7 @@ from estimator.effects.catalogue import record_of
 from estimator.effects.effect import Effect, Record, Value, positive
 from estimator.effects.law import axes_of
 from estimator.errors import MISSHAPEN, EstimatorError
+from estimator.packaged import sentence
 from estimator.recordings.safe_open import probe
 from estimator.types import Floats
 from estimator.untrusted import harmless, read_text
@@ -160,11 +161,8 @@ class ErrorModel:
             raise ModelError(f"{where} is no error model: {_GIVE}") from None
         if not isinstance(whole, dict) or whole.get("format") != FORMAT:
             raise ModelError(f"{where} is no error model: {_GIVE}")
-        if whole.get("format_version") != FORMAT_VERSION:
-            raise ModelError(
-                f"{where} has version {whole.get('format_version')} of the format of error models, and this station "
-                f"reads version {FORMAT_VERSION}: investigate again with this version"
-            )
+        if (version := whole.get("format_version")) != FORMAT_VERSION:
+            raise ModelError(sentence("calibration.other_version", where=where, version=version, ours=FORMAT_VERSION))
         try:
             effects = tuple(_read_effect(entry, where) for entry in whole["effects"])
             left_out = {str(name): str(reason) for name, reason in whole.get("left_out", {}).items()}

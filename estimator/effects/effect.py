@@ -20,7 +20,7 @@ from estimator.effects.conditions import Axes, Conditions
 from estimator.effects.law import VARIABLES, LawError, columns_of, functions_of, needs_of, parsed, variables_of
 from estimator.errors import EstimatorError
 from estimator.geometry.array import SensorArray
-from estimator.packaged import packaged_toml
+from estimator.packaged import packaged_toml, sentence
 from estimator.types import Floats
 
 Value = float | int | str
@@ -212,9 +212,7 @@ class Record:
             if re.search("deg|ppm|%", own.unit):
                 raise EffectError(f"the effect {self.name}: {own.unit!r} of {own.name} is no SI unit: write rad, K, 1")
             if not (isinstance(own.largest, (int, float)) and 0 < own.largest < math.inf):
-                raise EffectError(
-                    f"the effect {self.name}: size of {own.name} is {own.largest!r}: give a number above 0"
-                )
+                raise EffectError(sentence("effects.no_size", effect=self.name, parameter=own.name, size=own.largest))
         for settings in self.listed(1.0) if self.law else ():
             try:
                 terms, count = self.effect(("z",), **settings).parameters, len(parsed(self.law.format(**settings)))

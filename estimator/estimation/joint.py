@@ -170,8 +170,7 @@ def effect_notes(gyros: Sequence[GyroCalibration]) -> list[str]:
     for name, who in unseen.items():
         by_gyros.setdefault(tuple(who), []).append(readable(name))
     return [
-        f"not seen by this run on {', '.join(who)}, of the effects of the model: {', '.join(names)}; the sigmas of the "
-        "states hold what is typical of them"
+        sentence("estimation.effects_unseen", gyros=", ".join(who), effects=", ".join(names))
         for who, names in by_gyros.items()
     ]
 

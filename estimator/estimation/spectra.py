@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.estimation.runs.run import Run
+from estimator.estimation.runs.run import Run, with_gyro
 from estimator.geometry.noise import NoiseModel
 from estimator.types import Floats
 
@@ -196,10 +196,7 @@ def gyro_spectra(runs: Sequence[Run], arw: Mapping[str, float] | None = None) ->
         stretches: list[Stretch] = []
         parts: list[Floats] = []
         prior = None
-        for number, run in enumerate(runs):
-            if name not in run.array.names:
-                continue
-            i = run.array.names.index(name)
+        for number, run, i in with_gyro(runs, name):
             prior = run.prior.variances()
             both = run.weighed(np.column_stack([run.state_columns()[i], run.z_rps[:, i]]), i)
             for blocks in run.stretches():

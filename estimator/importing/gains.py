@@ -167,8 +167,7 @@ def _gain_notes(array: SensorArray, found: Sequence[_Gain | None], size_rps: flo
             notes.append(sentence("importing.not_following", name=name, share=gain.follows))
         elif gain.axis is not None:
             notes.append(
-                f"{name}: its output follows the body rate about {axis_text(gain.axis, 0.95)}, not about "
-                f"{axis_text(axis)} as stated: check axes and the order of columns in [gyro]"
+                sentence("importing.another_axis", name=name, axis=axis_text(gain.axis, 0.95), stated=axis_text(axis))
             )
         elif abs(gain.factor + 1) < FAR_OFF:
             notes.append(
@@ -183,7 +182,6 @@ def _gain_notes(array: SensorArray, found: Sequence[_Gain | None], size_rps: flo
                 if abs(size * abs(gain.factor) / size_rps - 1) < _UNIT
             ]
             notes.append(
-                f"{name}: its output is {gain.factor:.3g} times what the reference says{''.join(unit[:1])}: check unit "
-                f'and count in [gyro], or write scale = "from data"{sign}'
+                sentence("importing.wrong_scale", name=name, factor=gain.factor, unit="".join(unit[:1]), sign=sign)
             )
     return notes

@@ -107,8 +107,7 @@ def _section_rows(mapping: Mapping, stated: StatedTurns | Rests, log: Log) -> li
     unknown = [name for name in present if name not in names]
     if unknown and all_named:
         raise RecordingError(
-            f"{path.name}: nothing says how section {', '.join(unknown)} turned: add it to [reference.sections] of "
-            f"{mapping.name}"
+            sentence("importing.section_unknown", file=path.name, sections=", ".join(unknown), mapping=mapping.name)
         )
     missing = [name for name in names if name not in present]
     if missing:
@@ -187,8 +186,5 @@ def _checked_angle(mapping: Mapping, stated: StatedTurns, turned_rad: Floats, tu
     if stated.sign_from_data and measured * angle < 0:
         angle = -angle
     if not abs(measured / angle - 1) < _WRONG_BY:
-        raise RecordingError(
-            f"its gyros turn by {np.degrees(measured):.1f} deg where {np.degrees(angle):.1f} are stated: check axis, "
-            "sign, angle and [gyro] unit"
-        )
+        raise RecordingError(sentence("importing.turn_unlike", turned=np.degrees(measured), stated=np.degrees(angle)))
     return angle

@@ -19,7 +19,7 @@ from estimator.effects.effect import Effect, Kind, Parameter, Record, Settings
 from estimator.effects.law import last_sign, of_each_gyro
 from estimator.effects.site import EARTH_RATE, EARTH_RATE_UPWARD
 from estimator.effects.table import TABLE_HARMONIC
-from estimator.estimation.runs.run import Run
+from estimator.estimation.runs.run import Run, with_gyro
 from estimator.observations.turned import by_turns
 from estimator.types import Floats
 
@@ -205,8 +205,7 @@ def _sensed(runs: Sequence[Run]) -> dict[str, Floats]:
     found = {}
     for name in dict.fromkeys(name for run in runs for name in run.array.names):
         rows = []
-        for run in (run for run in runs if name in run.array.names):
-            i = run.array.names.index(name)
+        for _, run, i in with_gyro(runs, name):
             one = np.column_stack([np.ones(len(run.t_s)), run.w_rps, run.columns(LATENCY.effect(), i), run.z_rps[:, i]])
             rows.append(one * run.weight[:, None])
         whole = np.vstack(rows)

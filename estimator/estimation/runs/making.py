@@ -75,8 +75,7 @@ def runs_of(recording: Recording, block_s: float = BLOCK_S, order: int = 0) -> t
         )
     if not runs:
         raise InvestigationError(
-            f"{recording.name}: too little data: no source has {_FEWEST_BLOCKS * BLOCK_S:g} s of samples that the "
-            "reference covers"
+            sentence("estimation.untraced_short", recording=recording.name, length_s=_FEWEST_BLOCKS * BLOCK_S)
         )
     return runs, notes, faults
 

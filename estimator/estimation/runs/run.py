@@ -13,6 +13,7 @@ from estimator.effects.effect import Effect
 from estimator.geometry.array import SensorArray
 from estimator.geometry.model import Prior, regressor_maps
 from estimator.observations.turned import REST_RPS, by_turns
+from estimator.packaged import sentence
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import Poses, Turns
 from estimator.types import Floats
@@ -128,6 +129,11 @@ class Run:
         return [slice(int(a), int(b)) for a, b in pairwise(starts.tolist())]
 
 
+def with_gyro(runs: Sequence[Run], name: str) -> list[tuple[int, Run, int]]:
+    """Return the runs that have a gyro of this name: their number, the run, and the gyro's number in it."""
+    return [(n, run, run.array.names.index(name)) for n, run in enumerate(runs) if name in run.array.names]
+
+
 def growth_notes(runs: Sequence[Run]) -> list[str]:
     """Return, in words, which runs have noise that grows with the rate."""
     found = []
@@ -135,8 +141,7 @@ def growth_notes(runs: Sequence[Run]) -> list[str]:
         fastest = float(np.linalg.norm(run.w_rps, axis=1).max())
         times = float(np.hypot(1, run.growth_s * fastest))
         found.append(
-            f"{run.name or run.source}: noise grows with the rate, to {times:.1f} times that at rest at "
-            f"{np.degrees(fastest):.0f} deg/s: fast motion counts for less"
+            sentence("estimation.noise_grows", run=run.name or run.source, times=times, fastest_dps=np.degrees(fastest))
         )
     return found
 

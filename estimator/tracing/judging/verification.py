@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from estimator.estimation.runs.run import Run
+from estimator.estimation.runs.run import Run, with_gyro
 from estimator.estimation.spectra import Stretch
 from estimator.geometry.model import decode
 from estimator.tracing.augmented import Augmented
@@ -134,10 +134,8 @@ def drawn(
         draws = _draws(random, true.mean[g], true.covariance[g])
         old = np.zeros(draws.shape[1])
         old[: before.mean.shape[1]] = before.mean[g]
-        for number, run in enumerate(runs):
-            if name not in run.array.names:
-                continue
-            columns = after.columns(run, first + number, run.array.names.index(name))[run.weight > 0]
+        for number, run, i in with_gyro(runs, name):
+            columns = after.columns(run, first + number, i)[run.weight > 0]
             gram = columns.T @ columns
             squares = [np.einsum("mi,ij,mj->m", draws - x, gram, draws - x) for x in (old, after.mean[g])]
             left = misfit.get((name, first + number), 0.0)

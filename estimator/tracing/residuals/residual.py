@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.estimation.runs.run import Run
+from estimator.estimation.runs.run import Run, with_gyro
 from estimator.estimation.spectra import Stretch, cosines
 from estimator.tracing.augmented import Augmented
 from estimator.tracing.residuals.dependence import Dependence, Group, Regressors, dependences
@@ -129,10 +129,7 @@ def _whitened(
     g = models[0].names.index(name)
     arw = float(models[0].arw[g])
     gyro = _Gyro(arw, [], [], [], np.zeros(()), 0.0)
-    for number, run in enumerate(runs):
-        if name not in run.array.names:
-            continue
-        i = run.array.names.index(name)
+    for number, run, i in with_gyro(runs, name):
         columns = [model.columns(run, first + number, i) for model in models]
         for its, own, model in zip(left, columns, models, strict=True):
             its[number][:, i] -= own @ model.mean[g]
