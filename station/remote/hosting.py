@@ -277,13 +277,8 @@ def introduction(
 ) -> dict[str, Any]:
     """Return what a client is told of a bench and its run; times in s, limits in SI, null for none."""
     steps = [
-        {
-            "label": timed.step.label,
-            "start_s": timed.start_s,
-            "end_s": timed.start_s + timed.duration_s,
-            "axis": getattr(timed.step, "axis", None),
-            "to_rad": timed.to_rad,
-        }
+        {"label": timed.step.label, "start_s": timed.start_s, "end_s": timed.start_s + timed.duration_s}
+        | {"axis": getattr(timed.step, "axis", None), "to_rad": timed.to_rad}
         for timed in script.timeline()
     ]
     found: dict[str, Any] = json_object(

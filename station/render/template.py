@@ -22,7 +22,6 @@ def rendered(package: str, name: str, values: Mapping[str, Any]) -> str:
 def _environment(package: str, rich: bool) -> "Environment":
     from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
-    from estimator.effects.constructed import readable
     from station.views.figures import (
         OUTCOME_STYLES,
         STATE_FIGURES,
@@ -46,10 +45,16 @@ def _environment(package: str, rich: bool) -> "Environment":
     )
     shared = (dph, human, number, percent, probability, math.degrees, math.isfinite)
     environment.globals |= {function.__name__: function for function in shared}
-    environment.globals |= {"words": readable, "outcome_styles": OUTCOME_STYLES, "inf": math.inf}
+    environment.globals |= {"words": _words, "outcome_styles": OUTCOME_STYLES, "inf": math.inf}
     environment.globals |= {"state_figures": STATE_FIGURES, "state_units": STATE_UNITS}
-    environment.filters["words"] = readable
+    environment.filters["words"] = _words
     return environment
+
+
+def _words(called: str) -> str:
+    from estimator.effects.constructed import readable  # with numpy: not for texts that name no effect
+
+    return readable(called)
 
 
 def _for_rich(value: Any) -> str:

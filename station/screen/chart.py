@@ -66,7 +66,6 @@ class Chart(PlotWidget, inherit_bindings=False):
     def __init__(self, draw: Callable[[], None], name: str) -> None:
         """``draw`` has this chart drawn: it gets its size late, in a part that is scrolled to."""
         super().__init__(classes=name)
-        self._notes: Sequence[tuple[str, str]] = ()
         self._draw_again = draw
         self._x_formatter, self._y_formatter = self._over, self._along = _Ticks(), _Ticks()
         self.set_reactive(PlotWidget.margin_top, 0)
@@ -112,13 +111,15 @@ class Chart(PlotWidget, inherit_bindings=False):
                 self.errorbar(times[part], values[part], None, sds[part], "●", self._style(style))
             else:
                 self.plot(times[part], values[part], self._style(style), _DOTS)
-        self._notes = drawing.notes
-        if drawing.dial:
-            self._round_off()
-        else:
-            self.set_xlimits(low, high)
-            self.set_yticks(None if drawing.curves else [])
-            self.set_ylimits(*drawing.range or _around(np.concatenate(shown[1:] or shown)))
+        reach = drawing.range or _around(np.concatenate(shown[1:] or shown))
+        if drawing.dial:  # whose circles are to be round
+            shape = (self.size.width - 2) * _DOTS_WIDE / (self.size.height - 2) / _DOTS_HIGH
+            high, up = (_DIAL_REACH * max(ratio, 1.0) for ratio in (shape, 1 / shape))
+            low, reach = -high, (-up, up)
+        self.set_xlimits(low, high)
+        self.set_xticks([] if drawing.dial else None)
+        self.set_yticks(None if drawing.curves and not drawing.dial else [])
+        self.set_ylimits(*reach)
         name, *others = drawing.words
         room, title = self.size.width - 4, Content(" ")
         for text, style in [name, *([("0 shows all", "limit")] if window else []), *others]:
@@ -126,22 +127,6 @@ class Chart(PlotWidget, inherit_bindings=False):
                 title += Content.assemble((text, self._style(style) if style else ""), " ")
         self.border_title = title
         self.render()  # now, so that the terminal is written to once for all that this tick has changed
-
-    def _round_off(self) -> None:
-        """Scale both ways alike, with a circle of radius 1 on the left."""
-        dots = max(self.size.width - 2, 1) * _DOTS_WIDE / (max(self.size.height - 2, 1) * _DOTS_HIGH)
-        reach = _DIAL_REACH * max(1.0, 1 / dots)
-        self.set_ylimits(-reach, reach)
-        self.set_xlimits(-_DIAL_REACH, 2 * reach * dots - _DIAL_REACH)
-        self.set_xticks([])
-        self.set_yticks([])
-
-    def _render_plot(self) -> None:
-        """Draw, and write the notes to the right of a circle of radius 1."""
-        super()._render_plot()
-        column = self.get_pixel_from_coordinate(_DIAL_REACH, 0.0)[0] + 1 if self._notes else 0
-        for row, (text, style) in enumerate(self._notes, 1):
-            self.query_one("#plot", Canvas).write_text(column, row, f"[{self._style(style)}]{text}")
 
     def _style(self, name: str) -> str:
         return str(self.get_component_rich_style(f"chart--{name}"))

@@ -31,13 +31,14 @@ class Charts(Grid):
         self._turn = 0
         self._window: tuple[float, float] | None = None
 
-    def on_mount(self) -> None:
+    def on_show(self) -> None:
         """Bring the charts once the first picture is out: what draws them takes a while to load."""
-        self.call_after_refresh(lambda: cast(SeenApp, self.app).work(self._bring, f"charts {id(self)}"))
+        if not self._charts:
+            self.call_after_refresh(lambda: cast(SeenApp, self.app).work(self._bring, f"charts {id(self)}"))
 
     async def _bring(self) -> None:
         kind = (await asyncio.to_thread(import_module, "station.screen.chart")).Chart
-        if self.is_attached:
+        if self.is_attached and not self._charts:
             charts = [kind(self.draw, name) for name in self._names]
             await self.mount(*charts)
             self._charts = charts

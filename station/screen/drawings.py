@@ -34,7 +34,7 @@ class Drawing(NamedTuple):
     """One chart: words of its title with their styles, curves, the range of values (None: that of the curves).
 
     ``span`` is the range of times in the unit ``over``, ``marks`` are instants. A ``dial`` is drawn round its origin,
-    to a radius of 1, with ``notes`` beside it.
+    to a radius of 1.
     """
 
     words: Sequence[tuple[str, str]]
@@ -44,7 +44,6 @@ class Drawing(NamedTuple):
     marks: Sequence[float] = ()
     over: str = "s"
     dial: bool = False
-    notes: Sequence[tuple[str, str]] = ()
 
 
 def run_drawing(name: str, run: LiveRun, gyro: GyroSnapshot) -> Drawing:
@@ -89,29 +88,27 @@ def _seen(name: str, run: LiveRun, gyro: GyroSnapshot, nis_limits: Sequence[floa
 
 
 def _axes_drawing(run: LiveRun, snapshot: Snapshot) -> Drawing:
-    """Return the gimbals within each other, the outermost outside: zero on top, positive angles anticlockwise.
+    """Return the gimbals within each other, the outermost outside, each with a hand at its angle; zero is on top.
 
-    Each has a hand at its angle; that which turns has the colour of its axis, and the way that its step still goes.
+    That which turns has the colour of its axis, and the way that its step still goes, anticlockwise if it is positive.
     """
-    styles = dict(zip(sorted(axis.name for axis in snapshot.axes), _AXIS_STYLES, strict=False))
-    steps = run.hello.get("script", {}).get("steps", [])
-    begun = [step for step in steps if float(step["start_s"]) <= snapshot.elapsed_s][-1:]
-    goals = {step.get("axis"): float(step.get("to_rad", math.nan)) for step in begun}
-    curves, notes = [], []
+    steps = [s for s in run.hello["script"]["steps"] if s["start_s"] <= snapshot.elapsed_s]
+    styles, curves = dict(zip(sorted(a.name for a in snapshot.axes), _AXIS_STYLES, strict=False)), []
+    words: list[tuple[str, str]] = []
     for place, axis in enumerate(snapshot.axes):
-        radius = 1.0 - place * _GIMBALS_APART
-        turns, style = axis.state == "turning" and not run.at_rest, styles[axis.name]
-        at, goal = axis.angle_rad, goals.get(axis.name, math.nan)
+        radius, at, style = 1.0 - place * _GIMBALS_APART, axis.angle_rad, styles[axis.name]
+        turns, told = axis.state == "turning" and not run.at_rest, [(f"{axis.name} {number(at * _DEG, 1)}°", style)]
         curves.append(_arc(radius, 0.0, 2 * math.pi, style if turns else "mark"))
-        notes.append((f"{axis.name} {number(at * _DEG, 1):>8} deg", style))
         if turns:
-            notes.append((f"  {number(axis.rate_rps * _DEG, 1):>8} deg/s", style))
-        if turns and math.isfinite(at) and math.isfinite(goal):
+            told.append((f"{number(axis.rate_rps * _DEG, 1)}°/s", style))
+        if turns and steps and steps[-1].get("axis") == axis.name:
+            goal = steps[-1]["to_rad"]
             curves.append(_arc(radius, at, min(max(goal, at - 2 * math.pi), at + 2 * math.pi), "line"))
-            notes.append((f"to{number(goal * _DEG, 1):>8} deg", "line"))
+            told.insert(1, (f"to {number(goal * _DEG, 0)}°", "line"))
         hand = radius, radius - _GIMBALS_APART
         curves.append(Curve([-r * math.sin(at) for r in hand], [r * math.cos(at) for r in hand], style))
-    return Drawing([("axes, outermost outside", "")], curves, dial=True, notes=notes)
+        words = [*told, *words] if turns else [*words, *told]
+    return Drawing([("axes", ""), *words], curves, dial=True)
 
 
 def _arc(radius: float, begin_rad: float, end_rad: float, style: str) -> Curve:

@@ -10,13 +10,8 @@ from station.render.template import rendered
 from station.views.figures import clock, three_digits
 
 
-def columns(rows: Sequence[Sequence[str]], gap: str = "  ") -> list[str]:
-    """Return rows of cells as lines: the first column left-aligned, the others right-aligned."""
-    return list(map(gap.join, padded(rows)))
-
-
 def padded(rows: Sequence[Sequence[str]]) -> list[list[str]]:
-    """Return the cells of ``columns``, each as wide as its column."""
+    """Return rows of cells as wide as their columns: the first left-aligned, the others right-aligned."""
     first, *others = (max(map(len, column)) for column in zip(*rows, strict=True))
     return [[row[0].ljust(first), *map(str.rjust, row[1:], others)] for row in rows]
 
@@ -34,11 +29,4 @@ def bar(share: float, width: int) -> str:
     return ("█" * whole + (" ▏▎▍▌▋▊▉"[part] if part else "")).ljust(width, "·")
 
 
-_FUNCTIONS = {
-    "columns": columns,
-    "padded": padded,
-    "bar": bar,
-    "clock": clock,
-    "three_digits": three_digits,
-    "hypot": math.hypot,
-}
+_FUNCTIONS = {each.__name__: each for each in (padded, bar, clock, three_digits, math.hypot)}

@@ -11,12 +11,12 @@ from concurrent.futures import TimeoutError as TooLong
 from contextlib import aclosing, redirect_stderr, suppress
 from multiprocessing import resource_tracker
 from pathlib import Path
-from typing import Any
-
-from pebble import ProcessExpired, ProcessPool
+from typing import TYPE_CHECKING, Any
 
 from station.screen.archive.entries import Entry, File, Whole
-from station.screen.archive.index import keep, load
+
+if TYPE_CHECKING:
+    from pebble import ProcessPool
 
 _LIMIT_S = 10.0
 _WRITE_LIMIT_S = 120.0
@@ -42,9 +42,11 @@ class Archive:
         Of both those that changed last come first. What is read is soon indexed; what cannot be read is tried again by
         the next program.
         """
+        from station.screen.archive import index  # with SQLite: not before the first picture
+
         began_ns, files = time.time_ns(), await asyncio.to_thread(_files, folder)
         if not self._known.keys() >= set(files):
-            self._known |= await asyncio.to_thread(load, folder)
+            self._known |= await asyncio.to_thread(index.load, folder)
         others = [file for file in files if file not in self._known]
         self.unread, unkept, enough = len(others), dict[File, Entry](), 1
         for entry in [self._known[file] for file in files if file in self._known]:
@@ -56,7 +58,7 @@ class Archive:
                 if abs(began_ns - file[1]) > _TICK_NS and (entry.foreign or not entry.wrong):
                     unkept[file] = entry
                 if len(unkept) >= enough or file == others[-1]:  # the disk may be slow, and no key waits for it
-                    kept = await asyncio.to_thread(keep, folder, unkept)
+                    kept = await asyncio.to_thread(index.keep, folder, unkept)
                     unkept, enough = ({}, min(2 * enough, _KEPT_AT_ONCE)) if kept else (unkept, 2 * enough)
                 if not entry.foreign:
                     yield entry
@@ -106,6 +108,8 @@ class Archive:
 
     async def _do(self, work: str, *about: Any, limit_s: float = _LIMIT_S) -> Any:
         """Return what a function of ``reading`` comes to, or in words why it came to nothing."""
+        from pebble import ProcessExpired, ProcessPool
+
         if self._pool is None:
             with redirect_stderr(sys.__stderr__):  # its process gets a file; textual's stand-in is none
                 resource_tracker.ensure_running()

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple, Self, TypeAlias
+from typing import Any, Self, TypeAlias
 
 from station.run.snapshot import GyroSnapshot
 from station.screen.sessions.live_run import Trend
@@ -83,24 +83,14 @@ class Entry:
         return bool(own) and own == others
 
 
-class Broken(NamedTuple):
-    """One limit that is broken: its cells (what, found, limit, missed by), what helps, and where its figure stands.
-
-    ``place`` is the row of the gyro and the state, None for what is of no gyro, and whether it is of the sigma.
-    """
-
-    cells: tuple[str, ...]
-    remedy: str
-    place: tuple[int | None, int | None, bool]
-
-
 @dataclass(frozen=True, slots=True)
 class Whole:
     """A recording opened: its entry and everything that the result screen shows of it.
 
     ``sizes`` are the limits of the four states in SI, infinite where there is none; ``curves`` the live estimates by
     gyro, ``investigation`` the newest that is kept beside it, as JSON. ``samples`` and ``lost`` are None without a
-    calibration. ``because`` is what may be behind the limits that are ``broken``.
+    calibration. ``broken`` are the limits that are: their cells, what helps, and of which row, state, and whether of
+    its sigma they are; ``because`` is what may be behind that.
     """
 
     entry: Entry
@@ -113,7 +103,7 @@ class Whole:
     events: Sequence[tuple[float, str]] = ()
     curves: Mapping[str, Trend] = field(default_factory=dict)
     investigation: Mapping[str, Any] = field(default_factory=dict)
-    broken: Sequence[Broken] = ()
+    broken: Sequence[tuple[tuple[str, ...], str, tuple[object, ...]]] = ()
     because: Sequence[str] = ()
 
 

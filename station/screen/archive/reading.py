@@ -20,7 +20,7 @@ from estimator.recordings.recording import FORMAT, FORMAT_VERSION
 from estimator.recordings.recovery import recover
 from estimator.recordings.writing import plain, write_attributes
 from station.errors import BenchError
-from station.screen.archive.entries import INVESTIGATION, NO_LIMITS, Broken, Entry, Whole
+from station.screen.archive.entries import INVESTIGATION, NO_LIMITS, Entry, Whole
 from station.screen.sessions.live_run import Trend
 
 _MOST_POINTS = 400
@@ -66,9 +66,10 @@ def read(path: Path, when_utc_s: float, everything: bool) -> Whole:
                 wrong = f"format version {version}, this program reads up to {FORMAT_VERSION}: update it"
                 return Whole(replace(unread, wrong=wrong))
             entry = _entry(unread, file)
-            whole = _whole(entry, file) if everything else Whole(entry)
-            bench = str(plain(file.attrs.get("bench", "")))
-        return _with_broken(whole, bench) if everything else whole
+            if not everything:
+                return Whole(entry)
+            whole, bench = _whole(entry, file), str(plain(file.attrs.get("bench", "")))
+        return _with_broken(whole, bench) if entry.texts["outcome"] == "FAIL" else whole
     except Exception as error:  # whatever a file made by hand holds, the next one is to be read
         wrong = f"it cannot be read, it is damaged or not whole ({first_line(error)})"
         return Whole(replace(unread, wrong=wrong))
@@ -114,19 +115,16 @@ def _whole(entry: Entry, file: Any) -> Whole:
 
 def _with_broken(whole: Whole, bench: str) -> Whole:
     """Return it with the limits that its run was failed for; without them if its reason names others."""
-    reason = whole.entry.texts["reason"]
-    if whole.entry.texts["outcome"] != "FAIL":
-        return whole
     from station.bench.bench import read_limits
     from station.views.limits import limit_lines
 
     with suppress(EstimatorError, BenchError):
         found = limit_lines(read_calibration(whole.entry.path, trusted=True), read_limits(bench))
         lines = [line for line in found if not line.within]
-        before, named, after = reason.partition("; ".join(line.broken for line in lines) or reason)
-        if lines and named:
-            broken = [Broken(line.cells, line.remedy, (line.row, line.state, line.of_u)) for line in lines]
-            broken.sort(key=lambda one: one.place[0] is not None)  # losses and noise are behind what the states miss
+        before, named, after = whole.entry.texts["reason"].partition("; ".join(line.broken for line in lines) or "\0")
+        if named:  # losses and noise first: they are behind what the states miss
+            lines.sort(key=lambda line: line.row is not None)
+            broken = [(line.cells, line.remedy, (line.row, line.state, line.of_u)) for line in lines]
             because = [text.removeprefix("but ") for text in f"{before}{after}".split("; ") if text]
             return replace(whole, broken=broken, because=because)
     return whole

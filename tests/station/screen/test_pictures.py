@@ -41,7 +41,8 @@ async def drawn(pilot: Pilot[None], app: StationApp) -> None:
 
     def done() -> bool:
         charts = [chart for chart in app.screen.query("Chart") if chart.display and chart.size.area]
-        return bool(app.screen.query("Chart")) and all(chart.border_title for chart in charts)
+        brought = [part.children for part in app.screen.query("Charts") if part.display]
+        return all(brought) and all(chart.border_title for chart in charts)
 
     await until(pilot, done)
 
