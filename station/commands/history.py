@@ -5,11 +5,10 @@ import asyncio
 import json
 import os
 import re
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -20,13 +19,11 @@ from estimator.untrusted import harmless
 from station.errors import UsageError
 from station.render.template import rendered
 from station.render.terminal import print_rendered, stdout
-from station.run.snapshot import GyroSnapshot
 from station.screen.archive.archive import Archive
-from station.screen.archive.entries import Entry
+from station.screen.archive.entries import Entry, comparable, moves
 from station.views.figures import OUTCOME_STYLES
 from station.views.json_values import by_state, json_object
 
-_BY_CHANCE = 0.0027  # how often a run without any change is marked: as often as a value beyond three sigmas
 _MOST_ROWS = 50  # for a person
 _TEXTS = {"device_serial": "serial", "station": "bench"} | {
     key: key for key in ("script", "outcome", "reason", "operator", "accepted_by", "accepted_utc")
@@ -52,17 +49,17 @@ def command_history(arguments: argparse.Namespace) -> int:
     entries = [entry for entry in entries if entry.when >= since] if since else entries
     shown = entries[: arguments.last or (len(entries) if data else _MOST_ROWS)]
     serials = set() if arguments.gauge else {entry.serial for entry in shown}  # ten thousand figures take a while
-    alike = _series([entry for entry in every if entry.serial in serials])
-    moved = {path: moves for runs in alike for path, moves in _moves(runs).items()}
-    charted = _series(entries) if arguments.serial else []
+    alike = comparable([entry for entry in every if entry.serial in serials])
+    moved = {path: found for runs in alike for path, found in moves(runs).items()}
+    charted = comparable(entries) if arguments.serial else []
     found = {
         "folder": str(folder),
         "found": len(entries),
         "recordings": [_row(entry, folder, moved.get(entry.file, [])) for entry in shown],
-        "charts": [_chart(runs) for runs in charted if sum(map(_counts, runs)) > 1],
+        "charts": [_chart(runs) for runs in charted if sum(not run.failed for run in runs) > 1],
     }
     if arguments.gauge:
-        found = {"folder": str(folder), "gauge": [_study(runs) for runs in _series(entries[: arguments.last], 2)]}
+        found = {"folder": str(folder), "gauge": [_study(runs) for runs in comparable(entries[: arguments.last], 2)]}
     if arguments.json:
         print(json.dumps(found))
     elif arguments.csv:
@@ -89,39 +86,12 @@ async def _listed(folder: Path, quiet: bool) -> list[Entry]:
     return sorted(found, key=lambda entry: entry.when_utc_s, reverse=True)
 
 
-def _series(entries: Sequence[Entry], whatever: int = 0) -> list[list[Entry]]:
-    """Return the runs that may be compared, the oldest first; whatever serial number (1) and bench (2) they are of."""
-    found: dict[Any, list[Entry]] = defaultdict(list)
-    for entry in reversed(entries):
-        if entry.series is not None and np.isfinite(sum(sum(gyro.values + gyro.sds) for gyro in entry.gyros)):
-            found[entry.series[whatever:]].append(entry)
-    return list(found.values())
-
-
-def _counts(run: Entry) -> bool:
-    return run.texts.get("outcome") != "FAIL"
-
-
-def _moves(runs: Sequence[Entry]) -> dict[str, list[dict[str, Any]]]:
-    """Return by run what moved since the last before it that did not fail, by more than its sigmas explain."""
-    x, sd = (np.array([[getattr(gyro, key) for gyro in run.gyros] for run in runs]) for key in ("values", "sds"))
-    last = np.maximum.accumulate([n if _counts(run) else -1 for n, run in enumerate(runs)])[:-1]
-    with np.errstate(all="ignore"):
-        sigmas = (x[1:] - x[last]) / np.hypot(sd[1:], sd[last])
-    limit = NormalDist().inv_cdf(1 - _BY_CHANCE / 2 / x[0].size)
-    found = defaultdict(list)
-    for n, gyro, state in np.argwhere(np.isfinite(sigmas) & (abs(sigmas) > limit) & (last >= 0)[:, None, None]):
-        told = {"gyro": _name(runs[0].gyros[gyro]), "state": STATES[state], "sigmas": float(sigmas[n, gyro, state])}
-        found[runs[n + 1].file].append({**told, "since": runs[last[n]].path.name})
-    return found
-
-
 def _chart(runs: Sequence[Entry]) -> dict[str, Any]:
     """Return control charts of runs: values and what is outside (runs, gyros, 4), SI. Failed ones make no limits."""
-    counted = [_counts(run) for run in runs]
+    counted = [not run.failed for run in runs]
     chart = control_chart([[gyro.values for gyro in run.gyros] for run in runs], counted)
     told = {"bench": runs[0].texts["station"], "script": runs[0].texts["script"], "counted": counted}
-    names = {"gyros": [_name(gyro) for gyro in runs[0].gyros], "files": [run.path.name for run in runs]}
+    names = {"gyros": [gyro.full_name for gyro in runs[0].gyros], "files": [run.path.name for run in runs]}
     return {**told, **names, "when": [run.when for run in runs], **json_object(chart)}
 
 
@@ -141,17 +111,13 @@ def _study(runs: Sequence[Entry]) -> dict[str, Any]:
         study = {key: by_state(value) for key, value in figures.items()}
     operators, benches = (sorted(set(names)) for names in zip(*conditions, strict=True))
     of = {"operators": operators, "benches": benches, "devices": len({run.serial for run in runs})}
-    counts = {"runs": len(runs), "failed": sum(not _counts(run) for run in runs), "repeated": len(repeated)}
-    names = {"script": runs[0].texts.get("script", ""), "gyros": [_name(gyro) for gyro in runs[0].gyros]}
+    counts = {"runs": len(runs), "failed": sum(run.failed for run in runs), "repeated": len(repeated)}
+    names = {"script": runs[0].texts.get("script", ""), "gyros": [gyro.full_name for gyro in runs[0].gyros]}
     return {**names, **of, **counts, "study": study}
 
 
 def _row(entry: Entry, folder: Path, moved: Sequence[dict[str, Any]]) -> dict[str, Any]:
     told = {name: entry.texts.get(key, "") for key, name in _TEXTS.items()}
     told |= {"file": os.path.relpath(entry.path, folder), "wrong": entry.wrong, "device": entry.device}
-    gyros = [{"name": _name(g), **by_state(g.values), "sd": by_state(g.sds)} for g in entry.gyros]
+    gyros = [{"name": g.full_name, **by_state(g.values), "sd": by_state(g.sds)} for g in entry.gyros]
     return {"when": entry.when, **told, "when_utc_s": entry.when_utc_s, "moved": moved, "gyros": gyros}
-
-
-def _name(gyro: GyroSnapshot) -> str:
-    return " ".join(dict.fromkeys((gyro.source, gyro.name)))  # two devices may have gyros of one name

@@ -68,6 +68,11 @@ class GyroSnapshot:
     rate_rps: float = math.nan
     residual: float = math.nan
 
+    @property
+    def full_name(self) -> str:
+        """Its source and name: two devices may have gyros of one name."""
+        return " ".join(dict.fromkeys((self.source, self.name)))
+
 
 @dataclass(frozen=True, slots=True)
 class SourceSnapshot:

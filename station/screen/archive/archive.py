@@ -6,20 +6,21 @@ import os
 import sys
 import time
 from collections import deque
-from collections.abc import AsyncGenerator, AsyncIterator, Mapping, Sequence
+from collections.abc import AsyncGenerator, Mapping, Sequence
 from concurrent.futures import TimeoutError as TooLong
 from contextlib import aclosing, redirect_stderr, suppress
 from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from station.screen.archive.entries import Entry, File, Whole
+from station.screen.archive.entries import Entry, File, Whole, comparable, moves
 
 if TYPE_CHECKING:
     from pebble import ProcessPool
 
 _LIMIT_S = 10.0
 _WRITE_LIMIT_S = 120.0
+_MOVED_LIMIT_S = 5.0
 _KEPT_AT_ONCE = 64
 _MANY = 200  # files, to read which several processes are begun
 _PER_CORE = 2  # processes: one waits for its disk while another computes
@@ -36,7 +37,7 @@ class Archive:
         self._known: dict[File, Entry] = {}
         self.unread = 0
 
-    async def entries(self, folder: Path) -> AsyncIterator[Entry]:
+    async def entries(self, folder: Path) -> AsyncGenerator[Entry]:
         """Yield the recordings of a folder and its subfolders: known ones, then ``unread`` others.
 
         Of both those that changed last come first. What is read is soon indexed; what cannot be read is tried again by
@@ -123,6 +124,18 @@ class Archive:
             return "it is damaged: the HDF5 library failed on it"
 
 
+async def moved(recording: Path) -> list[dict[str, Any]]:
+    """Return what moved since the last comparable run in its folder, as far as that is read within some seconds."""
+    archive, found = Archive(), list[Entry]()
+    with suppress(TimeoutError):
+        async with asyncio.timeout(_MOVED_LIMIT_S), aclosing(archive.entries(recording.parent)) as entries:
+            async for entry in entries:
+                found.append(entry)
+    await archive.close()
+    told = {Path(file): which for runs in comparable(found) for file, which in moves(runs).items()}
+    return told.get(recording, [])
+
+
 def _begin(gives_way: bool) -> None:
     """Leave the terminal to the screen: what HDF5 says of errors, too. ``gives_way``: to a run beside it."""
     os.setsid()
@@ -138,13 +151,9 @@ def _done(work: str, *about: Any) -> Any:
 
 
 def _files(folder: Path) -> list[File]:
-    found, folders = [], [os.fspath(folder)]
-    while folders:
-        with suppress(OSError), os.scandir(folders.pop()) as inside:
-            for each in inside:
-                if each.is_dir(follow_symlinks=False):
-                    folders.append(each.path)
-                elif each.name.endswith(".h5"):
-                    with suppress(OSError):
-                        found.append((each.path, (status := each.stat()).st_mtime_ns, status.st_size))
+    found = []
+    for path in (os.path.join(top, name) for top, _, names in os.walk(folder) for name in names):
+        with suppress(OSError):
+            if path.endswith(".h5"):
+                found.append((path, (status := os.stat(path)).st_mtime_ns, status.st_size))
     return sorted(found, key=lambda file: file[1], reverse=True)

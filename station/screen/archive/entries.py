@@ -2,7 +2,8 @@
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cached_property
@@ -16,6 +17,7 @@ File: TypeAlias = tuple[str, int, int]
 """Path of a file, when it was changed in nanoseconds since 1970, and its size in bytes."""
 INVESTIGATION = "-investigation"
 """What is added to the name of a recording for the file of its investigation."""
+_BY_CHANCE = 0.0027  # how often a run without any change is marked: as often as a value beyond three sigmas
 NO_LIMITS: tuple[float, ...] = (math.inf,) * 4
 
 
@@ -63,16 +65,21 @@ class Entry:
     @property
     def series(self) -> tuple[object, ...] | None:
         """What comparable runs have in common; None for what is compared with none."""
-        if not self.serial or not self.gyros or self.texts.get("outcome") in ("MANUAL", "ABORTED", "FAULT"):
+        ended = self.texts.get("outcome") in ("MANUAL", "ABORTED", "FAULT")
+        finite = math.isfinite(sum(sum(g.values + g.sds) for g in self.gyros))
+        if not self.serial or not self.gyros or ended or not finite:
             return None
         gyros = tuple((gyro.source, gyro.name) for gyro in self.gyros)
         return (self.serial, self.texts.get("station"), self.texts.get("script"), gyros)
 
+    @property
+    def failed(self) -> bool:
+        """Whether it failed: it is compared, but nothing is compared with it."""
+        return self.texts.get("outcome") == "FAIL"
+
     def same_device(self, other: Self) -> bool:
         """Whether both are of one device: the same serial number or, where neither has one, the same gyros."""
-        if self.serial or other.serial:
-            return self.serial == other.serial
-        return self._same_gyros(other)
+        return self.serial == other.serial and bool(self.serial or self._same_gyros(other))
 
     def same_calibrated(self, other: Self) -> bool:
         """Whether the other is another recording of the device, with a calibration of the same gyros."""
@@ -107,7 +114,30 @@ class Whole:
     because: Sequence[str] = ()
 
 
-def last_before(entry: Entry, others: Sequence[Entry]) -> Entry | None:
-    """Return the last of the others before this one."""
-    earlier = [other for other in others if other.when_utc_s < entry.when_utc_s]
-    return max(earlier, key=lambda other: other.when_utc_s, default=None)
+def comparable(entries: Iterable[Entry], whatever: int = 0) -> list[list[Entry]]:
+    """Return the runs that may be compared, the oldest first; whatever serial number (1) and bench (2) they are of."""
+    found = defaultdict(list)
+    for entry in sorted(entries, key=lambda entry: entry.when_utc_s):
+        if (series := entry.series) is not None:
+            found[series[whatever:]].append(entry)
+    return list(found.values())
+
+
+def moves(runs: Sequence[Entry]) -> dict[str, list[dict[str, Any]]]:
+    """Return by file what moved since the last of the runs before it that did not fail, by more than chance gives."""
+    from statistics import NormalDist  # as numpy takes a while to load, and few look at a second run
+
+    from estimator.geometry.model import STATES
+
+    found, last = dict[str, list[dict[str, Any]]](), runs[0]
+    limit = NormalDist().inv_cdf(1 - _BY_CHANCE / 2 / (len(last.gyros) * len(STATES)))
+    for run in runs:
+        since = {"since": last.path.name, "since_when": last.when}
+        found[run.file] = [
+            {"gyro": new.full_name, "state": state, "sigmas": (x - before) / sigma, **since}
+            for old, new in zip(last.gyros, run.gyros, strict=True)
+            for state, before, x, *sds in zip(STATES, old.values, new.values, old.sds, new.sds, strict=True)
+            if not last.failed and abs(x - before) > limit * (sigma := math.hypot(*sds)) > 0
+        ]
+        last = run if last.failed or not run.failed else last
+    return found

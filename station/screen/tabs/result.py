@@ -15,7 +15,8 @@ from textual.containers import Container, Horizontal, VerticalScroll
 from textual.widgets import Button, Static
 
 from station.atomic_write import free_path
-from station.screen.archive.entries import INVESTIGATION, Entry, Whole, last_before
+from station.render.template import rendered
+from station.screen.archive.entries import INVESTIGATION, Entry, Whole, comparable, moves
 from station.screen.base import StationScreen
 from station.screen.charts import Charts
 from station.screen.dialogs import AskDialog, ChooseDialog
@@ -51,6 +52,7 @@ class ResultScreen(StationScreen):
         super().__init__()
         self._whole: Whole | None = None
         self._same: list[Entry] = []
+        self._moves: list[dict[str, Any]] = []
         self._found: Mapping[str, Any] = {}
         self._model: Sequence[RenderableType] = ()
         self._busy = ""
@@ -70,7 +72,7 @@ class ResultScreen(StationScreen):
 
     def _open(self, path: Path, fresh: bool) -> None:
         """Show a recording. ``fresh``: it has just been made; if it failed, the cause is looked for at once."""
-        self.recording, self._whole, self._same, self._found = path, None, [], {}
+        self.recording, self._whole, self._same, self._moves, self._found = path, None, [], [], {}
         self._busy, self._said, self.gyro = "reading", "", 0
         self.redraw()
         self.station.work(partial(self._read, path, fresh), "open")
@@ -86,6 +88,8 @@ class ResultScreen(StationScreen):
         if fresh and entry.texts.get("outcome") == "FAIL" and entry.gyros:
             self._look_for_cause([])
         self._same = [e async for e in self.station.archive.entries(path.parent) if entry.same_calibrated(e)]
+        alike = (runs for runs in comparable([*self._same, entry]) if entry in runs)
+        self._moves = next((moves(runs).get(entry.file, []) for runs in alike), [])
         self.redraw()
 
     async def _take_investigation(self, found: Mapping[str, Any]) -> None:
@@ -224,10 +228,14 @@ class ResultScreen(StationScreen):
         charts.display = bool(whole and whole.curves)
         values: dict[str, Any] = {"whole": whole, "path": self.recording, "busy": self._busy, "said": self._said}
         values["most"] = _REASONS
-        self._block("verdict", templated("verdict.rich", values))
+        moved = Text.from_markup(rendered("station.render", "moved.rich", {"moves": self._moves}).strip(), emoji=False)
+        verdict = templated("verdict.rich", values)
+        self._block("verdict", Text("\n").join([verdict, moved]) if moved else verdict)
         shown: dict[str, RenderableType] = {}
         if whole is not None and not whole.entry.wrong:
-            values |= {"entry": whole.entry, "last": last_before(whole.entry, self._same), "many_sigmas": _MANY_SIGMAS}
+            earlier = (other for other in self._same if other.when_utc_s < whole.entry.when_utc_s)
+            last = max(earlier, key=lambda other: other.when_utc_s, default=None)
+            values |= {"entry": whole.entry, "last": last, "many_sigmas": _MANY_SIGMAS}
             told = ("states", "change", "record") if whole.entry.gyros else ("record",)
             shown = {name: templated(f"{name}.rich", values) for name in told}
             if whole.entry.gyros:
