@@ -45,7 +45,7 @@ class ManualScreen(StationScreen):
     """A screen whose keys drive the table while a session in manual mode is shown."""
 
     BINDINGS: ClassVar = [
-        Binding("m", "manual", "Manual"),
+        Binding("m", "manual", "Manual mode", show=False),
         *(
             Binding(k, f"drive('{word}')", says, key_display=shown, show=False)
             for k, word, shown, says in _KNOWN["keys"]
