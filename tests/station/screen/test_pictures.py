@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Awaitable, Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -111,11 +112,14 @@ def test_keys_of_manual_mode_say_words_and_one_that_waited_says_none(place: Path
     def words() -> list[object]:
         return [session.heard[-1].get(key) for key in ("do", "axis")] if session.heard else []
 
+    def said(word: str) -> bool:
+        return words()[:1] == [word]
+
     async def drive(pilot: Pilot[None]) -> None:
         await until(pilot, lambda: app.shown and app.shown.snapshot and app.shown.snapshot.elapsed_s >= 24.0)
         stale = events.Key("full_stop", ".")
         stale.time -= 1.0
-        app.screen.post_message(stale)
+        app.post_message(stale)
         await pilot.press("a", "s", "comma")
         await until(pilot, lambda: words() == ["jog", "y"])
         assert len(session.heard) == 1
@@ -125,7 +129,7 @@ def test_keys_of_manual_mode_say_words_and_one_that_waited_says_none(place: Path
         assert math.isclose(session.heard[-1]["angle_rad"], -math.radians(45.0))
         for key, word in (("h", "home"), ("space", "hold"), ("e", "end"), ("f9", "stop")):
             await pilot.press(key)
-            await until(pilot, lambda word=word: words()[:1] == [word])
+            await until(pilot, partial(said, word))
 
     with Replay("manual", 30.0) as session:
         app = StationApp(CHOICES, attach=True)
