@@ -98,7 +98,7 @@ class AxisStatus:
     @property
     def trouble(self) -> str:
         """Why the axis must not be moved, empty if it may be."""
-        return "; ".join(filter(None, (self.interlock, self.fault)))
+        return "; ".join(filter(None, (self.fault, self.interlock)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -247,7 +247,7 @@ class Session:
             monitor.phase = Phase.RUNNING
             rate_hz, restore = self._bench.table.poll_rate_hz, partial(self._reopening.restore, "table", table)
             services.append(_serve(group, watch_table(table, axes, rate_hz, sequencer, self._take_row, restore)))
-            tell("script begins")
+            tell("manual mode begins" if self._options.manual else "script begins")
             if self._early_end is None:
                 await sequencer.run()
             else:

@@ -147,6 +147,7 @@ def test_exit_codes_tell_outcomes_apart() -> None:
     assert {outcome.value: outcome.exit_code for outcome in Outcome} == {
         "PASS": 0,
         "ESTIMATED": 0,
+        "MANUAL": 0,
         "FAIL": 1,
         "ABORTED": 3,
         "FAULT": 4,

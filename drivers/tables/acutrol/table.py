@@ -152,7 +152,7 @@ class AcutrolTable(LineTable):
             fault = f"axis {axis}: its interlock says {interlock.capitalize()} (status byte {byte}{summary})"
         enabled = interlock not in ("fault", "open") and mode != "off"
         text = f"mode {mode}, interlock {interlock}"
-        open_now = INTERLOCK_OPEN if fault else ""
+        open_now = f"{INTERLOCK_OPEN} (or the axis has tripped: the controller says the same)" if fault else ""
         return AxisStatus(enabled, enabled and await self._reached(axis), fault, text, interlock=open_now)
 
     async def stop(self) -> str:

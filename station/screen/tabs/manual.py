@@ -43,7 +43,7 @@ class ManualScreen(StationScreen):
     """A screen whose keys drive the table while a session in manual mode is shown."""
 
     BINDINGS: ClassVar = [
-        Binding("m", "manual", "Manual"),
+        Binding("m", "manual", "Manual mode", show=False),
         *(
             Binding(k, f"drive('{word}')", says, key_display=shown, show=False)
             for k, word, shown, says in _KNOWN["keys"]
@@ -67,8 +67,8 @@ class ManualScreen(StationScreen):
         return {"table": table, "chosen": chosen, "rate_dps": _RATES_DPS[self._rate], "angles": angles}
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Show the keys that drive in manual mode, and those of a script else."""
-        return bool(self.table) == (action == "drive") or action not in ("drive", "manual", "pause")
+        """Have the keys that drive in manual mode only."""
+        return action != "drive" or bool(self.table)
 
     def on_key(self, event: events.Key) -> None:
         """Let no key drive that waited for its turn: whoever held it may have let go."""

@@ -28,7 +28,7 @@ from station.render.printing import result_object
 from station.run.event_loop.loops import VirtualLoop
 from station.run.session import RunOptions, Session
 from station.run.snapshot import EventKind
-from station.scripts.script import load_script
+from station.scripts.script import Script, load_script
 from station.views.json_values import json_object
 
 STREAMS = Path(__file__).parents[2] / "data" / "screen"
@@ -60,11 +60,14 @@ def bench_text(end: str = "") -> str:
     return f'{text}\n[station]\noperator_pattern = "[A-Z][A-Za-z. ]+"\nserial_pattern = "SN-[0-9]{{4}}"\n{end}'
 
 
-async def listen(folder: Path, act: Callable[[Session, float], None], end: str = "") -> list[dict[str, Any]]:
+async def listen(
+    folder: Path, act: Callable[[Session, float], None], end: str = "", manual: bool = False
+) -> list[dict[str, Any]]:
     """Run a session and return what it says; ``act(session, t_s)`` is called once a second."""
     (folder / "bench.toml").write_text(bench_text(end))
     (folder / "short.toml").write_text(SCRIPT)
-    bench, script = load_bench(folder / "bench.toml"), load_script(folder / "short.toml")
+    bench = load_bench(folder / "bench.toml")
+    script = Script("manual", ()) if manual else load_script(folder / "short.toml")
     loop = asyncio.get_running_loop()
     said: list[dict[str, Any]] = []
 
@@ -79,9 +82,18 @@ async def listen(folder: Path, act: Callable[[Session, float], None], end: str =
 
     async with open_bench(bench) as opened:
         told = {"operator": "A. Operator", "device_serial": "SN-0042"}
-        session = Session(opened, script, folder / "run.h5", options=RunOptions(**told), on_event=tell)
+        session = Session(opened, script, folder / "run.h5", options=RunOptions(**told, manual=manual), on_event=tell)
         hello = introduction(bench, "bench.toml", script, Path(RECORDING), session.gyros)
-        head = {"at_s": 0.0, "kind": "hello", "version": 2, "pid": 4242, "time_scale": 5.0, **hello, **told}
+        head = {
+            "at_s": 0.0,
+            "kind": "hello",
+            "version": 2,
+            "pid": 4242,
+            "time_scale": 5.0,
+            **hello,
+            **told,
+            "manual": manual,
+        }
         watching = asyncio.create_task(watch(session))
         result = await session.run()
         watching.cancel()
@@ -90,10 +102,12 @@ async def listen(folder: Path, act: Callable[[Session, float], None], end: str =
     return [head, *said, {"at_s": loop.time(), "kind": "result", **found}]
 
 
-def make(name: str, act: Callable[[Session, float], None] = lambda session, t_s: None, end: str = "") -> None:
+def make(
+    name: str, act: Callable[[Session, float], None] = lambda session, t_s: None, end: str = "", manual: bool = False
+) -> None:
     """Make one stream."""
     with tempfile.TemporaryDirectory() as folder, asyncio.Runner(loop_factory=VirtualLoop) as runner:
-        lines = runner.run(listen(Path(folder), act, end))
+        lines = runner.run(listen(Path(folder), act, end, manual))
     text = "".join(json.dumps(_rounded(line), allow_nan=False) + "\n" for line in lines)
     (STREAMS / f"{name}.jsonl").write_text(text)
     print(f"{name}: {len(lines)} lines, {len(text)} bytes, {lines[-1]['outcome']}")
@@ -194,8 +208,18 @@ def _say(stream: Any, line: dict[str, Any]) -> None:
     stream.flush()
 
 
+def by_hand(session: Session, t_s: float) -> None:
+    """Go to an angle, home, to another angle, and end."""
+    degrees = {8.0: 60.0, 18.0: 0.0, 26.0: -90.0}.get(round(t_s))
+    if degrees is not None:
+        session.drive("go", {"axis": "y", "angle_rad": math.radians(degrees), "rate_rps": math.radians(10.0)})
+    elif t_s > 34:
+        session.drive("end", {})
+
+
 if __name__ == "__main__":
     STREAMS.mkdir(exist_ok=True)
+    make("manual", by_hand, manual=True)
     make("pass")
     make("stopped", lambda session, t_s: session.stop() if t_s > 30 else None)
     make("fault", end='\n[twin.fault]\naxis = "y"\nat = "25 s"\n')

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Awaitable, Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
-from conftest import HistoryFirst, keys, until
+from conftest import HistoryFirst, driven, keys, until
 from streams import Replay
+from textual import events
 from textual.pilot import Pilot
 from textual.widgets import Footer
 
@@ -97,6 +100,41 @@ def test_a_run(place: Path, snap_compare: Compare, size: tuple[int, int]) -> Non
     with Replay("pass", 36.0):
         app = StationApp(CHOICES, attach=True)
         assert snap_compare(app, terminal_size=size, run_before=attached(app, 35.0))
+
+
+@SIZES
+def test_manual_mode(place: Path, snap_compare: Compare, size: tuple[int, int]) -> None:
+    with Replay("manual", 30.0):
+        app = StationApp(CHOICES, attach=True)
+        assert snap_compare(app, terminal_size=size, run_before=attached(app, 24.0, "a"))
+
+
+def test_keys_of_manual_mode_say_words_and_one_that_waited_says_none(place: Path) -> None:
+    def words() -> list[object]:
+        return [session.heard[-1].get(key) for key in ("do", "axis")] if session.heard else []
+
+    def said(word: str) -> bool:
+        return words()[:1] == [word]
+
+    async def drive(pilot: Pilot[None]) -> None:
+        await until(pilot, lambda: app.shown and app.shown.snapshot and app.shown.snapshot.elapsed_s >= 24.0)
+        stale = events.Key("full_stop", ".")
+        stale.time -= 1.0
+        app.post_message(stale)
+        await pilot.press("a", "s", "comma")
+        await until(pilot, lambda: words() == ["jog", "y"])
+        assert len(session.heard) == 1
+        assert math.isclose(session.heard[-1]["rate_rps"], -math.radians(5.0))
+        await pilot.press("t", *keys("-45"), "enter")
+        await until(pilot, lambda: words() == ["go", "y"])
+        assert math.isclose(session.heard[-1]["angle_rad"], -math.radians(45.0))
+        for key, word in (("h", "home"), ("space", "hold"), ("e", "end"), ("f9", "stop")):
+            await pilot.press(key)
+            await until(pilot, partial(said, word))
+
+    with Replay("manual", 30.0) as session:
+        app = StationApp(CHOICES, attach=True)
+        driven(app, drive)
 
 
 @pytest.mark.parametrize("charts", [4, 9], ids=["temperature", "axes"])
