@@ -19,7 +19,13 @@ _PATIENCE_S = 2.0  # that a session has to be seen to heed STOP
 SILENCE_S = 3.0
 """After so long without a word from a session, what is shown of it is old."""
 _EMERGENCY = "USE THE EMERGENCY STOP"
-SCREENS = (("prepare", "F2", "Prepare"), ("run", "F3", "Run"), ("result", "F4", "Result"), ("history", "F5", "History"))
+SCREENS = (
+    ("prepare", "F2", "Prepare"),
+    ("run", "F3", "Run"),
+    ("result", "F4", "Result"),
+    ("history", "F5", "History"),
+    ("tray", "F10", "Tray"),
+)
 
 
 class Lines(Static):

@@ -12,7 +12,7 @@ from textual.widgets import Button, Input, OptionList, Static
 from textual.widgets.option_list import Option
 
 from station.screen.bars import StopBar
-from station.screen.base import Field
+from station.screen.base import ScanField
 
 _FRAME = ("scroll", "page", "app.focus", "screen.", "command_palette", "help_quit")
 """Actions of every textual screen, which need no help."""
@@ -32,7 +32,7 @@ class StationDialog(ModalScreen[str | None]):
 
     def compose(self) -> ComposeResult:
         with Vertical(id="dialog"):
-            yield Static(self._question, markup=False)
+            yield Static(self._question, id="question", markup=False)
             yield from self.answers()
         yield StopBar()
 
@@ -75,10 +75,14 @@ class ChooseDialog(StationDialog):
 
 
 class AskTextDialog(StationDialog):
-    """A question that is answered by a line of text."""
+    """A question that is answered by a line of text, or by a scanner; ``value`` is what it takes the place of."""
+
+    def __init__(self, question: str, value: str = "") -> None:
+        super().__init__(question)
+        self._value = value
 
     def answers(self) -> ComposeResult:
-        yield Field(max_length=200)
+        yield ScanField(self._value, max_length=200, select_on_focus=True)
 
     def on_input_submitted(self, event: Input.Submitted) -> None:
         self.dismiss(event.value.strip() or None)

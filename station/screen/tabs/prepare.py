@@ -21,6 +21,7 @@ from station.screen.figures import templated
 from station.screen.sessions.link import sessions_on
 from station.screen.sessions.live_run import LiveRun
 from station.screen.sessions.programs import Answer, ask
+from station.screen.sessions.tray import Spot
 from station.screen.tabs.prospects import Prospect, look_ahead, matches
 
 _FIELDS = (
@@ -55,6 +56,7 @@ class PrepareScreen(StationScreen):
         self._looked_for: tuple[str, str] | None = None
         self._confirmed = ("", "", "")  # number as entered, number that the device says, why both are right
         self._run_before: LiveRun | None = None
+        self._mounted: Spot | None = None  # which of the tray's devices was there when they were asked
 
     def body(self) -> ComposeResult:
         with Container(id="columns"):
@@ -76,20 +78,12 @@ class PrepareScreen(StationScreen):
             yield Static(id="summary", markup=False)
 
     def on_mount(self) -> None:
-        """Fill in what is known; ask bench and script once the first picture is out."""
-        choices = self.station.choices
-        for name, *_ in _FIELDS:
-            with self.prevent(Input.Changed):
-                self.query_one(f"#{name}", Input).value = getattr(choices, name)
-        self.set_focus(self.query_one("#operator" if not choices.operator else "#serial", Input))
-
-    def prepare(self, script: str) -> None:
-        """Set another script, and look again."""
-        self.query_one("#script", Input).value = script
-        self._look_at_both()
+        """Begin with the first field that is to be filled in."""
+        self.set_focus(self.query_one("#serial" if self.station.choices.operator else "#operator", Input))
 
     def on_input_changed(self, event: Input.Changed) -> None:
         """Take over what was typed; bench and script are looked at when they are complete."""
+        self.station.mounted = None
         if event.input.id == "operator":
             self.station.operator_utc_s = time.time()
         self._take_over()
@@ -118,15 +112,25 @@ class PrepareScreen(StationScreen):
             self.action_start()
 
     def on_screen_resume(self) -> None:
-        """Ask bench and script once the first picture is out, and again when a session has ended since."""
+        """Fill in what was chosen elsewhere; ask bench and script once the first picture is out.
+
+        They are asked again when others were chosen, a device was mounted, or a session has ended since.
+        """
+        with self.prevent(Input.Changed):
+            for name, *_ in _FIELDS:
+                self.query_one(f"#{name}", Input).value = getattr(self.station.choices, name)
         ended = self.station.shown is not self._run_before and not self.station.busy
-        if self._prospect is None or ended:
+        if self._prospect is None or ended or self._files() != self._looked_for or self.station.mounted is not None:
             self.call_after_refresh(self._look_at_both)
         self.redraw()
 
+    def on_screen_suspend(self) -> None:
+        """Start nothing by itself that is not seen."""
+        self.station.mounted = None
+
     def action_look_again(self) -> None:
         """Open the bench that is named, whichever that is."""
-        self.station.bench_recalled = False
+        self.station.bench_recalled, self.station.mounted = False, None
         self._look_at_both()
 
     def _look_at_both(self) -> None:
@@ -135,7 +139,7 @@ class PrepareScreen(StationScreen):
         self._looked_for = self._files()
         self._prospect = self._check = self._plan = None
         self._checking = ""
-        self._run_before = self.station.shown
+        self._run_before, self._mounted = self.station.shown, self.station.mounted
         self.redraw()
         self.station.work(partial(self._look, self.station.choices), "look")
 
@@ -269,10 +273,14 @@ class PrepareScreen(StationScreen):
         obstacles = self._obstacles()
         self.query_one("#start", Button).disabled = bool(obstacles)
         values = {"obstacles": obstacles, "prospect": self._prospect or Prospect(), "plan": self._plan}
-        values |= {"check": self._check, "checking": self._checking}
+        values |= {"check": self._check, "checking": self._checking, "mounted": self.station.mounted}
         for name in _BLOCKS:
             self.query_one(f"#{name}", Static).update(templated(f"{name}.rich", values))
         self.query_one(Charts).draw()
+        mounted = self.station.mounted
+        if mounted is not None and mounted is self._mounted and (not obstacles or "WRONG" in dict(obstacles)):
+            self.station.mounted = None
+            self.action_start()  # or what stands against it is told
 
     def _drawing(self, name: str) -> Drawing | None:
         motion = self._prospect.motion if self._prospect is not None else None
