@@ -1,4 +1,4 @@
-"""The app: four screens, the session that it shows, and STOP, which goes to the socket wherever a key is pressed."""
+"""The app: its screens, the session that it shows, and STOP, which goes to the socket wherever a key is pressed."""
 
 import asyncio
 import gc
@@ -27,7 +27,7 @@ from station.screen.archive.archive import Archive
 from station.screen.bars import SCREENS, STOP_KEY, StopBar
 from station.screen.base import StationScreen
 from station.screen.choices import TWIN_SCALE, Choices
-from station.screen.dialogs import AskDialog, AskTextDialog, ChooseDialog, HelpDialog, StationDialog
+from station.screen.dialogs import AskDialog, ChooseDialog, HelpDialog, StationDialog
 from station.screen.figures import templated
 from station.screen.memory import HIGH_CONTRAST, REMEMBERED, Remembered, load_remembered, save_remembered, whole
 from station.screen.sessions.link import SessionLink, sessions_on, sessions_there, stop_session
@@ -40,7 +40,7 @@ from station.screen.tabs.prepare import PrepareScreen
 from station.screen.tabs.prospects import Prospect
 from station.screen.tabs.result import ResultScreen
 from station.screen.tabs.run import RunScreen
-from station.screen.tabs.tray import TrayScreen
+from station.screen.tabs.tray import MountDialog, TrayScreen
 
 _TICK_S = 0.1
 _YIELD_S = 0.001  # after which a chart that is being drawn lets the thread go on that has read STOP
@@ -64,9 +64,7 @@ class StationApp(App[None]):
 
     TITLE = "turntable station"
     CSS_PATH = Path(__file__).with_name("station.tcss")
-    MODES: ClassVar = {
-        screen.MODE: screen for screen in (PrepareScreen, RunScreen, ResultScreen, HistoryScreen, TrayScreen)
-    }
+    MODES: ClassVar = {s.MODE: s for s in (PrepareScreen, RunScreen, ResultScreen, HistoryScreen, TrayScreen)}
     DEFAULT_MODE: str = "prepare"  # type: ignore[misc]  # it depends on how the app is begun
     BINDINGS: ClassVar = [
         *(Binding(key.lower(), f"switch_mode('{mode}')", name, show=False) for mode, key, name in SCREENS),
@@ -134,8 +132,9 @@ class StationApp(App[None]):
 
         The session that is shown; a session that is about to be started; if none is shown, all that run.
         """
-        told, self._told_by_key, self.mounted = self._told_by_key, False, None
-        if self.workers.cancel_group(self, "start"):
+        told, self._told_by_key = self._told_by_key, False
+        mounted, self.mounted = self.mounted, None
+        if self.workers.cancel_group(self, "start") or mounted is not None:
             self.notify("the run was not started", title="STOP", severity="warning")
         if self._link is not None and self.busy:
             if not (told or self._link.stop()):
@@ -247,11 +246,9 @@ class StationApp(App[None]):
     def next_on_tray(self, scanned: str = "") -> None:
         """Ask that the next device of the tray be mounted, unless a session runs; ``scanned``: another one was."""
         spot = self.tray.next
-        if spot is None or self.busy:
-            self.notify("a session runs: F3 shows it" if self.busy else "nothing waits on the tray")
-        else:
+        if spot is not None and not self.busy:
             question = templated("mount.rich", {"spot": spot, "scanned": scanned}).plain
-            self.push_screen(AskTextDialog(question, spot.serial), partial(self._mount, spot))
+            self.push_screen(MountDialog(question, spot.serial), partial(self._mount, spot))
 
     def _mount(self, spot: Spot, serial: str | None) -> None:
         """Prepare the run of a device that is mounted, which starts as soon as nothing stands against it."""

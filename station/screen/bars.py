@@ -19,13 +19,8 @@ _PATIENCE_S = 2.0  # that a session has to be seen to heed STOP
 SILENCE_S = 3.0
 """After so long without a word from a session, what is shown of it is old."""
 _EMERGENCY = "USE THE EMERGENCY STOP"
-SCREENS = (
-    ("prepare", "F2", "Prepare"),
-    ("run", "F3", "Run"),
-    ("result", "F4", "Result"),
-    ("history", "F5", "History"),
-    ("tray", "F10", "Tray"),
-)
+_NAMES = {"F2": "Prepare", "F3": "Run", "F4": "Result", "F5": "History", "F10": "Tray"}
+SCREENS = tuple((name.lower(), key, name) for key, name in _NAMES.items())
 
 
 class Lines(Static):

@@ -1,4 +1,4 @@
-"""The frame of the four screens: what a terminal that is too small shows, where STOP is, how a tick gets there."""
+"""The frame of the screens: what a terminal that is too small shows, where STOP is, how a tick gets there."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _TALL, _LARGE = 34, (200, 52)
 
 
 class StationScreen(Screen[None]):
-    """One of the four screens: a row of names, what it has to say, keys, STOP."""
+    """One of the screens: a row of names, what it has to say, keys, STOP."""
 
     MODE: ClassVar[str] = ""
     WIDE: ClassVar[int] = 120
@@ -90,19 +90,7 @@ class StationScreen(Screen[None]):
 class Field(Input):
     """A line of input, one row high, whose cursor stands still: nothing but news is to move on these screens."""
 
-    def __init__(self, value: str = "", **options: Any) -> None:
+    def __init__(self, **options: Any) -> None:
         """``options`` are those of ``Input``."""
-        super().__init__(value, **{"compact": True, "select_on_focus": False, **options})
+        super().__init__(**{"compact": True, "select_on_focus": False, **options})
         self.cursor_blink = False
-
-
-class ScanField(Field):
-    """A field for a scanner: what ends with Enter or Tab is submitted, and the field is free for the next at once."""
-
-    def on_key(self, event: events.Key) -> None:
-        """Submit before the next letter is read."""
-        if event.key in ("enter", "tab") and self.value.strip():
-            event.stop()
-            event.prevent_default()
-            self.post_message(self.Submitted(self, self.value.strip()))
-            self.clear()

@@ -12,7 +12,7 @@ from textual.widgets import Button, Input, OptionList, Static
 from textual.widgets.option_list import Option
 
 from station.screen.bars import StopBar
-from station.screen.base import ScanField
+from station.screen.base import Field
 
 _FRAME = ("scroll", "page", "app.focus", "screen.", "command_palette", "help_quit")
 """Actions of every textual screen, which need no help."""
@@ -32,7 +32,7 @@ class StationDialog(ModalScreen[str | None]):
 
     def compose(self) -> ComposeResult:
         with Vertical(id="dialog"):
-            yield Static(self._question, id="question", markup=False)
+            yield Static(self._question, markup=False, id="question")
             yield from self.answers()
         yield StopBar()
 
@@ -58,10 +58,7 @@ class AskDialog(StationDialog):
     def answers(self) -> ComposeResult:
         with Horizontal(classes="buttons"):
             for key, words in self._answers:
-                yield Button(words, id=key, compact=True)
-
-    def on_button_pressed(self, event: Button.Pressed) -> None:
-        self.dismiss(event.button.id)
+                yield Button(words, id=key, compact=True, action=f"screen.dismiss('{key}')")
 
 
 class ChooseDialog(StationDialog):
@@ -75,14 +72,14 @@ class ChooseDialog(StationDialog):
 
 
 class AskTextDialog(StationDialog):
-    """A question that is answered by a line of text, or by a scanner; ``value`` is what it takes the place of."""
+    """A question that is answered by a line of text; ``text`` is there at first."""
 
-    def __init__(self, question: str, value: str = "") -> None:
+    def __init__(self, question: str, text: str = "") -> None:
         super().__init__(question)
-        self._value = value
+        self._text = text
 
     def answers(self) -> ComposeResult:
-        yield ScanField(self._value, max_length=200, select_on_focus=True)
+        yield Field(value=self._text, max_length=200)
 
     def on_input_submitted(self, event: Input.Submitted) -> None:
-        self.dismiss(event.value.strip() or None)
+        self.dismiss(event.value.strip())

@@ -24,10 +24,6 @@ class Spot:
     state: str = WAITING
     recording: str = ""
 
-    @property
-    def script_name(self) -> str:
-        return Path(self.script).stem or "360 s"
-
 
 class Tray:
     """The spots of one bench in their order; every change is kept at once."""

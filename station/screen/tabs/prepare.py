@@ -74,7 +74,7 @@ class PrepareScreen(StationScreen):
 
     def row_below(self) -> ComposeResult:
         with Horizontal(id="start-row"):
-            yield Button("START  F7", id="start", compact=True, disabled=True)
+            yield Button("START  F7", id="start", compact=True, disabled=True, action="screen.start")
             yield Static(id="summary", markup=False)
 
     def on_mount(self) -> None:
@@ -107,15 +107,8 @@ class PrepareScreen(StationScreen):
         if event.input.id in ("bench", "script") and self._prospect is None:
             self.action_look_again()
 
-    def on_button_pressed(self, event: Button.Pressed) -> None:
-        if event.button.id == "start":
-            self.action_start()
-
     def on_screen_resume(self) -> None:
-        """Fill in what was chosen elsewhere; ask bench and script once the first picture is out.
-
-        They are asked again when others were chosen, a device was mounted, or a session has ended since.
-        """
+        """Fill in what was chosen elsewhere; ask bench and script once the first picture is out, if that is needed."""
         with self.prevent(Input.Changed):
             for name, *_ in _FIELDS:
                 self.query_one(f"#{name}", Input).value = getattr(self.station.choices, name)

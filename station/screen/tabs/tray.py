@@ -3,21 +3,37 @@
 from pathlib import Path
 from typing import ClassVar
 
-from rich.text import Text
+from textual import events
 from textual.app import ComposeResult
 from textual.binding import Binding
 from textual.containers import Horizontal
-from textual.widgets import DataTable, Input, Label, Static
+from textual.widgets import Input, Label, OptionList, Static
 
-from station.screen.base import Field, ScanField, StationScreen
+from station.screen.base import Field, StationScreen
+from station.screen.dialogs import AskTextDialog
 from station.screen.figures import templated
 from station.screen.memory import whole
 from station.screen.sessions.link import sessions_there
 from station.screen.sessions.tray import NO_RESULT, RUNNING, SKIPPED, WAITING, Spot
-from station.views.figures import OUTCOME_STYLES
 
-_COLUMNS = ("", "serial no.", "script", "state", "recording")
-_STYLES = {**OUTCOME_STYLES, RUNNING: "bold", SKIPPED: "dim", NO_RESULT: "red"}
+
+class ScanField(Field):
+    """A field for a scanner: what ends with Enter or Tab is submitted, and the field is free for the next at once."""
+
+    def on_key(self, event: events.Key) -> None:
+        """Submit before the next letter is read."""
+        if event.key in ("enter", "tab") and self.value.strip():
+            event.stop()
+            event.prevent_default()
+            self.post_message(self.Submitted(self, self.value.strip()))
+            self.clear()
+
+
+class MountDialog(AskTextDialog):
+    """Asks that a device be mounted; Enter takes the number that is there at first, a scan takes its place."""
+
+    def answers(self) -> ComposeResult:
+        yield ScanField(value=self._text, select_on_focus=True)
 
 
 class TrayScreen(StationScreen):
@@ -41,8 +57,8 @@ class TrayScreen(StationScreen):
         with Horizontal(classes="field"):
             yield Label("Scan")
             yield ScanField(id="scan", placeholder="serial number of a device, then Enter or Tab")
-        yield Static(id="next", markup=False, classes="block")
-        yield DataTable(id="spots", cursor_type="row", zebra_stripes=True)
+        yield Static(id="next", markup=False)
+        yield OptionList(id="spots", compact=True)
 
     def on_mount(self) -> None:
         self.set_focus(self.query_one("#scan"))
@@ -53,26 +69,24 @@ class TrayScreen(StationScreen):
         self.station.work(self._look_up, "tray")
 
     async def _look_up(self) -> None:
-        """Find out how runs ended whose end this screen did not see."""
-        tray, run = self.station.tray, self.station.shown
-        live = {str(hello.get("recording")) for _, hello in await sessions_there()}
-        if run is not None and run.active and run.recording is not None:  # it may have no socket yet
-            live.add(str(run.recording.resolve()))
+        """Find out how runs ended whose end no screen saw."""
+        tray = self.station.tray
+        live = {hello.get("recording") for _, hello in await sessions_there()}
         for spot in [spot for spot in tray.spots if spot.state == RUNNING and spot.recording not in live]:
-            entry = (await self.station.archive.read(Path(spot.recording))).entry
-            tray.end(Path(spot.recording), entry.texts.get("outcome") or NO_RESULT)
+            if not self.station.busy:  # what this screen has just started is in no list yet
+                entry = (await self.station.archive.read(Path(spot.recording))).entry
+                tray.end(Path(spot.recording), entry.texts.get("outcome") or NO_RESULT)
 
     def on_input_submitted(self, event: Input.Submitted) -> None:
         """Put a device that was scanned onto the tray, once for each script."""
         scan, tray = self.query_one("#scan", Input), self.station.tray
         self.set_focus(scan)
-        if event.input is not scan or not event.value:
-            return
-        for script in self.query_one("#scripts", Input).value.split(","):
+        for script in self.query_one("#scripts", Input).value.split(",") if event.input is scan and event.value else ():
             spot = Spot(event.value, whole(script.strip()))
             if any((old.serial, old.script) == (spot.serial, spot.script) for old in tray.spots):
-                words = f"{spot.serial} is on the tray with {spot.script_name} already"
-                self.notify(words, title="Not added", severity="warning", markup=False)
+                self.notify(
+                    f"{spot.serial} is on the tray already", title="Not added", severity="warning", markup=False
+                )
             else:
                 tray.keep([*tray.spots, spot])
 
@@ -80,18 +94,17 @@ class TrayScreen(StationScreen):
         """Ask for the next device."""
         self.station.next_on_tray()
 
-    def on_data_table_row_selected(self, event: DataTable.RowSelected) -> None:
+    def on_option_list_option_selected(self, event: OptionList.OptionSelected) -> None:
         for spot in self._chosen():
             if spot.recording:
                 self.station.open_recording(Path(spot.recording))
 
     def _chosen(self) -> list[Spot]:
-        row = self.query_one(DataTable).cursor_row
-        return self.station.tray.spots[row : row + 1]
+        row = self.query_one(OptionList).highlighted
+        return [spot for n, spot in enumerate(self.station.tray.spots) if n == row and spot.state != RUNNING]
 
     def action_remove(self) -> None:
-        chosen = self._chosen()
-        self.station.tray.keep([spot for spot in self.station.tray.spots if spot not in chosen])
+        self.station.tray.keep([spot for spot in self.station.tray.spots if spot not in self._chosen()])
 
     def action_clear(self) -> None:
         """Remove what has been run."""
@@ -100,12 +113,12 @@ class TrayScreen(StationScreen):
 
     def action_move(self, step: int) -> None:
         """Let a spot change places with the one before or after it."""
-        spots, row = list(self.station.tray.spots), self.query_one(DataTable).cursor_row
-        if row < len(spots) and 0 <= row + step < len(spots):
+        spots, row = list(self.station.tray.spots), self.query_one(OptionList).highlighted
+        if row is not None and 0 <= row + step < len(spots):
             spots[row], spots[row + step] = spots[row + step], spots[row]
             self.station.tray.keep(spots)
             self.tick()
-            self.query_one(DataTable).move_cursor(row=row + step)
+            self.query_one(OptionList).highlighted = row + step
 
     def action_skip(self) -> None:
         """Skip a spot that waits; let any other wait again. Its last recording stays in the history."""
@@ -114,14 +127,10 @@ class TrayScreen(StationScreen):
 
     def tick(self) -> None:
         tray = self.station.tray
-        if not self.query(DataTable) or tray.spots == self._shown:
-            return
-        self._shown, table = list(tray.spots), self.query_one(DataTable)
-        row = table.cursor_row
-        table.clear(columns=True)
-        table.add_columns(*_COLUMNS)
-        for number, spot in enumerate(tray.spots, 1):
-            cells = (str(number), spot.serial, spot.script_name, spot.state, Path(spot.recording).name)
-            table.add_row(*(Text(cell, _STYLES.get(cell, "")) for cell in cells))
-        table.move_cursor(row=min(row, max(len(tray.spots) - 1, 0)))
-        self.query_one("#next", Static).update(templated("tray.rich", {"tray": tray}))
+        if self.query("#spots") and tray.spots != self._shown:
+            head, *lines = templated("spots.rich", {"spots": tray.spots, "next": tray.next}).split()
+            table, self._shown = self.query_one(OptionList), list(tray.spots)
+            row = table.highlighted
+            table.clear_options().add_options(lines)
+            table.highlighted = row if row is not None or not lines else 0
+            self.query_one("#next", Static).update(head)
