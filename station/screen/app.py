@@ -243,7 +243,7 @@ class StationApp(App[None]):
         else:
             self.switch_mode("prepare")
 
-    def next_on_tray(self, scanned: str = "") -> None:
+    def action_next_on_tray(self, scanned: str = "") -> None:
         """Ask that the next device of the tray be mounted, unless a session runs; ``scanned``: another one was."""
         spot = self.tray.next
         if spot is not None and not self.busy:
@@ -257,7 +257,7 @@ class StationApp(App[None]):
             self.choices = replace(self.choices, serial=serial)
             self.prepare(spot.script)
         elif serial is not None:
-            self.next_on_tray(serial)
+            self.action_next_on_tray(serial)
 
     def open_recording(self, path: Path) -> None:
         self._to_open = path, False
@@ -344,7 +344,7 @@ class StationApp(App[None]):
                 return
             self.switch_mode("result")
             if spot is not None:
-                self.next_on_tray()
+                self.action_next_on_tray()
 
     async def _look_into(self, run: LiveRun, recording: Path) -> None:
         """Add what the recording says of a session that has gone without a word."""

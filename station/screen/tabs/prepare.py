@@ -56,6 +56,7 @@ class PrepareScreen(StationScreen):
         self._looked_for: tuple[str, str] | None = None
         self._confirmed = ("", "", "")  # number as entered, number that the device says, why both are right
         self._run_before: LiveRun | None = None
+        self._chosen: Choices | None = None  # what the fields show
         self._mounted: Spot | None = None  # which of the tray's devices was there when they were asked
 
     def body(self) -> ComposeResult:
@@ -78,8 +79,12 @@ class PrepareScreen(StationScreen):
             yield Static(id="summary", markup=False)
 
     def on_mount(self) -> None:
-        """Begin with the first field that is to be filled in."""
-        self.set_focus(self.query_one("#serial" if self.station.choices.operator else "#operator", Input))
+        """Fill in what is chosen."""
+        self._chosen = choices = self.station.choices
+        with self.prevent(Input.Changed):
+            for name, *_ in _FIELDS:
+                self.query_one(f"#{name}", Input).value = getattr(choices, name)
+        self.set_focus(self.query_one("#operator" if not choices.operator else "#serial", Input))
 
     def on_input_changed(self, event: Input.Changed) -> None:
         """Take over what was typed; bench and script are looked at when they are complete."""
@@ -108,12 +113,12 @@ class PrepareScreen(StationScreen):
             self.action_look_again()
 
     def on_screen_resume(self) -> None:
-        """Fill in what was chosen elsewhere; ask bench and script once the first picture is out, if that is needed."""
-        with self.prevent(Input.Changed):
-            for name, *_ in _FIELDS:
-                self.query_one(f"#{name}", Input).value = getattr(self.station.choices, name)
+        """Ask bench and script once the first picture is out; again when others were chosen, or a session has ended."""
         ended = self.station.shown is not self._run_before and not self.station.busy
-        if self._prospect is None or ended or self._files() != self._looked_for or self.station.mounted is not None:
+        if self.station.choices is not self._chosen:
+            self._prospect = None
+            self.on_mount()
+        if self._prospect is None or ended:
             self.call_after_refresh(self._look_at_both)
         self.redraw()
 
@@ -216,7 +221,7 @@ class PrepareScreen(StationScreen):
         if self._told_serial():
             both = entered["serial"], self._told_serial()
             entered["serial_reason"] = self._confirmed[2] if self._confirmed[:2] == both else ""
-        self.station.choices = replace(self.station.choices, **entered)
+        self._chosen = self.station.choices = replace(self.station.choices, **entered)
 
     def _obstacles(self) -> list[tuple[str, str]]:
         """Return what stands against a start: WRONG or WAIT, and what to do."""

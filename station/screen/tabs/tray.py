@@ -41,12 +41,12 @@ class TrayScreen(StationScreen):
 
     MODE = "tray"
     BINDINGS: ClassVar = [
-        Binding("f7", "start", "Next", key_display="F7"),
+        Binding("f7", "app.next_on_tray", "Next", key_display="F7"),
         ("delete", "remove", "Remove"),
         Binding("minus", "move(-1)", "Up", key_display="-"),
         Binding("plus", "move(1)", "Down", key_display="+"),
-        ("s", "skip", "Skip, or again"),
-        ("c", "clear", "Clear what is done"),
+        ("s", "skip", "Skip/again"),
+        ("c", "clear", "Clear done"),
     ]
     _shown: list[Spot] | None = None
 
@@ -61,11 +61,10 @@ class TrayScreen(StationScreen):
         yield OptionList(id="spots", compact=True)
 
     def on_mount(self) -> None:
+        self.query_one("#scripts", Input).value = self.station.choices.script
         self.set_focus(self.query_one("#scan"))
 
     def on_screen_resume(self) -> None:
-        """Show the tray of the bench that is chosen, as it is now."""
-        self.query_one("#scripts", Input).value = self.station.choices.script
         self.station.work(self._look_up, "tray")
 
     async def _look_up(self) -> None:
@@ -89,10 +88,6 @@ class TrayScreen(StationScreen):
                 )
             else:
                 tray.keep([*tray.spots, spot])
-
-    def action_start(self) -> None:
-        """Ask for the next device."""
-        self.station.next_on_tray()
 
     def on_option_list_option_selected(self, event: OptionList.OptionSelected) -> None:
         for spot in self._chosen():

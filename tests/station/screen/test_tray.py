@@ -115,7 +115,7 @@ class Day:
     """An operator with a tray on the bench of the device that tells a serial number, and what stands on its table."""
 
     def __init__(self, place: Path, station: str = "", limits: str = "") -> None:
-        """``station`` and ``limits`` are lines of the bench file; how well a busy host keeps time is not judged here."""
+        """``station`` and ``limits`` are lines of the bench file: how well a busy host keeps time is not judged."""
         text = (place / "bench.toml").read_text().replace('serial_pattern = "SN-[0-9]{4}"', station)
         text = re.sub(r'(name = "array"(?s:.*?)\[imu.datasheet\])', r"used = false\n\1", text)
         text = text.replace("used = false         ", "used = true         ")
