@@ -88,8 +88,8 @@ class StationApp(App[None]):
         self.archive = Archive()
         self.shown: LiveRun | None = None
         self._tray = Tray(whole(self.choices.bench))
-        self.mounted: Spot | None = None
-        """What the operator has mounted from the tray: its run starts as soon as nothing stands against it."""
+        self.mounted = False
+        """Whether the operator has mounted a device of the tray, whose run starts once nothing stands against it."""
         self._scripts_follow = False
         self.others = 0
         """How many sessions run while none is shown."""
@@ -133,8 +133,8 @@ class StationApp(App[None]):
         The session that is shown; a session that is about to be started; if none is shown, all that run.
         """
         told, self._told_by_key = self._told_by_key, False
-        mounted, self.mounted = self.mounted, None
-        if self.workers.cancel_group(self, "start") or mounted is not None:
+        mounted, self.mounted = self.mounted, False
+        if self.workers.cancel_group(self, "start") or mounted:
             self.notify("the run was not started", title="STOP", severity="warning")
         if self._link is not None and self.busy:
             if not (told or self._link.stop()):
@@ -251,9 +251,9 @@ class StationApp(App[None]):
             self.push_screen(MountDialog(question, spot.serial), partial(self._mount, spot))
 
     def _mount(self, spot: Spot, serial: str | None) -> None:
-        """Prepare the run of a device that is mounted, which starts as soon as nothing stands against it."""
+        """Prepare the run of a device that is mounted, which then starts by itself."""
         if serial == spot.serial:
-            self.mounted = replace(spot)  # told from one that was mounted before
+            self.mounted = True
             self.choices = replace(self.choices, serial=serial)
             self.prepare(spot.script)
         elif serial is not None:

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 from station.screen.archive.archive import Archive
 from station.screen.choices import Choices
 from station.screen.sessions.live_run import LiveRun
-from station.screen.sessions.tray import Spot, Tray
+from station.screen.sessions.tray import Tray
 from station.screen.tabs.prospects import Prospect
 
 
@@ -20,7 +20,7 @@ class SeenApp(Protocol):
     archive: Archive
     operator_utc_s: float
     bench_recalled: bool
-    mounted: Spot | None
+    mounted: bool
 
     @property
     def busy(self) -> bool: ...

@@ -21,7 +21,6 @@ from station.screen.figures import templated
 from station.screen.sessions.link import sessions_on
 from station.screen.sessions.live_run import LiveRun
 from station.screen.sessions.programs import Answer, ask
-from station.screen.sessions.tray import Spot
 from station.screen.tabs.prospects import Prospect, look_ahead, matches
 
 _FIELDS = (
@@ -57,7 +56,6 @@ class PrepareScreen(StationScreen):
         self._confirmed = ("", "", "")  # number as entered, number that the device says, why both are right
         self._run_before: LiveRun | None = None
         self._chosen: Choices | None = None  # what the fields show
-        self._mounted: Spot | None = None  # which of the tray's devices was there when they were asked
 
     def body(self) -> ComposeResult:
         with Container(id="columns"):
@@ -88,7 +86,7 @@ class PrepareScreen(StationScreen):
 
     def on_input_changed(self, event: Input.Changed) -> None:
         """Take over what was typed; bench and script are looked at when they are complete."""
-        self.station.mounted = None
+        self.station.mounted = False
         if event.input.id == "operator":
             self.station.operator_utc_s = time.time()
         self._take_over()
@@ -116,19 +114,19 @@ class PrepareScreen(StationScreen):
         """Ask bench and script once the first picture is out; again when others were chosen, or a session has ended."""
         ended = self.station.shown is not self._run_before and not self.station.busy
         if self.station.choices is not self._chosen:
-            self._prospect = None
             self.on_mount()
-        if self._prospect is None or ended:
+            self._look_at_both()
+        elif self._prospect is None or ended:
             self.call_after_refresh(self._look_at_both)
         self.redraw()
 
     def on_screen_suspend(self) -> None:
         """Start nothing by itself that is not seen."""
-        self.station.mounted = None
+        self.station.mounted = False
 
     def action_look_again(self) -> None:
         """Open the bench that is named, whichever that is."""
-        self.station.bench_recalled, self.station.mounted = False, None
+        self.station.bench_recalled = self.station.mounted = False
         self._look_at_both()
 
     def _look_at_both(self) -> None:
@@ -137,7 +135,7 @@ class PrepareScreen(StationScreen):
         self._looked_for = self._files()
         self._prospect = self._check = self._plan = None
         self._checking = ""
-        self._run_before, self._mounted = self.station.shown, self.station.mounted
+        self._run_before = self.station.shown
         self.redraw()
         self.station.work(partial(self._look, self.station.choices), "look")
 
@@ -271,13 +269,13 @@ class PrepareScreen(StationScreen):
         obstacles = self._obstacles()
         self.query_one("#start", Button).disabled = bool(obstacles)
         values = {"obstacles": obstacles, "prospect": self._prospect or Prospect(), "plan": self._plan}
-        values |= {"check": self._check, "checking": self._checking, "mounted": self.station.mounted}
+        values |= {"check": self._check, "checking": self._checking, "tray": self.station.mounted}
         for name in _BLOCKS:
             self.query_one(f"#{name}", Static).update(templated(f"{name}.rich", values))
         self.query_one(Charts).draw()
-        mounted = self.station.mounted
-        if mounted is not None and mounted is self._mounted and (not obstacles or "WRONG" in dict(obstacles)):
-            self.station.mounted = None
+        looked_at = self.station.mounted and self.station.choices is self._chosen
+        if looked_at and (not obstacles or "WRONG" in dict(obstacles)):
+            self.station.mounted = False
             self.action_start()  # or what stands against it is told
 
     def _drawing(self, name: str) -> Drawing | None:
