@@ -248,7 +248,7 @@ class StationApp(App[None]):
         spot = self.tray.next
         if spot is not None and not self.busy:
             question = templated("mount.rich", {"spot": spot, "scanned": scanned}).plain
-            self.push_screen(MountDialog(question, spot.serial), partial(self._mount, spot))
+            self.push_screen(MountDialog(question, begun=spot.serial), partial(self._mount, spot))
 
     def _mount(self, spot: Spot, serial: str | None) -> None:
         """Prepare the run of a device that is mounted, which then starts by itself."""

@@ -21,14 +21,14 @@ _FRAME = ("scroll", "page", "app.focus", "screen.", "command_palette", "help_qui
 class StationDialog(ModalScreen[str | None]):
     """A question over a screen, with STOP below it as everywhere.
 
-    ``answers`` are what comes back, and the words for it.
+    ``answers`` are what comes back, and the words for it; ``begun`` is what is chosen or written at first.
     """
 
     BINDINGS: ClassVar = [("escape", "dismiss(None)", "Back")]
 
-    def __init__(self, question: str, answers: Sequence[tuple[str, str]] = ()) -> None:
+    def __init__(self, question: str, answers: Sequence[tuple[str, str]] = (), begun: str = "") -> None:
         super().__init__()
-        self._question, self._answers = question, answers
+        self._question, self._answers, self._begun = question, answers, begun
 
     def compose(self) -> ComposeResult:
         with Vertical(id="dialog"):
@@ -72,14 +72,10 @@ class ChooseDialog(StationDialog):
 
 
 class AskTextDialog(StationDialog):
-    """A question that is answered by a line of text; ``text`` is there at first."""
-
-    def __init__(self, question: str, text: str = "") -> None:
-        super().__init__(question)
-        self._text = text
+    """A question that is answered by a line of text."""
 
     def answers(self) -> ComposeResult:
-        yield Field(value=self._text, max_length=200)
+        yield Field(value=self._begun, max_length=200)
 
     def on_input_submitted(self, event: Input.Submitted) -> None:
         self.dismiss(event.value.strip())

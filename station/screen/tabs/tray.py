@@ -33,7 +33,7 @@ class MountDialog(AskTextDialog):
     """Asks that a device be mounted; Enter takes the number that is there at first, a scan takes its place."""
 
     def answers(self) -> ComposeResult:
-        yield ScanField(value=self._text, select_on_focus=True)
+        yield ScanField(value=self._begun, select_on_focus=True)
 
 
 class TrayScreen(StationScreen):
