@@ -1,4 +1,4 @@
-"""The app: four screens, the session that it shows, and STOP, which goes to the socket wherever a key is pressed."""
+"""The app: its screens, the session that it shows, and STOP, which goes to the socket wherever a key is pressed."""
 
 import asyncio
 import gc
@@ -30,10 +30,12 @@ from station.screen.bars import SCREENS, STOP_KEY, StopBar
 from station.screen.base import StationScreen
 from station.screen.choices import TWIN_SCALE, Choices
 from station.screen.dialogs import AskDialog, ChooseDialog, HelpDialog, StationDialog
-from station.screen.memory import REMEMBERED, Remembered, load_remembered, save_remembered
+from station.screen.figures import templated
+from station.screen.memory import REMEMBERED, Remembered, load_remembered, save_remembered, whole
 from station.screen.sessions.link import SessionLink, sessions_on, sessions_there, stop_session
 from station.screen.sessions.live_run import LiveRun, Stage
 from station.screen.sessions.programs import SessionProcess
+from station.screen.sessions.tray import NO_RESULT, RUNNING, WAITING, Spot, Tray
 from station.screen.tabs.giving_out import offered
 from station.screen.tabs.history import HistoryScreen
 from station.screen.tabs.manual import begin_manual
@@ -41,6 +43,7 @@ from station.screen.tabs.prepare import PrepareScreen
 from station.screen.tabs.prospects import Prospect
 from station.screen.tabs.result import ResultScreen
 from station.screen.tabs.run import RunScreen
+from station.screen.tabs.tray import MountDialog, TrayScreen
 
 _TICK_S = 0.1
 _YIELD_S = 0.001  # after which a chart that is being drawn lets the thread go on that has read STOP
@@ -64,7 +67,7 @@ class StationApp(App[None]):
 
     TITLE = "turntable station"
     CSS_PATH = Path(__file__).with_name("station.tcss")
-    MODES: ClassVar = {"prepare": PrepareScreen, "run": RunScreen, "result": ResultScreen, "history": HistoryScreen}
+    MODES: ClassVar = {s.MODE: s for s in (PrepareScreen, RunScreen, ResultScreen, HistoryScreen, TrayScreen)}
     DEFAULT_MODE: str = "prepare"  # type: ignore[misc]  # it depends on how the app is begun
     BINDINGS: ClassVar = [
         *(Binding(key.lower(), f"switch_mode('{mode}')", name, show=False) for mode, key, name in SCREENS),
@@ -87,6 +90,10 @@ class StationApp(App[None]):
         self.bench_recalled = bool(self.remembered.bench) and not choices.bench
         self.archive = Archive()
         self.shown: LiveRun | None = None
+        self._tray = Tray(whole(self.choices.bench))
+        self.mounted = False
+        """Whether the operator has mounted a device of the tray, whose run starts once nothing stands against it."""
+        self._scripts_follow = False
         self.others = 0
         """How many sessions run while none is shown."""
         self._link: SessionLink | None = None
@@ -98,6 +105,13 @@ class StationApp(App[None]):
     @property
     def busy(self) -> bool:
         return self.shown is not None and self.shown.active
+
+    @property
+    def tray(self) -> Tray:
+        """The tray of the bench that is chosen."""
+        if self._tray.bench != whole(self.choices.bench):
+            self._tray = Tray(whole(self.choices.bench))
+        return self._tray
 
     def get_driver_class(self) -> type[Driver]:
         """Return the driver of this terminal, with STOP before everything."""
@@ -122,7 +136,8 @@ class StationApp(App[None]):
         The session that is shown; a session that is about to be started; if none is shown, all that run.
         """
         told, self._told_by_key = self._told_by_key, False
-        if self.workers.cancel_group(self, "start"):
+        mounted, self.mounted = self.mounted, False
+        if self.workers.cancel_group(self, "start") or mounted:
             self.notify("the run was not started", title="STOP", severity="warning")
         if self._link is not None and self.busy:
             if not (told or self._link.stop()):
@@ -181,6 +196,7 @@ class StationApp(App[None]):
     def start_run(self, prospect: Prospect) -> None:
         """Start a session with what was chosen on a bench, keep what was entered, and show the session."""
         self._remember()
+        self._scripts_follow = prospect.scripts_follow
         self.work(partial(self._start, prospect), "start")
 
     async def _start(self, prospect: Prospect) -> None:
@@ -192,9 +208,13 @@ class StationApp(App[None]):
         choices = self.choices.by_hand(prospect.all_twins) if prospect.manual else self.choices
         recording = await asyncio.to_thread(lambda: choices.new_recording().absolute())
         scale = choices.scale or (TWIN_SCALE if prospect.all_twins else None)
+        if not prospect.manual:
+            spot = Spot(choices.serial, whole(choices.script))
+            self.tray.change(spot, state=RUNNING, recording=str(recording.resolve()))
         try:
             process = SessionProcess(choices.run_arguments(recording, scale))
         except OSError as error:
+            self.tray.end(recording, WAITING)
             self.notify(str(error), title="Not started", severity="error", markup=False)
             return
         self._follow(LiveRun(recording, choices.script), process=process)
@@ -224,8 +244,7 @@ class StationApp(App[None]):
             save_remembered(self.remembered)
 
     def _remember(self) -> None:
-        chosen = self.choices.bench, self.choices.script
-        bench, script = (str(Path(path).absolute()) if path else "" for path in chosen)
+        bench, script = whole(self.choices.bench), whole(self.choices.script)
         self.remembered = Remembered(self.choices.operator, bench, script, self.operator_utc_s, self.theme)
         save_remembered(self.remembered)
 
@@ -233,12 +252,26 @@ class StationApp(App[None]):
         """Show the preparation, with another script if one is given."""
         if script is not None:
             self.choices = replace(self.choices, script=script)
-        self.switch_mode("prepare")
-        self.call_after_refresh(self._prepare_again)
+        if self.current_mode == "prepare":
+            self.screen.post_message(events.ScreenResume())
+        else:
+            self.switch_mode("prepare")
 
-    def _prepare_again(self) -> None:
-        if isinstance(self.screen, PrepareScreen):
-            self.screen.prepare(self.choices.script)
+    def action_next_on_tray(self, scanned: str = "") -> None:
+        """Ask that the next device of the tray be mounted, unless a session runs; ``scanned``: another one was."""
+        spot = self.tray.next
+        if spot is not None and not self.busy:
+            question = templated("mount.rich", {"spot": spot, "scanned": scanned}).plain
+            self.push_screen(MountDialog(question, begun=spot.serial), partial(self._mount, spot))
+
+    def _mount(self, spot: Spot, serial: str | None) -> None:
+        """Prepare the run of a device that is mounted, which then starts by itself."""
+        if serial == spot.serial:
+            self.mounted = True
+            self.choices = replace(self.choices, serial=serial)
+            self.prepare(spot.script)
+        elif serial is not None:
+            self.action_next_on_tray(serial)
 
     def open_recording(self, path: Path) -> None:
         self._to_open = path, False
@@ -311,17 +344,26 @@ class StationApp(App[None]):
             return
         if self._leaving and run.at_rest:
             self.exit()
+        ended = (run.outcome or NO_RESULT) if run.hello else WAITING
+        ran = self.tray.end(run.recording, ended) if run.recording is not None else None
         if run.recording is None or not run.hello:
             return
         self._to_open = run.recording, True
         if run.result is None:
             self.work(partial(self._look_into, run, run.recording), "ended")
         elif run.outcome in ("PASS", "ESTIMATED", "FAIL") and isinstance(self.screen, RunScreen):
+            spot = self.tray.next if ran is not None and not run.stop_asked else None
+            if spot is not None and ran is not None and self._scripts_follow and spot.serial == ran.serial:
+                self._mount(spot, spot.serial)
+                return
             self.switch_mode("result")
+            if spot is not None:
+                self.action_next_on_tray()
 
     async def _look_into(self, run: LiveRun, recording: Path) -> None:
         """Add what the recording says of a session that has gone without a word."""
         entry = (await self.archive.read(recording)).entry
+        self.tray.end(recording, entry.texts.get("outcome") or NO_RESULT)
         said = entry.wrong or f"{entry.texts.get('outcome', '')}  {entry.texts.get('reason', '')}"
         run.trouble = f"{run.trouble}. Its recording: {said}"
 

@@ -16,7 +16,8 @@ STOP_KEY = "f9"
 STOP_WORDS = "■ STOP  F9"
 SILENCE_S = 3.0
 """After so long without a word from a session, what is shown of it is old."""
-SCREENS = (("prepare", "F2", "Prepare"), ("run", "F3", "Run"), ("result", "F4", "Result"), ("history", "F5", "History"))
+_NAMES = {"F2": "Prepare", "F3": "Run", "F4": "Result", "F5": "History", "F10": "Tray"}
+SCREENS = tuple((name.lower(), key, name) for key, name in _NAMES.items())
 
 
 class Lines(Static):

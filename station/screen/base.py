@@ -1,4 +1,4 @@
-"""The frame of the four screens: what a terminal that is too small shows, where STOP is, how a tick gets there."""
+"""The frame of the screens: what a terminal that is too small shows, where STOP is, how a tick gets there."""
 
 from pathlib import Path
 from typing import Any, ClassVar, cast
@@ -17,7 +17,7 @@ _TALL, _LARGE = 34, (200, 52)
 
 
 class StationScreen(Screen[None]):
-    """One of the four screens: a row of names, what it has to say, keys, STOP."""
+    """One of the screens: a row of names, what it has to say, keys, STOP."""
 
     MODE: ClassVar[str] = ""
     WIDE: ClassVar[int] = 120

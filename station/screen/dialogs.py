@@ -21,18 +21,18 @@ _FRAME = ("scroll", "page", "app.focus", "screen.", "command_palette", "help_qui
 class StationDialog(ModalScreen[str | None]):
     """A question over a screen, with STOP below it as everywhere.
 
-    ``answers`` are what comes back, and the words for it.
+    ``answers`` are what comes back, and the words for it; ``begun`` is what is chosen or written at first.
     """
 
     BINDINGS: ClassVar = [("escape", "dismiss(None)", "Back")]
 
-    def __init__(self, question: str, answers: Sequence[tuple[str, str]] = ()) -> None:
+    def __init__(self, question: str, answers: Sequence[tuple[str, str]] = (), begun: str = "") -> None:
         super().__init__()
-        self._question, self._answers = question, answers
+        self._question, self._answers, self._begun = question, answers, begun
 
     def compose(self) -> ComposeResult:
         with Vertical(id="dialog"):
-            yield Static(self._question, markup=False)
+            yield Static(self._question, markup=False, id="question")
             yield from self.answers()
         yield StopBar()
 
@@ -58,10 +58,7 @@ class AskDialog(StationDialog):
     def answers(self) -> ComposeResult:
         with Horizontal(classes="buttons"):
             for key, words in self._answers:
-                yield Button(words, id=key, compact=True)
-
-    def on_button_pressed(self, event: Button.Pressed) -> None:
-        self.dismiss(event.button.id)
+                yield Button(words, id=key, compact=True, action=f"screen.dismiss('{key}')")
 
 
 class ChooseDialog(StationDialog):
@@ -78,7 +75,7 @@ class AskTextDialog(StationDialog):
     """A question that is answered by a line of text."""
 
     def answers(self) -> ComposeResult:
-        yield Field(max_length=200)
+        yield Field(value=self._begun, max_length=200)
 
     def on_input_submitted(self, event: Input.Submitted) -> None:
-        self.dismiss(event.value.strip() or None)
+        self.dismiss(event.value.strip())

@@ -2,6 +2,7 @@
 
 import json
 import os
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -35,19 +36,32 @@ def state_folder() -> Path:
     return (Path(given) if given.startswith("/") else Path.home() / ".local" / "state") / _FOLDER
 
 
+def whole(path: str) -> str:
+    """Return the absolute path of a file, empty for none."""
+    return str(Path(path).absolute()) if path else ""
+
+
 def load_remembered() -> Remembered:
     """Return what is remembered; nothing if the file is missing or no such file."""
-    try:
-        found: Any = json.loads(harmless(read_text(state_folder() / _FILE, UsageError)))
-        texts = {key: str(found.get(key, "")) for key in REMEMBERED}
-        return Remembered(
-            **texts, operator_utc_s=float(found.get("operator_utc_s", 0.0)), theme=str(found.get("theme", ""))
-        )
-    except (UsageError, *MISSHAPEN):
-        return Remembered()
+    found = load_state(_FILE)
+    texts = {key: str(found.get(key, "")) for key in (*REMEMBERED, "theme")}
+    with suppress(*MISSHAPEN):
+        return Remembered(**texts, operator_utc_s=float(found.get("operator_utc_s", 0.0)))
+    return Remembered()
 
 
 def save_remembered(remembered: Remembered) -> None:
+    save_state(_FILE, asdict(remembered))
+
+
+def load_state(file: str) -> dict[str, Any]:
+    """Return what a file of the state folder holds; nothing if it is missing or no such file."""
+    with suppress(UsageError, *MISSHAPEN):
+        return dict(json.loads(harmless(read_text(state_folder() / file, UsageError))))
+    return {}
+
+
+def save_state(file: str, state: Mapping[str, Any]) -> None:
     """Keep it; a folder that cannot be written is no reason to stop a calibration."""
     with suppress(UsageError):
-        write_whole(state_folder() / _FILE, json.dumps(asdict(remembered), indent=1), replace=True)
+        write_whole(state_folder() / file, json.dumps(state, indent=1), replace=True)

@@ -7,6 +7,7 @@ from typing import Any, Protocol
 from station.screen.archive.archive import Archive
 from station.screen.choices import Choices
 from station.screen.sessions.live_run import LiveRun
+from station.screen.sessions.tray import Tray
 from station.screen.tabs.prospects import Prospect
 
 
@@ -19,9 +20,12 @@ class SeenApp(Protocol):
     archive: Archive
     operator_utc_s: float
     bench_recalled: bool
+    mounted: bool
 
     @property
     def busy(self) -> bool: ...
+    @property
+    def tray(self) -> Tray: ...
     def action_stop(self) -> None: ...
     def start_run(self, prospect: Prospect) -> None: ...
     def pause_run(self) -> None: ...

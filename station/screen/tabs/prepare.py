@@ -55,6 +55,7 @@ class PrepareScreen(StationScreen):
         self._looked_for: tuple[str, str] | None = None
         self._confirmed = ("", "", "")  # number as entered, number that the device says, why both are right
         self._run_before: LiveRun | None = None
+        self._chosen: Choices | None = None  # what the fields show
 
     def body(self) -> ComposeResult:
         with Container(id="columns"):
@@ -72,24 +73,20 @@ class PrepareScreen(StationScreen):
 
     def row_below(self) -> ComposeResult:
         with Horizontal(id="start-row"):
-            yield Button("START  F7", id="start", compact=True, disabled=True)
+            yield Button("START  F7", id="start", compact=True, disabled=True, action="screen.start")
             yield Static(id="summary", markup=False)
 
     def on_mount(self) -> None:
-        """Fill in what is known; ask bench and script once the first picture is out."""
-        choices = self.station.choices
-        for name, *_ in _FIELDS:
-            with self.prevent(Input.Changed):
+        """Fill in what is chosen."""
+        self._chosen = choices = self.station.choices
+        with self.prevent(Input.Changed):
+            for name, *_ in _FIELDS:
                 self.query_one(f"#{name}", Input).value = getattr(choices, name)
         self.set_focus(self.query_one("#operator" if not choices.operator else "#serial", Input))
 
-    def prepare(self, script: str) -> None:
-        """Set another script, and look again."""
-        self.query_one("#script", Input).value = script
-        self._look_at_both()
-
     def on_input_changed(self, event: Input.Changed) -> None:
         """Take over what was typed; bench and script are looked at when they are complete."""
+        self.station.mounted = False
         if event.input.id == "operator":
             self.station.operator_utc_s = time.time()
         self._take_over()
@@ -113,20 +110,23 @@ class PrepareScreen(StationScreen):
         if event.input.id in ("bench", "script") and self._prospect is None:
             self.action_look_again()
 
-    def on_button_pressed(self, event: Button.Pressed) -> None:
-        if event.button.id == "start":
-            self.action_start()
-
     def on_screen_resume(self) -> None:
-        """Ask bench and script once the first picture is out, and again when a session has ended since."""
+        """Ask bench and script once the first picture is out; again when others were chosen, or a session has ended."""
         ended = self.station.shown is not self._run_before and not self.station.busy
-        if self._prospect is None or ended:
+        if self.station.choices is not self._chosen:
+            self.on_mount()
+            self._look_at_both()
+        elif self._prospect is None or ended:
             self.call_after_refresh(self._look_at_both)
         self.redraw()
 
+    def on_screen_suspend(self) -> None:
+        """Start nothing by itself that is not seen."""
+        self.station.mounted = False
+
     def action_look_again(self) -> None:
         """Open the bench that is named, whichever that is."""
-        self.station.bench_recalled = False
+        self.station.bench_recalled = self.station.mounted = False
         self._look_at_both()
 
     def _look_at_both(self) -> None:
@@ -219,7 +219,7 @@ class PrepareScreen(StationScreen):
         if self._told_serial():
             both = entered["serial"], self._told_serial()
             entered["serial_reason"] = self._confirmed[2] if self._confirmed[:2] == both else ""
-        self.station.choices = replace(self.station.choices, **entered)
+        self._chosen = self.station.choices = replace(self.station.choices, **entered)
 
     def _obstacles(self) -> list[tuple[str, str]]:
         """Return what stands against a start: WRONG or WAIT, and what to do."""
@@ -269,10 +269,14 @@ class PrepareScreen(StationScreen):
         obstacles = self._obstacles()
         self.query_one("#start", Button).disabled = bool(obstacles)
         values = {"obstacles": obstacles, "prospect": self._prospect or Prospect(), "plan": self._plan}
-        values |= {"check": self._check, "checking": self._checking}
+        values |= {"check": self._check, "checking": self._checking, "tray": self.station.mounted}
         for name in _BLOCKS:
             self.query_one(f"#{name}", Static).update(templated(f"{name}.rich", values))
         self.query_one(Charts).draw()
+        looked_at = self.station.mounted and self.station.choices is self._chosen
+        if looked_at and (not obstacles or "WRONG" in dict(obstacles)):
+            self.station.mounted = False
+            self.action_start()  # or what stands against it is told
 
     def _drawing(self, name: str) -> Drawing | None:
         motion = self._prospect.motion if self._prospect is not None else None

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from station.screen.choices import Choices
     from station.scripts.planned import PlannedMotion
 
-_LEAST_FREE_BYTES = 10_000_000  # the 360 s script with four gyros of 100 Hz takes 6 MB
+_LEAST_FREE_MB = 10.0  # the 360 s script with four gyros of 100 Hz takes 6 MB
 
 ANYTHING = r".*\S.*"
 """Pattern of operators and serial numbers where the bench file gives none: something must be entered."""
@@ -31,6 +31,7 @@ class Prospect:
     operator_pattern: str = ANYTHING
     serial_pattern: str = ANYTHING
     shift_s: float = math.inf
+    scripts_follow: bool = False
     all_twins: bool = False
     limits: Limits | None = None
     script: str = ""
@@ -67,6 +68,7 @@ def _read(bench_path: str, script_path: str, device_options: tuple[str, ...]) ->
         operator_pattern=bench.operator_pattern or ANYTHING,
         serial_pattern=bench.serial_pattern or ANYTHING,
         shift_s=bench.shift_s,
+        scripts_follow=bench.scripts_follow,
         all_twins=needs_only_memory(bench),
         limits=bench.limits,
     )
@@ -89,17 +91,13 @@ def matches(pattern: str, text: str) -> bool:
 
 def folder_trouble(folder: Path) -> str:
     """Return why recordings cannot be written into a folder, empty if they can."""
-    there = folder
-    while not there.exists() and there != there.parent:
-        there = there.parent
-    if not there.is_dir():
-        return f"{there} is a file: choose another folder with --folder"
-    if not os.access(there, os.W_OK | os.X_OK):
-        return f"{there.absolute()} cannot be written: choose another folder with --folder"
-    free = shutil.disk_usage(there).free
-    if free < _LEAST_FREE_BYTES:
-        return (
-            f"the disk of {there.absolute()} is all but full ({free / 1e6:.1f} MB left): make room, or choose another "
-            "folder with --folder"
-        )
+    there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    free_mb = shutil.disk_usage(there).free / 1e6
+    for wrong, words in (
+        (not there.is_dir(), f"{there} is a file"),
+        (not os.access(there, os.W_OK | os.X_OK), f"{there.absolute()} cannot be written"),
+        (free_mb < _LEAST_FREE_MB, f"the disk of {there.absolute()} is all but full ({free_mb:.1f} MB left)"),
+    ):
+        if wrong:
+            return f"{words}: choose another folder with --folder"
     return ""

@@ -68,7 +68,7 @@ class ResultScreen(StationScreen):
     def row_below(self) -> ComposeResult:
         with Horizontal(id="actions", classes="buttons"):
             for name, words in _BUTTONS:
-                yield Button(words, id=name, compact=True, disabled=True)
+                yield Button(words, id=name, compact=True, disabled=True, action=f"screen.{name}")
 
     def _open(self, path: Path, fresh: bool) -> None:
         """Show a recording. ``fresh``: it has just been made; if it failed, the cause is looked for at once."""
@@ -76,9 +76,6 @@ class ResultScreen(StationScreen):
         self._busy, self._said, self.gyro = "reading", "", 0
         self.redraw()
         self.station.work(partial(self._read, path, fresh), "open")
-
-    def on_button_pressed(self, event: Button.Pressed) -> None:
-        getattr(self, f"action_{event.button.id}")()
 
     async def _read(self, path: Path, fresh: bool) -> None:
         whole = await self.station.archive.read(path)

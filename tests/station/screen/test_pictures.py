@@ -13,17 +13,19 @@ from conftest import HistoryFirst, driven, keys, until
 from streams import Replay
 from textual import events
 from textual.pilot import Pilot
-from textual.widgets import Footer
+from textual.widgets import Footer, OptionList
 
 from station.screen.app import StationApp
 from station.screen.choices import Choices
 from station.screen.sessions.live_run import Stage
+from station.screen.sessions.tray import Spot, Tray
 
 Compare = Callable[..., bool]
 Before = Callable[[Pilot[None]], Awaitable[None]]
 
 SMALL, WIDE, LARGE = (80, 24), (120, 40), (200, 60)
-SIZES = pytest.mark.parametrize("size", [SMALL, WIDE, LARGE], ids=["80x24", "120x40", "200x60"])
+_SIZE_NAMES = ["80x24", "120x40", "200x60"]
+SIZES = pytest.mark.parametrize("size", [SMALL, WIDE, LARGE], ids=_SIZE_NAMES)
 CHOICES = Choices(bench="bench.toml", script="short.toml", folder=Path("recordings"))
 
 
@@ -220,6 +222,27 @@ def test_history(recordings: Path, snap_compare: Compare, size: tuple[int, int])
         await pilot.press("down", "down")
         await drawn(pilot, app)
         await until(pilot, lambda: "2 calibrations" in str(app.screen.query_one("#trend").render()))
+
+    assert snap_compare(app, terminal_size=size, run_before=before)
+
+
+@pytest.mark.parametrize(
+    ("size", "pressed"), [(SMALL, "tab"), (WIDE, "tab"), (LARGE, "tab"), (SMALL, "f7")], ids=[*_SIZE_NAMES, "next"]
+)
+def test_a_tray(place: Path, snap_compare: Compare, size: tuple[int, int], pressed: str) -> None:
+    ended = [("SN-0041", "FAIL"), ("SN-0042", "PASS"), ("SN-0043", "FAULT"), ("SN-0044", "skipped")]
+    spots = [
+        Spot(serial, "short.toml", state, f"run-20261121-1{n}1502.h5" if state.isupper() else "")
+        for n, (serial, state) in enumerate([*ended, ("SN-0045", "waiting"), ("SN-0046", "waiting")])
+    ]
+    Tray(str(place / "bench.toml")).keep([*spots, Spot("SN-0046")])
+    app = HistoryFirst(CHOICES)
+
+    async def before(pilot: Pilot[None]) -> None:
+        await pilot.press("f10")
+        await until(pilot, lambda: app.screen.query("#spots") and app.screen.query_one(OptionList).option_count == 7)
+        await pilot.press(pressed)
+        await until(pilot, lambda: pressed == "tab" or app.screen.query("#question"))
 
     assert snap_compare(app, terminal_size=size, run_before=before)
 

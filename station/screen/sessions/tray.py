@@ -1,0 +1,56 @@
+"""The tray: devices and scripts that are to be run one after another on a bench, kept when the screen is closed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+from estimator.errors import MISSHAPEN
+from station.screen.memory import load_state, save_state
+
+WAITING, RUNNING, SKIPPED, NO_RESULT = "waiting", "running", "skipped", "no result"
+"""States of a spot; once a run has ended its outcome, too."""
+_FILE = "trays.json"
+
+
+@dataclass(frozen=True, slots=True)
+class Spot:
+    """A device and a script, empty for the 360 s script; ``recording`` is that of its last run. Paths are absolute."""
+
+    serial: str
+    script: str = ""
+    state: str = WAITING
+    recording: str = ""
+
+
+class Tray:
+    """The spots of one bench in their order; every change is kept at once."""
+
+    def __init__(self, bench: str) -> None:
+        """``bench`` is the absolute path of the bench file, empty for the built-in one; what the tray held is read."""
+        self.bench, self.spots = bench, list[Spot]()
+        with suppress(*MISSHAPEN):
+            self.spots = [Spot(**{key: str(spot[key]) for key in spot}) for spot in load_state(_FILE)[bench]]
+
+    @property
+    def next(self) -> Spot | None:
+        """The first spot that waits."""
+        return next((spot for spot in self.spots if spot.state == WAITING), None)
+
+    def keep(self, spots: Sequence[Spot]) -> None:
+        """Take other spots, or another order."""
+        self.spots = list(spots)
+        save_state(_FILE, {**load_state(_FILE), self.bench: [asdict(spot) for spot in spots]})
+
+    def change(self, spot: Spot, **new: str) -> None:
+        """Change fields of a spot, if it is there."""
+        self.keep([replace(old, **new) if old == spot else old for old in self.spots])
+
+    def end(self, recording: Path, state: str) -> Spot | None:
+        """Note how a run ended, or that it never began and its spot waits; return the spot, None if there is none."""
+        ran = next((spot for spot in self.spots if spot.recording == str(recording.resolve())), None)
+        if ran is not None:
+            self.change(ran, state=state, recording="" if state == WAITING else ran.recording)
+        return ran

@@ -1,0 +1,131 @@
+"""Tray: serial numbers are scanned into a list, whose devices are then mounted and run one after another."""
+
+from pathlib import Path
+from typing import ClassVar
+
+from textual import events
+from textual.app import ComposeResult
+from textual.binding import Binding
+from textual.containers import Horizontal
+from textual.widgets import Input, Label, OptionList, Static
+
+from station.screen.base import Field, StationScreen
+from station.screen.dialogs import AskTextDialog
+from station.screen.figures import templated
+from station.screen.memory import whole
+from station.screen.sessions.link import sessions_there
+from station.screen.sessions.tray import NO_RESULT, RUNNING, SKIPPED, WAITING, Spot
+
+
+class ScanField(Field):
+    """A field for a scanner: what ends with Enter or Tab is submitted, and the field is free for the next at once."""
+
+    def on_key(self, event: events.Key) -> None:
+        """Submit before the next letter is read."""
+        if event.key in ("enter", "tab") and self.value.strip():
+            event.stop()
+            event.prevent_default()
+            self.post_message(self.Submitted(self, self.value.strip()))
+            self.clear()
+
+
+class MountDialog(AskTextDialog):
+    """Asks that a device be mounted; Enter takes the number that is there at first, a scan takes its place."""
+
+    def answers(self) -> ComposeResult:
+        yield ScanField(value=self._begun, select_on_focus=True)
+
+
+class TrayScreen(StationScreen):
+    """What is to be run, what runs, and what became of it."""
+
+    MODE = "tray"
+    BINDINGS: ClassVar = [
+        Binding("f7", "app.next_on_tray", "Next", key_display="F7"),
+        ("delete", "remove", "Remove"),
+        Binding("minus", "move(-1)", "Up", key_display="-"),
+        Binding("plus", "move(1)", "Down", key_display="+"),
+        ("s", "skip", "Skip/again"),
+        ("c", "clear", "Clear done"),
+    ]
+    _shown: list[Spot] | None = None
+
+    def body(self) -> ComposeResult:
+        with Horizontal(classes="field"):
+            yield Label("Scripts")
+            yield Field(id="scripts", placeholder="the 360 s script; of several: a.toml, b.toml")
+        with Horizontal(classes="field"):
+            yield Label("Scan")
+            yield ScanField(id="scan", placeholder="serial number of a device, then Enter or Tab")
+        yield Static(id="next", markup=False)
+        yield OptionList(id="spots", compact=True)
+
+    def on_mount(self) -> None:
+        self.query_one("#scripts", Input).value = self.station.choices.script
+        self.set_focus(self.query_one("#scan"))
+
+    def on_screen_resume(self) -> None:
+        self.station.work(self._look_up, "tray")
+
+    async def _look_up(self) -> None:
+        """Find out how runs ended whose end no screen saw."""
+        tray = self.station.tray
+        live = {hello.get("recording") for _, hello in await sessions_there()}
+        for spot in [spot for spot in tray.spots if spot.state == RUNNING and spot.recording not in live]:
+            if not self.station.busy:  # what this screen has just started is in no list yet
+                entry = (await self.station.archive.read(Path(spot.recording))).entry
+                tray.end(Path(spot.recording), entry.texts.get("outcome") or NO_RESULT)
+
+    def on_input_submitted(self, event: Input.Submitted) -> None:
+        """Put a device that was scanned onto the tray, once for each script."""
+        scan, tray = self.query_one("#scan", Input), self.station.tray
+        self.set_focus(scan)
+        for script in self.query_one("#scripts", Input).value.split(",") if event.input is scan and event.value else ():
+            spot = Spot(event.value, whole(script.strip()))
+            if any((old.serial, old.script) == (spot.serial, spot.script) for old in tray.spots):
+                self.notify(
+                    f"{spot.serial} is on the tray already", title="Not added", severity="warning", markup=False
+                )
+            else:
+                tray.keep([*tray.spots, spot])
+
+    def on_option_list_option_selected(self, event: OptionList.OptionSelected) -> None:
+        for spot in self._chosen():
+            if spot.recording:
+                self.station.open_recording(Path(spot.recording))
+
+    def _chosen(self) -> list[Spot]:
+        row = self.query_one(OptionList).highlighted
+        return [spot for n, spot in enumerate(self.station.tray.spots) if n == row and spot.state != RUNNING]
+
+    def action_remove(self) -> None:
+        self.station.tray.keep([spot for spot in self.station.tray.spots if spot not in self._chosen()])
+
+    def action_clear(self) -> None:
+        """Remove what has been run."""
+        left = (WAITING, RUNNING, SKIPPED)
+        self.station.tray.keep([spot for spot in self.station.tray.spots if spot.state in left])
+
+    def action_move(self, step: int) -> None:
+        """Let a spot change places with the one before or after it."""
+        spots, row = list(self.station.tray.spots), self.query_one(OptionList).highlighted
+        if row is not None and 0 <= row + step < len(spots):
+            spots[row], spots[row + step] = spots[row + step], spots[row]
+            self.station.tray.keep(spots)
+            self.tick()
+            self.query_one(OptionList).highlighted = row + step
+
+    def action_skip(self) -> None:
+        """Skip a spot that waits; let any other wait again. Its last recording stays in the history."""
+        for spot in self._chosen():
+            self.station.tray.change(spot, state=SKIPPED if spot.state == WAITING else WAITING, recording="")
+
+    def tick(self) -> None:
+        tray = self.station.tray
+        if self.query("#spots") and tray.spots != self._shown:
+            head, *lines = templated("spots.rich", {"spots": tray.spots, "next": tray.next}).split()
+            table, self._shown = self.query_one(OptionList), list(tray.spots)
+            row = table.highlighted
+            table.clear_options().add_options(lines)
+            table.highlighted = row if row is not None or not lines else 0
+            self.query_one("#next", Static).update(head)

@@ -1,0 +1,170 @@
+"""A tray of devices on the screen: filled by a scanner, run one after another, kept when anything comes between."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import keys, until
+from streams import RECORDING, TINY, Replay
+from test_who_and_which import driven, shown
+from textual import events
+from textual.app import App
+from textual.pilot import Pilot
+from textual.widgets import OptionList
+
+from station.screen.app import StationApp
+from station.screen.choices import Choices
+from station.screen.memory import Remembered, save_remembered
+from station.screen.sessions.tray import Spot, Tray
+
+FIRST, SECOND = "N25582405002002", "N25582405002003"
+"""What the device says that stands on the bench, and the other one of its kind that may be put there."""
+
+
+class TrayFirst(StationApp):
+    """An app that does not begin by asking devices."""
+
+    DEFAULT_MODE = "tray"
+
+
+def column(app: App[None], name: str) -> list[str]:
+    """Return one column of the tray."""
+    at = ("number", "serial", "script", "state", "recording").index(name)
+    lines = [str(option.prompt) for option in app.screen.query_one(OptionList).options]
+    return [re.split("  +| (?=SN|N2|short|next|tiny)", line.strip() + "  ")[at] for line in lines]
+
+
+def scan(app: App[None], *numbers: str, end: str = "enter") -> None:
+    """Type as a scanner does: nothing is waited for."""
+    for number in numbers:
+        for letter in number:
+            app.post_message(events.Key(*keys(letter), letter))
+        app.post_message(events.Key(end, None))
+
+
+@driven
+async def test_what_is_scanned_makes_a_tray_that_can_be_put_in_order_and_is_kept(place: Path) -> None:
+    (place / "next.toml").write_text(TINY)
+    chosen = Choices(bench="bench.toml", script="short.toml", operator="A. Operator")
+    app = TrayFirst(chosen)
+    async with app.run_test(size=(80, 24), notifications=True) as pilot:
+        await until(pilot, lambda: app.focused is not None and app.focused.id == "scan")
+        scan(app, "SN-0001", "SN-0002")
+        scan(app, "SN-0003", end="tab")
+        scan(app, "SN-0002")  # a second time
+        await until(pilot, lambda: app.screen.query("Toast"))
+        assert column(app, "serial") == ["SN-0001", "SN-0002", "SN-0003"]
+        assert column(app, "script") == ["short"] * 3
+        await pilot.press("shift+tab", "end", "comma", *keys(" next.toml"), "tab")
+        scan(app, "SN-0004")  # with two scripts
+        await until(pilot, lambda: column(app, "script")[3:] == ["short", "next"])
+        await pilot.press("tab", "down", "minus", "down", "s", "down", "down", "delete")
+        await until(pilot, lambda: column(app, "serial") == ["SN-0002", "SN-0001", "SN-0003", "SN-0004"])
+        assert column(app, "state") == ["waiting", "skipped", "waiting", "waiting"]
+    app = TrayFirst(chosen)
+    async with app.run_test(size=(80, 24)) as pilot:
+        await until(pilot, lambda: len(column(app, "serial")) == 4)
+        await pilot.press("tab", "down", "s")
+        await until(pilot, lambda: column(app, "state") == ["waiting"] * 4)
+    app = TrayFirst(Choices(script="short.toml"))  # another bench has another tray
+    async with app.run_test(size=(80, 24)) as pilot:
+        await until(pilot, lambda: app.focused is not None)
+        assert not column(app, "serial")
+
+
+@pytest.mark.parametrize(
+    ("stream", "outcome"), [("fault", "FAULT"), pytest.param("stopped", "ABORTED", marks=pytest.mark.full)]
+)
+def test_a_tray_that_is_interrupted_does_not_go_on_by_itself(place: Path, stream: str, outcome: str) -> None:
+    bench, recording = str(place / "bench.toml"), str(place / RECORDING)
+    spots = [Spot("SN-0042", state="running", recording=recording), Spot("SN-0042", str(place / "short.toml"))]
+    Tray(bench).keep(spots)
+
+    @driven
+    async def follow(place: Path) -> None:
+        app = StationApp(Choices(bench="bench.toml", operator="A. Operator"), attach=True)
+        async with app.run_test(size=(80, 24)) as pilot:
+            await until(pilot, lambda: app.shown and app.shown.outcome)
+            session.vanish()
+            assert app.current_mode == "run"
+            await pilot.press("f10")
+            await until(pilot, lambda: column(app, "state") == [outcome, "waiting"])
+            assert len(app.screen_stack) == 1  # and nothing is asked
+            await pilot.press("f7")
+            await until(pilot, lambda: "SN-0042" in shown(app, "question"))
+
+    with Replay(stream, 1e9) as session:
+        follow(place)
+
+
+def test_a_run_that_is_gone_without_an_outcome_is_told_when_the_tray_is_seen_again(place: Path) -> None:
+    Tray(str(place / "bench.toml")).keep([Spot("SN-0042", state="running", recording=str(place / "gone.h5"))])
+
+    @driven
+    async def look(place: Path) -> None:
+        app = TrayFirst(Choices(bench="bench.toml", operator="A. Operator"))
+        async with app.run_test(size=(80, 24)) as pilot:
+            await until(pilot, lambda: column(app, "state") == ["no result"])
+
+    look(place)
+
+
+class Day:
+    """An operator with a tray on the bench of the device that tells a serial number, and what stands on its table."""
+
+    def __init__(self, place: Path, station: str = "", limits: str = "") -> None:
+        """``station`` and ``limits`` are lines of the bench file: how well a busy host keeps time is not judged."""
+        text = (place / "bench.toml").read_text().replace('serial_pattern = "SN-[0-9]{4}"', station)
+        text = re.sub(r'(name = "array"(?s:.*?)\[imu.datasheet\])', r"used = false\n\1", text)
+        text = text.replace("used = false         ", "used = true         ")
+        text = re.sub(r"(?s)(\[limits\])(.*?)\n\n", rf"\1\n{limits}\n\n", text)
+        self.bench, self._text = place / "bench.toml", text
+        (place / "tiny.toml").write_text(TINY)
+        self.mount(FIRST)
+        save_remembered(Remembered())
+        self.app = StationApp(Choices("bench.toml", "tiny.toml", place / "recordings", "A. Operator", scale=5.0))
+
+    def mount(self, number: str, scale_factor_error_ppm: int = 300) -> None:
+        """Put a device onto the table."""
+        another = "" if number == FIRST else '\n[twin.fault.stim300]\nanother = "0 s"\n'
+        self.bench.write_text(self._text.replace('"300 ppm"', f'"{scale_factor_error_ppm} ppm"') + another)
+
+    async def seen(self, pilot: Pilot[None], holds: Callable[[], Any]) -> None:
+        """Wait until something is shown."""
+        await until(pilot, lambda: self.app.is_running and holds(), 100)
+
+    async def begin(self, pilot: Pilot[None], *numbers: str) -> None:
+        """Make a tray and begin with it."""
+        await pilot.press("f10")
+        await self.seen(pilot, lambda: self.app.current_mode == "tray" and self.app.focused is not None)
+        scan(self.app, *numbers)
+        await self.seen(pilot, lambda: column(self.app, "serial") == list(numbers))
+        await pilot.press("f7")
+        await self.asked_for(pilot, numbers[0])
+
+    async def asked_for(self, pilot: Pilot[None], number: str) -> None:
+        """Wait until a device is to be mounted."""
+        await self.seen(
+            pilot, lambda: self.app.screen.query("#question") and f"Mount {number}" in shown(self.app, "question")
+        )
+
+
+@driven
+async def test_a_device_of_a_tray_is_calibrated_when_its_number_is_scanned(place: Path) -> None:
+    day = Day(place)
+    app = day.app
+    async with app.run_test(size=(80, 24)) as pilot:
+        await day.begin(pilot, FIRST, "SN-9")
+        scan(app, "SN-9")
+        await day.seen(pilot, lambda: "SN-9 is not" in shown(app, "question"))
+        assert app.current_mode == "tray"
+        scan(app, FIRST)
+        await day.asked_for(pilot, "SN-9")  # after the run, over its result
+        assert app.current_mode == "result"
+        await pilot.press("escape", "f10")
+        await day.seen(pilot, lambda: app.current_mode == "tray")
+        assert column(app, "state") == ["ESTIMATED", "waiting"]
