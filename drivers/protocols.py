@@ -18,11 +18,18 @@ from drivers.types import (
 )
 
 
-class ByteLink(Protocol):
-    """A stream of bytes to one device."""
+class Openable(Protocol):
+    """A link, a source, a table: what can be closed and opened again."""
 
     async def open(self) -> None:
-        """Open the link; LinkLost if there is none."""
+        """Open; LinkLost if it is not there."""
+
+    def close(self) -> None:
+        """Close; twice is once."""
+
+
+class ByteLink(Openable, Protocol):
+    """A stream of bytes to one device."""
 
     async def receive(self) -> ByteChunk:
         """Return the next bytes; LinkLost when the other end is gone."""
@@ -30,15 +37,9 @@ class ByteLink(Protocol):
     def write(self, data: bytes) -> None:
         """Send bytes."""
 
-    def close(self) -> None:
-        """Close; twice is once."""
 
-
-class FrameLink(Protocol):
+class FrameLink(Openable, Protocol):
     """A CAN bus."""
-
-    async def open(self) -> None:
-        """Open the bus; LinkLost if there is none."""
 
     async def receive(self) -> list[Frame]:
         """Return the frames that have come since the last call, waiting for the first; LinkLost if gone."""
@@ -46,11 +47,8 @@ class FrameLink(Protocol):
     def send(self, frame: Frame) -> None:
         """Send a frame, whatever its stamp; LinkLost if the bus does not take it."""
 
-    def close(self) -> None:
-        """Close; twice is once."""
 
-
-class Turntable(Protocol):
+class Turntable(Openable, Protocol):
     """A rate table of one to three axes, named x, y, z."""
 
     @property
@@ -101,11 +99,8 @@ class Turntable(Protocol):
     async def disable(self) -> None:
         """Take power off."""
 
-    def close(self) -> None:
-        """Drop the link."""
 
-
-class ImuSource(Protocol):
+class ImuSource(Openable, Protocol):
     """A device under test, or a part of one, that gives samples by itself."""
 
     @property
@@ -118,9 +113,6 @@ class ImuSource(Protocol):
     def alignment(self, name: str) -> Alignment | None:
         """Get how the clock of one source lies to the loop's; None while that is not known."""
 
-    async def open(self) -> None:
-        """Open the link."""
-
     async def identify(self) -> Identity:
         """Ask the device what it is, after ``open`` and before ``blocks``; empty where it cannot be asked."""
 
@@ -129,9 +121,6 @@ class ImuSource(Protocol):
 
     def flush(self) -> list[tuple[str, ImuBlock]]:
         """Return the samples still held back for their timing, at the end of a run."""
-
-    def close(self) -> None:
-        """Close the link."""
 
 
 @runtime_checkable

@@ -1,15 +1,10 @@
 """What drivers of devices with a link of their own have in common."""
 
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
+from drivers.protocols import Openable
 
-class _Link(Protocol):
-    async def open(self) -> None: ...
-
-    def close(self) -> None: ...
-
-
-L = TypeVar("L", bound=_Link)
+L = TypeVar("L", bound=Openable)
 
 
 class OneSource(Generic[L]):

@@ -1,20 +1,10 @@
-"""The protocols of devices under test, by the name that a bench file gives them: one line each."""
+"""The protocols of devices under test, by the name that a bench file gives them, those of devices.toml first."""
 
+from drivers.packaged import packaged_toml
 from drivers.plugins import Registry
 from drivers.specs import ImuSpec
 
-IMUS = Registry(
-    ImuSpec,
-    "turntable_station.imus",
-    {
-        "can": "drivers.imus.can.imu",
-        "described": "drivers.imus.described.imu",
-        "j1939": "drivers.imus.aceinna.imu",
-        "stim300": "drivers.imus.stim300.imu",
-        "vectornav": "drivers.imus.vectornav.imu",
-        "xsens": "drivers.imus.xsens.imu",
-    },
-)
+IMUS = Registry(ImuSpec, "turntable_station.imus", packaged_toml("drivers", "devices.toml")["imus"])
 """Built in and installed ones; a bench file brings its own beside them."""
 
 USUAL_IMU = "stim300"

@@ -3,19 +3,9 @@
 import asyncio
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 from drivers.errors import LinkLost
-
-
-class Openable(Protocol):
-    """A link, a source, a table: what can be closed and opened again."""
-
-    async def open(self) -> None:
-        """Open; LinkLost if it is not there."""
-
-    def close(self) -> None:
-        """Close; twice is once."""
+from drivers.protocols import Openable
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,16 +18,12 @@ class BackOff:
 
 
 async def reopen(
-    lost: Openable,
-    back_off: BackOff | None = None,
-    on_failure: Callable[[LinkLost, float], None] | None = None,
-    seen: Callable[[], Awaitable[object]] | None = None,
+    lost: Openable, back_off: BackOff | None = None, seen: Callable[[], Awaitable[object]] | None = None
 ) -> int:
     """Close and open until it opens; return how many tries it took, LinkLost when the limit is over.
 
-    ``on_failure(error, pause_s)`` is told of each try that failed, and of the pause before the next; ``seen`` looks at
-    what was opened, and may find it lost again. What a device answers otherwise (a fault, a refusal) is raised at once:
-    it is back, and says so.
+    ``seen`` looks at what was opened, and may find it lost again. What a device answers otherwise (a fault, a refusal)
+    is raised at once: it is back, and says so.
     """
     limits = back_off or BackOff()
     loop = asyncio.get_running_loop()
@@ -57,7 +43,5 @@ async def reopen(
                 lost.close()
                 tried = f"(tried {tries} times within {limits.limit_s:g} s)"
                 raise LinkLost(error.device, f"{error.message} {tried}") from None
-            if on_failure is not None:
-                on_failure(error, pause_s)
         else:
             return tries

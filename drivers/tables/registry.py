@@ -1,18 +1,10 @@
-"""The protocols of tables, by the name that a bench file gives them: one line each."""
+"""The protocols of tables, by the name that a bench file gives them, those of devices.toml first."""
 
+from drivers.packaged import packaged_toml
 from drivers.plugins import Registry
 from drivers.specs import TableSpec
 
-TABLES = Registry(
-    TableSpec,
-    "turntable_station.tables",
-    {
-        "modbus": "drivers.tables.modbus.spec",
-        "galil": "drivers.tables.galil.table",
-        "acutrol": "drivers.tables.acutrol.table",
-        "aerosmith": "drivers.tables.aerosmith.table",
-    },
-)
+TABLES = Registry(TableSpec, "turntable_station.tables", packaged_toml("drivers", "devices.toml")["tables"])
 """Built in and installed ones; a bench file brings its own beside them."""
 
 USUAL_TABLE = "modbus"

@@ -244,7 +244,7 @@ def complaint(spec: ImuSpec | TableSpec, suite: str, plugins: Sequence[Path] = (
         before = asyncio.all_tasks()
         async with open_bench(bench) as opened:
             driver, protocol = (opened.table, Turntable) if own else (opened.imus[0].source, ImuSource)
-            if lacks := [name for name in vars(protocol) if name[0] != "_" and not hasattr(driver, name)]:
+            if lacks := [name for name in dir(protocol) if name[0] != "_" and not hasattr(driver, name)]:
                 return f"the driver has no {', '.join(lacks)}: see {protocol.__name__} in drivers/protocols.py"
             await opened.table.open()
             await opened.table.identify()

@@ -9,7 +9,8 @@ from dataclasses import astuple
 from typing import Protocol
 
 from drivers.errors import BadReply, DeviceFault, DeviceRefused, LinkLost
-from drivers.links.reopen import BackOff, Openable, reopen
+from drivers.links.reopen import BackOff, reopen
+from drivers.protocols import Openable
 from drivers.types import Identity
 
 _LOOK_S = 0.02
