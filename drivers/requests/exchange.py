@@ -88,11 +88,7 @@ class Unanswered(LinkLost):
 
 
 class _MalformedError(Exception):
-    """An answer that is none; ``text`` is what there was of it."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__(text)
-        self.text = text
+    """An answer that is none; its text is what there was of it."""
 
 
 class Exchange:
@@ -166,9 +162,8 @@ class Exchange:
                     malformed += 1
                     if malformed == _MALFORMED_AT_MOST or not repeat:
                         self._failed = True
-                        raise UnexpectedReply(
-                            self._device, f"answers {error.text[:60]!r} to {line!r}", error.text
-                        ) from None
+                        text = str(error)
+                        raise UnexpectedReply(self._device, f"answers {text[:60]!r} to {line!r}", text) from None
             raise self._silent(f"to {line!r}")
 
     async def get_in_step(self, line: str | None = None) -> bytes:

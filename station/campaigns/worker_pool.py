@@ -114,7 +114,7 @@ def _begin() -> None:
     os.setpgid(0, 0)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-    signal.signal(signal.SIGTERM, _leave)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that files are closed and subprocesses ended
     end_with_parent()
     use_effects()
 
@@ -129,10 +129,6 @@ def end_with_parent() -> None:
         os.kill(os.getpid(), signal.SIGTERM)
 
     threading.Thread(target=watch, daemon=True).start()
-
-
-def _leave(_number: int, _frame: object) -> None:
-    sys.exit(1)  # by exception, so that files are closed and subprocesses ended
 
 
 def _last_words(code: int | None) -> str:

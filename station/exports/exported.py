@@ -18,8 +18,8 @@ from estimator.errors import EstimatorError, RecordingError
 from estimator.recordings.reading import read_recording
 from estimator.recordings.recording import Recording
 from station.errors import UsageError
+from station.render.template import rendered
 from station.run.outcome import Outcome
-from station.views.figures import STATE_FIGURES
 from station.views.seen import Seen, seen_by
 
 _RAW = ("imu", "table", "reference")
@@ -60,15 +60,7 @@ class Exported:
     @property
     def origin(self) -> list[str]:
         """Who was measured, how, and under what conditions: lines of text for the head of a file."""
-        lines = [f"{key}: {value}" for key, value in self.identity.items()]
-        low, mean, high = self.seen.temperature_c
-        warmth = f"{low:.2f} to {high:.2f} degC, mean {mean:.2f}" if np.isfinite(mean) else "temperature not recorded"
-        lines.append(
-            f"calibrated at: rates to {np.degrees(self.seen.largest_rps):.4g} deg/s, {warmth}, {self.seen.rate_hz:.6g} "
-            "samples a second"
-        )
-        names = self.compensation.array.names
-        return lines + [f"{name}: {_states(gyro)}" for name, gyro in zip(names, self.gyros, strict=True)]
+        return rendered("station.exports", "origin.txt", {"exported": self}).splitlines()
 
 
 def exported_of(path: Path, devices: Sequence[str] = (), instance: int = 0) -> Exported:
@@ -133,14 +125,6 @@ def _identity(path: Path, recording: Recording, gyros: Sequence[GyroCalibration]
 def _kind(attributes: Mapping[str, Any]) -> str:
     words = {"model": "{}", "serial": "serial {}", "firmware": "firmware {}"}
     return " ".join(word.format(attributes[key]) for key, word in words.items() if key in attributes)
-
-
-def _states(gyro: GyroCalibration) -> str:
-    """Return the states with their standard deviations, in the units people use."""
-    return ", ".join(
-        f"{shown.name} {state * shown.factor:.6g} ± {float(f'{sd * shown.factor:.2g}'):g} {shown.unit}"
-        for shown, state, sd in zip(STATE_FIGURES, gyro.states, gyro.sd, strict=True)
-    )
 
 
 def file_sha256(path: Path) -> str:

@@ -12,10 +12,6 @@ from drivers.protocols import ByteLink
 _TRIES = 2
 
 
-def _any(_answer: bytes) -> bool:
-    return True
-
-
 class XbusDevice(OneSource[ByteLink]):
     """One device alone on its wire."""
 
@@ -32,7 +28,7 @@ class XbusDevice(OneSource[ByteLink]):
             await self._fill()
         return self._inbox.popleft()
 
-    async def _request(self, mid: Mid, data: bytes = b"", expected: Callable[[bytes], bool] = _any) -> bytes:
+    async def _request(self, mid: Mid, data: bytes = b"", expected: Callable[[bytes], bool] = lambda _: True) -> bytes:
         """Send a request and return its answer: the one as expected, or the last one when that does not come in time.
 
         Answers bear no number of their request, and devices answer in the order of the requests. So one that comes

@@ -194,7 +194,7 @@ class GalilTable(LineTable):
 
     async def disable(self) -> None:
         """Switch every motor off; DeviceRefused while an axis moves."""
-        await self._tell(f"MO{self._all_letters()}")
+        await self._tell("MO" + "".join(sorted(str(axis.address) for axis in self._axes.values())))
         self._powered.clear()
 
     async def _condition(self, axis: str) -> tuple[galil.Switches, int, str]:
@@ -250,9 +250,6 @@ class GalilTable(LineTable):
         self._jogs.pop(axis, None)
         line = f"ST{self._axes[axis].address}"
         await bring_to_rest(self._device, [axis], lambda _: self._tell(line), self.read, self._timeout_s)
-
-    def _all_letters(self) -> str:
-        return "".join(sorted(str(axis.address) for axis in self._axes.values()))
 
     def _hardest_deceleration(self) -> str:
         by_letter = {
