@@ -23,14 +23,7 @@ from estimator.recordings.reading import read_recording
 from station.bench.bench import Limits, load_bench, read_excluded, read_limits
 from station.campaigns.campaigns import run_all
 from station.errors import UsageError
-from station.render.printing import (
-    print_calibration,
-    print_repeatability,
-    print_verdict,
-    refuse,
-    repeatability_object,
-    result_object,
-)
+from station.render import printing
 from station.render.terminal import print_rendered, stdout
 from station.run.outcome import MANUAL_VERDICT, Outcome, Verdict, judge
 
@@ -116,11 +109,11 @@ def _print_json(ends: Sequence[tuple[str, Estimated | str]]) -> int:
     devices = {runs[-1][0]: runs for runs in _devices(ends) if len(runs) > 1}
     for name, end in ends:
         if isinstance(end, str):
-            worst = max(worst, refuse(end, True, recording=name))
+            worst = max(worst, printing.refuse(end, True, recording=name))
         else:
-            result = result_object(end.verdict, name, end.calibration)
+            result = printing.result_object(end.verdict, name, end.calibration)
             if name in devices:  # the last run of a device carries how it repeats
-                result["repeatability"] = repeatability_object(_repeats(devices[name]))
+                result["repeatability"] = printing.repeatability_object(_repeats(devices[name]))
             print(json.dumps(result))
             worst = max(worst, end.verdict.outcome.exit_code)
     return worst
@@ -136,12 +129,12 @@ def _print(ends: Sequence[tuple[str, Estimated | str]]) -> int:
         print(f"{len(ends)} recordings: " + ", ".join(f"{count} {what}" for what, count in counts.items() if count))
     else:
         for name, end in judged:
-            print_calibration(end.calibration, end.verdict)
-            print_verdict(end.verdict, Path(name))
+            printing.print_calibration(end.calibration, end.verdict)
+            printing.print_verdict(end.verdict, Path(name))
     devices = _devices(ends)
     for runs in devices:
         if len(runs) > 1:
-            print_repeatability(_repeats(runs), runs[0][1].calibration.gyros[0].device)
+            printing.print_repeatability(_repeats(runs), runs[0][1].calibration.gyros[0].device)
     if len(devices) > 1:
         kinds = "; ".join(", ".join(g.name for g in runs[0][1].calibration.gyros) for runs in devices)
         print(f"note: {len(devices)} different devices or arrays ({kinds}): runs are compared within each only")
@@ -149,7 +142,7 @@ def _print(ends: Sequence[tuple[str, Estimated | str]]) -> int:
     sys.stdout.flush()  # what failed comes last, wherever the two streams lead
     failed = [(name, reason) for name, reason in ends if isinstance(reason, str)]
     named = [reason if Path(name).name in reason else f"{name}: {reason}" for name, reason in failed]
-    return max([worst, *(refuse(reason, False) for reason in named)])
+    return max([worst, *(printing.refuse(reason, False) for reason in named)])
 
 
 def _devices(ends: Sequence[tuple[str, Estimated | str]]) -> list[list[tuple[str, Estimated]]]:

@@ -18,24 +18,12 @@ from station.bench.imu import ImuConfig
 from station.bench.table import TWIN
 from station.errors import BenchError
 from station.opening.links import driver_link
-from station.opening.serving import serve_twins
-from station.opening.simulate import DeviceTruth, Hidden, simulate, simulate_bench
+from station.opening.serving import serve_twins as serve_twins
+from station.opening.simulate import DeviceTruth as DeviceTruth
+from station.opening.simulate import Hidden as Hidden
+from station.opening.simulate import simulate as simulate
+from station.opening.simulate import simulate_bench as simulate_bench
 from station.opening.twins import Twins
-
-__all__ = [
-    "TWIN",
-    "DeviceTruth",
-    "Hidden",
-    "OpenBench",
-    "OpenImu",
-    "needs_only_memory",
-    "open_bench",
-    "serve_twins",
-    "simulate",
-    "simulate_bench",
-    "with_links",
-]
-
 
 _GATHER_S = 0.005
 _ANSWER_S = 0.25  # one try of a question to a sensor, of which there are two: silence is known after half a second

@@ -12,14 +12,7 @@ import numpy as np
 from drivers.errors import DeviceError
 from drivers.imus.can.imu import load_dbc
 from drivers.imus.signals import MessageKey, SignalReader, is_j1939, message_key, parameter_group
-from drivers.imus.stim300.codec import (
-    COUNTER_MODULUS,
-    INTERNAL_RATE_HZ,
-    TEMPERATURE_LSB_C,
-    Datagrams,
-    Stim300Decoder,
-    vouched,
-)
+from drivers.imus.stim300 import codec as stim300
 from drivers.imus.stim300.special import Configuration
 from drivers.imus.stim300.units import ACCEL_LSB_G, UNITS, accel_unit_mps2, gyro_unit_rps
 from drivers.imus.vectornav.codec import Frames, VectorNavDecoder
@@ -101,13 +94,13 @@ def _read_stim300(code: int | None, range_g: int, raw: bytes, names: Sequence[st
 
     The configuration, if the device has sent it, goes before what is stated.
     """
-    decoder = Stim300Decoder()
+    decoder = stim300.Stim300Decoder()
     found = decoder.feed(raw)
-    columns = _gathered([_datagram(item) for item in found if isinstance(item, Datagrams)], names[0])
+    columns = _gathered([_datagram(item) for item in found if isinstance(item, stim300.Datagrams)], names[0])
     if len(columns.get("time", ())) < 2:
         return {}, ()
     counter = columns["time"].astype(np.int64)
-    count = np.concatenate([[0], np.cumsum(np.diff(counter) % COUNTER_MODULUS)])  # it never goes back
+    count = np.concatenate([[0], np.cumsum(np.diff(counter) % stim300.COUNTER_MODULUS)])  # it never goes back
     ticks = max(round(float(np.median(np.diff(count)))), 1)
     notes = _damaged(decoder.bad_datagrams, "datagrams")
     accel_code = 0
@@ -116,21 +109,21 @@ def _read_stim300(code: int | None, range_g: int, raw: bytes, names: Sequence[st
             code, accel_code, range_g = item.gyro_unit, item.accel_unit, item.accel_ranges_g[0] or range_g
     if code is None:
         notes = (*notes, "nothing in it says what the gyros put out: a rate is taken, else state gyro_output in [file]")
-    rate_hz = INTERNAL_RATE_HZ // ticks
+    rate_hz = stim300.INTERNAL_RATE_HZ // ticks
     gyro, accel = gyro_unit_rps(code or 0, rate_hz), accel_unit_mps2(accel_code, range_g, rate_hz)
-    t_ns = np.round(count * (1e9 / INTERNAL_RATE_HZ)).astype(np.int64)
+    t_ns = np.round(count * (1e9 / stim300.INTERNAL_RATE_HZ)).astype(np.int64)
     columns["gyro"] = gyro.rates(columns["gyro"], counter, t_ns, ticks)
     if "accelerometer" in columns:
         columns["accelerometer"] = accel.rates(columns["accelerometer"], counter, t_ns, ticks)
-    columns["time"] = count / INTERNAL_RATE_HZ - gyro.centre_s
+    columns["time"] = count / stim300.INTERNAL_RATE_HZ - gyro.centre_s
     return columns, notes
 
 
-def _datagram(data: Datagrams) -> Columns:
+def _datagram(data: stim300.Datagrams) -> Columns:
     names = {"gyro": "gyro", "accelerometer": "accelerometer", "gyro_temperature": "temperature"}
-    out = {names[group]: vouched(*raw) for group, raw in data.groups.items() if group in names}
+    out = {names[group]: stim300.vouched(*raw) for group, raw in data.groups.items() if group in names}
     if "temperature" in out:
-        out["temperature"] = out["temperature"].mean(axis=1) * TEMPERATURE_LSB_C
+        out["temperature"] = out["temperature"].mean(axis=1) * stim300.TEMPERATURE_LSB_C
     return out | {"time": data.counter.astype(np.float64)}
 
 
