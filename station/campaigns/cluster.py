@@ -8,8 +8,8 @@ import queue
 import time
 import warnings
 from collections import deque
-from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Generator, Sequence
+from contextlib import ExitStack, closing
 from functools import cache
 from importlib.metadata import version
 from typing import Any, TypeVar
@@ -43,7 +43,9 @@ def run_on_cluster(
     """
     distributed = _distributed()
     _check_address(address)
-    with _silenced():
+    with ExitStack() as stack:
+        stack.callback(logging.disable, logging.root.manager.disable)
+        logging.disable()  # distributed's log: what matters of it comes back as a reason
         _check_scheduler(distributed, address)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about versions: each item checks those that matter
@@ -181,14 +183,3 @@ def _check_scheduler(distributed: Any, address: str) -> None:
         raise UsageError(f"--scheduler {address}: no Dask scheduler answers within {ANSWER_S:.0f} s") from error
     if found.get("type") != "Scheduler":
         raise UsageError(f"--scheduler {address}: a Dask {found.get('type')} answers, not the scheduler")
-
-
-@contextmanager
-def _silenced() -> Iterator[None]:
-    """Keep distributed's log from the terminal: what matters of it comes back as a reason."""
-    before = logging.root.manager.disable
-    logging.disable()
-    try:
-        yield
-    finally:
-        logging.disable(before)

@@ -99,31 +99,18 @@ class ModbusLine:
         """Connect, anew if it was; LinkLost if nobody listens or the port cannot be opened."""
         self.close()
         self._failed, self._ended, self._unheard_until_s = False, "", 0.0
+        gate = self._rtu if isinstance(self._address, SerialPort) else self._tcp
+        settings: dict[str, Any] = {"trace_packet": partial(self._trace, gate), "reconnect_delay": 0}
         if isinstance(self._address, SerialPort):
             line = self._address
+            settings |= {"baudrate": line.baud, "parity": line.parity, "stopbits": line.stop_bits}
             self._doubt_all()
             reason = f"cannot open serial port {line.port}; is it plugged in, free, and allowed to you?"
-            self._client = AsyncModbusSerialClient(
-                line.port,
-                baudrate=line.baud,
-                parity=line.parity,
-                stopbits=line.stop_bits,
-                timeout=2 * self._timeout_s,
-                retries=0,
-                trace_packet=partial(self._trace, self._rtu),
-                reconnect_delay=0,
-            )
+            self._client = AsyncModbusSerialClient(line.port, timeout=2 * self._timeout_s, retries=0, **settings)
         else:
             host, port = self._address
             reason = f"nothing answers at {_text(self._address)}; is the table's controller on, and the address right?"
-            self._client = AsyncModbusTcpClient(
-                host,
-                port=port,
-                timeout=self._timeout_s,
-                retries=1,
-                trace_packet=partial(self._trace, self._tcp),
-                reconnect_delay=0,
-            )
+            self._client = AsyncModbusTcpClient(host, port=port, timeout=self._timeout_s, retries=1, **settings)
         self._client.set_max_no_responses(1 << 30)  # it is ours to close
         self._client.ctx.callback_disconnected = self._disconnected
         cancels = _cancels()
