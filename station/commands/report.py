@@ -7,7 +7,6 @@ from pathlib import Path
 
 from station.atomic_write import check_new_file, free_path, write_whole
 from station.errors import EXIT_USAGE, UsageError
-from station.render.template import json_rendered, rendered
 
 
 def command_report(arguments: argparse.Namespace) -> int:
@@ -30,6 +29,17 @@ def command_report(arguments: argparse.Namespace) -> int:
     traced = read_traced(Path(arguments.investigation) if arguments.investigation else None, recorded)
     report = make_report(recorded, traced, formal)
     write_whole(html, report.html)
+    standing = report.standing
+    said = {
+        "title": standing.title,
+        "number": report.number,
+        "outcome": None if standing.verdict is None else str(standing.verdict.outcome),
+        "reason": None if standing.verdict is None else standing.verdict.reason,
+        "certificate": standing.certificate,
+        "simulated": standing.simulated,
+        "recording": arguments.recording,
+        "sha256": report.hashes,
+    }
     problem, printed = "", None
     try:
         if pdf is not None:
@@ -41,12 +51,15 @@ def command_report(arguments: argparse.Namespace) -> int:
             write_whole(dcc, sign(xml, *keys) if keys else xml)
     except UsageError as error:
         problem = str(error)
-    made = [path if path is not None and path.exists() else None for path in (pdf, dcc)]
-    values = {"report": report, "recording": arguments.recording, "html": html, "pdf": made[0], "dcc": made[1]}
+    made = [str(path) if path is not None and path.exists() else None for path in (pdf, dcc)]
     if arguments.json:
-        print(json.dumps(json_rendered("station.commands", "report.json", values)))
+        print(json.dumps({**said, "html": str(html), "pdf": made[0], "dcc": made[1]}))
     else:
-        print(rendered("station.commands", "report.txt", values), end="")
+        print(f"{said['title']} No. {said['number']}")
+        print(f"report: {html}")
+        for what, path in zip(("PDF", "digital calibration certificate"), made, strict=True):
+            if path:
+                print(f"{what}: {path}")
     if problem:
         print(f"station: {problem}; the report is kept in {html}", file=sys.stderr)
         return EXIT_USAGE
