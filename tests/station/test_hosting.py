@@ -558,6 +558,7 @@ def _wait_until(condition: Callable[[], bool]) -> None:
         time.sleep(0.05)  # another process: there is nothing to await
 
 
+@pytest.mark.full
 def test_a_jog_ends_when_the_link_of_who_said_it_is_cut(place: Path, tmp_path: Path) -> None:
     run = Run(tmp_path, "--manual")
 

@@ -26,6 +26,9 @@ Before = Callable[[Pilot[None]], Awaitable[None]]
 SMALL, WIDE, LARGE = (80, 24), (120, 40), (200, 60)
 _SIZE_NAMES = ["80x24", "120x40", "200x60"]
 SIZES = pytest.mark.parametrize("size", [SMALL, WIDE, LARGE], ids=_SIZE_NAMES)
+LARGER_IN_FULL = pytest.mark.parametrize(
+    "size", [SMALL, *(pytest.param(size, marks=pytest.mark.full) for size in (WIDE, LARGE))], ids=_SIZE_NAMES
+)
 CHOICES = Choices(bench="bench.toml", script="short.toml", folder=Path("recordings"))
 
 
@@ -104,7 +107,7 @@ def test_a_run(place: Path, snap_compare: Compare, size: tuple[int, int]) -> Non
         assert snap_compare(app, terminal_size=size, run_before=attached(app, 35.0))
 
 
-@SIZES
+@LARGER_IN_FULL
 def test_manual_mode(place: Path, snap_compare: Compare, size: tuple[int, int]) -> None:
     with Replay("manual", 30.0):
         app = StationApp(CHOICES, attach=True)
