@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import codecs
+import gc
 import io
 import os
 import sys
@@ -48,6 +49,7 @@ def _check_terminal() -> None:
 
 
 def _show(arguments: argparse.Namespace) -> int:
+    gc.disable()  # until the app is there: nothing of what is loaded is garbage, and looking costs a fifth of the start
     from rich.console import Console
 
     from station.screen.app import StationApp

@@ -119,6 +119,7 @@ class StationApp(App[None]):
 
     def on_mount(self) -> None:
         sys.setswitchinterval(_YIELD_S)
+        self.set_timer(_SETTLED_S, gc.enable)  # not while it starts
         self.set_interval(_TICK_S, self._tick)
         self.set_interval(_HANGUP_S, self._watch_terminal)
         self.set_interval(_OTHERS_S, partial(self.work, self._count_others, "others"))

@@ -18,7 +18,7 @@ _SHOWN_BY_MOTION = 0.5  # of the sigma that a state begins with
 _SIGMAS = 2.0
 _DEG = math.degrees(1)
 _EVER = (-1e12, 1e12)
-_ARC_PARTS, _GIMBALS_APART = 48, 0.3
+_ARC_PARTS, _GIMBALS_APART = 24, 0.3
 
 
 class Curve(NamedTuple):

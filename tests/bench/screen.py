@@ -2,6 +2,7 @@
 
 python tests/bench/screen.py                     first picture, then a run at real time with a source of 2 kHz
 python tests/bench/screen.py --seconds 60 --tries 200 --size 200x60
+python tests/bench/screen.py --seconds 500 --size 200x60     a million samples with all plots on: none is lost
 
 The screen runs in a pseudo-terminal. Between it and the session is a relay that passes everything on, except for the
 word to stop, whose instant it notes: so the run goes on, and STOP is timed again and again, from the byte of the key
@@ -164,7 +165,7 @@ def main() -> None:
             out, _ = run.communicate(timeout=60)
             found = json.loads(out)
             for name, source in found["sources"].items():
-                print(f"{name}: {source}")
+                print(f"{name}: {source['lost']} of {source['samples'] + source['lost']} samples lost")
             print(found["outcome"], found["reason"])
 
 
