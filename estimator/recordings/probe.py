@@ -44,17 +44,16 @@ def objects(path: Path, file: Any, names: re.Pattern[bytes] | None = None) -> It
     links: dict[bytes, int] = {b".": h5py.h5l.TYPE_HARD}
     file.id.links.visit(lambda name, link: links.update({name: link.type}), info=True)
     for name, kind in links.items():
-        looked_at = names is None or names.fullmatch(name)
-        item = file[name] if looked_at and kind == h5py.h5l.TYPE_HARD else None  # a soft one leads to another of them
+        # What a soft one leads to has a name of its own.
+        item = file[name] if kind == h5py.h5l.TYPE_HARD and (names is None or names.fullmatch(name)) else None
         elsewhere = isinstance(item, h5py.Dataset) and (item.is_virtual or item.external)
         if elsewhere or kind not in (h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT):
             raise ValueError(f"{name.decode(errors='replace')} is in another file; only what stands in it is read")
         if item is None:
             continue
-        held = item.id
-        left -= sum(h5py.h5a.get_info(held, index=at).data_size for at in range(h5py.h5a.get_num_attrs(held)))
+        left -= sum(h5py.h5a.get_info(item.id, index=at).data_size for at in range(len(item.attrs)))
         if isinstance(item, h5py.Dataset):
-            left -= math.prod(item.shape or ()) * max(int(held.get_type().get_size()), 1)
+            left -= math.prod(item.shape or ()) * max(int(item.id.get_type().get_size()), 1)
         if left < 0:
             raise ValueError(f"it claims to hold far more than it has, in {name.decode(errors='replace')}")
         if names is None:

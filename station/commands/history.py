@@ -45,12 +45,10 @@ def command_history(arguments: argparse.Namespace) -> int:
     every = asyncio.run(_listed(folder, data))
     wanted = {"device_serial": arguments.serial, "station": arguments.bench, "outcome": outcome}
     wanted = {key: value for key, value in wanted.items() if value is not None}
-    entries = [entry for entry in every if wanted.items() <= entry.texts.items()]
-    entries = [entry for entry in entries if entry.when >= since] if since else entries
+    entries = [e for e in every if wanted.items() <= e.texts.items() and (not since or e.when >= since)]
     shown = entries[: arguments.last or (len(entries) if data else _MOST_ROWS)]
     serials = set() if arguments.gauge else {entry.serial for entry in shown}  # ten thousand figures take a while
-    alike = comparable([entry for entry in every if entry.serial in serials])
-    moved = {path: found for runs in alike for path, found in moves(runs).items()}
+    moved = moves(entry for entry in every if entry.serial in serials)
     charted = comparable(entries) if arguments.serial else []
     found = {
         "folder": str(folder),

@@ -17,7 +17,7 @@ from typing import Any
 
 from pebble import ProcessExpired, ProcessPool
 
-from station.screen.archive.entries import Entry, File, Whole, comparable, moves
+from station.screen.archive.entries import Entry, File, Whole, moves
 from station.screen.archive.index import keep, load
 
 _LIMIT_S = 10.0
@@ -113,7 +113,7 @@ class Archive:
             with redirect_stderr(sys.__stderr__):  # its process gets a file; textual's stand-in is none
                 resource_tracker.ensure_running()
             spawn = multiprocessing.get_context("spawn")
-            self._pool = ProcessPool(self._count, context=spawn, initializer=_begin, initargs=(self._count > 1,))
+            self._pool = ProcessPool(self._count, context=spawn, initializer=_begin)
         try:
             return await asyncio.wrap_future(self._pool.schedule(_done, (work, *about), timeout=limit_s))
         except TooLong:
@@ -126,19 +126,17 @@ async def moved(recording: Path) -> list[dict[str, Any]]:
     """Return what moved since the last comparable run in its folder, as far as that is read within some seconds."""
     archive, found = Archive(), list[Entry]()
     with suppress(TimeoutError):
-        async with asyncio.timeout(_MOVED_LIMIT_S), aclosing(archive.entries(recording.parent)) as entries:
+        async with asyncio.timeout(_MOVED_LIMIT_S), aclosing(archive.entries(recording.absolute().parent)) as entries:
             async for entry in entries:
                 found.append(entry)
     await archive.close()
-    told = {Path(file): which for runs in comparable(found) for file, which in moves(runs).items()}
-    return told.get(recording, [])
+    return moves(found).get(str(recording.absolute()), [])
 
 
-def _begin(gives_way: bool) -> None:
-    """Leave the terminal to the screen: what HDF5 says of errors, too. ``gives_way``: to a run beside it."""
+def _begin() -> None:
+    """Leave the terminal to the screen: what HDF5 says of errors, too; and the processor to a run."""
     os.setsid()
-    if gives_way:
-        os.nice(_LATER)
+    os.nice(_LATER)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
 
 

@@ -16,7 +16,7 @@ from textual.widgets import Button, Static
 
 from station.atomic_write import free_path
 from station.render.template import rendered
-from station.screen.archive.entries import INVESTIGATION, Entry, Whole, comparable, moves
+from station.screen.archive.entries import INVESTIGATION, Entry, Whole, moves
 from station.screen.base import StationScreen
 from station.screen.charts import Charts
 from station.screen.dialogs import AskDialog, ChooseDialog
@@ -88,8 +88,7 @@ class ResultScreen(StationScreen):
         if fresh and entry.texts.get("outcome") == "FAIL" and entry.gyros:
             self._look_for_cause([])
         self._same = [e async for e in self.station.archive.entries(path.parent) if entry.same_calibrated(e)]
-        alike = (runs for runs in comparable([*self._same, entry]) if entry in runs)
-        self._moves = next((moves(runs).get(entry.file, []) for runs in alike), [])
+        self._moves = moves([*self._same, entry]).get(entry.file, [])
         self.redraw()
 
     async def _take_investigation(self, found: Mapping[str, Any]) -> None:
