@@ -17,6 +17,7 @@ from estimator.estimation.control_charts import control_chart
 from estimator.geometry.model import STATES
 from estimator.untrusted import harmless
 from station.errors import UsageError
+from station.render.progress import TracingProgress
 from station.render.template import rendered
 from station.render.terminal import print_rendered, stdout
 from station.screen.archive.archive import Archive
@@ -75,8 +76,6 @@ async def _listed(folder: Path, quiet: bool) -> list[Entry]:
         async for entry in archive.entries(folder):
             found.append(entry)
             if archive.unread:
-                from station.render.progress import TracingProgress  # takes as long as what is listed here
-
                 bar = bar or stack.enter_context(TracingProgress(quiet))
                 left = archive.unread
                 bar.show(len(found) / (len(found) + left), f"reading {folder}: {left} left")

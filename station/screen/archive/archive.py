@@ -22,11 +22,8 @@ from station.screen.archive.index import keep, load
 
 _LIMIT_S = 10.0
 _WRITE_LIMIT_S = 120.0
-_MOVED_LIMIT_S = 5.0
 _KEPT_AT_ONCE = 64
-_MANY = 200  # files, to read which several processes are begun
-_PER_CORE = 2  # processes: one waits for its disk while another computes
-_LATER = 10
+_MANY = 200  # files, to read which two processes a core are begun: one waits for its disk while another computes
 _TICK_NS = 50_000_000  # a file that changed less ago may change again under the same date
 
 
@@ -90,7 +87,7 @@ class Archive:
     async def _read_all(self, files: Sequence[File]) -> AsyncGenerator[tuple[File, Entry]]:
         """Yield files with their entries; many are read by several processes, which end with it."""
         many = len(files) > _MANY
-        readers, tasks = Archive(_PER_CORE * (os.cpu_count() or 1)) if many else self, deque[asyncio.Task[Whole]]()
+        readers, tasks = Archive(2 * (os.cpu_count() or 1)) if many else self, deque[asyncio.Task[Whole]]()
         try:
             for at, file in enumerate(files):
                 for path, mtime_ns, _ in files[at + len(tasks) : at + 2 * readers._count]:
@@ -126,7 +123,7 @@ async def moved(recording: Path) -> list[dict[str, Any]]:
     """Return what moved since the last comparable run in its folder, as far as that is read within some seconds."""
     archive, found = Archive(), list[Entry]()
     with suppress(TimeoutError):
-        async with asyncio.timeout(_MOVED_LIMIT_S), aclosing(archive.entries(recording.absolute().parent)) as entries:
+        async with asyncio.timeout(_LIMIT_S), aclosing(archive.entries(recording.absolute().parent)) as entries:
             async for entry in entries:
                 found.append(entry)
     await archive.close()
@@ -136,7 +133,7 @@ async def moved(recording: Path) -> list[dict[str, Any]]:
 def _begin() -> None:
     """Leave the terminal to the screen: what HDF5 says of errors, too; and the processor to a run."""
     os.setsid()
-    os.nice(_LATER)
+    os.nice(10)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
 
 

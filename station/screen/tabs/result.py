@@ -228,8 +228,7 @@ class ResultScreen(StationScreen):
         values: dict[str, Any] = {"whole": whole, "path": self.recording, "busy": self._busy, "said": self._said}
         values["most"] = _REASONS
         moved = Text.from_markup(rendered("station.render", "moved.rich", {"moves": self._moves}).strip(), emoji=False)
-        verdict = templated("verdict.rich", values)
-        self._block("verdict", Text("\n").join([verdict, moved]) if moved else verdict)
+        self._block("verdict", Text("\n").join(filter(None, (templated("verdict.rich", values), moved))))
         shown: dict[str, RenderableType] = {}
         if whole is not None and not whole.entry.wrong:
             earlier = (other for other in self._same if other.when_utc_s < whole.entry.when_utc_s)
