@@ -7,9 +7,8 @@ input.
 import json
 import math
 import os
-import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,30 +33,29 @@ def read_hdf5(path: Path) -> str | None:
     return None
 
 
-def objects(path: Path, file: Any, names: re.Pattern[bytes] | None = None) -> Iterator[Any]:
+def objects(path: Path, file: Any, names: Callable[[Any], Sequence[str]] | None = None) -> Iterator[Any]:
     """Yield the datasets of a file, each once; ValueError for what is kept in other files, or claims too much.
 
-    With ``names`` only what is so named is looked at, for a reader who looks at nothing else: it is 15 times faster.
+    With ``names`` only the objects that it names of the file: a reader of no others is 15 times faster.
     """
     disk = path.stat()
     left = _FREE_BYTES + _MOST_TIMES * getattr(disk, "st_blocks", disk.st_size // 512 + 1) * 512  # a hole is no data
     links: dict[bytes, int] = {b".": h5py.h5l.TYPE_HARD}
     file.id.links.visit(lambda name, link: links.update({name: link.type}), info=True)
     for name, kind in links.items():
-        looked_at = names is None or names.fullmatch(name)
-        item = file[name] if looked_at and kind == h5py.h5l.TYPE_HARD else None  # a soft one leads to another of them
-        elsewhere = isinstance(item, h5py.Dataset) and (item.is_virtual or item.external)
-        if elsewhere or kind not in (h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT):
+        if kind not in (h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT):
             raise ValueError(f"{name.decode(errors='replace')} is in another file; only what stands in it is read")
-        if item is None:
-            continue
-        held = item.id
-        left -= sum(h5py.h5a.get_info(held, index=at).data_size for at in range(h5py.h5a.get_num_attrs(held)))
+    hard = (name for name, kind in links.items() if kind == h5py.h5l.TYPE_HARD)  # a soft one leads to another of them
+    for name in map(str.encode, names(file)) if names else hard:
+        item = file[name]
+        if isinstance(item, h5py.Dataset) and (item.is_virtual or item.external):
+            raise ValueError(f"{name.decode(errors='replace')} is in another file; only what stands in it is read")
+        left -= sum(h5py.h5a.get_info(item.id, index=at).data_size for at in range(len(item.attrs)))
         if isinstance(item, h5py.Dataset):
-            left -= math.prod(item.shape or ()) * max(int(held.get_type().get_size()), 1)
+            left -= math.prod(item.shape or ()) * max(int(item.id.get_type().get_size()), 1)
         if left < 0:
             raise ValueError(f"it claims to hold far more than it has, in {name.decode(errors='replace')}")
-        if names is None:
+        if not names:
             dict(item.attrs)
         if isinstance(item, h5py.Dataset):
             yield item

@@ -17,6 +17,7 @@ from estimator.estimation.control_charts import control_chart
 from estimator.geometry.model import STATES
 from estimator.untrusted import harmless
 from station.errors import UsageError
+from station.render.progress import TracingProgress
 from station.render.template import rendered
 from station.render.terminal import print_rendered, stdout
 from station.screen.archive.archive import Archive
@@ -45,12 +46,10 @@ def command_history(arguments: argparse.Namespace) -> int:
     every = asyncio.run(_listed(folder, data))
     wanted = {"device_serial": arguments.serial, "station": arguments.bench, "outcome": outcome}
     wanted = {key: value for key, value in wanted.items() if value is not None}
-    entries = [entry for entry in every if wanted.items() <= entry.texts.items()]
-    entries = [entry for entry in entries if entry.when >= since] if since else entries
+    entries = [e for e in every if wanted.items() <= e.texts.items() and (not since or e.when >= since)]
     shown = entries[: arguments.last or (len(entries) if data else _MOST_ROWS)]
     serials = set() if arguments.gauge else {entry.serial for entry in shown}  # ten thousand figures take a while
-    alike = comparable([entry for entry in every if entry.serial in serials])
-    moved = {path: found for runs in alike for path, found in moves(runs).items()}
+    moved = moves(entry for entry in every if entry.serial in serials)
     charted = comparable(entries) if arguments.serial else []
     found = {
         "folder": str(folder),
@@ -77,8 +76,6 @@ async def _listed(folder: Path, quiet: bool) -> list[Entry]:
         async for entry in archive.entries(folder):
             found.append(entry)
             if archive.unread:
-                from station.render.progress import TracingProgress  # takes as long as what is listed here
-
                 bar = bar or stack.enter_context(TracingProgress(quiet))
                 left = archive.unread
                 bar.show(len(found) / (len(found) + left), f"reading {folder}: {left} left")

@@ -13,18 +13,15 @@ from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from station.screen.archive.entries import Entry, File, Whole, comparable, moves
+from station.screen.archive.entries import Entry, File, Whole, moves
 
 if TYPE_CHECKING:
     from pebble import ProcessPool
 
 _LIMIT_S = 10.0
 _WRITE_LIMIT_S = 120.0
-_MOVED_LIMIT_S = 5.0
 _KEPT_AT_ONCE = 64
-_MANY = 200  # files, to read which several processes are begun
-_PER_CORE = 2  # processes: one waits for its disk while another computes
-_LATER = 10
+_MANY = 200  # files, to read which two processes a core are begun: one waits for its disk while another computes
 _TICK_NS = 50_000_000  # a file that changed less ago may change again under the same date
 
 
@@ -90,7 +87,7 @@ class Archive:
     async def _read_all(self, files: Sequence[File]) -> AsyncGenerator[tuple[File, Entry]]:
         """Yield files with their entries; many are read by several processes, which end with it."""
         many = len(files) > _MANY
-        readers, tasks = Archive(_PER_CORE * (os.cpu_count() or 1)) if many else self, deque[asyncio.Task[Whole]]()
+        readers, tasks = Archive(2 * (os.cpu_count() or 1)) if many else self, deque[asyncio.Task[Whole]]()
         try:
             for at, file in enumerate(files):
                 for path, mtime_ns, _ in files[at + len(tasks) : at + 2 * readers._count]:
@@ -115,7 +112,7 @@ class Archive:
             with redirect_stderr(sys.__stderr__):  # its process gets a file; textual's stand-in is none
                 resource_tracker.ensure_running()
             spawn = multiprocessing.get_context("spawn")
-            self._pool = ProcessPool(self._count, context=spawn, initializer=_begin, initargs=(self._count > 1,))
+            self._pool = ProcessPool(self._count, context=spawn, initializer=_begin)
         try:
             return await asyncio.wrap_future(self._pool.schedule(_done, (work, *about), timeout=limit_s))
         except TooLong:
@@ -128,19 +125,17 @@ async def moved(recording: Path) -> list[dict[str, Any]]:
     """Return what moved since the last comparable run in its folder, as far as that is read within some seconds."""
     archive, found = Archive(), list[Entry]()
     with suppress(TimeoutError):
-        async with asyncio.timeout(_MOVED_LIMIT_S), aclosing(archive.entries(recording.parent)) as entries:
+        async with asyncio.timeout(_LIMIT_S), aclosing(archive.entries(recording.absolute().parent)) as entries:
             async for entry in entries:
                 found.append(entry)
     await archive.close()
-    told = {Path(file): which for runs in comparable(found) for file, which in moves(runs).items()}
-    return told.get(recording, [])
+    return moves(found).get(str(recording.absolute()), [])
 
 
-def _begin(gives_way: bool) -> None:
-    """Leave the terminal to the screen: what HDF5 says of errors, too. ``gives_way``: to a run beside it."""
+def _begin() -> None:
+    """Leave the terminal to the screen: what HDF5 says of errors, too; and the processor to a run."""
     os.setsid()
-    if gives_way:
-        os.nice(_LATER)
+    os.nice(10)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
 
 

@@ -66,8 +66,7 @@ class Entry:
     def series(self) -> tuple[object, ...] | None:
         """What comparable runs have in common; None for what is compared with none."""
         ended = self.texts.get("outcome") in ("MANUAL", "ABORTED", "FAULT")
-        finite = math.isfinite(sum(sum(g.values + g.sds) for g in self.gyros))
-        if not self.serial or not self.gyros or ended or not finite:
+        if not self.serial or not self.gyros or ended:
             return None
         gyros = tuple((gyro.source, gyro.name) for gyro in self.gyros)
         return (self.serial, self.texts.get("station"), self.texts.get("script"), gyros)
@@ -118,21 +117,22 @@ def comparable(entries: Iterable[Entry], whatever: int = 0) -> list[list[Entry]]
     """Return the runs that may be compared, the oldest first; whatever serial number (1) and bench (2) they are of."""
     found = defaultdict(list)
     for entry in sorted(entries, key=lambda entry: entry.when_utc_s):
-        if (series := entry.series) is not None:
+        if (series := entry.series) is not None and math.isfinite(sum(sum(g.values + g.sds) for g in entry.gyros)):
             found[series[whatever:]].append(entry)
     return list(found.values())
 
 
-def moves(runs: Sequence[Entry]) -> dict[str, list[dict[str, Any]]]:
-    """Return by file what moved since the last of the runs before it that did not fail, by more than chance gives."""
+def moves(entries: Iterable[Entry]) -> dict[str, list[dict[str, Any]]]:
+    """Return by file what moved since the last comparable run that did not fail, by more than its sigmas explain."""
     from statistics import NormalDist  # as numpy takes a while to load, and few look at a second run
 
     from estimator.geometry.model import STATES
 
-    found, last = dict[str, list[dict[str, Any]]](), runs[0]
-    limit = NormalDist().inv_cdf(1 - _BY_CHANCE / 2 / (len(last.gyros) * len(STATES)))
-    for run in runs:
+    found, last = dict[str, list[dict[str, Any]]](), None
+    for run in (run for runs in comparable(entries) for run in runs):
+        last = last if last is not None and last.series == run.series else run
         since = {"since": last.path.name, "since_when": last.when}
+        limit = NormalDist().inv_cdf(1 - _BY_CHANCE / 2 / (len(run.gyros) * len(STATES)))
         found[run.file] = [
             {"gyro": new.full_name, "state": state, "sigmas": (x - before) / sigma, **since}
             for old, new in zip(last.gyros, run.gyros, strict=True)

@@ -56,9 +56,8 @@ def keep(folder: Path, entries: Mapping[File, Entry]) -> bool:
     for file, entry in entries.items():
         told = json.dumps({name: getattr(entry, name) for name in _TOLD})
         rows.append([os.fsencode(os.path.relpath(file[0], folder)), *file[1:], told.encode(), entry.figures])
-    values = "CAST(? AS TEXT), ?, ?, CAST(? AS TEXT), CAST(? AS TEXT), ?"
-    rows = [[*row, _checksum(row)] for row in rows]
-    return _done(folder, f"REPLACE INTO recordings VALUES ({values})", rows) is not None
+    sql = "REPLACE INTO recordings VALUES (CAST(? AS TEXT), ?, ?, CAST(? AS TEXT), CAST(? AS TEXT), ?)"
+    return _done(folder, sql, [[*row, _checksum(row)] for row in rows]) is not None
 
 
 def _checksum(row: Sequence[Any]) -> int:

@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import shutil
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
@@ -24,7 +23,6 @@ from station.screen.archive.entries import INVESTIGATION, NO_LIMITS, Entry, Whol
 from station.screen.sessions.live_run import Trend
 
 _MOST_POINTS = 400
-_LISTED = re.compile(rb"\.|imu(/[^/]+)?|calibration(/(states|sd|name|source))?")  # what an entry is made of
 _TEXTS = ("station", "script", "outcome", "reason", "operator", "device_serial", "accepted_by", "accepted_utc")
 
 
@@ -58,7 +56,7 @@ def read(path: Path, when_utc_s: float, everything: bool) -> Whole:
     try:
         # Without HDF5's locks: a session that writes the same file must never find it locked by a reader.
         with h5py.File(path, "r", locking=False) as file:
-            list(objects(path, file, None if everything else _LISTED))  # which leads nowhere else, and can be held
+            list(objects(path, file, None if everything else _listed))  # which leads nowhere else, and can be held
             if plain(file.attrs.get("format")) != FORMAT:
                 return Whole(replace(unread, wrong="an HDF5 file, but no recording", foreign=True))
             version = plain(file.attrs.get("format_version", 0))
@@ -73,6 +71,12 @@ def read(path: Path, when_utc_s: float, everything: bool) -> Whole:
     except Exception as error:  # whatever a file made by hand holds, the next one is to be read
         wrong = f"it cannot be read, it is damaged or not whole ({first_line(error)})"
         return Whole(replace(unread, wrong=wrong))
+
+
+def _listed(file: Any) -> list[str]:
+    """Return the names of what an entry is made of."""
+    figures = [f"calibration/{key}" for key in ("states", "sd", "name", "source")] if "calibration" in file else []
+    return [".", *(f"imu/{source}" for source in file.get("imu", {}).keys()), *figures]  # noqa: SIM118 (no rows of data)
 
 
 def _entry(unread: Entry, file: Any) -> Entry:

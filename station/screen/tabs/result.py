@@ -16,7 +16,7 @@ from textual.widgets import Button, Static
 
 from station.atomic_write import free_path
 from station.render.template import rendered
-from station.screen.archive.entries import INVESTIGATION, Entry, Whole, comparable, moves
+from station.screen.archive.entries import INVESTIGATION, Entry, Whole, moves
 from station.screen.base import StationScreen
 from station.screen.charts import Charts
 from station.screen.dialogs import AskDialog, ChooseDialog
@@ -85,8 +85,7 @@ class ResultScreen(StationScreen):
         if fresh and entry.texts.get("outcome") == "FAIL" and entry.gyros:
             self._look_for_cause([])
         self._same = [e async for e in self.station.archive.entries(path.parent) if entry.same_calibrated(e)]
-        alike = (runs for runs in comparable([*self._same, entry]) if entry in runs)
-        self._moves = next((moves(runs).get(entry.file, []) for runs in alike), [])
+        self._moves = moves([*self._same, entry]).get(entry.file, [])
         self.redraw()
 
     async def _take_investigation(self, found: Mapping[str, Any]) -> None:
@@ -226,8 +225,7 @@ class ResultScreen(StationScreen):
         values: dict[str, Any] = {"whole": whole, "path": self.recording, "busy": self._busy, "said": self._said}
         values["most"] = _REASONS
         moved = Text.from_markup(rendered("station.render", "moved.rich", {"moves": self._moves}).strip(), emoji=False)
-        verdict = templated("verdict.rich", values)
-        self._block("verdict", Text("\n").join([verdict, moved]) if moved else verdict)
+        self._block("verdict", Text("\n").join(filter(None, (templated("verdict.rich", values), moved))))
         shown: dict[str, RenderableType] = {}
         if whole is not None and not whole.entry.wrong:
             earlier = (other for other in self._same if other.when_utc_s < whole.entry.when_utc_s)

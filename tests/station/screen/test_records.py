@@ -15,6 +15,7 @@ import pytest
 from station.screen.archive.archive import Archive
 from station.screen.archive.entries import Entry
 from station.screen.archive.index import index_file
+from station.screen.archive.reading import read
 
 
 async def listed(folder: Path, most: int = 10_000) -> list[Entry]:
@@ -125,6 +126,19 @@ def test_many_recordings_are_read_by_several_processes_and_a_hostile_one_costs_o
     (wrong,) = [entry for entry in found if entry.wrong]
     assert wrong.path.name == "second.h5"
     assert "another file" in wrong.wrong
+
+
+@pytest.mark.parametrize("leads", ["softly", "under another name"])
+def test_a_list_does_not_hold_what_claims_more_than_there_is_wherever_it_stands(leads: str, whole: Path) -> None:
+    with h5py.File(whole / "first.h5", "r+") as file:
+        del file["calibration/states"]
+        where = "big" if leads == "softly" else "calibration/states"
+        file.create_dataset(where, (400_000_000, 4), "f8", chunks=(1_000_000, 4))
+        if leads == "softly":
+            file["calibration/states"] = h5py.SoftLink("/big")
+        else:
+            file["a"] = file["calibration"]
+    assert "far more" in read(whole / "first.h5", 0.0, False).entry.wrong
 
 
 def test_a_first_listing_that_is_cut_short_loses_nothing(whole: Path) -> None:
