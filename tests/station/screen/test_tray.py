@@ -116,9 +116,9 @@ def test_a_run_that_is_gone_without_an_outcome_is_told_when_the_tray_is_seen_aga
 class Day:
     """An operator with a tray on the bench of the device that tells a serial number, and what stands on its table."""
 
-    def __init__(self, place: Path, station: str = "", limits: str = "") -> None:
-        """``station`` and ``limits`` are lines of the bench file: how well a busy host keeps time is not judged."""
-        text = (place / "bench.toml").read_text().replace('serial_pattern = "SN-[0-9]{4}"', station)
+    def __init__(self, place: Path, limits: str = "", scale: float = 5.0) -> None:
+        """``limits`` are lines of the bench file; how well a busy host keeps time is not to be judged."""
+        text = (place / "bench.toml").read_text().replace('serial_pattern = "SN-[0-9]{4}"', "")
         text = re.sub(r'(name = "array"(?s:.*?)\[imu.datasheet\])', r"used = false\n\1", text)
         text = text.replace("used = false         ", "used = true         ")
         text = re.sub(r"(?s)(\[limits\])(.*?)\n\n", rf"\1\n{limits}\n\n", text)
@@ -126,11 +126,11 @@ class Day:
         (place / "tiny.toml").write_text(TINY)
         self.mount(FIRST)
         save_remembered(Remembered())
-        self.app = StationApp(Choices("bench.toml", "tiny.toml", place / "recordings", "A. Operator", scale=5.0))
+        self.app = StationApp(Choices("bench.toml", "tiny.toml", place / "recordings", "A. Operator", scale=scale))
 
     def mount(self, number: str, scale_factor_error_ppm: int = 300) -> None:
         """Put a device onto the table."""
-        another = "" if number == FIRST else '\n[twin.fault.stim300]\nanother = "0 s"\n'
+        another = "" if number == FIRST else '\n[twin.stim300.fault]\nanother = "0 s"\n'
         self.bench.write_text(self._text.replace('"300 ppm"', f'"{scale_factor_error_ppm} ppm"') + another)
 
     async def seen(self, pilot: Pilot[None], holds: Callable[[], Any]) -> None:
@@ -167,4 +167,5 @@ async def test_a_device_of_a_tray_is_calibrated_when_its_number_is_scanned(place
         assert app.current_mode == "result"
         await pilot.press("escape", "f10")
         await day.seen(pilot, lambda: app.current_mode == "tray")
-        assert column(app, "state") == ["ESTIMATED", "waiting"]
+        assert app.shown is not None
+        assert column(app, "state") == [app.shown.outcome, "waiting"]
