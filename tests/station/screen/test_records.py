@@ -116,3 +116,19 @@ def test_a_recording_of_no_date_is_damaged_and_harms_no_list(began_utc_s: float,
     found = {entry.path.name: entry for entry in asyncio.run(listed(whole))}
     assert "damaged" in found["first.h5"].wrong
     assert all(entry.when for entry in found.values())
+
+
+def test_a_recording_that_is_deleted_during_the_listing_is_none_and_not_damaged(whole: Path) -> None:
+    async def listed_while_one_goes() -> list[str]:
+        archive, found = Archive(), []
+        try:
+            async for entry in archive.entries(whole):
+                found.append(f"{entry.path.name} {entry.wrong}")
+                (whole / "second.h5").unlink(missing_ok=True)
+        finally:
+            await archive.close()
+        return found
+
+    found = asyncio.run(listed_while_one_goes())
+    assert found
+    assert not [said for said in found if said.startswith("second")]
