@@ -51,8 +51,8 @@ class Archive:
                 self._known[file], self.unread = entry, self.unread - 1
                 if settled and (entry.foreign or not entry.wrong):
                     await asyncio.to_thread(keep, folder, file, entry)  # the disk may be slow, and no key waits for it
-            if not self._known[file].foreign:
-                yield self._known[file]
+            if not self._known[file].foreign and not (self._known[file].wrong and not os.path.exists(file[0])):
+                yield self._known[file]  # and of what was deleted meanwhile nothing
 
     async def read(self, path: Path) -> Whole:
         """Return a whole recording; its entry says what is wrong, if something is."""
@@ -110,8 +110,9 @@ def _done(work: str, *about: Any) -> Any:
 
 
 def _files(folder: Path) -> list[File]:
-    found = []
-    for path in (os.path.join(top, name) for top, _, names in os.walk(folder) for name in names):
+    found: list[File] = []
+    walk = os.walk(folder, onerror=lambda error: found.append((str(error.filename), 0, 0)))  # listed as what is wrong
+    for path in (os.path.join(top, name) for top, _, names in walk for name in names):
         with suppress(OSError):
             if path.endswith(".h5"):
                 found.append((path, (status := os.stat(path)).st_mtime_ns, status.st_size))
