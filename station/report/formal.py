@@ -3,16 +3,13 @@
 from base64 import b64encode
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import date
+from datetime import date, datetime
 from io import BytesIO
 from pathlib import Path
-from typing import Any
-
-from lxml import etree
+from typing import Any, Protocol
 
 from estimator.untrusted import MOST_TEXT_BYTES, read_bytes, read_text
 from station.errors import BenchError, UsageError
-from station.report.recorded import Recorded
 from station.schema.tables import Table, keys_of
 
 _RECORDED = {"operator": "operator", "item_serial_told": "device_serial_told", "item_serial_reason": "serial_reason"}
@@ -24,6 +21,16 @@ _ORDER = (
     ("performed_date", "certificate_next_due"),
     ("certificate_issued", "certificate_next_due"),
 )
+
+
+class Told(Protocol):
+    """What a recording tells of itself: attributes as texts, empty where it has none, and when it began."""
+
+    @property
+    def path(self) -> Path: ...
+    @property
+    def begun_utc(self) -> datetime | None: ...
+    def text(self, name: str) -> str: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +108,7 @@ def kept_facts(recording: Path) -> Path:
     return recording.with_name(f"{recording.stem}-certificate.toml")
 
 
-def read_formal(recorded: Recorded, meta: Path | None = None, text: str | None = None) -> Formal:
+def read_formal(recorded: Told, meta: Path | None = None, text: str | None = None) -> Formal:
     """Return the formal facts of a recording: its own, those of its bench, and before these of the file for --meta.
 
     Without ``meta`` it is the file that the form on the screen kept, if there is one; ``text`` is what a file is to hold.
@@ -138,6 +145,7 @@ def read_formal(recorded: Recorded, meta: Path | None = None, text: str | None =
 
 def logo_of(path: Path) -> str:
     """Return a picture as a data URI; UsageError if it cannot be read, or holds none, whatever its name."""
+    from lxml import etree
     from PIL import Image
 
     content = read_bytes(path, UsageError, MOST_TEXT_BYTES, f"laboratory.logo: {path}")

@@ -32,7 +32,7 @@ class StationDialog(ModalScreen[str | None]):
 
     def compose(self) -> ComposeResult:
         with Vertical(id="dialog"):
-            yield Static(self._question, markup=False)
+            yield Static(self._question, markup=False, id="question")
             yield from self.answers()
         yield StopBar()
 
@@ -65,20 +65,31 @@ class AskDialog(StationDialog):
 
 
 class ChooseDialog(StationDialog):
-    """A list to choose one line from."""
+    """A list to choose one line from, at first ``at`` one of them."""
+
+    def __init__(self, question: str, answers: Sequence[tuple[str, str]], at: str | None = None) -> None:
+        super().__init__(question, answers)
+        self._at = [key for key, _ in answers].index(at) if at else 0
 
     def answers(self) -> ComposeResult:
         yield OptionList(*(Option(words, id=key) for key, words in self._answers), markup=False)
+
+    def on_mount(self) -> None:
+        self.query_one(OptionList).highlighted = self._at
 
     def on_option_list_option_selected(self, event: OptionList.OptionSelected) -> None:
         self.dismiss(event.option.id)
 
 
 class AskTextDialog(StationDialog):
-    """A question that is answered by a line of text."""
+    """A question that is answered by a line of text; ``text`` is there at first."""
+
+    def __init__(self, question: str, text: str = "") -> None:
+        super().__init__(question)
+        self._text = text
 
     def answers(self) -> ComposeResult:
-        yield Field(max_length=200)
+        yield Field(value=self._text, max_length=200)
 
     def on_input_submitted(self, event: Input.Submitted) -> None:
-        self.dismiss(event.value.strip() or None)
+        self.dismiss(event.value.strip())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import h5py
@@ -10,13 +9,14 @@ import pytest
 from certified import certified
 from conftest import HistoryFirst, driven, keys, until
 from textual.pilot import Pilot
-from textual.widgets import Input, TextArea
+from textual.widgets import OptionList
 
 from station.report.formal import read_formal
 from station.report.recorded import read_recorded
 from station.screen.app import StationApp
 from station.screen.choices import Choices
-from station.screen.tabs.facts import FactsForm
+from station.screen.dialogs import AskTextDialog
+from station.screen.tabs.facts import FactsDialog
 
 NOON_UTC_S = 1777636800.0  # 2026-05-01
 BENCH = """
@@ -26,7 +26,6 @@ name = "Gyro laboratory"
 name = "rate table"
 due = 2026-12-31
 """
-Drive = Callable[[Pilot[None]], Awaitable[None]]
 
 
 @pytest.fixture
@@ -45,17 +44,20 @@ def app_of(folder: Path) -> StationApp:
     return HistoryFirst(Choices(folder=folder, operator="A. Turing"))
 
 
-async def opened(pilot: Pilot[None], recording: Path) -> FactsForm:
-    """Open the form of a recording by keys, and wait until it has been checked."""
+async def opened(pilot: Pilot[None], recording: Path) -> None:
+    """Open the form of a recording by keys."""
     app = pilot.app
     assert isinstance(app, StationApp)
     app.open_recording(recording)
-    await until(pilot, lambda: app.current_mode == "result" and recording.name in shown(app, "verdict"))
+    await until(pilot, lambda: "PASS all" in (told := shown(app, "verdict")) and recording.name in told)
     await pilot.press("f")
-    await until(pilot, lambda: isinstance(app.screen, FactsForm) and "Digital" in shown(app, "missing"))
-    form = app.screen
-    assert isinstance(form, FactsForm)
-    return form
+    await form_of(pilot)
+
+
+async def form_of(pilot: Pilot[None], *told: str) -> None:
+    """Wait until the form is there, and tells some things above its lines."""
+    await until(pilot, lambda: isinstance(pilot.app.screen, FactsDialog) and pilot.app.screen.query(OptionList))
+    await until(pilot, lambda: all(words in shown(pilot.app, "question") for words in told))
 
 
 def shown(app: object, name: str) -> str:
@@ -64,74 +66,87 @@ def shown(app: object, name: str) -> str:
     return " ".join(str(found.first().render()).split()) if found else ""
 
 
-def row(form: FactsForm, name: str) -> str:
-    """Return what is beside and below a field: where its text comes from, and what is wrong with it."""
-    parts = form.query(f"#{name.replace('.', '-')} .said")
-    return " ".join(" ".join(str(part.render()) for part in parts).split())
+def line(pilot: Pilot[None], field: str) -> str:
+    """Return the line of a fact."""
+    return " ".join(str(pilot.app.screen.query_one(OptionList).get_option(field).prompt).split())
 
 
-async def entered(pilot: Pilot[None], form: FactsForm, name: str, text: str) -> None:
-    """Type a text in a field, and wait until it is there."""
-    field = form.query_one(f"#{name.replace('.', '-')} .entry")
-    assert isinstance(field, Input | TextArea)
-    field.focus()
+async def entered(pilot: Pilot[None], field: str, text: str) -> None:
+    """Go to the line of a fact, and enter a text in the place of what is there."""
+    lines = pilot.app.screen.query_one(OptionList)
+    lines.highlighted = lines.get_option_index(field)
+    await pilot.press("enter")
+    await until(pilot, lambda: isinstance(pilot.app.screen, AskTextDialog))
+    await pilot.press("end", "ctrl+u", *keys(text), "enter")
+    await form_of(pilot)
+
+
+async def keep(pilot: Pilot[None]) -> None:
+    """Press the last line."""
+    await pilot.press("end", "enter")
     await pilot.pause()
-    await pilot.press("end", *keys(text))
 
 
 def test_what_the_form_keeps_is_what_a_report_states(jobs: Path) -> None:
     run = jobs / "a.h5"
 
     async def drive(pilot: Pilot[None]) -> None:
-        form = await opened(pilot, run)
-        assert row(form, "laboratory.name") == "bench file"
-        assert row(form, "equipment.0.name") == "bench file"
-        assert row(form, "item.serial_number") == "recording"
-        assert row(form, "performed.date") == "recording"
-        assert "customer.name" in shown(pilot.app, "missing")
-        await entered(pilot, form, "customer.name", "Aerial surveys")
-        await entered(pilot, form, "customer.address", "Langstrasse 1")
-        await pilot.press("enter", *keys("Bern"))
-        await entered(pilot, form, "certificate.issued", "1.5.2026")
-        await until(pilot, lambda: "write it as 2026-11-23" in row(form, "certificate.issued"))
-        await pilot.press("ctrl+s")  # is not kept so, and leads to what is wrong
-        await until(pilot, lambda: form.focused is form.query_one("#certificate-issued .entry"))
+        await opened(pilot, run)
+        assert line(pilot, "laboratory.name") == "laboratory name Gyro laboratory bench file"
+        assert line(pilot, "equipment.0.name") == "equipment.0 name rate table bench file"
+        assert line(pilot, "item.serial_number").endswith("TG-0042 recording")
+        assert line(pilot, "performed.date").endswith("2026-05-01 recording")
+        assert "customer.name" in shown(pilot.app, "question")
+        await entered(pilot, "customer.name", "Aerial surveys")
+        await entered(pilot, "customer.address", "Langstrasse 1; Bern")
+        assert line(pilot, "customer.name") == "customer name Aerial surveys entered"
+        assert "customer.name" not in shown(pilot.app, "question")
+        await entered(pilot, "certificate.issued", "1.5.2026")
+        assert "WRONG: '1.5.2026' is no date: write it as 2026-11-23" in line(pilot, "certificate.issued")
+        await keep(pilot)  # is refused, and leads to what is wrong
+        await form_of(pilot, "WRONG certificate.issued")
         assert not list(jobs.glob("*.toml"))
-        await pilot.press(*["backspace"] * 8, *keys("2026-05-02"))
-        await until(pilot, lambda: "write it" not in row(form, "certificate.issued"))
-        assert row(form, "customer.name") == "entered"
-        await pilot.press("escape")  # asks, and goes back to the form
-        await until(pilot, lambda: pilot.app.screen is not form)
-        await pilot.press("escape", "ctrl+s")
-        await until(pilot, lambda: pilot.app.screen is not form and (jobs / "a-certificate.toml").exists())
-        again = await opened(pilot, run)
-        assert row(again, "customer.name") == "kept"
+        await entered(pilot, "certificate.issued", "2026-05-02")
+        for leave in ("escape", "ctrl+q"):
+            await pilot.press(leave)  # asks, and goes back to the form
+            await until(pilot, lambda: "not kept yet" in shown(pilot.app, "question"))
+            await pilot.press("escape")
+            await form_of(pilot)
+        await keep(pilot)
+        await until(pilot, lambda: (jobs / "a-certificate.toml").exists() and pilot.app.current_mode == "result")
+        await until(pilot, lambda: not isinstance(pilot.app.screen, FactsDialog))
+        await opened(pilot, run)
+        assert line(pilot, "customer.name") == "customer name Aerial surveys kept"
+        await pilot.press("escape")  # nothing was entered, nothing is asked
+        await until(pilot, lambda: pilot.app.screen.query("#verdict"))
 
     driven(app_of(jobs), drive)
     formal = read_formal(read_recorded(run))
     assert (formal.customer_name, formal.customer_address) == ("Aerial surveys", ("Langstrasse 1", "Bern"))
     assert (formal.laboratory_name, formal.equipment[0].name) == ("Gyro laboratory", "rate table")
     assert str(formal.certificate_issued) == "2026-05-02"
-    assert "Gyro laboratory" not in (jobs / "a-certificate.toml").read_text()  # the bench file states it
 
 
-def test_the_customer_of_another_device_is_shown_as_that_and_confirmed(jobs: Path) -> None:
+def test_the_customer_of_the_last_form_is_shown_as_that_and_the_job_is_not_taken_over(jobs: Path) -> None:
     async def drive(pilot: Pilot[None]) -> None:
-        form = await opened(pilot, jobs / "a.h5")
-        await entered(pilot, form, "customer.name", "Aerial surveys")
-        await entered(pilot, form, "certificate.number", "C-1")
-        await pilot.press("ctrl+s")
-        await until(pilot, lambda: (jobs / "a-certificate.toml").exists() and pilot.app.screen is not form)
-        form = await opened(pilot, jobs / "b.h5")
-        assert row(form, "customer.name") == "last form, TG-0042"
-        assert row(form, "certificate.number") == ""
-        await pilot.press("ctrl+s")
-        await until(pilot, lambda: "Aerial surveys" in shown(pilot.app, "question"))
-        assert not (jobs / "b-certificate.toml").exists()
-        await pilot.press("escape")
-        await entered(pilot, form, "customer.name", " Ltd")
-        await pilot.press("ctrl+s")
+        await opened(pilot, jobs / "a.h5")
+        await entered(pilot, "customer.name", "Aerial surveys")
+        await entered(pilot, "equipment.1.name", "level")
+        await entered(pilot, "equipment.1.no_due", "granite")
+        await entered(pilot, "certificate.number", "C-1")
+        assert line(pilot, "equipment.2.name").startswith("equipment.2")  # there is always one more
+        await keep(pilot)
+        await until(pilot, lambda: (jobs / "a-certificate.toml").exists() and pilot.app.screen.query("#verdict"))
+        await opened(pilot, jobs / "b.h5")
+        assert line(pilot, "customer.name").endswith("Aerial surveys LAST FORM on this bench")
+        assert line(pilot, "equipment.0.name").endswith("rate table bench file")
+        assert line(pilot, "certificate.number") == "certificate number"
+        await entered(pilot, "customer.name", "")
+        await entered(pilot, "item.condition", "new")
+        await keep(pilot)
         await until(pilot, lambda: (jobs / "b-certificate.toml").exists())
 
     driven(app_of(jobs), drive)
-    assert read_formal(read_recorded(jobs / "b.h5")).customer_name == "Aerial surveys Ltd"
+    first, second = (read_formal(read_recorded(jobs / f"{name}.h5")) for name in "ab")
+    assert [one.name for one in first.equipment] == ["rate table", "level"]
+    assert (second.customer_name, second.item_condition) == (None, "new")
