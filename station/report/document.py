@@ -5,6 +5,7 @@ import platform
 from dataclasses import dataclass
 from os.path import basename
 from pathlib import Path
+from typing import Any
 
 from drivers.packaged import packaged_toml
 from estimator.calibration.budget import TYPE_A
@@ -72,7 +73,7 @@ def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Re
     device = formal.item_serial_number or recorded.text("device")
     versions = [f"{name} {importlib.metadata.version(name)}" for name in _PACKAGES]
     not_seen = unseen.unseen_of(recorded)
-    values = {
+    values: dict[str, Any] = {
         "recorded": recorded,
         "on_table": isinstance(recorded.recording.reference, TableReadings),
         "formal": formal,

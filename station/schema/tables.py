@@ -111,9 +111,7 @@ def _value(key: Key, value: object, folder: Path, each: int) -> Any:
         if len(values) != each:
             raise ValueError(f"{len(values)} values where {each} belong: give one for all, or one each")
         return tuple(_number(key, one) for one in values)
-    if key.bound == "not_blank" and not all(
-        str(one).strip() for one in (value if isinstance(value, list) else [value])
-    ):
+    if key.bound == "not_blank" and "" in (str(one).strip() for one in (value if isinstance(value, list) else [value])):
         raise ValueError(f"{value!r} is blank: write it, or leave it out")
     if key.kind == "texts":
         return _texts(key, value)

@@ -32,7 +32,6 @@ from station.screen.memory import HIGH_CONTRAST, REMEMBERED, Remembered, load_re
 from station.screen.sessions.link import SessionLink, sessions_on, sessions_there, stop_session
 from station.screen.sessions.live_run import LiveRun, Stage
 from station.screen.sessions.programs import SessionProcess
-from station.screen.tabs.facts import FactsDialog
 from station.screen.tabs.giving_out import offered
 from station.screen.tabs.history import HistoryScreen
 from station.screen.tabs.prepare import PrepareScreen
@@ -157,8 +156,8 @@ class StationApp(App[None]):
         yield from (command for command in super().get_system_commands(screen) if command.title != "Keys")
 
     async def action_quit(self) -> None:
-        """Leave; if a session runs, ask what is to become of it. A form is left first, which asks, too."""
-        if isinstance(self.screen, FactsDialog):
+        """Leave; if a session runs, ask what is to become of it. A question is left first, also a form."""
+        if isinstance(self.screen, StationDialog):
             self.screen.dismiss(None)
             return
         if not self.busy:

@@ -21,14 +21,14 @@ _FRAME = ("scroll", "page", "app.focus", "screen.", "command_palette", "help_qui
 class StationDialog(ModalScreen[str | None]):
     """A question over a screen, with STOP below it as everywhere.
 
-    ``answers`` are what comes back, and the words for it.
+    ``answers`` are what comes back, and the words for it; ``begun`` is what is chosen or written at first.
     """
 
     BINDINGS: ClassVar = [("escape", "dismiss(None)", "Back")]
 
-    def __init__(self, question: str, answers: Sequence[tuple[str, str]] = ()) -> None:
+    def __init__(self, question: str, answers: Sequence[tuple[str, str]] = (), begun: str = "") -> None:
         super().__init__()
-        self._question, self._answers = question, answers
+        self._question, self._answers, self._begun = question, answers, begun
 
     def compose(self) -> ComposeResult:
         with Vertical(id="dialog"):
@@ -65,31 +65,24 @@ class AskDialog(StationDialog):
 
 
 class ChooseDialog(StationDialog):
-    """A list to choose one line from, at first ``at`` one of them."""
-
-    def __init__(self, question: str, answers: Sequence[tuple[str, str]], at: str | None = None) -> None:
-        super().__init__(question, answers)
-        self._at = [key for key, _ in answers].index(at) if at else 0
+    """A list to choose one line from."""
 
     def answers(self) -> ComposeResult:
         yield OptionList(*(Option(words, id=key) for key, words in self._answers), markup=False)
 
     def on_mount(self) -> None:
-        self.query_one(OptionList).highlighted = self._at
+        keys = [key for key, _ in self._answers]
+        self.query_one(OptionList).highlighted = keys.index(self._begun) if self._begun else 0
 
     def on_option_list_option_selected(self, event: OptionList.OptionSelected) -> None:
         self.dismiss(event.option.id)
 
 
 class AskTextDialog(StationDialog):
-    """A question that is answered by a line of text; ``text`` is there at first."""
-
-    def __init__(self, question: str, text: str = "") -> None:
-        super().__init__(question)
-        self._text = text
+    """A question that is answered by a line of text."""
 
     def answers(self) -> ComposeResult:
-        yield Field(value=self._text, max_length=200)
+        yield Field(value=self._begun, max_length=200)
 
     def on_input_submitted(self, event: Input.Submitted) -> None:
         self.dismiss(event.value.strip())

@@ -84,7 +84,7 @@ class Whole:
 
     ``sizes`` are the limits of the four states in SI, infinite where there is none; ``curves`` the live estimates by
     gyro, ``investigation`` the newest that is kept beside it, as JSON. ``samples`` and ``lost`` are None without a
-    calibration. ``bench`` is the text of its bench file; ``begun_utc`` is None where that is not known.
+    calibration. ``attributes`` are those of the file.
     """
 
     entry: Entry
@@ -97,17 +97,7 @@ class Whole:
     events: Sequence[tuple[float, str]] = ()
     curves: Mapping[str, Trend] = field(default_factory=dict)
     investigation: Mapping[str, Any] = field(default_factory=dict)
-    bench: str = ""
-    begun_utc: datetime | None = None
-
-    @property
-    def path(self) -> Path:
-        """Path of the recording."""
-        return self.entry.path
-
-    def text(self, name: str) -> str:
-        """Return an attribute of the recording as text, empty if it has none."""
-        return self.bench if name == "bench" else self.entry.texts.get(name, "")
+    attributes: Mapping[str, Any] = field(default_factory=dict)
 
 
 def last_before(entry: Entry, others: Sequence[Entry]) -> Entry | None:

@@ -6,7 +6,6 @@ import shutil
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -99,14 +98,11 @@ def _whole(entry: Entry, file: Any) -> Whole:
     if events is not None and "text" in events:
         rows = zip(events["t_ns"][()], events["text"][()], strict=False)
         found["events"] = [(float(t) * 1e-9, plain(text)) for t, text in rows]
-    if "clock_zero_utc_s" in file.attrs:
-        found["begun_utc"] = datetime.fromtimestamp(entry.when_utc_s, UTC)
-    bench = str(plain(file.attrs.get("bench", "")))
     return Whole(
         entry,
         **found,
-        bench=bench,
-        sizes=_sizes(bench),
+        attributes={name: plain(value) for name, value in file.attrs.items()},
+        sizes=_sizes(str(plain(file.attrs.get("bench", "")))),
         curves=_curves(file),
         investigation=_investigation(entry.path),
     )

@@ -201,10 +201,8 @@ class ResultScreen(StationScreen):
             return f"wait: {self._busy}"
         if what == "accept":
             return self._not_to_accept(entry)
-        if what == "investigate":
+        if what in ("investigate", "facts"):
             return "" if entry.gyros else "there is no calibration in this recording"
-        if what == "facts":
-            return ""
         if what == "next" and not self._found.get("next_script"):
             return "no investigation has asked for another script (I investigates)"
         return "a session runs: F3 shows it" if self.station.busy else ""
