@@ -125,8 +125,7 @@ def logo_of(path: Path) -> str:
                 picture.load()  # to its end
                 kind = str(picture.format).lower()
     except Exception:  # of each kind its own, for bytes that a stranger chose
-        told = "is no picture, or not a whole one: give a .svg, .png or .jpg"
-        raise UsageError(f"laboratory.logo: {path} {told}") from None
+        raise UsageError(f"laboratory.logo: {path} is no picture, or not whole: give a .svg, .png or .jpg") from None
     return f"data:image/{kind};base64,{b64encode(content).decode()}"
 
 
@@ -134,9 +133,7 @@ def _check_dates(top: Table, stated: Mapping[str, Any], begun: date | None) -> N
     """See that dates are in their order; ``begun`` is that of the recording, UTC, a day beside that of some places."""
     day = stated["performed_date"]
     if begun and day and abs((day - begun).days) > 1:
-        raise top.fail_at(
-            f"performed.date: {day} cannot be, the recording began on {begun} UTC: correct it, or leave it out"
-        )
+        raise top.fail_at(f"performed.date: {day} cannot be, the run began on {begun} UTC: correct it, or leave it out")
     for first, then in pairwise(field for field in _ORDER if stated.get(field)):
         if (stated[first] - stated[then]).days > ("performed_date" in (first, then)):
             own, other = (first, then) if then == "performed_date" else (then, first)

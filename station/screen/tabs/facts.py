@@ -41,16 +41,13 @@ class FactsDialog(ChooseDialog):
 
 async def fill_in(app: Any, whole: Whole) -> None:
     """Ask for facts, by names as "customer.name" and "equipment.0.due", until they are kept or given up."""
-    recorded = await asyncio.to_thread(_head, whole)
-    from station.report.formal import kept_facts, read_formal
-
-    station = hashlib.sha256(recorded.text("station").encode()).hexdigest()
-    kept, last = kept_facts(recorded.path), state_folder() / f"certificate-{station[:20]}.toml"
     try:
-        sources = await asyncio.to_thread(_sources, recorded, kept, last)
+        recorded, files, sources = await asyncio.to_thread(_stated, whole)
     except (UsageError, *MISSHAPEN) as error:
         app.notify(str(error), title="What is known cannot be read", severity="error", markup=False)
         return
+    from station.report.formal import read_formal  # imported by now
+
     begun: dict[str, str] = {}
     for facts in sources.values():  # what comes first goes before, and lists are not mixed
         listed = any(field.startswith(_LIST) for field in begun)
@@ -58,9 +55,9 @@ async def fill_in(app: Any, whole: Whole) -> None:
     entered, chosen, values = {**begun}, "", {**_FORM, "sources": sources, "path": recorded.path}
     while True:
         toml = rendered("station.screen", "facts.toml", {**values, "facts": entered})
-        values |= {"facts": entered, "formal": None, "place": "", "wrong": ""}
+        values |= {"facts": entered, "formal": None, "place": "", "wrong": "", "width": app.size.width}
         try:
-            values["formal"] = await asyncio.to_thread(read_formal, recorded, kept, toml)
+            values["formal"] = await asyncio.to_thread(read_formal, recorded, files[0], toml)
         except UsageError as error:
             found = _PLACE.search(str(error))
             values |= {"place": found[1], "wrong": found[2]} if found else {"wrong": str(error)}
@@ -78,33 +75,33 @@ async def fill_in(app: Any, whole: Whole) -> None:
             chosen = values["place"]
         else:
             try:
-                for file in (kept, last):
+                for file in files:
                     await asyncio.to_thread(write_whole, file, toml, replace=True)
-                app.notify(f"{kept}: CTRL+P makes report, PDF and DCC with them", title="Kept", markup=False)
+                app.notify(f"{files[0]}: CTRL+P makes report, PDF and DCC with them", title="Kept", markup=False)
                 return
             except UsageError as error:
                 app.notify(str(error), title="NOT kept", severity="error", markup=False)
 
 
-def _head(whole: Whole) -> Recorded:
-    """Return a recording of which nothing but the attributes is known, as what reads the formal facts takes it."""
+def _stated(whole: Whole) -> tuple[Recorded, tuple[Path, Path], Mapping[str, Mapping[str, str]]]:
+    """Return a recording without samples, the files to keep facts in, and those that are stated already, by where."""
     from estimator.recordings.recording import Recording
+    from station.report.formal import kept_facts
     from station.report.recorded import Recorded, Step
 
     head = Recording({}, None, attributes=whole.attributes)  # type: ignore[arg-type]
-    return Recorded(whole.entry.path, head, None, None, {}, {}, (Step("", 0, 0),), ())
-
-
-def _sources(recorded: Recorded, kept: Path, last: Path) -> Mapping[str, Mapping[str, str]]:
-    """Return the facts that are stated already, by where; what comes first goes before."""
+    recorded = Recorded(whole.entry.path, head, None, None, {}, {}, (Step("", 0, 0),), ())
+    station = hashlib.sha256(recorded.text("station").encode()).hexdigest()
+    kept, last = kept_facts(recorded.path), state_folder() / f"certificate-{station[:20]}.toml"
     told = {field: recorded.text(name) for field, name in _RECORDED.items()}
     told["performed.date"] = str(recorded.begun_utc.date()) if recorded.begun_utc else ""
     found = {"recording": {field: text for field, text in told.items() if text}}
     found["bench file"] = _texts(recorded.text("bench"))
     if kept.is_file():
-        return {"kept": _texts(read_text(kept, UsageError)), **found}
+        return recorded, (kept, last), {"kept": _texts(read_text(kept, UsageError)), **found}
     facts = _texts(read_text(last, UsageError)) if last.is_file() else {}
-    return {**found, "LAST FORM on this bench": {f: text for f, text in facts.items() if f.startswith(_LASTING)}}
+    found["LAST FORM, this bench"] = {field: text for field, text in facts.items() if field.startswith(_LASTING)}
+    return recorded, (kept, last), found
 
 
 def _texts(toml: str) -> dict[str, str]:
