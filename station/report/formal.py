@@ -80,8 +80,7 @@ def read_formal(recorded: Recorded, meta: Path | None = None, text: str | None =
     Raises UsageError with line and key for a file that is wrong or of another device, BenchError for the bench text.
     """
     beside, kept = recorded.path.parent, kept_facts(recorded.path)
-    if text is None:
-        text = read_text(meta or kept, UsageError) if meta or kept.is_file() else ""
+    text = read_text(meta or kept, UsageError) if text is None and (meta or kept.is_file()) else text or ""
     bench = Table.parse(recorded.text("bench"), "bench in the recording", BenchError)
     top = Table.parse(text, str(meta or kept), UsageError)
     decision = top.again().table("decision", optional=True)

@@ -71,8 +71,7 @@ class ChooseDialog(StationDialog):
         yield OptionList(*(Option(words, id=key) for key, words in self._answers), markup=False)
 
     def on_mount(self) -> None:
-        keys = [key for key, _ in self._answers]
-        self.query_one(OptionList).highlighted = keys.index(self._begun) if self._begun else 0
+        self.query_one(OptionList).highlighted = [*dict(self._answers)].index(self._begun) if self._begun else 0
 
     def on_option_list_option_selected(self, event: OptionList.OptionSelected) -> None:
         self.dismiss(event.option.id)
