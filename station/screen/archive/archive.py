@@ -111,7 +111,7 @@ def _done(work: str, *about: Any) -> Any:
 
 def _files(folder: Path) -> list[File]:
     found: list[File] = []
-    walk = os.walk(folder, onerror=lambda error: found.append((str(error.filename), 0, 0)))  # listed as what is wrong
+    walk = os.walk(folder, onerror=lambda e: found.extend([(e.filename, 0, 0)] * os.path.exists(e.filename)))  # told
     for path in (os.path.join(top, name) for top, _, names in walk for name in names):
         with suppress(OSError):
             if path.endswith(".h5"):
