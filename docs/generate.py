@@ -214,7 +214,7 @@ def _kind(key: Any) -> str:
     kind = known.get(key.kind, f"[{key.kind}](units.md)")
     if key.one_of and len(key.one_of) < 13:
         kind = ("different ones of " if key.kind == "texts" else "") + ", ".join(f"`{one}`" for one in key.one_of)
-    bound = {"above_zero": "above zero", "not_negative": "zero or more"}.get(key.bound, key.bound)
+    bound = {"above_zero": "above zero", "not_negative": "zero or more", "not_blank": ""}.get(key.bound, key.bound)
     return kind + (f", {bound}" if bound else "") + (", or a list of them" if key.each else "")
 
 

@@ -21,7 +21,7 @@ class Key:
     ``kind`` is "text", "texts", "pattern", "path", "link", "date", "flag", "integer", "number", "table", "tables",
     "any", or what a quantity measures ("time", "angle"); its value is then in SI. Without a ``default`` it may be left
     out (None), unless it is ``required``. ``one_of`` are the values that it may have; ``bound`` of a number is
-    "above_zero", "not_negative", or "0 to 253"; ``told`` is what is said of a number that is beyond, with {} for it. Of
+    "above_zero", "not_negative", or "0 to 253", of a text "not_blank"; ``told`` is said of others, with {} for them. Of
     an ``each`` there may be one for all, or a list of one each. ``read`` makes something else of a text, given the
     folder of the file; its ValueError is told. ``station init`` asks for the value of one that is ``asked``, and shows
     an ``example`` of one that it leaves out. It becomes the ``field``, if that has another name; a table has the

@@ -128,6 +128,9 @@ def read_bench(
     top = Table.parse(text, file, BenchError)
     own = top.read_all("bench.bench", folder)
     name, place = own["name"] or called, own["station"].read_all("bench.station")
+    decision = own["decision"].again().read_all("certificate.decision")
+    if decision["false_accept"] is not None and decision["rule"] != "guard band":
+        raise own["decision"].fail("false_accept", 'is for rule = "guard band"')
     for key in ("laboratory", "procedure", "decision", "equipment"):  # certificates read them in the recording
         for stated in own[key] if key == "equipment" else [own[key]]:
             stated.check(f"certificate.{key}")

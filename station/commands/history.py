@@ -35,8 +35,10 @@ def command_history(arguments: argparse.Namespace) -> int:
     """List the recordings of a folder, the newest first, and charts of a device, or a gauge study; always 0."""
     folder, data, since = Path(arguments.folder), arguments.json or arguments.csv, arguments.since or ""
     outcome = arguments.outcome and arguments.outcome.upper()
-    if not folder.is_dir():
-        raise UsageError(f"{folder} is no folder: name the one that holds the recordings")
+    try:
+        os.scandir(folder).close()
+    except OSError as error:
+        raise UsageError(f"{folder}: {error.strerror}: name the folder that holds the recordings") from None
     if not re.fullmatch(r"(\d{4}(-\d\d){0,2})?", since, re.ASCII):
         raise UsageError(f"--since {since}: write a date, for instance 2026-11 or 2026-11-21")
     if outcome not in (None, *OUTCOME_STYLES):

@@ -36,8 +36,6 @@ def check_facts(formal: Formal) -> None:
             f"a digital calibration certificate must state {', '.join(missing)}, and nobody did: write it into the "
             "file for --meta (customer.name is `name` below [customer]), what is of the laboratory into the bench file"
         )
-    if not re.fullmatch("[A-Z]{2}", str(formal.laboratory_country)):
-        raise UsageError(f"laboratory.country = {formal.laboratory_country!r}: give two capital letters (ISO 3166-1)")
 
 
 def make_dcc(recorded: Recorded, formal: Formal, report: Report, pdf: bytes | None = None) -> bytes:

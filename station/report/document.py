@@ -2,16 +2,14 @@
 
 import importlib.metadata
 import platform
-from base64 import b64encode
 from dataclasses import dataclass
-from mimetypes import guess_type
 from os.path import basename
 from pathlib import Path
+from typing import Any
 
 from drivers.packaged import packaged_toml
 from estimator.calibration.budget import TYPE_A
 from estimator.recordings.reference import TableReadings
-from estimator.untrusted import MOST_TEXT_BYTES, read_bytes
 from station.errors import UsageError
 from station.exports.exported import RAW_RULE, file_sha256, raw_sha256
 from station.render.investigation_printed import verdict_lines
@@ -20,7 +18,7 @@ from station.render.template import rendered
 from station.report import figures, pictures
 from station.report import traced as residual
 from station.report.chapters import correction, front, results, unseen
-from station.report.formal import Formal
+from station.report.formal import Formal, logo_of
 from station.report.recorded import Recorded, laid_out, read_recorded
 from station.report.standing import Standing, number_of, standing_of
 from station.report.traced import Traced
@@ -75,11 +73,11 @@ def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Re
     device = formal.item_serial_number or recorded.text("device")
     versions = [f"{name} {importlib.metadata.version(name)}" for name in _PACKAGES]
     not_seen = unseen.unseen_of(recorded)
-    values = {
+    values: dict[str, Any] = {
         "recorded": recorded,
         "on_table": isinstance(recorded.recording.reference, TableReadings),
         "formal": formal,
-        "logo": _logo(formal.laboratory_logo) if formal.laboratory_logo else "",
+        "logo": logo_of(formal.laboratory_logo) if formal.laboratory_logo else "",
         "before": before,
         "found": recorded.calibration,
         "standing": standing,
@@ -105,12 +103,3 @@ def _as_found(recorded: Recorded, path: Path) -> Recorded:
     if later or not before.labels or before.labels != recorded.labels or len(serials) > 2:
         raise UsageError(f"{path}: item.as_found must be an earlier calibration of the same gyros of the same device")
     return before
-
-
-def _logo(path: Path) -> str:
-    """Return a picture as a data URI; UsageError if it cannot be read, or is none by its name."""
-    kind = str(guess_type(path.name)[0])
-    if not kind.startswith("image/"):
-        raise UsageError(f"laboratory.logo: {path} is no picture: give a .svg, .png or .jpg")
-    content = read_bytes(path, UsageError, MOST_TEXT_BYTES, f"laboratory.logo: {path}")
-    return f"data:{kind};base64,{b64encode(content).decode()}"

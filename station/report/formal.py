@@ -1,79 +1,65 @@
 """What a certificate states beside the measurement, by ISO/IEC 17025:2017, 7.8: of the recording, its bench, a file."""
 
-from collections.abc import Iterator
+from base64 import b64encode
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import date
+from io import BytesIO
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from estimator.untrusted import MOST_TEXT_BYTES, read_bytes, read_text
 from station.errors import BenchError, UsageError
 from station.report.recorded import Recorded
 from station.schema.tables import Table, keys_of
 
 _RECORDED = {"operator": "operator", "item_serial_told": "device_serial_told", "item_serial_reason": "serial_reason"}
 _LEAST_BAND = 0.025  # probability of false acceptance with a guard band as wide as U, ILAC-G8:09/2019
+_ORDER = ("item_received", "performed_date", "certificate_issued", "certificate_next_due")
 
 
 @dataclass(frozen=True, slots=True)
 class Equipment:
-    """An instrument that was used, the certificate of its own calibration, and until when that is good."""
+    """An instrument that was used, the certificate of its calibration, until when that is good, or why no such date."""
 
     name: str
     serial_number: str | None
     certificate: str | None
     due: date | None
+    no_due: str | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+_LEFT_OUT: Mapping[str, Any] = {
+    f"{section.name}_{key.field or key.name}": () if key.kind == "texts" else None
+    for section in keys_of("certificate.certificate_file")
+    for key in keys_of(f"certificate.{section.name}")
+} | {"equipment": (), "decision_rule": "simple"}
+
+
+@dataclass(frozen=True, slots=True)
 class Formal:
-    """The formal facts, by section and key of station/schema/certificate.toml; None: not stated.
+    """The formal facts, attributes by section and key of station/schema/certificate.toml; None: not stated.
 
-    ``item_serial_told`` is what the device says of itself where that is another number, with the reason why both are
-    right. ``performed_date`` is that of the recording, UTC, unless somebody stated it. ``performed_humidity`` is a
-    share of 1. ``decision_false_accept`` is None of simple acceptance. ``operator`` made the run;
+    ``item_serial_told`` is what the device says of itself where that is another number, with ``item_serial_reason`` why
+    both are right. ``performed_date`` is that of the recording, UTC, unless somebody stated it. ``performed_humidity``
+    is a share of 1. ``decision_false_accept`` is None of simple acceptance. ``operator`` made the run;
     ``approved_by_another``: the bench wants the certificate approved by somebody else.
     """
 
-    laboratory_name: str | None = None
-    laboratory_address: tuple[str, ...] = ()
-    laboratory_country: str | None = None
-    laboratory_contact: str | None = None
-    laboratory_accreditation: str | None = None
-    laboratory_logo: Path | None = None
-    customer_name: str | None = None
-    customer_address: tuple[str, ...] = ()
-    item_maker: str | None = None
-    item_model: str | None = None
-    item_serial_number: str | None = None
-    item_serial_told: str | None = None
-    item_serial_reason: str | None = None
-    item_condition: str | None = None
-    item_as_found: Path | None = None
-    item_received: date | None = None
-    performed_place: str | None = None
-    performed_date: date | None = None
-    performed_temperature_c: float | None = None
-    performed_temperature_from: str | None = None
-    performed_humidity: float | None = None
-    performed_humidity_from: str | None = None
-    equipment: tuple[Equipment, ...] = ()
-    procedure_name: str | None = None
-    procedure_edition: str | None = None
-    decision_rule: str = "simple"
-    decision_false_accept: float | None = None
-    certificate_number: str | None = None
-    certificate_issued: date | None = None
-    certificate_approved_by: str | None = None
-    certificate_remark: str | None = None
-    certificate_next_due: date | None = None
-    operator: str | None = None
-    approved_by_another: bool = False
+    stated: Mapping[str, Any]
+
+    def __getattr__(self, fact: str) -> Any:
+        if fact not in self.stated:
+            raise AttributeError(fact)
+        return self.stated[fact]
 
     @property
     def overdue(self) -> tuple[Equipment, ...]:
-        """Instruments whose calibration was over at the time of this one."""
+        """Instruments whose calibration was over at the time of this one, or nobody stated until when it is good."""
         day = self.performed_date
-        return tuple(one for one in self.equipment if day is not None and one.due is not None and one.due < day)
+        late = (not one.no_due if one.due is None else day is not None and one.due < day for one in self.equipment)
+        return tuple(one for one, over in zip(self.equipment, late, strict=True) if over)
 
     @property
     def approved(self) -> bool:
@@ -82,38 +68,76 @@ class Formal:
         return not self.approved_by_another or by not in ("", made)
 
 
-def read_formal(recorded: Recorded, meta: Path | None = None) -> Formal:
+def kept_facts(recording: Path) -> Path:
+    """Return the file beside a recording in which the form on the screen keeps what was entered."""
+    return recording.with_name(f"{recording.stem}-certificate.toml")
+
+
+def read_formal(recorded: Recorded, meta: Path | None = None, text: str | None = None) -> Formal:
     """Return the formal facts of a recording: its own, those of its bench, and before these of the file for --meta.
 
+    Without ``meta`` it is the file that the form on the screen kept, if there is one; ``text`` is what it is to hold.
     Raises UsageError with line and key for a file that is wrong or of another device, BenchError for the bench text.
     """
-    beside = recorded.path.parent
+    beside, kept = recorded.path.parent, kept_facts(recorded.path)
+    text = read_text(meta or kept, UsageError) if text is None and (meta or kept.is_file()) else text or ""
     bench = Table.parse(recorded.text("bench"), "bench in the recording", BenchError)
-    top = Table.parse("", "", UsageError) if meta is None else Table.load(meta, UsageError)
-    item, performed, decision = (top.again().table(name, optional=True) for name in ("item", "performed", "decision"))
-    stated = dict(_facts(bench, beside))
-    if logo := stated.get("laboratory_logo"):
-        stated["laboratory_logo"] = beside / logo.name  # no other file of this computer, whoever made the recording
-    stated |= dict(_facts(top, beside if meta is None else meta.parent))
+    top = Table.parse(text, str(meta or kept), UsageError)
+    decision = top.again().table("decision", optional=True)
+    own = dict(_facts(top, (meta or kept).parent))
     top.done()
+    stated = dict(_facts(bench, beside)) | own
+    if logo := stated.get("laboratory_logo"):
+        if meta in (None, kept) or "laboratory_logo" not in own:
+            stated["laboratory_logo"] = logo = beside / logo.name  # no other file of this computer, whoever made these
+        logo_of(logo)
     serial, begun = recorded.text("device_serial"), recorded.begun_utc
     if serial and stated.setdefault("item_serial_number", serial) != serial:
-        raise item.fail("serial_number", f"{stated['item_serial_number']!r}: the recording is of {serial!r}")
+        raise top.fail_at(f"item.serial_number: {stated['item_serial_number']!r}: the recording is of {serial!r}")
     if stated.get("decision_rule") == "guard band":
         stated.setdefault("decision_false_accept", _LEAST_BAND)
     elif stated.pop("decision_false_accept", None) and (decision.has("false_accept") or not decision.has("rule")):
         where = decision if decision.has("false_accept") else bench.table("decision", optional=True)
         raise where.fail("false_accept", 'is for rule = "guard band"')
     stated.setdefault("certificate_approved_by", recorded.text("accepted_by") or None)
-    day = stated.setdefault("performed_date", begun and begun.date())
-    if begun is not None and day is not None and abs((day - begun.date()).days) > 1:  # but for the time of the place
-        raise performed.fail("date", f"'{day}': the recording began on {begun.date()} UTC")
-    for first, then in (("item_received", "performed_date"), ("performed_date", "certificate_issued")):
-        if (early := stated.get(first)) and (late := stated.get(then)) and (early - late).days > 1:  # likewise
-            raise UsageError(f"{meta}: {first.replace('_', '.')} {early} is after {then.replace('_', '.')} {late}")
+    stated.setdefault("performed_date", begun and begun.date())
+    _check_dates(top, stated, begun and begun.date())
     stated |= {field: recorded.text(name) or None for field, name in _RECORDED.items()}
     stated["approved_by_another"] = bench.table("station", optional=True).read("bench.station")["approved_by_another"]
-    return Formal(**stated)
+    return Formal({**_LEFT_OUT, **stated})
+
+
+def logo_of(path: Path) -> str:
+    """Return a picture as a data URI; UsageError if it cannot be read, or holds none, whatever its name."""
+    from lxml import etree
+    from PIL import Image
+
+    content = read_bytes(path, UsageError, MOST_TEXT_BYTES, f"laboratory.logo: {path}")
+    try:
+        if path.suffix.lower() == ".svg":
+            root = etree.fromstring(content, etree.XMLParser(no_network=True, resolve_entities=False))
+            if root.tag != "{http://www.w3.org/2000/svg}svg":
+                raise ValueError
+            kind = "svg+xml"
+        else:
+            with Image.open(BytesIO(content), formats=("PNG", "JPEG")) as picture:
+                picture.load()  # to its end
+                kind = str(picture.format).lower()
+    except Exception:  # of each kind its own, for bytes that a stranger chose
+        raise UsageError(f"laboratory.logo: {path} is no picture, or not whole: give a .svg, .png or .jpg") from None
+    return f"data:image/{kind};base64,{b64encode(content).decode()}"
+
+
+def _check_dates(top: Table, stated: Mapping[str, Any], begun: date | None) -> None:
+    """See that dates are in their order; ``begun`` is that of the recording, UTC, a day beside that of some places."""
+    day = stated["performed_date"]
+    if begun and day and abs((day - begun).days) > 1:
+        raise top.fail_at(f"performed.date: {day} cannot be, the run began on {begun} UTC: correct it, or leave it out")
+    for first, then in pairwise(field for field in _ORDER if stated.get(field)):
+        if (stated[first] - stated[then]).days > ("performed_date" in (first, then)):
+            own, other = (first, then) if then == "performed_date" else (then, first)
+            told = [f"{field.replace('_', '.', 1)}{sign} {stated[field]}" for field, sign in ((own, ":"), (other, ","))]
+            raise top.fail_at(f"{' and '.join(told)}, are in the wrong order: correct one")
 
 
 def _facts(top: Table, folder: Path) -> Iterator[tuple[str, Any]]:

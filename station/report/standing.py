@@ -25,7 +25,7 @@ class Kind(Enum):
     ELSEWHERE = ("Calibration report", ": no run of the station made the recording")
     UNJUDGED = ("Calibration report", ": the recording states no limits, so nothing was judged")
     FAILED = ("Calibration report: not within limits", ": the calibration failed its limits")
-    OVERDUE = ("Calibration report", ": the calibration of an instrument that was used was over")
+    OVERDUE = ("Calibration report", ": the calibration of an instrument that was used was over, or has no date")
     NOT_APPROVED = ("Calibration report", ": nobody but the operator approved it, and the bench file asks for another")
     NO_ESTIMATE = ("Report of a failed calibration", ": the run came to no estimate")
     MANUAL = ("Report of a session in manual mode", ": the table was driven by hand, and nothing was judged")

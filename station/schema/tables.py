@@ -111,6 +111,8 @@ def _value(key: Key, value: object, folder: Path, each: int) -> Any:
         if len(values) != each:
             raise ValueError(f"{len(values)} values where {each} belong: give one for all, or one each")
         return tuple(_number(key, one) for one in values)
+    if key.bound == "not_blank" and "" in (str(one).strip() for one in (value if isinstance(value, list) else [value])):
+        raise ValueError(f"{value!r} is blank: write it, or leave it out")
     if key.kind == "texts":
         return _texts(key, value)
     if key.kind == "any":
@@ -125,7 +127,7 @@ def _value(key: Key, value: object, folder: Path, each: int) -> Any:
         raise ValueError(f"{str(value)!r} is no date: write it as 2026-11-23")
     text = str(typed(value, (str,), "a text"))
     if key.one_of and text not in key.one_of:
-        raise ValueError(not_one_of(text, key.one_of))
+        raise ValueError(key.told.format(text) or not_one_of(text, key.one_of))
     if key.file and (file := folder / text).is_file():
         Table.load(file, UsageError).check(key.file)
     if key.read is not None:

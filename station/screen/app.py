@@ -179,7 +179,10 @@ class StationApp(App[None]):
         yield from (command for command in super().get_system_commands(screen) if command.title != "Keys")
 
     async def action_quit(self) -> None:
-        """Leave; if a session runs, ask what is to become of it."""
+        """Leave; if a session runs, ask what is to become of it. A question is left first, also a form."""
+        if isinstance(self.screen, StationDialog):
+            self.screen.dismiss(None)
+            return
         if not self.busy:
             self.exit()
             return

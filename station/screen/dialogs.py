@@ -67,6 +67,9 @@ class ChooseDialog(StationDialog):
     def answers(self) -> ComposeResult:
         yield OptionList(*(Option(words, id=key) for key, words in self._answers), markup=False)
 
+    def on_mount(self) -> None:
+        self.query_one(OptionList).highlighted = [*dict(self._answers)].index(self._begun) if self._begun else 0
+
     def on_option_list_option_selected(self, event: OptionList.OptionSelected) -> None:
         self.dismiss(event.option.id)
 

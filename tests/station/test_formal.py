@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from datetime import date
+from io import BytesIO
 from pathlib import Path
 from typing import Any, cast
 
 import pytest
+from PIL import Image
 
 from estimator.recordings.recording import Recording
 from station.bench.bench import default_bench_text, read_bench
@@ -77,9 +79,9 @@ def test_a_file_of_another_device_or_that_is_wrong_is_refused_with_its_line(tmp_
         '[item]\nreceived = "2.5.2026"': r"line 2: item.received: '2.5.2026' is no date: write it as 2026-11-23",
         '[customer]\nnmae = "x"': r"line 2: customer.nmae: unknown key; did you mean name\?",
         '[decision]\nrule = "simple"\nfalse_accept = "1 %"': r"line 3: decision.false_accept: is for rule = ",
-        "[performed]\ndate = 2026-04-20": r"line 2: performed.date: '2026-04-20': the .* began on 2026-05-01",
-        "[item]\nreceived = 2026-05-20": r"item.received 2026-05-20 is after performed.date 2026-05-01",
-        "[certificate]\nissued = 2020-01-01": r"performed.date 2026-05-01 is after certificate.issued 2020-01-01",
+        "[performed]\ndate = 2026-04-20": r"line 2: performed.date: 2026-04-20 .* began on 2026-05-01",
+        "[item]\nreceived = 2026-05-20": r"line 2: item.received: 2026-05-20 and performed.date, 2026-05-01, are in",
+        "[certificate]\nissued = 2020-01-01": r"line 2: certificate.issued: 2020-01-01 and performed.date, 2026",
         '[[equipment]]\nserial_number = "7"': r"equipment.0: name is missing",
         "[lab]": r"lab: unknown key",
     }.items():
@@ -98,7 +100,8 @@ def test_a_bench_that_states_how_much_may_be_accepted_wrongly_has_a_guard_band_o
 
 def test_the_bench_of_a_stranger_leads_to_no_file_but_beside_its_recording(tmp_path: Path) -> None:
     bench = '[laboratory]\nlogo = "/etc/../etc/passwd"\n'
-    assert read_formal(recorded(tmp_path, bench)).laboratory_logo == tmp_path / "passwd"
+    with pytest.raises(UsageError, match=f"laboratory.logo: {tmp_path}/passwd cannot be read"):
+        read_formal(recorded(tmp_path, bench))
 
 
 def test_equipment_is_overdue_and_approval_lacking_by_what_the_bench_wants(tmp_path: Path) -> None:
@@ -114,3 +117,64 @@ def test_a_bench_file_is_checked_when_it_is_read_and_not_when_the_certificate_is
     assert read_bench(default_bench_text() + more, "bench.toml").text.endswith(more)
     with pytest.raises(BenchError, match=r"laboratory.adress: unknown key; did you mean address\?"):
         read_bench(default_bench_text() + '[laboratory]\nadress = ["Zürich"]\n', "bench.toml")
+
+
+def test_what_a_form_kept_beside_the_recording_is_found_and_leads_to_no_file_elsewhere(tmp_path: Path) -> None:
+    kept = tmp_path / "run-certificate.toml"
+    kept.write_text('[customer]\nname = "Aerial surveys"\n[laboratory]\nlogo = "/etc/passwd"\n', encoding="utf-8")
+    with pytest.raises(UsageError, match=f"laboratory.logo: {tmp_path}/passwd cannot be read"):
+        read_formal(recorded(tmp_path))
+    kept.write_text('[customer]\nname = "Aerial surveys"\n', encoding="utf-8")
+    assert read_formal(recorded(tmp_path)).customer_name == "Aerial surveys"
+    assert read_formal(recorded(tmp_path), written(tmp_path, "")).customer_name is None
+
+
+def test_a_logo_is_a_picture_by_what_it_holds(tmp_path: Path) -> None:
+    whole = BytesIO()
+    Image.new("RGB", (40, 40), "navy").save(whole, "PNG")
+    files = {"text.png": b"not a picture", "torn.png": whole.getvalue()[:-40], "text.svg": b"<svg", "html.svg": b"<a/>"}
+    for name, content in files.items():
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(UsageError, match=rf"laboratory.logo: .*{name} is no picture.*give a .svg, .png or .jpg"):
+            read_formal(recorded(tmp_path), written(tmp_path, f'[laboratory]\nlogo = "{name}"\n'))
+    (tmp_path / "photo.jpg").write_bytes(whole.getvalue())
+    found = read_formal(recorded(tmp_path), written(tmp_path, '[laboratory]\nlogo = "photo.jpg"\n'))
+    assert found.laboratory_logo == tmp_path / "photo.jpg"
+
+
+def test_blank_names_and_countries_that_there_are_not_are_refused(tmp_path: Path) -> None:
+    for text, said in {
+        '[customer]\nname = " "': r"line 2: customer.name: ' ' is blank: write it, or leave it out",
+        '[customer]\naddress = ["Bern", ""]': r"line 2: customer.address: .* is blank",
+        '[laboratory]\ncountry = "XX"': r"line 2: laboratory.country: 'XX' is no country of ISO 3166-1",
+        '[laboratory]\ncountry = "ch"': r"line 2: laboratory.country: 'ch' is no country .* two capital letters",
+    }.items():
+        with pytest.raises(UsageError, match=said):
+            read_formal(recorded(tmp_path), written(tmp_path, text))
+    with pytest.raises(BenchError, match="laboratory.country: 'UK' is no country"):
+        read_bench(default_bench_text() + '[laboratory]\ncountry = "UK"\n', "bench.toml")
+    stated = written(tmp_path, '[laboratory]\ncountry = "GB"\n')
+    assert read_formal(recorded(tmp_path), stated).laboratory_country == "GB"
+
+
+def test_equipment_states_until_when_it_is_good_or_why_that_has_no_date(tmp_path: Path) -> None:
+    undated = '[[equipment]]\nname = "level"\ncertificate = "L-1"\n'
+    assert [one.name for one in read_formal(recorded(tmp_path), written(tmp_path, undated)).overdue] == ["level"]
+    reason = f'{undated}no_due = "a square of granite, checked before each use"\n'
+    assert not read_formal(recorded(tmp_path), written(tmp_path, reason)).overdue
+
+
+def test_dates_that_cannot_follow_each_other_are_told_where_they_stand(tmp_path: Path) -> None:
+    run = recorded(tmp_path)
+    for text, said in {
+        "[certificate]\nnext_due = 2026-04-01": r"line 2: certificate.next_due: 2026-04-01 and performed.date, 2026",
+        "[certificate]\nissued = 2026-06-01\nnext_due = 2026-05-20": r"line 3: .* certificate.issued, 2026-06-01",
+        "[performed]\ndate = 2026-04-20": r"line 2: performed.date: 2026-04-20 .* 2026-05-01 .*: correct it, or leave",
+    }.items():
+        with pytest.raises(UsageError, match=said):
+            read_formal(run, written(tmp_path, text))
+
+
+def test_a_bench_that_states_a_false_acceptance_without_a_guard_band_is_told_when_it_is_read() -> None:
+    with pytest.raises(BenchError, match=r'decision.false_accept: is for rule = "guard band"'):
+        read_bench(default_bench_text() + '[decision]\nfalse_accept = "1 %"\n', "bench.toml")

@@ -12,7 +12,6 @@ import sys
 from base64 import b64decode, b64encode
 from collections.abc import Callable, Iterator
 from ctypes.util import find_library
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +37,7 @@ from station.cli import main
 from station.exports.exported import raw_sha256
 from station.report.chapters.correction import Correction, snippet
 from station.report.chapters.front import links_of, local_links
-from station.report.formal import read_formal
+from station.report.formal import Formal, read_formal
 from station.report.pdf import print_pdf
 from station.report.recorded import read_recorded
 from station.report.standing import Kind, standing_of
@@ -728,6 +727,11 @@ def certified(run: Path, folder: Path, **facts: str) -> str:
     return reported(run, folder, "--meta", folder / "meta.toml")
 
 
+def stating(formal: Formal, **facts: Any) -> Formal:
+    """Return formal facts with others."""
+    return Formal({**formal.stated, **facts})
+
+
 def test_a_logo_that_is_no_file_is_refused_at_once(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -793,7 +797,7 @@ def test_a_certificate_needs_equipment_that_is_not_overdue_and_the_approval_that
         file.attrs["bench"] = str(file.attrs["bench"]) + "\n[station]\napproved_by_another = true\n"
     recorded = read_recorded(copy)
     for name, kind in (("a. turing", Kind.NOT_APPROVED), (None, Kind.NOT_APPROVED), ("G. Hopper", Kind.CERTIFICATE)):
-        assert standing_of(recorded, replace(read_formal(recorded), certificate_approved_by=name)).kind is kind
+        assert standing_of(recorded, stating(read_formal(recorded), certificate_approved_by=name)).kind is kind
 
 
 def test_a_guard_band_accepts_up_to_the_stated_probability_of_a_value_beyond_the_limit(copy: Path) -> None:
@@ -807,7 +811,7 @@ def test_a_guard_band_accepts_up_to_the_stated_probability_of_a_value_beyond_the
         with h5py.File(copy, "r+") as file:
             file.attrs["bench"] = bench.replace('scale_factor_error = "10000 ppm"', limit, 1)
         recorded = read_recorded(copy)
-        guarded = standing_of(recorded, replace(read_formal(recorded), decision_false_accept=0.01))
+        guarded = standing_of(recorded, stating(read_formal(recorded), decision_false_accept=0.01))
         line = next(line for line in guarded.lines if (line.row, line.state) == (row, 0))
         assert guarded.kind is kind
         assert line.guard == pytest.approx(2.3263479 * sd, rel=1e-6)

@@ -58,7 +58,9 @@ class Archive:
                 if len(unkept) >= enough or file == others[-1]:  # the disk may be slow, and no key waits for it
                     kept = await asyncio.to_thread(index.keep, folder, unkept)
                     unkept, enough = ({}, min(2 * enough, _KEPT_AT_ONCE)) if kept else (unkept, 2 * enough)
-                if not entry.foreign:
+                if not entry.foreign and not (
+                    entry.wrong and not os.path.exists(file[0])
+                ):  # and of what was deleted nothing
                     yield entry
 
     async def read(self, path: Path) -> Whole:
@@ -146,8 +148,9 @@ def _done(work: str, *about: Any) -> Any:
 
 
 def _files(folder: Path) -> list[File]:
-    found = []
-    for path in (os.path.join(top, name) for top, _, names in os.walk(folder) for name in names):
+    found: list[File] = []
+    walk = os.walk(folder, onerror=lambda e: found.extend([(e.filename, 0, 0)] * os.path.exists(e.filename)))  # told
+    for path in (os.path.join(top, name) for top, _, names in walk for name in names):
         with suppress(OSError):
             if path.endswith(".h5"):
                 found.append((path, (status := os.stat(path)).st_mtime_ns, status.st_size))

@@ -96,7 +96,8 @@ class Whole:
     ``sizes`` are the limits of the four states in SI, infinite where there is none; ``curves`` the live estimates by
     gyro, ``investigation`` the newest that is kept beside it, as JSON. ``samples`` and ``lost`` are None without a
     calibration. ``broken`` are the limits that are: their cells, what helps, and of which row, state, and whether of
-    its sigma they are; ``because`` is what may be behind that.
+    its sigma they are; ``because`` is what may be behind that. ``attributes`` are
+    those of the file.
     """
 
     entry: Entry
@@ -111,6 +112,7 @@ class Whole:
     investigation: Mapping[str, Any] = field(default_factory=dict)
     broken: Sequence[tuple[tuple[str, ...], str, tuple[object, ...]]] = ()
     because: Sequence[str] = ()
+    attributes: Mapping[str, Any] = field(default_factory=dict)
 
 
 def comparable(entries: Iterable[Entry], whatever: int = 0) -> list[list[Entry]]:

@@ -111,6 +111,7 @@ def _whole(entry: Entry, file: Any) -> Whole:
     return Whole(
         entry,
         **found,
+        attributes={name: plain(value) for name, value in file.attrs.items()},
         sizes=_sizes(str(plain(file.attrs.get("bench", "")))),
         curves=_curves(file),
         investigation=_investigation(entry.path),

@@ -12,7 +12,7 @@ from textual.app import SystemCommand
 from station.atomic_write import free_path
 from station.screen.sessions.programs import ask
 
-_PAPER = {"html": "Report, written and opened", "pdf": "Report as PDF"}
+_PAPER = {"html": "Report, written and opened", "pdf": "Report as PDF", "xml": "Digital certificate with its PDF"}
 _EXPORTS = {"csv": "Export as CSV", "json": "Export as JSON", "yaml": "Export as YAML", "h": "Export as C header"}
 
 
@@ -25,9 +25,10 @@ def offered(app: Any, recording: Path) -> Iterator[SystemCommand]:
 
 
 async def _make(app: Any, recording: Path, suffix: str) -> None:
-    file = await asyncio.to_thread(free_path, recording.with_suffix(f".{suffix}"))
+    named = recording.with_suffix(".pdf" if suffix == "xml" else f".{suffix}")
+    file = await asyncio.to_thread(free_path, named, beside=[".html", ".xml"] if suffix in _PAPER else [])
     how = ["report"] if suffix in _PAPER else ["export", "--format", "c" if suffix == "h" else suffix]
-    answer = await ask([*how, str(recording), "--output", str(file)])
+    answer = await ask([*how, str(recording), "--output", str(file), *["--dcc"] * (suffix == "xml")])
     title, severity = ("NOT written", "error") if answer.code else ("Written", "information")
     app.notify(answer.reason if answer.code else str(file), title=title, severity=severity, markup=False)
     # Without a desktop a browser would run in this terminal, and nobody could press STOP.

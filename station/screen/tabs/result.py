@@ -23,6 +23,7 @@ from station.screen.dialogs import AskDialog, ChooseDialog
 from station.screen.drawings import STATE_CHARTS, Drawing, state_drawing
 from station.screen.figures import templated
 from station.screen.sessions.programs import ask
+from station.screen.tabs.facts import fill_in
 
 _MANY_SIGMAS = 3.0
 _REASONS = 4
@@ -46,6 +47,7 @@ class ResultScreen(StationScreen):
         *(Binding(words[-1].lower(), name, words[:-3], show=False) for name, words in _BUTTONS),
         ("g,right", "gyro(1)", "Gyro"),
         Binding("left", "gyro(-1)", "Previous gyro", show=False),
+        ("f", "facts", "Facts of the certificate"),
     ]
 
     def __init__(self) -> None:
@@ -170,6 +172,11 @@ class ResultScreen(StationScreen):
             self._busy, self._said, self._whole = "", said, whole
             self.redraw()
 
+    def action_facts(self) -> None:
+        """Ask for what the certificate states beside the measurement."""
+        if self._may("facts") and self._whole is not None:
+            self.station.work(partial(fill_in, self.app, self._whole), "facts")
+
     def action_repeat(self) -> None:
         if self._may("repeat"):
             self.station.prepare(None)
@@ -194,7 +201,7 @@ class ResultScreen(StationScreen):
             return f"wait: {self._busy}"
         if what == "accept":
             return self._not_to_accept(entry)
-        if what == "investigate":
+        if what in ("investigate", "facts"):
             return "" if entry.gyros else "there is no calibration in this recording"
         if what == "next" and not self._found.get("next_script"):
             return "no investigation has asked for another script (I investigates)"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
 import re
 import shutil
 from collections.abc import Sequence
@@ -227,3 +228,21 @@ def test_copies_of_one_run_are_within_their_limits() -> None:
     chart = control_chart([0.1] * 7, [True] * 7)
     assert not any(chart.outside)
     assert not any(chart.ewma_outside)
+
+
+def test_a_folder_that_may_not_be_read_is_an_error_and_no_empty_list(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = place / "locked"
+    folder.mkdir(mode=0)
+    user = os.geteuid()
+    try:
+        if user == 0:  # whom no mode keeps out
+            os.seteuid(65534)
+        assert main(["history", str(folder)]) == 2
+    finally:
+        os.seteuid(user)
+    said = capsys.readouterr()
+    assert "locked" in said.err
+    assert "Permission denied" in said.err
+    assert not said.out

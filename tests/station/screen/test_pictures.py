@@ -19,6 +19,7 @@ from station.screen.app import StationApp
 from station.screen.choices import Choices
 from station.screen.sessions.live_run import Stage
 from station.screen.sessions.tray import Spot, Tray
+from station.screen.tabs.facts import FactsDialog
 
 Compare = Callable[..., bool]
 Before = Callable[[Pilot[None]], Awaitable[None]]
@@ -212,6 +213,30 @@ def test_a_result(recordings: Path, snap_compare: Compare, name: str, size: tupl
         if size == SMALL:  # why a FAIL is not accepted
             await pilot.press("a")
             await until(pilot, lambda: app.screen.query("Toast"))
+
+    assert snap_compare(app, terminal_size=size, run_before=before)
+
+
+@pytest.mark.parametrize(
+    "size",
+    [SMALL, *(pytest.param(size, marks=pytest.mark.full) for size in (WIDE, LARGE))],
+    ids=["80x24", "120x40", "200x60"],
+)
+def test_the_facts_of_a_certificate(recordings: Path, snap_compare: Compare, size: tuple[int, int]) -> None:
+    app = HistoryFirst(Choices(folder=Path("recordings"), operator="A. Operator"))
+    (recordings / "first-certificate.toml").write_text(
+        '[laboratory]\nname = "Gyro laboratory"\naddress = ["Seestrasse 7", "8002 Zürich"]\ncountry = "CH"\n'
+        '[customer]\nname = "Aerial surveys"\n[performed]\nhumidity = "43"\n'
+        '[[equipment]]\nname = "rate table"\ncertificate = "258-1234"\n'
+    )
+
+    async def before(pilot: Pilot[None]) -> None:
+        app.open_recording(Path("recordings/first.h5"))
+        await until(pilot, lambda: app.current_mode == "result" and app.screen.query("#change"))
+        await until(pilot, lambda: "none of it" in str(app.screen.query_one("#change").render()))
+        await pilot.press("f")
+        await until(pilot, lambda: isinstance(app.screen, FactsDialog) and app.screen.query("OptionList"))
+        await pilot.press(*["down"] * 18)
 
     assert snap_compare(app, terminal_size=size, run_before=before)
 

@@ -154,3 +154,18 @@ def test_a_recording_of_no_date_is_damaged_and_harms_no_list(began_utc_s: float,
     found = {entry.path.name: entry for entry in asyncio.run(listed(whole))}
     assert "damaged" in found["first.h5"].wrong
     assert all(entry.when for entry in found.values())
+
+
+def test_a_recording_that_is_deleted_during_the_listing_is_none_and_not_damaged(whole: Path) -> None:
+    async def listed_while_one_goes() -> list[str]:
+        archive, found = Archive(), []
+        try:
+            async for entry in archive.entries(whole):
+                found.append(entry.wrong)
+                for other in {"first.h5", "second.h5"} - {entry.path.name}:
+                    (whole / other).unlink(missing_ok=True)
+        finally:
+            await archive.close()
+        return found
+
+    assert asyncio.run(listed_while_one_goes()) == [""]

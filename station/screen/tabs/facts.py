@@ -1,0 +1,115 @@
+"""The form for what a certificate states beside the measurement: filled in, checked, kept beside the recording."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import json
+import re
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from drivers.packaged import packaged_toml
+from estimator.errors import MISSHAPEN
+from estimator.untrusted import read_text
+from station.atomic_write import write_whole
+from station.errors import UsageError
+from station.render.template import rendered
+from station.schema.tables import keys_of
+from station.screen.archive.entries import Whole
+from station.screen.dialogs import AskDialog, AskTextDialog, ChooseDialog
+from station.screen.memory import state_folder
+
+if TYPE_CHECKING:
+    from station.report.recorded import Recorded
+
+_SECTIONS = {section.name: section for section in keys_of("certificate.certificate_file")}
+_LIST = "equipment."
+_LASTING = ("laboratory.", "customer.", _LIST, "procedure.", "decision.", "performed.place")  # from job to job
+_RECORDED = {"item.serial_number": "device_serial", "certificate.approved_by": "accepted_by"}
+_PLACE = re.compile(rf": ((?:{'|'.join(_SECTIONS)})\.[\w.]+): (.*)", re.DOTALL)
+_FORM: dict[str, Any] = {name: packaged_toml("station.report", f"{name}.toml") for name in ("certificate", "dcc")}
+_FORM |= {"sections": _SECTIONS, "keys_of": keys_of, "as_toml": json.dumps}
+_LEAVE = "What was entered is not kept yet.", [("back", "Back to the form"), ("drop", "Leave, keep nothing")]
+
+
+class FactsDialog(ChooseDialog):
+    """All facts, one a line, as large as the terminal is."""
+
+
+async def fill_in(app: Any, whole: Whole) -> None:
+    """Ask for facts, by names as "customer.name" and "equipment.0.due", until they are kept or given up."""
+    try:
+        recorded, files, sources = await asyncio.to_thread(_stated, whole)
+    except (UsageError, *MISSHAPEN) as error:
+        app.notify(str(error), title="What is known cannot be read", severity="error", markup=False)
+        return
+    from station.report.formal import read_formal  # imported by now
+
+    begun: dict[str, str] = {}
+    for facts in sources.values():  # what comes first goes before, and lists are not mixed
+        listed = any(field.startswith(_LIST) for field in begun)
+        begun |= {f: text for f, text in facts.items() if f not in begun and not (listed and f.startswith(_LIST))}
+    entered, chosen, values = {**begun}, "", {**_FORM, "sources": sources, "path": recorded.path}
+    while True:
+        toml = rendered("station.screen", "facts.toml", {**values, "facts": entered})
+        values |= {"facts": entered, "formal": None, "place": "", "wrong": "", "width": app.size.width}
+        try:
+            values["formal"] = await asyncio.to_thread(read_formal, recorded, files[0], toml)
+        except UsageError as error:
+            found = _PLACE.search(str(error))
+            values |= {"place": found[1], "wrong": found[2]} if found else {"wrong": str(error)}
+        question, lines = (rendered("station.screen", f"{name}.txt", values) for name in ("facts", "fact_lines"))
+        answers = [(field, words) for field, _, words in (line.partition("\t") for line in lines.splitlines())]
+        chosen = await app.push_screen_wait(FactsDialog(question, answers, chosen)) or ""
+        if "." in chosen:
+            question = rendered("station.screen", "fact.txt", {**values, "field": chosen})
+            text = await app.push_screen_wait(AskTextDialog(question, begun=entered.get(chosen, "")))
+            entered |= {} if text is None else {chosen: text}
+        elif not chosen:
+            if entered == begun or await app.push_screen_wait(AskDialog(*_LEAVE)) == "drop":
+                return
+        elif values["wrong"]:
+            chosen = values["place"]
+        else:
+            try:
+                for file in files:
+                    await asyncio.to_thread(write_whole, file, toml, replace=True)
+                app.notify(f"{files[0]}: CTRL+P makes report, PDF and DCC with them", title="Kept", markup=False)
+                return
+            except UsageError as error:
+                app.notify(str(error), title="NOT kept", severity="error", markup=False)
+
+
+def _stated(whole: Whole) -> tuple[Recorded, tuple[Path, Path], Mapping[str, Mapping[str, str]]]:
+    """Return a recording without samples, the files to keep facts in, and those that are stated already, by where."""
+    from estimator.recordings.recording import Recording
+    from station.report.formal import kept_facts
+    from station.report.recorded import Recorded, Step
+
+    head = Recording({}, None, attributes=whole.attributes)  # type: ignore[arg-type]
+    recorded = Recorded(whole.entry.path, head, None, None, {}, {}, (Step("", 0, 0),), ())
+    station = hashlib.sha256(recorded.text("station").encode()).hexdigest()
+    kept, last = kept_facts(recorded.path), state_folder() / f"certificate-{station[:20]}.toml"
+    told = {field: recorded.text(name) for field, name in _RECORDED.items()}
+    told["performed.date"] = str(recorded.begun_utc.date()) if recorded.begun_utc else ""
+    found = {"recording": {field: text for field, text in told.items() if text}}
+    found["bench file"] = _texts(recorded.text("bench"))
+    if kept.is_file():
+        return recorded, (kept, last), {"kept": _texts(read_text(kept, UsageError)), **found}
+    facts = _texts(read_text(last, UsageError)) if last.is_file() else {}
+    found["LAST FORM, this bench"] = {field: text for field, text in facts.items() if field.startswith(_LASTING)}
+    return recorded, (kept, last), found
+
+
+def _texts(toml: str) -> dict[str, str]:
+    """Return the facts in a file as they are entered."""
+    found = {}
+    for name, facts in tomllib.loads(toml).items():
+        for number, table in enumerate(facts if isinstance(facts, list) else [facts]):
+            where = f"{name}.{number}" if isinstance(facts, list) else name
+            for key, value in table.items() if name in _SECTIONS else ():
+                found[f"{where}.{key}"] = "; ".join(value) if isinstance(value, list) else str(value)
+    return found
