@@ -120,7 +120,7 @@ class Day:
         """``limits`` are lines of the bench file; how well a busy host keeps time is not to be judged."""
         text = (place / "bench.toml").read_text().replace('serial_pattern = "SN-[0-9]{4}"', "")
         text = re.sub(r'(name = "array"(?s:.*?)\[imu.datasheet\])', r"used = false\n\1", text)
-        text = text.replace("used = false         ", "used = true         ")
+        text = text.replace("used = false         ", "used = true         ").replace('"500 Hz"', '"125 Hz"')
         text = re.sub(r"(?s)(\[limits\])(.*?)\n\n", rf"\1\n{limits}\n\n", text)
         self.bench, self._text = place / "bench.toml", text
         (place / "tiny.toml").write_text(TINY)
