@@ -24,6 +24,7 @@ from station.opening import needs_only_memory, open_bench, serve_twins, with_lin
 from station.remote.hosting import Host, introduction
 from station.render.printing import print_calibration, print_verdict, refuse, result_object
 from station.render.progress import RunProgress
+from station.render.template import rendered
 from station.render.terminal import print_rendered, stdout
 from station.run.early_end import check_early_end
 from station.run.event_loop.detached_output import lasting_streams
@@ -85,8 +86,7 @@ def _run(arguments: argparse.Namespace) -> int:
             print(f"ended early {result.ended_early}")
         if result.calibration is not None:
             print_calibration(result.calibration, result.verdict)
-        for report in result.sources:
-            print(report.text())
+        print(rendered("station.render", "sources.txt", {"sources": result.sources}), end="")
         print_verdict(result.verdict, result.recording)
         if serial and host is None and result.calibration is not None:
             from station.screen.archive.archive import moved

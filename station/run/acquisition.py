@@ -75,20 +75,6 @@ class SourceReport:
             return ""
         return f"{self.name} is {self.offset.offset_s * 1e3:+.2f} ± {self.offset.sd_s * 1e3:.2f} ms against the table"
 
-    def text(self) -> str:
-        """Return one line for people."""
-        counts = self.counts
-        line = (
-            f"{self.name}: {counts.samples} samples, {counts.lost} lost, {counts.repeated} repeated, "
-            f"{counts.late} late, {counts.corrupt} corrupt"
-        )
-        if self.clock is not None:
-            line += f"; clock {self.clock.drift_ppm:+.1f} ± {self.clock.sd_drift_ppm:.1f} ppm"
-            line += f", arrivals jitter {self.clock.jitter_rms_s * 1e3:.2f} ms"
-        if self.offset is not None:
-            line += f"; {self.offset.offset_s * 1e3:+.2f} ± {self.offset.sd_s * 1e3:.2f} ms against the table"
-        return line
-
 
 class Acquisition:
     """The recording of one run and all that is written into it until it is closed."""

@@ -58,9 +58,8 @@ class Archive:
                 if len(unkept) >= enough or file == others[-1]:  # the disk may be slow, and no key waits for it
                     kept = await asyncio.to_thread(index.keep, folder, unkept)
                     unkept, enough = ({}, min(2 * enough, _KEPT_AT_ONCE)) if kept else (unkept, 2 * enough)
-                if not entry.foreign and not (
-                    entry.wrong and not os.path.exists(file[0])
-                ):  # and of what was deleted nothing
+                gone = entry.wrong and not os.path.exists(file[0])  # deleted meanwhile
+                if not entry.foreign and not gone:
                     yield entry
 
     async def read(self, path: Path) -> Whole:
