@@ -15,11 +15,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from station.screen.archive.entries import Entry, Whole
+from station.screen.archive.index import File, keep, load
 
 if TYPE_CHECKING:
     from pebble import ProcessPool
-
-    from station.screen.archive.index import File
 
 _LIMIT_S = 10.0
 _WRITE_LIMIT_S = 120.0
@@ -41,11 +40,9 @@ class Archive:
         Of both those that changed last come first. What is read is indexed at once; what cannot be read is tried again
         by the next program.
         """
-        from station.screen.archive import index  # with SQLite: not before the first picture
-
         files = await asyncio.to_thread(_files, folder)
         if not self._known.keys() >= set(files):
-            self._known |= await asyncio.to_thread(index.load, folder)
+            self._known |= await asyncio.to_thread(load, folder)
         others = {file for file in files if file not in self._known}
         self.unread = len(others)
         for file in sorted(files, key=others.__contains__):
@@ -54,9 +51,7 @@ class Archive:
                 entry = (await self._read(Path(file[0]), file[1] * 1e-9, everything=False)).entry
                 self._known[file], self.unread = entry, self.unread - 1
                 if settled and (entry.foreign or not entry.wrong):
-                    await asyncio.to_thread(
-                        index.keep, folder, file, entry
-                    )  # the disk may be slow, and no key waits for it
+                    await asyncio.to_thread(keep, folder, file, entry)  # the disk may be slow, and no key waits for it
             if not self._known[file].foreign:
                 yield self._known[file]
 
@@ -90,7 +85,7 @@ class Archive:
 
     async def _do(self, work: str, *about: Any, limit_s: float = _LIMIT_S) -> Any:
         """Return what a function of ``reading`` comes to, or in words why it came to nothing."""
-        from pebble import ProcessExpired, ProcessPool
+        from pebble import ProcessExpired, ProcessPool  # not before the first picture
 
         if self._pool is None:
             with redirect_stderr(sys.__stderr__):  # its process gets a file; textual's stand-in is none

@@ -23,8 +23,6 @@ from station.screen.drawings import STATE_CHARTS, Drawing, state_drawing
 from station.screen.figures import templated
 from station.screen.sessions.programs import ask
 
-_MANY_SIGMAS = 3.0
-_REASONS = 4
 _MOST_OFFERED = 20
 _LOOKING = "looking for what the model lacks"
 _NONE, _ALL = "none", "all"  # choices of runs that judge, beside the number of one
@@ -223,11 +221,10 @@ class ResultScreen(StationScreen):
         whole, charts = self._whole, self.query_one(Charts)
         charts.display = bool(whole and whole.curves)
         values: dict[str, Any] = {"whole": whole, "path": self.recording, "busy": self._busy, "said": self._said}
-        values["most"] = _REASONS
         self._block("verdict", templated("verdict.rich", values))
         shown: dict[str, RenderableType] = {}
         if whole is not None and not whole.entry.wrong:
-            values |= {"entry": whole.entry, "last": last_before(whole.entry, self._same), "many_sigmas": _MANY_SIGMAS}
+            values |= {"entry": whole.entry, "last": last_before(whole.entry, self._same)}
             told = ("states", "change", "record") if whole.entry.gyros else ("record",)
             shown = {name: templated(f"{name}.rich", values) for name in told}
             if whole.entry.gyros:
