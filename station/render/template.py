@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from functools import cache
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -45,16 +46,12 @@ def _environment(package: str, rich: bool) -> "Environment":
     )
     shared = (dph, human, number, percent, probability, math.degrees, math.isfinite)
     environment.globals |= {function.__name__: function for function in shared}
-    environment.globals |= {"words": _words, "outcome_styles": OUTCOME_STYLES, "inf": math.inf}
+    environment.globals |= {"outcome_styles": OUTCOME_STYLES, "inf": math.inf}
     environment.globals |= {"state_figures": STATE_FIGURES, "state_units": STATE_UNITS}
-    environment.filters["words"] = _words
+    constructed = "estimator.effects.constructed"  # with numpy: not before a text names an effect
+    words = environment.globals["words"] = lambda called: import_module(constructed).readable(called)
+    environment.filters["words"] = words
     return environment
-
-
-def _words(called: str) -> str:
-    from estimator.effects.constructed import readable  # with numpy: not for texts that name no effect
-
-    return readable(called)
 
 
 def _for_rich(value: Any) -> str:

@@ -20,8 +20,7 @@ from drivers.types import Floats
 from station.screen.drawings import DIALS, Drawing
 
 _DOTS, _DOTS_WIDE, _DOTS_HIGH = HiResMode.BRAILLE, 2, 4
-_LABEL_WIDTH, _TICK_WIDTH, _MARGIN = 9, 6, 0.06
-_DIAL_REACH = 1.08
+_LABEL_WIDTH, _TICK_WIDTH, _MARGIN, _DIAL_REACH = 9, 6, 0.06, 1.08
 
 
 class _Canvas(Canvas):
@@ -92,9 +91,8 @@ class Chart(PlotWidget, inherit_bindings=False):
 
     def show(self, drawing: Drawing, window: tuple[float, float] | None) -> None:
         """Show a drawing, all of its time or a window of it; its title has the words that there is room for."""
-        low, high = window or (drawing.span[0], max(drawing.span[1], drawing.span[0] + 1.0))
-        if drawing.dial:
-            low, high = -math.inf, math.inf
+        time = window or (drawing.span[0], max(drawing.span[1], drawing.span[0] + 1.0))
+        low, high = (-math.inf, math.inf) if drawing.dial else time
         cells = max(self.size.width - _LABEL_WIDTH, _TICK_WIDTH)
         self._over.room, self._over.unit = cells // _TICK_WIDTH, f" {drawing.over}"
         self._along.room = (self.size.height - 1) // 2
@@ -113,7 +111,7 @@ class Chart(PlotWidget, inherit_bindings=False):
                 self.plot(times[part], values[part], self._style(style), _DOTS)
         reach = drawing.range or _around(np.concatenate(shown[1:] or shown))
         if drawing.dial:  # whose circles are to be round
-            shape = (self.size.width - 2) * _DOTS_WIDE / (self.size.height - 2) / _DOTS_HIGH
+            shape = max(self.size.width - 2, 1) * _DOTS_WIDE / (max(self.size.height - 2, 1) * _DOTS_HIGH)
             high, up = (_DIAL_REACH * max(ratio, 1.0) for ratio in (shape, 1 / shape))
             low, reach = -high, (-up, up)
         self.set_xlimits(low, high)

@@ -33,15 +33,13 @@ class Charts(Grid):
 
     def on_show(self) -> None:
         """Bring the charts once the first picture is out: what draws them takes a while to load."""
-        if not self._charts:
-            self.call_after_refresh(lambda: cast(SeenApp, self.app).work(self._bring, f"charts {id(self)}"))
+        self.call_after_refresh(lambda: cast(SeenApp, self.app).work(self._bring, f"charts {id(self)}"))
 
     async def _bring(self) -> None:
         kind = (await asyncio.to_thread(import_module, "station.screen.chart")).Chart
         if self.is_attached and not self._charts:
-            charts = [kind(self.draw, name) for name in self._names]
-            await self.mount(*charts)
-            self._charts = charts
+            self._charts = [kind(self.draw, name) for name in self._names]
+            await self.mount(*self._charts)
             self.on_resize()
             self.draw()
 

@@ -33,8 +33,7 @@ class Curve(NamedTuple):
 class Drawing(NamedTuple):
     """One chart: words of its title with their styles, curves, the range of values (None: that of the curves).
 
-    ``span`` is the range of times in the unit ``over``, ``marks`` are instants. A ``dial`` is drawn round its origin,
-    to a radius of 1.
+    ``span`` is the range of times in the unit ``over``, ``marks`` are instants. A ``dial`` is round, to a radius of 1.
     """
 
     words: Sequence[tuple[str, str]]
@@ -88,10 +87,7 @@ def _seen(name: str, run: LiveRun, gyro: GyroSnapshot, nis_limits: Sequence[floa
 
 
 def _axes_drawing(run: LiveRun, snapshot: Snapshot) -> Drawing:
-    """Return the gimbals within each other, the outermost outside, each with a hand at its angle; zero is on top.
-
-    That which turns has the colour of its axis, and the way that its step still goes, anticlockwise if it is positive.
-    """
+    """Return the gimbals, the outermost outside, each with a hand at its angle, zero on top, and the way to go."""
     steps = [s for s in run.hello["script"]["steps"] if s["start_s"] <= snapshot.elapsed_s]
     styles, curves = dict(zip(sorted(a.name for a in snapshot.axes), _AXIS_STYLES, strict=False)), []
     words: list[tuple[str, str]] = []
@@ -99,12 +95,10 @@ def _axes_drawing(run: LiveRun, snapshot: Snapshot) -> Drawing:
         radius, at, style = 1.0 - place * _GIMBALS_APART, axis.angle_rad, styles[axis.name]
         turns, told = axis.state == "turning" and not run.at_rest, [(f"{axis.name} {number(at * _DEG, 1)}°", style)]
         curves.append(_arc(radius, 0.0, 2 * math.pi, style if turns else "mark"))
-        if turns:
-            told.append((f"{number(axis.rate_rps * _DEG, 1)}°/s", style))
         if turns and steps and steps[-1].get("axis") == axis.name:
             goal = steps[-1]["to_rad"]
             curves.append(_arc(radius, at, min(max(goal, at - 2 * math.pi), at + 2 * math.pi), "line"))
-            told.insert(1, (f"to {number(goal * _DEG, 0)}°", "line"))
+            told += [(f"to {number(goal * _DEG, 0)}°", "line"), (f"{number(axis.rate_rps * _DEG, 1)}°/s", style)]
         hand = radius, radius - _GIMBALS_APART
         curves.append(Curve([-r * math.sin(at) for r in hand], [r * math.cos(at) for r in hand], style))
         words = [*told, *words] if turns else [*words, *told]

@@ -107,7 +107,7 @@ class Archive:
 
     async def _do(self, work: str, *about: Any, limit_s: float = _LIMIT_S) -> Any:
         """Return what a function of ``reading`` comes to, or in words why it came to nothing."""
-        from pebble import ProcessExpired, ProcessPool
+        from pebble import ProcessExpired, ProcessPool  # not before the first picture
 
         if self._pool is None:
             with redirect_stderr(sys.__stderr__):  # its process gets a file; textual's stand-in is none

@@ -19,7 +19,7 @@ from estimator.recordings.recording import FORMAT, FORMAT_VERSION
 from estimator.recordings.recovery import recover
 from estimator.recordings.writing import plain, write_attributes
 from station.errors import BenchError
-from station.screen.archive.entries import INVESTIGATION, NO_LIMITS, Entry, Whole
+from station.screen.archive.entries import INVESTIGATION, Entry, Whole
 from station.screen.sessions.live_run import Trend
 
 _MOST_POINTS = 400
@@ -67,7 +67,7 @@ def read(path: Path, when_utc_s: float, everything: bool) -> Whole:
             if not everything:
                 return Whole(entry)
             whole, bench = _whole(entry, file), str(plain(file.attrs.get("bench", "")))
-        return _with_broken(whole, bench) if entry.texts["outcome"] == "FAIL" else whole
+        return _judged(whole, bench)
     except Exception as error:  # whatever a file made by hand holds, the next one is to be read
         wrong = f"it cannot be read, it is damaged or not whole ({first_line(error)})"
         return Whole(replace(unread, wrong=wrong))
@@ -112,26 +112,27 @@ def _whole(entry: Entry, file: Any) -> Whole:
         entry,
         **found,
         attributes={name: plain(value) for name, value in file.attrs.items()},
-        sizes=_sizes(str(plain(file.attrs.get("bench", "")))),
         curves=_curves(file),
         investigation=_investigation(entry.path),
     )
 
 
-def _with_broken(whole: Whole, bench: str) -> Whole:
-    """Return it with the limits that its run was failed for; without them if its reason names others."""
-    from station.bench.bench import read_limits
+def _judged(whole: Whole, bench: str) -> Whole:
+    """Return it with the limits of its bench, and with those that are broken, unless its reason names others."""
+    from station.bench.bench import read_limits  # with all drivers, which a list of recordings does without
     from station.views.limits import limit_lines
 
     with suppress(EstimatorError, BenchError):
-        found = limit_lines(read_calibration(whole.entry.path, trusted=True), read_limits(bench))
+        limits = read_limits(bench)
+        whole = replace(whole, sizes=limits.sizes)
+        found = limit_lines(read_calibration(whole.entry.path, trusted=True), limits)
         lines = [line for line in found if not line.within]
         before, named, after = whole.entry.texts["reason"].partition("; ".join(line.broken for line in lines) or "\0")
         if named:  # losses and noise first: they are behind what the states miss
             lines.sort(key=lambda line: line.row is not None)
             broken = [(line.cells, line.remedy, (line.row, line.state, line.of_u)) for line in lines]
             because = [text.removeprefix("but ") for text in f"{before}{after}".split("; ") if text]
-            return replace(whole, broken=broken, because=because)
+            whole = replace(whole, broken=broken, because=because)
     return whole
 
 
@@ -157,12 +158,3 @@ def _investigation(recording: Path) -> dict[str, Any]:
         list(objects(newest, file))
         found: dict[str, Any] = json.loads(plain(file["investigation"].attrs["json"]))
         return found if isinstance(found, dict) else {}
-
-
-def _sizes(bench: str) -> tuple[float, ...]:
-    from station.bench.bench import read_limits  # with all drivers, which a list of recordings does without
-
-    try:
-        return read_limits(bench).sizes
-    except BenchError:
-        return NO_LIMITS

@@ -25,8 +25,6 @@ from station.screen.figures import templated
 from station.screen.sessions.programs import ask
 from station.screen.tabs.facts import fill_in
 
-_MANY_SIGMAS = 3.0
-_REASONS = 4
 _MOST_OFFERED = 20
 _LOOKING = "looking for what the model lacks"
 _NONE, _ALL = "none", "all"  # choices of runs that judge, beside the number of one
@@ -230,14 +228,13 @@ class ResultScreen(StationScreen):
         whole, charts = self._whole, self.query_one(Charts)
         charts.display = bool(whole and whole.curves)
         values: dict[str, Any] = {"whole": whole, "path": self.recording, "busy": self._busy, "said": self._said}
-        values["most"] = _REASONS
         moved = Text.from_markup(rendered("station.render", "moved.rich", {"moves": self._moves}).strip(), emoji=False)
         self._block("verdict", Text("\n").join(filter(None, (templated("verdict.rich", values), moved))))
         shown: dict[str, RenderableType] = {}
         if whole is not None and not whole.entry.wrong:
             earlier = (other for other in self._same if other.when_utc_s < whole.entry.when_utc_s)
             last = max(earlier, key=lambda other: other.when_utc_s, default=None)
-            values |= {"entry": whole.entry, "last": last, "many_sigmas": _MANY_SIGMAS}
+            values |= {"entry": whole.entry, "last": last}
             told = ("states", "change", "record") if whole.entry.gyros else ("record",)
             shown = {name: templated(f"{name}.rich", values) for name in told}
             if whole.entry.gyros:

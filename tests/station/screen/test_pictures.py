@@ -49,9 +49,9 @@ async def drawn(pilot: Pilot[None], app: StationApp) -> None:
     """Wait until the charts are there."""
 
     def done() -> bool:
-        charts = [chart for chart in app.screen.query("Chart") if chart.display and chart.size.area]
-        brought = [part.children for part in app.screen.query("Charts") if part.display]
-        return all(brought) and all(chart.border_title for chart in charts)
+        parts = [part.children for part in app.screen.query("Charts") if part.display]
+        charts = [[chart for chart in part if chart.display and chart.size.area] for part in parts]
+        return bool(parts) and all(charts) and all(chart.border_title for part in charts for chart in part)
 
     await until(pilot, done)
 
