@@ -109,20 +109,18 @@ class LiveFilter:
     def _take(self, z: Floats, h: Floats, kept: int) -> Innovation:
         """Update with ``kept`` compressed rows of each gyro, one gyro after the other."""
         m = len(self._array)
-        variances = np.repeat(self._noise**2, kept)
-        across, noise, off = self._p @ h.T, np.diag(variances), z - h @ self._x
+        across, noise, off = self._p @ h.T, np.diag(np.repeat(self._noise**2, kept)), z - h @ self._x
         s = h @ across + noise
         inverse = np.linalg.inv(s)
         gain = across @ inverse
         rest = np.eye(self._size) - gain @ h
         self._x = self._x + gain @ off
         self._p = rest @ self._p @ rest.T + gain @ noise @ gain.T  # Joseph's form: stays symmetric and above zero
-        innovation = off[:, 0]
-        nis = float(innovation @ inverse @ innovation)
+        nis = float((off.T @ inverse @ off).item())
         self.nis_sum += nis
         self.nis_dof += m * kept
         spread = np.sqrt(np.diag(s))
-        return Innovation(nis, m * kept, (innovation / spread).reshape(m, kept)[:, 0])
+        return Innovation(nis, m * kept, (off[:, 0] / spread).reshape(m, kept)[:, 0])
 
     @property
     def nis_mean(self) -> float:
