@@ -19,7 +19,51 @@ if TYPE_CHECKING:
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(name, "1")
 
+# Without bytecode each worker, and each of some two hundred processes that tests start, compiles all sources anew.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
 sys.path.insert(0, str(Path(__file__).parent / "bench"))
+
+
+LONGEST = [
+    "test_processes",
+    "test_walks",
+    "test_hosting",
+    "test_report",
+    "test_pictures",
+    "test_run",
+    "test_plugins",
+    "test_runs_with_faults",
+    "test_stop",
+    "test_tracing",
+    "test_investigate",
+    "test_loop",
+    "test_init",
+    "test_campaigns",
+    "test_who_and_which",
+    "test_export",
+    "test_conformance",
+    "test_sampling",
+    "test_error_model",
+    "test_history",
+    "test_residual",
+    "test_import_shapes",
+    "test_end_early",
+    "test_better_model",
+    "test_uncommanded",
+    "test_check",
+    "test_records",
+    "test_ways_out",
+    "test_narrow",
+    "test_runs_on_wires",
+]
+"""Files that take long, begun first so that no worker is left alone with one; those of real time before all others."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put long files first; the order within a file stays."""
+    items.sort(key=lambda item: LONGEST.index(item.path.stem) if item.path.stem in LONGEST else len(LONGEST))
 
 
 @pytest.fixture(scope="session")

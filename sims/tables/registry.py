@@ -15,12 +15,8 @@ from sims.wires.wires import ByteDevice, Write
 __all__ = ["TWINS", "Seat", "twin_of"]
 
 
-def _modbus(seat: Seat, write: Write) -> ByteDevice:
-    return ModbusRtu(drives_by_unit(seat), SerialPort("").silence_s, write)
-
-
 TWINS: dict[str, Callable[[Seat, Write], ByteDevice]] = {
-    "modbus": _modbus,
+    "modbus": lambda seat, write: ModbusRtu(drives_by_unit(seat), SerialPort("").silence_s, write),
     "galil": GalilController,
     "acutrol": AcutrolController,
     "aerosmith": AerosmithController,

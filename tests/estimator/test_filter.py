@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from filterpy.kalman import KalmanFilter
 
 from estimator.estimation.gram import Gram, solve
 from estimator.estimation.live.filter import LiveFilter
@@ -72,6 +71,8 @@ def test_how_the_rows_are_cut_into_blocks_does_not_matter(rows: int) -> None:
 
 
 def test_a_plain_filter_over_the_raw_samples_says_the_same() -> None:
+    from filterpy.kalman import KalmanFilter  # a second of import: not of each worker that collects
+
     array, w = tetrahedron(), script(30)
     y = outputs(array, w, seed=3)
     maps, m = regressor_maps(array), len(array)

@@ -49,7 +49,8 @@ def worst_error(result: dict[str, Any]) -> float:
 def test_a_run_against_twins_in_another_process_finds_the_truth(tmp_path: Path) -> None:
     script = tmp_path / "brief.toml"
     script.write_text(BRIEF_SCRIPT)
-    result = run_between_processes(tmp_path, "3", "array", "--bench", bench_file(tmp_path), "--script", script)
+    # In real time: three seconds without a sample end a run, and a busy machine may take one of them at once.
+    result = run_between_processes(tmp_path, "1", "array", "--bench", bench_file(tmp_path), "--script", script)
     assert len(result["gyros"]) == 4
     assert worst_error(result) < 4
 
