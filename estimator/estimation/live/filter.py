@@ -1,4 +1,4 @@
-"""The live Kalman filter, fed one orthogonally compressed block at a time."""
+"""The live Kalman filter: filterpy, fed one orthogonally compressed block at a time."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -39,15 +39,18 @@ class LiveFilter:
         ``further``: how many columns beyond the four states each gyro has. ``offset_sd_s``: what is expected of the
         offset, 0 for none.
         """
+        from filterpy.kalman import KalmanFilter  # 0.8 s of import: only where a filter runs
+
         m = len(array)
         self._array = array
         self._maps = regressor_maps(array)
         self._noise = np.asarray(noise_rps, dtype=np.float64)
         self._width = 4 + further
         self._size = self._width * m + 1
-        self._x = np.zeros((self._size, 1))
+        self._filter = KalmanFilter(dim_x=self._size, dim_z=self._size)
+        self._filter.x = np.zeros((self._size, 1))
         own = np.tile(np.concatenate([prior.variances(), np.ones(further)]), m)
-        self._p = np.diag(np.append(own, offset_sd_s**2))
+        self._filter.P = np.diag(np.append(own, offset_sd_s**2))
         self.nis_sum = 0.0
         self.nis_dof = 0
 
@@ -90,37 +93,33 @@ class LiveFilter:
 
     def tried(self, *block: Any) -> float:
         """Return what the offset is, in s, after a block (as for ``update``) that is then forgotten again."""
-        before = self._x, self._p, self.nis_sum, self.nis_dof
+        before = self._filter.x, self._filter.P, self.nis_sum, self.nis_dof
         self.update(*block)
         found = self.offset_s
-        self._x, self._p, self.nis_sum, self.nis_dof = before
+        self._filter.x, self._filter.P, self.nis_sum, self.nis_dof = before
         return found
 
     @property
     def offset_s(self) -> float:
         """Offset of the samples against the table, above zero for samples that are stamped late."""
-        return float(self._x[-1, 0])
+        return float(self._filter.x[-1, 0])
 
     @property
     def offset_sd_s(self) -> float:
         """Standard deviation of the offset by now."""
-        return float(np.sqrt(self._p[-1, -1]))
+        return float(np.sqrt(self._filter.P[-1, -1]))
 
     def _take(self, z: Floats, h: Floats, kept: int) -> Innovation:
         """Update with ``kept`` compressed rows of each gyro, one gyro after the other."""
         m = len(self._array)
-        across, noise, off = self._p @ h.T, np.diag(np.repeat(self._noise**2, kept)), z - h @ self._x
-        s = h @ across + noise
-        inverse = np.linalg.inv(s)
-        gain = across @ inverse
-        rest = np.eye(self._size) - gain @ h
-        self._x = self._x + gain @ off
-        self._p = rest @ self._p @ rest.T + gain @ noise @ gain.T  # Joseph's form: stays symmetric and above zero
-        nis = float((off.T @ inverse @ off).item())
+        variances = np.repeat(self._noise**2, kept)
+        self._filter.update(z, R=np.diag(variances), H=h)
+        innovation = self._filter.y[:, 0]
+        nis = float(innovation @ self._filter.SI @ innovation)
         self.nis_sum += nis
         self.nis_dof += m * kept
-        spread = np.sqrt(np.diag(s))
-        return Innovation(nis, m * kept, (off[:, 0] / spread).reshape(m, kept)[:, 0])
+        spread = np.sqrt(np.diag(self._filter.S))
+        return Innovation(nis, m * kept, (innovation / spread).reshape(m, kept)[:, 0])
 
     @property
     def nis_mean(self) -> float:
@@ -130,8 +129,8 @@ class LiveFilter:
     def state(self) -> tuple[Floats, Floats]:
         """Return the states x (m, 4) and their covariance (m, 4, 4)."""
         m, width = len(self._array), self._width
-        x = np.array(self._x[:-1, 0]).reshape(m, width)[:, :4]
-        p = self._p
+        x = np.array(self._filter.x[:-1, 0]).reshape(m, width)[:, :4]
+        p = self._filter.P
         return x, np.array([p[width * i : width * i + 4, width * i : width * i + 4] for i in range(m)])
 
 

@@ -70,7 +70,7 @@ def dependences(
     ``rest`` is the residual, of ``count`` degrees of freedom, which its squares exceed by ``doubt`` if it is more than
     noise; what a variable takes up for certain is, in any case. ``groups`` holds the columns of each variable.
     """
-    from scipy.special import fdtrc
+    from scipy.stats import f
 
     total = float(gram[rest, rest])
     found = []
@@ -79,7 +79,7 @@ def dependences(
         left = max(count - rank, 1.0)
         # So many columns would take up so much of noise: what is beyond that is the dependence.
         chance = (rank + group.doubt) * max(total - power, 1e-12 * total) / left
-        p_value = float(fdtrc(rank, left, power / chance)) if rank else 1.0
+        p_value = float(f.sf(power / chance, rank, left)) if rank else 1.0
         found.append((variable, power - chance, p_value))
     shown = [beyond for _, beyond, p_value in found if p_value < _BY_CHANCE]
     excess = max([total - count if total - count > doubt else 0.0, *shown])

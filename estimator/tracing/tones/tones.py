@@ -69,10 +69,10 @@ def find_tone(runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequen
     if not usable.any():
         return None
     peak = int(np.flatnonzero(usable)[np.argmax(total[usable])])
-    from scipy.special import gammaincc
+    from scipy.stats import gamma
 
     amplitudes = sum(len(s.names) for s in samples)
-    if float(gammaincc(amplitudes, total[peak])) * usable.sum() > _WORTH:
+    if float(gamma.sf(total[peak], amplitudes)) * usable.sum() > _WORTH:
         return None  # chance alone gives such a line: what follows costs more than the search for it
     width = 1 / span_s
     variances = [floor[peak] for floor in floors]
