@@ -12,6 +12,7 @@ from drivers.errors import BadReply, DeviceError, LinkLost
 from drivers.protocols import ImuSource
 from drivers.types import Floats, Identity, ImuBlock, LinkCounts, SourceCounts, Stamps
 from station.bench.imu import ImuConfig
+from station.errors import sentence
 from station.opening import OpenBench, OpenImu
 
 LISTEN_S = 2.0
@@ -154,10 +155,7 @@ async def _check_table(opened: OpenBench, time_scale: float) -> DeviceCheck:
                 check.wrong.append(f"axis {axis} turns at {math.degrees(state.rate_rps):.2f} deg/s: stop it first")
         slow = sum(axis.round_trip_s for axis in check.axes)
         if slow * bench.table.poll_rate_hz > 1:
-            check.wrong.append(
-                f"a reading of all axes takes {slow * 1e3:.0f} ms, too slow for poll_rate = "
-                f"{bench.table.poll_rate_hz:g} Hz: lower it, or use a faster link"
-            )
+            check.wrong.append(sentence("check.too_slow", slow_ms=slow * 1e3, poll_rate_hz=bench.table.poll_rate_hz))
     return check
 
 
