@@ -22,11 +22,11 @@ def packaged_codes(package: str, device: str, kind: str) -> dict[int, str]:
     return {int(code): text for code, text in packaged_toml(package, "codes.toml")[device][kind].items()}
 
 
-def sentence_of(package: str, key: str, /, **values: object) -> str:
-    """Return the sentence of a name in a package, "table.name", its fields filled in by these values."""
+def sentence_of(tables: dict[str, dict[str, str]], key: str, /, **values: object) -> str:
+    """Return the sentence of a name, "table.name", its fields filled in by these values."""
     table, name = key.split(".")
-    text: str = packaged_toml(package, "sentences.toml")[table][name]
-    return text.format(**values)
+    return tables[table][name].format(**values)
 
 
-sentence = partial(sentence_of, "drivers")
+# Read at once: a fault must be told even where no file can be opened any more.
+sentence = partial(sentence_of, packaged_toml("drivers", "sentences.toml"))

@@ -2,13 +2,13 @@
 
 from functools import partial
 
-from drivers.packaged import sentence_of
+from drivers.packaged import packaged_toml, sentence_of
 
 EXIT_USAGE = 2
 EXIT_ABORTED = 3
 EXIT_FAULT = 4
 
-sentence = partial(sentence_of, "station")
+sentence = partial(sentence_of, packaged_toml("station", "sentences.toml"))
 
 
 class UsageError(Exception):

@@ -101,9 +101,8 @@ def _signals(path: Path) -> list[str]:
     try:
         base = cantools.database.load_file(path)
     except Exception as error:  # cantools has a kind of error of its own for every parser
-        raise UsageError(
-            f"{path} cannot be read as a DBC: {(str(error) or type(error).__name__).splitlines()[0]}"
-        ) from None
+        why = (str(error) or type(error).__name__).splitlines()[0]
+        raise UsageError(sentence("init.no_dbc", path=path, why=why)) from None
     return [f"{message.name}.{s.name}" for message in getattr(base, "messages", ()) for s in message.signals]
 
 

@@ -71,11 +71,6 @@ class DeviceCheck:
     experimental: bool = False
     counts: LinkCounts | None = None
 
-    @property
-    def answered_nothing(self) -> bool:
-        """Whether nothing came of it that could be understood, not even a refusal."""
-        return not self.axes and not self.sources and not {_LOOK_AT_TABLE, _LOOK_AT_IMU}.isdisjoint(self.wrong)
-
 
 async def check_bench(
     opened: OpenBench, *, time_scale: float = 1.0, tell: Callable[[str], None] = lambda device: None
@@ -95,7 +90,8 @@ async def check_bench(
             imu.source.close()
     for check in found:
         check.counts = opened.link_counts().get(check.device)
-    dumb = [check for check in found if check.answered_nothing]
+    not_even_refused = [check for check in found if not {_LOOK_AT_TABLE, _LOOK_AT_IMU}.isdisjoint(check.wrong)]
+    dumb = [check for check in not_even_refused if not check.axes and not check.sources]
     for check in dumb if len(dumb) > 1 else ():
         others = " and ".join(other.device for other in dumb if other is not check)
         check.wrong.append(f"{others} cannot be understood either: are their links exchanged?")

@@ -212,9 +212,7 @@ class XsensImu(XbusDevice):
         if rate.rate_hz != self._rate_hz:
             raise DeviceRefused(self._device, sentence("imu.other_rate", granted=rate, asked_hz=self._rate_hz))
         if mtdata2.SAMPLE_TIME_FINE not in by_kind and mtdata2.PACKET_COUNTER not in by_kind:
-            raise DeviceRefused(
-                self._device, "it grants neither SampleTimeFine nor PacketCounter: no sample has a time"
-            )
+            raise DeviceRefused(self._device, sentence("imu.no_times"))
 
     async def _told(self, mid: Mid) -> bytes:
         """Return the answer to what not every device can be asked, empty from those."""

@@ -277,9 +277,7 @@ class GalilTable(LineTable):
             raise DeviceRefused(self._device, sentence("table.beyond_limits", axis=axis, dps=dps, dps2=dps2))
         rate = self._counts(axis, rate_rps)
         if rate == 0 and rate_rps != 0.0:
-            raise DeviceRefused(
-                self._device, f"axis {axis}: {math.degrees(rate_rps):g} deg/s is less than half a count a second"
-            )
+            raise DeviceRefused(self._device, sentence("table.half_a_count", axis=axis, dps=math.degrees(rate_rps)))
         return rate
 
     def _counts(self, axis: str, turns_rad: float) -> int:
