@@ -145,8 +145,7 @@ class Sequencer:
         await asyncio.sleep(max(due_s - WATCH_S - loop.time(), 0.0))
         while not (await self._table.status(axis)).target_reached:
             if loop.time() > due_s + OVERDUE_S:
-                state = await self._table.read(axis)
-                at, to = math.degrees(state.angle_rad), math.degrees(target)
+                at, to = math.degrees((await self._table.read(axis)).angle_rad), math.degrees(target)
                 raise DeviceRefused("table", sentence("run.overdue", axis=axis, step=step.label, at_deg=at, to_deg=to))
             await asyncio.sleep(WATCH_S)
         await asyncio.sleep(max(due_s - loop.time(), 0.0))

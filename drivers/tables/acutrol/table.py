@@ -134,8 +134,7 @@ class AcutrolTable(LineTable):
         self._moved = axis
         task = _Task(abs(math.degrees(rate_rps)), math.degrees(acceleration_rps2), math.degrees(angle_rad))
         self._axes[axis].task = task
-        leg = await self._begin_leg(axis, task)
-        self._watch(axis, task, leg)
+        self._watch(axis, task, await self._begin_leg(axis, task))
 
     async def read(self, axis: str) -> AxisState:
         """Measure angle and rate; each is stamped with the middle of its own round trip."""
