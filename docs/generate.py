@@ -7,6 +7,7 @@ Pictures of the screen are the pictures that the tests compare with, without the
 
 import argparse
 import contextlib
+import html
 import importlib
 import io
 import json
@@ -18,6 +19,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, fields, replace
 from functools import cache
 from pathlib import Path
+from string import Formatter
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -622,6 +624,22 @@ def xsens_packets() -> str:
     return table(("packet", "unit"), ((f"`{p[0]}`", p[1]) for p in packaged("layouts.toml")["mtdata2"].values()))
 
 
+def messages() -> str:
+    """Sentences of advice, by the area that they are about."""
+    rows = []
+    for package in ("station", "drivers", "estimator"):
+        listed = tomllib.loads((ROOT / package / "sentences.toml").read_text(encoding="utf-8"))
+        rows += [(area, _shown(text)) for area, texts in listed.items() for text in texts.values()]
+    return table(("about", "message"), rows)
+
+
+def _shown(sentence: str) -> str:
+    """Return a sentence with its fields as <name>; what stands between backquotes needs no escapes."""
+    parts = Formatter().parse(" ".join(sentence.split()))
+    pieces = "".join(f"{text}<{field}>" if field else text for text, field, _, _ in parts).split("`")
+    return "`".join(piece if i % 2 else html.escape(piece, quote=False) for i, piece in enumerate(pieces))
+
+
 def decisions() -> str:
     """The records, by number."""
     rows = []
@@ -636,7 +654,7 @@ def decisions() -> str:
 MADE: dict[str, Callable[..., str]] = {
     made.__name__: made
     for made in (
-        *(commands, effects, units, tables, imus, exports, vectornav_fields, xsens_packets, decisions),
+        *(commands, effects, units, tables, imus, exports, vectornav_fields, xsens_packets, messages, decisions),
         *(keys, device_keys, mapping_keys),
     )
 }

@@ -1,7 +1,7 @@
-"""Texts and tables that ship beside the modules."""
+"""Texts and tables that ship beside the modules; among them sentences that people read, ``sentences.toml``."""
 
 import tomllib
-from functools import cache
+from functools import cache, partial
 from importlib import resources
 from typing import Any
 
@@ -20,3 +20,13 @@ def packaged_toml(package: str, name: str) -> dict[str, Any]:
 def packaged_codes(package: str, device: str, kind: str) -> dict[int, str]:
     """Return what the numbers mean that a device answers with, from the codes.toml of a package."""
     return {int(code): text for code, text in packaged_toml(package, "codes.toml")[device][kind].items()}
+
+
+def sentence_of(tables: dict[str, dict[str, str]], key: str, /, **values: object) -> str:
+    """Return the sentence of a name, "table.name", its fields filled in by these values."""
+    table, name = key.split(".")
+    return tables[table][name].format(**values)
+
+
+# Read at once: a fault must be told even where no file can be opened any more.
+sentence = partial(sentence_of, packaged_toml("drivers", "sentences.toml"))

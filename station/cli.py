@@ -19,7 +19,7 @@ from estimator.errors import EstimatorError
 from estimator.untrusted import harmless
 from station.bench.plugins import use_effects
 from station.campaigns import ONE_BLAS_THREAD
-from station.errors import EXIT_ABORTED, EXIT_FAULT, EXIT_USAGE, UsageError
+from station.errors import EXIT_ABORTED, EXIT_FAULT, EXIT_USAGE, UsageError, sentence
 from station.exports import GROUP as EXPORTS
 
 _NO_ROOM = ("can't start new thread", "failed to map segment")
@@ -100,9 +100,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (MemoryError, ImportError, RuntimeError) as error:
         if not isinstance(error, MemoryError) and not any(words in str(error) for words in _NO_ROOM):
             raise
-        return _refuse(
-            UsageError("this computer is short of memory: end other programs, or give it more"), module, arguments
-        )
+        return _refuse(UsageError(sentence("run.short_of_memory")), module, arguments)
     except KeyboardInterrupt:
         print("station: stopped by Ctrl-C", file=sys.stderr)
         return EXIT_ABORTED

@@ -1,8 +1,14 @@
-"""What the station itself refuses, before anything moves."""
+"""What the station itself refuses, before anything moves, and the words for it, ``sentences.toml``."""
+
+from functools import partial
+
+from drivers.packaged import packaged_toml, sentence_of
 
 EXIT_USAGE = 2
 EXIT_ABORTED = 3
 EXIT_FAULT = 4
+
+sentence = partial(sentence_of, packaged_toml("station", "sentences.toml"))
 
 
 class UsageError(Exception):

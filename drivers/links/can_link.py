@@ -13,6 +13,7 @@ from drivers.clocks.loop_scale import call_from_thread, loop_scale, settle
 from drivers.errors import LinkLost
 from drivers.links.can_buses import SlcanBus, SocketcandBus, open_bus
 from drivers.links.can_memory import MemoryBus
+from drivers.packaged import sentence
 from drivers.types import Frame, LinkCounts
 
 # Interfaces whose stamps are the host's time of day, taken by the kernel before any program gets to see the frame.
@@ -75,9 +76,7 @@ class CanLink:
             raise
         except Exception as error:  # interfaces raise what their vendors' libraries raise
             self._give_up()
-            raise LinkLost(
-                self._device, f"cannot open {self._named} ({_plain(error)}); is it plugged in, free, and spelled right?"
-            ) from None
+            raise LinkLost(self._device, sentence("link.no_can", channel=self._named, why=_plain(error))) from None
 
     async def receive(self) -> list[Frame]:
         """Return the frames since the last call, waiting for the first; LinkLost when the bus is gone."""

@@ -4,6 +4,7 @@ import asyncio
 import socket
 
 from drivers.errors import LinkLost
+from drivers.packaged import sentence
 from drivers.types import ByteChunk
 
 _READ_LIMIT = 65536
@@ -25,19 +26,14 @@ class TcpLink:
     async def open(self) -> None:
         """Connect; LinkLost if nobody listens."""
         self.close()
+        peer = f"{self._host}:{self._port}"
         try:
             async with asyncio.timeout(self._timeout_s):
                 self._reader, self._writer = await asyncio.open_connection(self._host, self._port)
         except TimeoutError:
-            raise LinkLost(
-                self._device,
-                f"{self._host}:{self._port} does not answer within {self._timeout_s:g} s; is it on, the address right?",
-            ) from None
+            raise LinkLost(self._device, sentence("link.silent", peer=peer, limit_s=self._timeout_s)) from None
         except OSError as error:
-            raise LinkLost(
-                self._device,
-                f"no connection to {self._host}:{self._port} ({_plain(error)}); is it on, and the address right?",
-            ) from None
+            raise LinkLost(self._device, sentence("link.unreachable", peer=peer, why=_plain(error))) from None
         self._ended = ""
         _set_up(self._writer.get_extra_info("socket"))
 

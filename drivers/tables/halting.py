@@ -7,6 +7,7 @@ from collections.abc import Awaitable, Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 from drivers.errors import BadReply, DeviceError, DeviceRefused, LinkLost
+from drivers.packaged import sentence
 from drivers.protocols import Turntable
 from drivers.types import AxisState
 
@@ -142,8 +143,4 @@ async def first_look(table: Turntable, *, take_over: bool) -> None:
         if take_over:
             await table.stop()
             break
-        raise DeviceRefused(
-            "table",
-            f"axis {axis} is enabled and turns at {math.degrees(rate_rps):.2f} deg/s, and not by this station: stop it "
-            "where it was started; if that is gone, start with --reset-fault, which brings the table to rest first",
-        )
+        raise DeviceRefused("table", sentence("table.driven_elsewhere", axis=axis, dps=math.degrees(rate_rps)))

@@ -7,7 +7,7 @@ from pathlib import Path
 import drivers.imus.can.dbc
 from drivers.imus.can.imu import CanChannel, CanSource
 from drivers.imus.signals import UNITS, plain_unit
-from station.errors import UsageError
+from station.errors import UsageError, sentence
 from station.schema.tables import Table
 
 MAPPING_FOLDER = Path(drivers.imus.can.dbc.__path__[0])
@@ -64,8 +64,7 @@ def channels_of(mapping: CanMapping, device: str, gyros: Sequence[str]) -> tuple
     """
     if mapping.gyros != len(gyros):
         raise MappingError(
-            f"{device}: the mapping {mapping.name} has {mapping.gyros} gyros, the array {len(gyros)}: "
-            "give the array the axes of the mapping's rate signals, in their order"
+            sentence("bench.other_gyros", device=device, name=mapping.name, held=mapping.gyros, gyros=len(gyros))
         )
     named, first = [], 0
     for source in mapping.channels:

@@ -19,7 +19,7 @@ from estimator.recordings.writing import write_recording
 from estimator.untrusted import harmless
 from station.atomic_write import new_recording
 from station.bench.bench import Bench, load_bench
-from station.errors import EXIT_USAGE, UsageError
+from station.errors import EXIT_USAGE, UsageError, sentence
 from station.opening import needs_only_memory, open_bench, serve_twins, with_links
 from station.remote.hosting import Host, introduction
 from station.render.printing import print_calibration, print_verdict, refuse, result_object
@@ -50,9 +50,7 @@ def _run(arguments: argparse.Namespace) -> int:
         operator = bench.checked_operator(arguments.operator) if arguments.operator is not None else ""
         serial = bench.checked_serial(arguments.serial_number) if arguments.serial_number is not None else ""
         if arguments.manual and (arguments.script or arguments.end_early or arguments.model):
-            raise UsageError(
-                "--manual: it follows no script and estimates nothing; leave --script, --end-early, --model out"
-            )
+            raise UsageError(sentence("run.manual_alone"))
         script = Script("manual", ()) if arguments.manual else paper_script()
         script = load_script(Path(arguments.script)) if arguments.script else script
         script = check(script, bench.table.limits)
@@ -109,17 +107,12 @@ def _model_of(arguments: argparse.Namespace, bench: Bench) -> ErrorModel | None:
         return None
     model = ErrorModel.read(Path(arguments.model))
     if arguments.end_early:
-        raise UsageError(
-            "--end-early with --model: what is enough is judged by the four states alone; give one of the two"
-        )
+        raise UsageError(sentence("run.end_early_model"))
     model.made(bench.table.gimbals, frozenset({"gimbals", "specific force", "temperature"}))
     if model.needs_temperature:
         for imu in bench.imus:
             if imu.used and not imu.knows_temperature:
-                raise UsageError(
-                    f"{arguments.model} has effects of temperature, and {imu.name} states no temperature signal: name "
-                    "it in the channels of the bench file, or run without --model"
-                )
+                raise UsageError(sentence("run.no_temperature", model=arguments.model, imu=imu.name))
     return model
 
 

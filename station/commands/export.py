@@ -8,7 +8,7 @@ from pathlib import Path
 from drivers.plugins import load_files
 from estimator.strict_toml import not_one_of
 from station.atomic_write import write_whole
-from station.errors import UsageError
+from station.errors import UsageError, sentence
 from station.exports.exported import Exported, exported_of
 from station.exports.formats import FORMATS
 from station.exports.written import Written
@@ -62,10 +62,7 @@ def _written(arguments: argparse.Namespace) -> tuple[Exported, Written]:
     form = forms[arguments.format]
     exported = exported_of(Path(arguments.recording), arguments.device, arguments.instance)
     if form.of_one_device and len(exported.devices) > 1 and not arguments.device:
-        raise UsageError(
-            f"{arguments.recording} holds the devices {', '.join(exported.devices)}: name one with --device, or "
-            "several that are one array by giving it several times"
-        )
+        raise UsageError(sentence("export.several", recording=arguments.recording, devices=", ".join(exported.devices)))
     try:
         written = form.write(exported)
         if not isinstance(written, Written):

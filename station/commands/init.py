@@ -12,7 +12,7 @@ from drivers.tables.registry import TABLES, USUAL_TABLE
 from station.atomic_write import write_whole
 from station.bench.bench import Bench, load_bench
 from station.bench.table import TWIN
-from station.errors import EXIT_ABORTED, ScriptError, UsageError
+from station.errors import EXIT_ABORTED, ScriptError, UsageError, sentence
 from station.init.asking import Data
 from station.init.bench_text import bench_text
 from station.init.dialogue import Dialogue, EndedError
@@ -66,10 +66,7 @@ def _check_place(path: Path, dialogue: Dialogue, force: bool) -> None:
 
 
 def _ask(dialogue: Dialogue, arguments: argparse.Namespace, path: Path) -> Data:
-    dialogue.say(
-        "This writes a bench file: which devices there are, and where. What stands in brackets is taken if you type\n"
-        "nothing; a - is an empty answer. What is not there yet gets a simulated twin. Ctrl-C ends, and writes nothing."
-    )
+    dialogue.say(sentence("init.begin"))
     folder = path.absolute().parent
     links = Links(serial_ports(), can_interfaces()) if dialogue.asks else Links()
     name = dialogue.ask("\nname of the bench", path.stem, _check_name)

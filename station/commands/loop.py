@@ -127,12 +127,8 @@ def _why_ended(turn: Round, left_s: float) -> str:
 
 def _first_scripts(bench: Bench, budget_s: float) -> list[tuple[str, Script]]:
     """Return the three runs that every loop begins with; UsageError if the table or the budget does not allow them."""
-    scripts = [
-        (CALIBRATION, paper_script()),
-        (EXPLORATION, exploration_script()),
-        (VERIFICATION, verification_script()),
-    ]
-    scripts = [(name, check(script, bench.table.limits)) for name, script in scripts]
+    first = {CALIBRATION: paper_script(), EXPLORATION: exploration_script(), VERIFICATION: verification_script()}
+    scripts = [(name, check(script, bench.table.limits)) for name, script in first.items()]
     needed_s = sum(script.duration_s + _AROUND_S for _, script in scripts)
     if needed_s > budget_s:
         raise UsageError(f"--minutes {budget_s / 60:g}: the first three runs take {needed_s / 60:.1f} min")

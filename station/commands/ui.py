@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from station.errors import UsageError
+from station.errors import UsageError, sentence
 
 if TYPE_CHECKING:
     from station.screen.choices import Choices
@@ -37,15 +37,10 @@ def _check_terminal() -> None:
         raise UsageError("station ui needs a terminal of its own; without one: station run, or station ui --web")
     terminal = os.environ.get("TERM", "")
     if terminal in _NO_TERMINALS:
-        raise UsageError(
-            f"TERM is {terminal!r}: this terminal cannot show a screen; use another one (TERM=xterm-256color), or "
-            "station run, or station ui --web"
-        )
+        raise UsageError(sentence("screen.no_screen", terminal=terminal))
     encoding = sys.stderr.encoding or "ascii"
     if codecs.lookup(encoding).name != "utf-8":
-        raise UsageError(
-            f"the locale's encoding is {encoding}, the screen needs UTF-8: set LANG=C.UTF-8, or another locale of UTF-8"
-        )
+        raise UsageError(sentence("screen.encoding", encoding=encoding))
 
 
 def _show(arguments: argparse.Namespace) -> int:

@@ -17,7 +17,7 @@ from estimator.calibration.values import Calibration, GyroCalibration
 from estimator.errors import EstimatorError, RecordingError
 from estimator.recordings.reading import read_recording
 from estimator.recordings.recording import Recording
-from station.errors import UsageError
+from station.errors import UsageError, sentence
 from station.render.template import rendered
 from station.run.outcome import Outcome
 from station.views.seen import Seen, seen_by
@@ -25,10 +25,7 @@ from station.views.seen import Seen, seen_by
 _RAW = ("imu", "table", "reference")
 _NUMBERS = "biuf"
 
-RAW_RULE = (
-    "over the datasets of numbers below /imu, /reference and /table, sorted by their paths: of each its path in "
-    "UTF-8, a line feed, and its values in little-endian order, row by row"
-)
+RAW_RULE = sentence("export.raw_rule")
 """How the hash of the raw data is formed, in words."""
 
 
@@ -95,10 +92,7 @@ def _read(path: Path) -> Recording:
     except RecordingError:
         with suppress(EstimatorError):
             ErrorModel.read(path)
-            raise UsageError(
-                f"{path} holds what an investigation found, which is of a type of gyros: `station calibrate --model "
-                f"{path} --write RECORDING` puts it into the calibration of a recording, which can then be exported"
-            ) from None
+            raise UsageError(sentence("export.of_a_type", path=path)) from None
         raise
 
 

@@ -11,7 +11,7 @@ import yaml
 
 from estimator.calibration.compensation import Compensation
 from estimator.effects.constructed import readable
-from station.errors import UsageError
+from station.errors import UsageError, sentence
 from station.exports.exported import Exported
 from station.render.template import rendered
 
@@ -68,12 +68,6 @@ def lines_of(reasons: Mapping[str, str]) -> list[str]:
     return [f"{readable(effect)}: {why}" for effect, why in reasons.items()]
 
 
-def delay_line(exported: Exported, what: str = "take it off the stamps of the samples") -> list[str]:
-    """Return the line for a delay that a form does not hold; none if there is no delay."""
-    delay_s = exported.compensation.delay_s
-    return [f"a delay of {delay_s:.6g} s: {what}"] if delay_s else []
-
-
 def head(exported: Exported, what: str, not_held: Sequence[str], mark: str) -> list[str]:
     """Return the lines that a text begins with, each behind ``mark``."""
     lines = [what, "", *exported.origin]
@@ -99,9 +93,6 @@ def as_triad(exported: Exported, form: str, keep: Collection[str] = ()) -> tuple
     count = len(exported.gyros)
     if count != 3:
         several = f" of {len(exported.devices)} devices: give one with --device" if len(exported.devices) > 1 else ""
-        raise UsageError(
-            f"{form} holds three gyros, and this is an array of {count}{several}; `--format c` or `--format python` "
-            "gives the function that makes one body rate of them"
-        )
+        raise UsageError(sentence("export.three_gyros", form=form, count=count, several=several))
     held, dropped = exported.compensation.simplified(keep, exported.seen.temperature_c[1])
     return held, {**exported.compensation.left_out, **dropped}

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from drivers.packaged import packaged_toml
 from station.bench.descriptions import DESCRIPTIONS, load_description
-from station.errors import UsageError
+from station.errors import UsageError, sentence
 from station.init.asking import Data, ask_key
 from station.init.dialogue import Dialogue
 from station.schema.tables import keys_of
@@ -35,10 +35,7 @@ def ask_gyros(dialogue: Dialogue, imu: Data, folder: Path, checked: Callable[[Da
     bare = {key: value for key, value in imu.items() if key not in ("array", "channels")}
     geometry, count = _ask_geometry(dialogue, dialogue.choose("array", _ARRAYS, "tetrahedron"))
     bare = {**bare, **geometry}
-    dialogue.say(
-        "  Which signals are they? - for the built-in DBC, of up to four gyros; a mapping (sbg_ecan, xsens_mti600,\n"
-        "  aceinna_openimu300ri, or a .toml of your own); or a .dbc."
-    )
+    dialogue.say(sentence("init.signals"))
 
     def usable(text: str) -> None:
         if text.endswith(".dbc"):
@@ -104,9 +101,8 @@ def _signals(path: Path) -> list[str]:
     try:
         base = cantools.database.load_file(path)
     except Exception as error:  # cantools has a kind of error of its own for every parser
-        raise UsageError(
-            f"{path} cannot be read as a DBC: {(str(error) or type(error).__name__).splitlines()[0]}"
-        ) from None
+        why = (str(error) or type(error).__name__).splitlines()[0]
+        raise UsageError(sentence("init.no_dbc", path=path, why=why)) from None
     return [f"{message.name}.{s.name}" for message in getattr(base, "messages", ()) for s in message.signals]
 
 

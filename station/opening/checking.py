@@ -12,6 +12,7 @@ from drivers.errors import BadReply, DeviceError, LinkLost
 from drivers.protocols import ImuSource
 from drivers.types import Floats, Identity, ImuBlock, LinkCounts, SourceCounts, Stamps
 from station.bench.imu import ImuConfig
+from station.errors import sentence
 from station.opening import OpenBench, OpenImu
 
 LISTEN_S = 2.0
@@ -70,11 +71,6 @@ class DeviceCheck:
     experimental: bool = False
     counts: LinkCounts | None = None
 
-    @property
-    def answered_nothing(self) -> bool:
-        """Whether nothing came of it that could be understood, not even a refusal."""
-        return not self.axes and not self.sources and not {_LOOK_AT_TABLE, _LOOK_AT_IMU}.isdisjoint(self.wrong)
-
 
 async def check_bench(
     opened: OpenBench, *, time_scale: float = 1.0, tell: Callable[[str], None] = lambda device: None
@@ -94,7 +90,8 @@ async def check_bench(
             imu.source.close()
     for check in found:
         check.counts = opened.link_counts().get(check.device)
-    dumb = [check for check in found if check.answered_nothing]
+    not_even_refused = [check for check in found if not {_LOOK_AT_TABLE, _LOOK_AT_IMU}.isdisjoint(check.wrong)]
+    dumb = [check for check in not_even_refused if not check.axes and not check.sources]
     for check in dumb if len(dumb) > 1 else ():
         others = " and ".join(other.device for other in dumb if other is not check)
         check.wrong.append(f"{others} cannot be understood either: are their links exchanged?")
@@ -154,10 +151,7 @@ async def _check_table(opened: OpenBench, time_scale: float) -> DeviceCheck:
                 check.wrong.append(f"axis {axis} turns at {math.degrees(state.rate_rps):.2f} deg/s: stop it first")
         slow = sum(axis.round_trip_s for axis in check.axes)
         if slow * bench.table.poll_rate_hz > 1:
-            check.wrong.append(
-                f"a reading of all axes takes {slow * 1e3:.0f} ms, too slow for poll_rate = "
-                f"{bench.table.poll_rate_hz:g} Hz: lower it, or use a faster link"
-            )
+            check.wrong.append(sentence("check.too_slow", slow_ms=slow * 1e3, poll_rate_hz=bench.table.poll_rate_hz))
     return check
 
 

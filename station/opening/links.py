@@ -8,7 +8,7 @@ from drivers.links.byte_links import SerialLink, TcpLink
 from drivers.links.can_link import CanLink
 from drivers.specs import ImuSpec, TableSpec
 from drivers.tables.modbus.line import SerialPort
-from station.errors import BenchError
+from station.errors import BenchError, sentence
 from station.schema.tables import link_of
 
 _BYTE_LINKS = "write serial:///dev/ttyUSB0?baud=921600, tcp://host:port, rfc2217://host:port, or twin:"
@@ -49,9 +49,7 @@ def can_address(link: str, device: str) -> tuple[str, str, dict[str, Any]]:
     address, _, query = link.partition("?")
     parts = address.split(":", 2)
     if len(parts) != 3 or parts[0] != "can" or not parts[1]:
-        raise BenchError(
-            f"{device}: {link!r} is no CAN link: write can:INTERFACE:CHANNEL, for instance can:socketcan:can0"
-        )
+        raise BenchError(sentence("bench.no_can_link", device=device, link=link))
     options: dict[str, Any] = {key: values[0] for key, values in parse_qs(query).items()}
     for key, value in options.items():
         with suppress(ValueError):
@@ -70,7 +68,5 @@ def _serial(url: SplitResult, link: str, device: str, baud: int) -> SerialPort:
     parity, stop_bits = options.get("parity", "N").upper(), options.get("stop_bits", "1")
     number = options.get("baud", str(baud))
     if unknown or parity not in ("N", "E", "O") or stop_bits not in ("1", "2") or not number.isdigit() or number == "0":
-        raise BenchError(
-            f"{device}: {link!r} has options that no serial port has: baud=921600, parity=N, E or O, stop_bits=1 or 2"
-        )
+        raise BenchError(sentence("bench.serial_options", device=device, link=link))
     return SerialPort(port, int(number), parity, int(stop_bits))

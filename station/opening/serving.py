@@ -31,8 +31,7 @@ async def serve_twins(
     ``port`` is that of the table, 0 for any. What each is served on is said by [twin.wires] of the bench file.
     """
     async with AsyncExitStack() as stack:
-        twins = Twins(bench, stack, time_scale)
-        serving = _Serving(twins, stack, host)
+        serving = _Serving(Twins(bench, stack, time_scale), stack, host)
 
         def tell(**said: Any) -> None:
             announce(json.dumps(said))

@@ -16,7 +16,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
 
-from station.errors import UsageError
+from station.errors import UsageError, sentence
 
 VERSION = 2
 """Of the language on the socket."""
@@ -40,10 +40,8 @@ def socket_folder() -> Path:
         if not reason:
             return folder
         refused.append(reason)
-    raise UsageError(
-        f"no place for a session's socket: {'; '.join(refused) or 'there is no folder for temporary files'}; set "
-        "XDG_RUNTIME_DIR to a folder that you can write to"
-    )
+    why = "; ".join(refused) or "there is no folder for temporary files"
+    raise UsageError(sentence("session.no_socket", why=why))
 
 
 def _places() -> list[Path]:
@@ -134,10 +132,8 @@ class RemoteSession:
             raise UsageError(f"no session answers at {path}: it has ended ({error or 'no word from it'})") from None
         if hello is None or hello.get("kind") != "hello" or hello.get("version") != VERSION:
             transport.abort()
-            raise UsageError(
-                f"what answers at {path} is no session of this version of the station: "
-                f"{(hello or {}).get('reason') or 'look at it with the version that started it'}"
-            )
+            why = (hello or {}).get("reason") or "look at it with the version that started it"
+            raise UsageError(sentence("session.other_version", path=path, why=why))
         return cls(transport, inbox, hello)
 
     async def messages(self) -> AsyncIterator[dict[str, Any]]:

@@ -23,7 +23,7 @@ from types import TracebackType
 from typing import Any, Self, cast
 
 from station.bench.bench import Bench
-from station.errors import UsageError
+from station.errors import UsageError, sentence
 from station.remote.attaching import VERSION, of_this_user, socket_folder
 from station.run.session import Session
 from station.run.snapshot import EventKind, Snapshot
@@ -150,9 +150,7 @@ class Host:
             case {"do": action}:
                 raise UsageError(f"not understood: {str(action)[:40]!r}")
             case _:
-                raise UsageError(
-                    'not understood: say {"do": "stop"}, "pause", "resume", "course" or "note" with a "text"'
-                )
+                raise UsageError(sentence("session.not_understood"))
         return b""
 
     async def _show(self) -> None:

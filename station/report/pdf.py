@@ -4,7 +4,7 @@ from pathlib import Path
 
 from drivers.packaged import packaged_text
 from station.atomic_write import write_whole
-from station.errors import UsageError
+from station.errors import UsageError, sentence
 
 
 def print_pdf(html: str, pdf: Path) -> bytes:
@@ -16,10 +16,7 @@ def print_pdf(html: str, pdf: Path) -> bytes:
         from weasyprint import HTML
         from weasyprint.urls import URLFetcher
     except (ImportError, OSError) as error:
-        raise UsageError(
-            f"no PDF without WeasyPrint and Pango ({str(error).splitlines()[0]}): apt install libpango-1.0-0 "
-            "libpangoft2-1.0-0 libharfbuzz-subset0; or open the HTML file and print it"
-        ) from None
+        raise UsageError(sentence("report.no_pdf", why=str(error).splitlines()[0])) from None
     from matplotlib import get_data_path
 
     folder = Path(get_data_path(), "fonts", "ttf").as_uri()

@@ -18,6 +18,7 @@ from estimator.errors import RecordingError
 from estimator.recordings.safe_open import probe
 from estimator.recordings.writing import plain
 from estimator.tracing.investigation import ResidualView
+from station.errors import sentence
 from station.report.recorded import Recorded, labels_of, laid_out
 from station.views.investigation import InvestigationView, Spectra, judged_views
 
@@ -65,16 +66,12 @@ def read_traced(path: Path | None, recorded: Recorded) -> Traced | None:
         if "investigation" not in file:
             if path is None:
                 return None
-            raise RecordingError(
-                f"{path} holds no investigation: give the file that `station investigate ... -o FILE` wrote"
-            )
+            raise RecordingError(sentence("report.no_investigation", path=path))
         traced = _read(where, file["investigation"])
     ours = set(labels_of(recorded.recording).values())
     if not set(traced.names) <= ours:
-        raise RecordingError(
-            f"{where} is an investigation of {', '.join(traced.names)}, the recording is of {', '.join(sorted(ours))}: "
-            "give the investigation of this device"
-        )
+        names = ", ".join(traced.names)
+        raise RecordingError(sentence("report.other_device", path=where, names=names, ours=", ".join(sorted(ours))))
     return traced
 
 

@@ -17,6 +17,7 @@ from estimator.errors import EstimatorError
 from estimator.estimation.live.sample_columns import SampleColumns
 from estimator.observations.timing import TimeOffset
 from estimator.recordings.writing import RecordingWriter
+from station.errors import sentence
 from station.opening import OpenBench, OpenImu
 from station.opening.reopening import Reopening
 from station.run.event_loop.loops import is_virtual
@@ -179,9 +180,7 @@ class Acquisition:
         while missing := sorted(names - set(self._last_seen_s)):
             if asyncio.get_running_loop().time() > deadline:
                 raise LinkLost(
-                    self._device_of(missing[0]),
-                    f"no samples from {', '.join(missing)} within {limit_s:g} s; is it powered, the link right, "
-                    "the rate as in the bench file?",
+                    self._device_of(missing[0]), sentence("run.no_samples", sources=", ".join(missing), limit_s=limit_s)
                 )
             await asyncio.sleep(0.05)
 

@@ -14,7 +14,7 @@ from estimator.recordings.recording import ImuData
 from estimator.recordings.reference import TableReadings, TableUncertainty
 from station.bench.bench import Bench
 from station.bench.imu import ImuConfig
-from station.errors import UsageError
+from station.errors import UsageError, sentence
 from station.opening import OpenBench
 from station.run.live import RECENT_S, LiveEstimate, LiveSource
 
@@ -28,10 +28,7 @@ _IN_A_ROW = 2  # so many confirmations: an estimate that is looked at often dips
 def check_early_end(bench: Bench) -> None:
     """See that the bench says what is enough; UsageError if it does not."""
     if not np.isfinite(bench.limits.sds).any():
-        raise UsageError(
-            "--end-early: the bench requires no sigmas, so none could be enough; "
-            "give sd_scale_factor_error, sd_bias or sd_misalignment in [limits]"
-        )
+        raise UsageError(sentence("run.no_sigmas"))
 
 
 class EarlyEnd:
@@ -56,10 +53,8 @@ class EarlyEnd:
             share = await loop.run_in_executor(None, self._largest_share())
             confirmed = confirmed + 1 if share <= _ENOUGH else 0
             if confirmed >= _IN_A_ROW:
-                return (
-                    f"every required sigma is reached, the largest is {share:.0%} of its limit; mean NIS "
-                    f"{self._live.nis_mean:.3f}, {self._live.nis_recent:.3f} in the last {RECENT_S:g} s"
-                )
+                nis, recent = self._live.nis_mean, self._live.nis_recent
+                return sentence("run.enough", share=share, nis=nis, recent=recent, recent_s=RECENT_S)
             # The host's time counts: it has the same work to do at every scale.
             await asyncio.sleep(_CONFIRM_EVERY_S * self._time_scale)
 

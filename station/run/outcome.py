@@ -7,6 +7,7 @@ from enum import StrEnum
 from estimator.calibration.budget import UNSEEN
 from estimator.calibration.values import Calibration
 from station.bench.bench import Limits
+from station.errors import sentence
 from station.views.limits import LimitLine, limit_lines
 
 _MOSTLY = 0.5
@@ -39,10 +40,7 @@ class Verdict:
 
 
 MANUAL_VERDICT = Verdict(Outcome.MANUAL, "driven by hand: nothing was judged")
-_UNSEEN_HINT = (
-    "these sigmas are mostly effects that this script cannot show: the section undeclared of the bench file says which "
-    "are ruled out"
-)
+_UNSEEN_HINT = sentence("run.unseen")
 
 
 def judge(calibration: Calibration, limits: Limits | None, causes: Sequence[str] = ()) -> Verdict:

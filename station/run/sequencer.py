@@ -7,7 +7,7 @@ from typing import Any
 
 from drivers.errors import DeviceRefused
 from drivers.protocols import Turntable
-from station.errors import UsageError
+from station.errors import UsageError, sentence
 from station.run.snapshot import AFTER_THIS_STEP, PAUSED
 from station.run.uncommanded import Commanded
 from station.scripts.polling import MARGIN_S, ramp_s, wanted_hz
@@ -145,18 +145,11 @@ class Sequencer:
         await asyncio.sleep(max(due_s - WATCH_S - loop.time(), 0.0))
         while not (await self._table.status(axis)).target_reached:
             if loop.time() > due_s + OVERDUE_S:
-                state = await self._table.read(axis)
-                raise DeviceRefused(
-                    "table",
-                    f"axis {axis} is overdue in step {step.label!r}: it is at {math.degrees(state.angle_rad):.2f} deg, "
-                    f"it was sent to {math.degrees(target):.2f} deg",
-                )
+                at, to = math.degrees((await self._table.read(axis)).angle_rad), math.degrees(target)
+                raise DeviceRefused("table", sentence("run.overdue", axis=axis, step=step.label, at_deg=at, to_deg=to))
             await asyncio.sleep(WATCH_S)
         await asyncio.sleep(max(due_s - loop.time(), 0.0))
         angle = (await self._table.read(axis)).angle_rad
         if abs(angle - target) > ON_TARGET_RAD:
-            raise DeviceRefused(
-                "table",
-                f"axis {axis} says it has arrived in step {step.label!r}, but is at {math.degrees(angle):.3f} deg "
-                f"instead of {math.degrees(target):.3f} deg",
-            )
+            at, to = math.degrees(angle), math.degrees(target)
+            raise DeviceRefused("table", sentence("run.not_there", axis=axis, step=step.label, at_deg=at, to_deg=to))

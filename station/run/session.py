@@ -19,7 +19,7 @@ from estimator.calibration.error_model import ErrorModel
 from estimator.calibration.values import Calibration
 from estimator.errors import EstimatorError, RecordingError
 from estimator.recordings.writing import TEXT_BYTES, RecordingWriter, write_attributes
-from station.errors import UsageError
+from station.errors import UsageError, sentence
 from station.opening import OpenBench
 from station.opening.reopening import Reopening
 from station.run.acquisition import Acquisition, SourceReport, identity_attributes
@@ -265,11 +265,7 @@ class Session:
             attributes = {"device_serial": told}
         elif told != options.device_serial:
             if not options.serial_reason:
-                raise DeviceError(
-                    device,
-                    f"it says that its serial number is {told!r}, the run is of {options.device_serial!r}: connect "
-                    "that one, or give the number that it says, or say why both are right (--serial-reason)",
-                )
+                raise DeviceError(device, sentence("run.other_serial", told=told, meant=options.device_serial))
             attributes = {"device_serial_told": told, "serial_reason": options.serial_reason}
         self._writer.set_attributes(attributes)
 

@@ -12,6 +12,7 @@ import numpy as np
 from drivers.errors import DeviceFault, LinkLost
 from drivers.protocols import Turntable
 from drivers.types import AxisState, Floats
+from station.errors import sentence
 from station.run.sequencer import Sequencer
 from station.run.uncommanded import MotionGuard
 
@@ -186,6 +187,4 @@ async def check_axes(table: Turntable, axes: tuple[str, ...]) -> None:
         if status.trouble:
             raise DeviceFault("table", status.trouble)
         if not status.enabled:
-            raise DeviceFault(
-                "table", f"axis {axis} has left operation by itself (now {status.text}): its watchdog or an interlock"
-            )
+            raise DeviceFault("table", sentence("run.left_operation", axis=axis, status=status.text))

@@ -2,6 +2,7 @@
 
 import math
 
+from station.errors import sentence
 from station.scripts.script import Rest, Script
 
 _READINGS_A_RAMP = 20
@@ -28,8 +29,4 @@ def too_steep(script: Script, read_s: float) -> list[str]:
             length_s = ramp_s(step.rate_rps, step.acceleration_rps2, timed.to_rad - timed.from_rad)
             if 0 < length_s < _FEWEST * read_s:
                 steep[step.label] = length_s
-    return [
-        f"a ramp of step {label!r} takes {length_s:.2g} s and a reading of the table {read_s:.2g} s: the rate is not "
-        "known there, and ramps tell when samples are taken; accelerate more slowly, or use a faster link"
-        for label, length_s in steep.items()
-    ]
+    return [sentence("script.steep", step=label, length_s=length_s, read_s=read_s) for label, length_s in steep.items()]

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from drivers.types import AxisLimits
-from station.errors import ScriptError
+from station.errors import ScriptError, sentence
 from station.schema.tables import Table
 
 _DEG = math.pi / 180
@@ -128,26 +128,20 @@ def check(script: Script, limits: Mapping[str, AxisLimits]) -> Script:
         if step.rate_rps == 0 or step.acceleration_rps2 <= 0:
             raise ScriptError(f"{where}: rate and acceleration must not be zero")
         if abs(step.rate_rps) > limit.rate_rps * (1 + 1e-9):
-            raise ScriptError(
-                f"{where}: {abs(step.rate_rps) / _DEG:g} deg/s is beyond axis {step.axis}'s limit of "
-                f"{limit.rate_rps / _DEG:g} deg/s"
-            )
+            rate, most = abs(step.rate_rps) / _DEG, limit.rate_rps / _DEG
+            raise ScriptError(sentence("script.too_fast", where=where, rate_dps=rate, axis=step.axis, most_dps=most))
         if step.acceleration_rps2 > limit.acceleration_rps2 * (1 + 1e-9):
-            raise ScriptError(
-                f"{where}: {step.acceleration_rps2 / _DEG:g} deg/s2 is beyond axis {step.axis}'s limit of "
-                f"{limit.acceleration_rps2 / _DEG:g} deg/s2"
-            )
+            asked, most = step.acceleration_rps2 / _DEG, limit.acceleration_rps2 / _DEG
+            raise ScriptError(sentence("script.accelerates", where=where, dps2=asked, axis=step.axis, most_dps2=most))
         if isinstance(step, Rotate) and step.duration_s <= 2 * abs(step.rate_rps) / step.acceleration_rps2:
-            raise ScriptError(
-                f"{where}: {step.duration_s:g} s is not enough for the two ramps of "
-                f"{abs(step.rate_rps) / step.acceleration_rps2:g} s; make it longer or the ramps steeper"
-            )
+            ramp = abs(step.rate_rps) / step.acceleration_rps2
+            raise ScriptError(sentence("script.too_short", where=where, length_s=step.duration_s, ramp_s=ramp))
         angles[step.axis] = step.angle_rad if isinstance(step, Move) else angles[step.axis] + step.turn_rad
         low, high = limit.travel_rad or (-math.inf, math.inf)
         if not low - _ROUNDING_RAD <= angles[step.axis] <= high + _ROUNDING_RAD:
+            at, least, most = angles[step.axis] / _DEG, low / _DEG, high / _DEG
             raise ScriptError(
-                f"{where}: it takes axis {step.axis} to {angles[step.axis] / _DEG:g} deg from home, beyond its travel "
-                f"of {low / _DEG:g} to {high / _DEG:g} deg"
+                sentence("script.beyond_travel", where=where, axis=step.axis, at_deg=at, least_deg=least, most_deg=most)
             )
         driven.append(_driven(step, limit, where))
     return Script(script.name, tuple(driven))
@@ -163,8 +157,7 @@ def rounded(asked: Script, driven: Script) -> list[str]:
     if not ramps:
         return []
     return [
-        f"{', '.join(sorted(ramps))}: the controller has accelerations in steps; the script takes "
-        f"{driven.duration_s:.0f} s in place of {asked.duration_s:.0f}"
+        sentence("script.rounded", ramps=", ".join(sorted(ramps)), driven_s=driven.duration_s, asked_s=asked.duration_s)
     ]
 
 
@@ -174,10 +167,8 @@ def _driven(step: Move | Rotate, limit: AxisLimits, where: str) -> Move | Rotate
     if not quantum:
         return step
     if quantum > limit.acceleration_rps2:
-        raise ScriptError(
-            f"{where}: the controller's smallest acceleration of axis {step.axis} is {quantum / _DEG:g} deg/s2, beyond "
-            f"the axis' limit of {limit.acceleration_rps2 / _DEG:g} deg/s2"
-        )
+        least, most = quantum / _DEG, limit.acceleration_rps2 / _DEG
+        raise ScriptError(sentence("script.coarse", where=where, axis=step.axis, least_dps2=least, most_dps2=most))
     acceleration = max(math.floor(step.acceleration_rps2 / quantum * (1 + 1e-9)), 1) * quantum
     if isinstance(step, Move):
         return replace(step, acceleration_rps2=acceleration)

@@ -168,7 +168,8 @@ class Search:
         found: list[tuple[float, Found, Shape]] = []
         for solved in ranked[:_KEPT]:
             before = math.inf
-            for cycles in self._cycles(solved.shape):
+            again = self.coloured and not solved.shape.ways[0].sign  # each turn comes back, and drift could matter
+            for cycles in _CYCLES if again else _CYCLES[:1]:
                 shape = solved.shape.again(cycles)
                 settled = settle(shape)
                 if settled is None:
@@ -229,10 +230,6 @@ class Search:
                 yield chosen
                 if self.one_directional and not any(way.moved for way in chosen):
                     yield from one_way(chosen)
-
-    def _cycles(self, shape: Shape) -> tuple[int, ...]:
-        """Return how often the turns may be gone through: again only if each comes back and drift could matter."""
-        return _CYCLES if self.coloured and not shape.ways[0].sign else _CYCLES[:1]
 
     def _settled(self, shape: Shape) -> tuple[float, Found] | None:
         """Return the shortest script of a shape that reaches all under all of the noise, what is left well spent."""

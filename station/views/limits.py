@@ -8,6 +8,7 @@ import numpy as np
 
 from estimator.calibration.values import Calibration
 from station.bench.bench import Limits
+from station.errors import sentence
 from station.views.figures import STATE_FIGURES, STATE_UNITS
 
 
@@ -54,10 +55,7 @@ class LimitLine:
             return f"{what} {found} {unit} > {most} {unit}"
         if self.what == SAMPLES_LOST:
             return f"{self.value:.2%} of the samples lost > {self.high:.2%}"
-        return (
-            f"mean NIS {self.value:.3f} outside {self.low:g} to {self.high:g}: the noise or the model is not what was "
-            "assumed"
-        )
+        return sentence("run.nis", nis=self.value, low=self.low, high=self.high)
 
     @property
     def cells(self) -> tuple[str, str, str, str]:

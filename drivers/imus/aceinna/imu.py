@@ -7,6 +7,7 @@ from drivers.clocks.loop_scale import loop_scale
 from drivers.errors import DeviceRefused, LinkLost
 from drivers.imus.aceinna import codec as aceinna
 from drivers.imus.can.imu import CanChannel, CanImu, CanSource
+from drivers.packaged import sentence
 from drivers.protocols import FrameLink
 from drivers.specs import ImuSetup, ImuSpec, described
 from drivers.types import Identity
@@ -71,11 +72,7 @@ class AceinnaImu(CanImu):
             if answer is not None and answer[1:] == values:
                 return
         if answer is None:
-            raise LinkLost(
-                self._device,
-                f"no answer from J1939 address {self._peer:#04x} about setting {group:04X}; is it powered, and are "
-                "bit rate and address right?",
-            )
+            raise LinkLost(self._device, sentence("link.no_setting", address=self._peer, group=group))
         raise DeviceRefused(
             self._device, f"setting {group:04X}: asked for {values.hex(' ')}, the device keeps {answer[1:].hex(' ')}"
         )

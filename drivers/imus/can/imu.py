@@ -16,6 +16,7 @@ from drivers.errors import DeviceError
 from drivers.imus.one_source import OneSource
 from drivers.imus.samples import Companion, Piece, block_of, regular_block
 from drivers.imus.signals import MessageKey, SignalReader, is_j1939, message_key, parameter_group
+from drivers.packaged import sentence
 from drivers.protocols import FrameLink
 from drivers.specs import ImuSetup, ImuSpec, described
 from drivers.types import Flags, Floats, Frame, Identity, ImuBlock, Octets, SourceCounts, Stamps
@@ -98,16 +99,12 @@ class ChannelSignals:
         for part, what in ((self.rates, "rates"), (self.acceleration, "accelerations")):
             if len({signal.key for signal in part}) > 1:
                 names = ", ".join(signal.name for signal in part)
-                raise DeviceError(
-                    device, f"{names} are {what} of one source in several messages of {dbc.name}: make each a source"
-                )
+                raise DeviceError(device, sentence("imu.in_several", names=names, what=what, dbc=dbc.name))
         if self.counter is not None and self.time is not None:
             raise DeviceError(device, f"{self.counter.name} and {self.time.name}: give a counter or a time, not both")
         for signal in (self.counter, self.time):
             if signal is not None and not signal.counts:
-                raise DeviceError(
-                    device, f"{signal.name} in {dbc.name} is no whole number: it cannot count or tell time"
-                )
+                raise DeviceError(device, sentence("imu.no_count", signal=signal.name, dbc=dbc.name))
 
     @property
     def all(self) -> list[SignalReader]:

@@ -58,11 +58,6 @@ class Layout:
         """Bytes from the id to the CRC, without line termination."""
         return 1 + sum(numbers * width + 1 for _, numbers, width in self.groups) + 3 + 4
 
-    @property
-    def padding(self) -> int:
-        """Zero bytes that enter the CRC but are not sent."""
-        return -(self.size - 4) % 4
-
 
 _PLAIN_IDS = (0x90, 0x91, 0x92, 0x93, 0x94, 0xA5, 0xA6, 0xA7)
 _PPS_IDS = (0xF0, 0xF1, 0xF2, 0xF3, 0xF4, 0xF5, 0xF6, 0xF7)
@@ -138,7 +133,7 @@ class Stim300Decoder:
                 self.dropped_bytes += at - start
             elif at + any_layout.size > len(view):
                 break
-            elif not _intact(reversed_view, at, any_layout.size, bytes(any_layout.padding)):
+            elif not _intact(reversed_view, at, any_layout.size, _padding(any_layout.size)):
                 self.bad_datagrams += 1
                 self.dropped_bytes += 1
                 at += 1
@@ -156,7 +151,7 @@ class Stim300Decoder:
 
     def _run(self, view: bytes, reversed_view: bytes, start: int, layout: Layout) -> tuple[Datagrams, int]:
         """Return the datagrams of one kind from here on, the first of which is intact, and the end of the last."""
-        size, identifier, padding = layout.size, view[start], bytes(layout.padding)
+        size, identifier, padding = layout.size, view[start], _padding(layout.size)
         step = size + 2 if view[start + size : start + size + 2] == _LINE_END else size
         tail = view[start + size : start + step]
         at = start + step
@@ -189,7 +184,7 @@ def encode(datagrams: Datagrams, *, line_termination: bool = False) -> bytes:
         rows[:, column - 1] = status
     rows[:, column] = datagrams.counter % COUNTER_MODULUS
     rows[:, column + 1 : column + 3] = _big_endian(datagrams.latency_us[:, None], 2)
-    padding, tail = bytes(layout.padding), _LINE_END if line_termination else b""
+    padding, tail = _padding(layout.size), _LINE_END if line_termination else b""
     bodies = [row.tobytes() for row in rows]
     return b"".join(body + crc32_mpeg2(body + padding).to_bytes(4, "big") + tail for body in bodies)
 
@@ -198,7 +193,7 @@ def encode_special(value: Special, *, line_termination: bool = False) -> bytes:
     """Return the bytes of a special datagram; ValueError if the value cannot be one."""
     identifier = SPECIAL_IDS[type(value), line_termination]
     body = bytes([identifier]) + value.payload()
-    crc = crc32_mpeg2(body + bytes(SPECIAL_LAYOUTS[identifier].padding))
+    crc = crc32_mpeg2(body + _padding(SPECIAL_LAYOUTS[identifier].size))
     return body + crc.to_bytes(4, "big") + (_LINE_END if line_termination else b"")
 
 
@@ -225,6 +220,11 @@ def vouched(raw: Ints, status: Ints) -> Floats:
 def _next_id(view: bytes, start: int) -> int:
     match = _ANY_ID.search(view, start)
     return match.start() if match else len(view)
+
+
+def _padding(size: int) -> bytes:
+    """Return the zero bytes that enter the CRC of a datagram but are not sent."""
+    return bytes(-(size - 4) % 4)
 
 
 def _intact(reversed_view: bytes, start: int, size: int, padding: bytes) -> bool:

@@ -14,6 +14,7 @@ from drivers.imus.one_source import OneSource
 from drivers.imus.stim300 import codec as stim300
 from drivers.imus.stim300.special import RATES_HZ, Configuration, PartNumber, SerialNumber, Special
 from drivers.imus.stim300.units import ACCEL_LSB_G, UNITS, accel_unit_mps2, gyro_unit_rps
+from drivers.packaged import sentence
 from drivers.protocols import ByteLink
 from drivers.specs import ImuSetup, ImuSpec, described
 from drivers.types import ByteChunk, Identity, ImuBlock, SourceCounts, Stamps
@@ -196,9 +197,7 @@ class Stim300Imu(OneSource[ByteLink]):
             self._refuse(f"has the gyro unit {unit or 'unknown here'}", wanted, f"u g,{_CODES[wanted]}")
         if not all(configuration.gyros_on):
             off = ", ".join(axis for axis, on in zip("xyz", configuration.gyros_on, strict=True) if not on)
-            raise DeviceRefused(
-                self._device, f"its gyro {off} is off, and the bench has all three; is it the right part?"
-            )
+            raise DeviceRefused(self._device, sentence("imu.gyro_off", gyros=off))
         self._gyro = gyro_unit_rps(configuration.gyro_unit, self._rate_hz)
         if configuration.accelerometer:
             known = {range_g for range_g in ranges if range_g is not None}
@@ -209,9 +208,7 @@ class Stim300Imu(OneSource[ByteLink]):
 
     def _refuse(self, found: str, wanted: str, command: str) -> None:
         otherwise = f", or set the device (service mode: {command}, then s)" if command else ""
-        raise DeviceRefused(
-            self._device, f"the device {found}, the bench file says {wanted}: correct the bench file{otherwise}"
-        )
+        raise DeviceRefused(self._device, sentence("imu.otherwise", found=found, wanted=wanted, otherwise=otherwise))
 
 
 _RANGES = {"one_of": ACCEL_LSB_G, "told": f"is one of {', '.join(map(str, ACCEL_LSB_G))} g"}

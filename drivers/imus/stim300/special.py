@@ -208,11 +208,6 @@ class SpecialLayout:
         """Bytes from the id to the CRC, without line termination."""
         return 1 + self.length + 4
 
-    @property
-    def padding(self) -> int:
-        """Zero bytes that enter the CRC but are not sent."""
-        return -(self.size - 4) % 4
-
 
 SPECIAL_LAYOUTS = {
     0xB1: SpecialLayout(PartNumber, 15, False),

@@ -184,8 +184,7 @@ class VectorNavImu(OneSource[ByteLink]):
         await self._ask(vectornav.Sentence("VNASY", ("0",)))
 
     async def _read(self, register: str) -> str:
-        reply = await self._ask(vectornav.Sentence("VNRRG", (register,)))
-        return ",".join(reply.fields[1:])
+        return ",".join((await self._ask(vectornav.Sentence("VNRRG", (register,)))).fields[1:])
 
     async def _write(self, register: str, *values: str) -> None:
         await self._ask(vectornav.Sentence("VNWRG", (register, *values)))

@@ -10,6 +10,7 @@ from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused
 from drivers.imus.xsens import mtdata2
 from drivers.imus.xsens.requests import XbusDevice
 from drivers.imus.xsens.xbus import Bytes, Messages, Mid, error_text, firmware_of, product_of, serial_of
+from drivers.packaged import sentence
 from drivers.protocols import ByteLink
 from drivers.specs import ImuSetup, ImuSpec, described
 from drivers.types import Flags, Floats, Identity, ImuBlock, SourceCounts, Stamps
@@ -209,15 +210,9 @@ class XsensImu(XbusDevice):
         if rate is None:
             raise DeviceRefused(self._device, f"it does not grant {wanted}; is it an MTi that gives rates?")
         if rate.rate_hz != self._rate_hz:
-            raise DeviceRefused(
-                self._device,
-                f"it grants {rate} where {self._rate_hz} Hz were asked for; set the rate in the bench file to one that "
-                "the device has",
-            )
+            raise DeviceRefused(self._device, sentence("imu.other_rate", granted=rate, asked_hz=self._rate_hz))
         if mtdata2.SAMPLE_TIME_FINE not in by_kind and mtdata2.PACKET_COUNTER not in by_kind:
-            raise DeviceRefused(
-                self._device, "it grants neither SampleTimeFine nor PacketCounter: no sample has a time"
-            )
+            raise DeviceRefused(self._device, sentence("imu.no_times"))
 
     async def _told(self, mid: Mid) -> bytes:
         """Return the answer to what not every device can be asked, empty from those."""

@@ -11,6 +11,7 @@ import re
 from dataclasses import dataclass, field
 
 from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused
+from drivers.packaged import sentence
 from drivers.protocols import ByteLink
 from drivers.requests.exchange import Answer, Unanswered, UnexpectedReply
 from drivers.specs import AxisSetup, TableSetup, TableSpec, described
@@ -133,8 +134,7 @@ class AcutrolTable(LineTable):
         self._moved = axis
         task = _Task(abs(math.degrees(rate_rps)), math.degrees(acceleration_rps2), math.degrees(angle_rad))
         self._axes[axis].task = task
-        leg = await self._begin_leg(axis, task)
-        self._watch(axis, task, leg)
+        self._watch(axis, task, await self._begin_leg(axis, task))
 
     async def read(self, axis: str) -> AxisState:
         """Measure angle and rate; each is stamped with the middle of its own round trip."""
@@ -245,9 +245,7 @@ class AcutrolTable(LineTable):
             leg = await self._begin_leg(axis, task, _NEAR_TARGET_DEG if changes > 1 else _ON_TARGET_DEG)
         if (await self._interlock(axis)) not in ("fault", "open"):
             angle = math.degrees((await self._read(axis)).angle_rad)
-            raise DeviceRefused(
-                self._device, f"axis {axis} stays at {angle:.4f} deg, sent to {task.target_deg:.4f} deg"
-            )
+            raise DeviceRefused(self._device, sentence("table.stays", axis=axis, at_deg=angle, to_deg=task.target_deg))
 
     async def _begin_leg(self, axis: str, task: _Task, near_deg: float = _ON_TARGET_DEG) -> str:
         """Start the next part of a way, and return which: brake, run (in rate mode), change (of position), done."""

@@ -13,6 +13,7 @@ import math
 import re
 
 from drivers.errors import DeviceRefused
+from drivers.packaged import sentence
 from drivers.protocols import ByteLink
 from drivers.requests.exchange import Answer, Framed, Token
 from drivers.specs import TableSetup, TableSpec, described
@@ -172,9 +173,7 @@ class AerosmithTable(LineTable):
         rate = math.degrees(rate_rps)
         whole = round(rate)
         if abs(rate - whole) > 1e-6:
-            raise DeviceRefused(
-                self._device, f"axis {self._axis}: the table's language has whole deg/s only, not {rate:g}"
-            )
+            raise DeviceRefused(self._device, sentence("table.whole_rates", axis=self._axis, dps=rate))
         return whole
 
     async def _set_acceleration(self, acceleration_rps2: float) -> None:

@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterable
 
 from drivers.errors import DeviceFault, DeviceRefused
+from drivers.packaged import sentence
 from drivers.protocols import ByteLink
 from drivers.requests.exchange import Answer
 from drivers.specs import TableSetup, TableSpec, described
@@ -263,12 +264,8 @@ class GalilTable(LineTable):
         acceleration = galil.floor_acceleration(acceleration_rps2 / TURN * own.counts_per_turn)
         allowed = own.limits.acceleration_rps2 / TURN * own.counts_per_turn
         if acceleration > allowed:
-            least_dps2 = math.degrees(acceleration / own.counts_per_turn * TURN)
-            raise DeviceRefused(
-                self._device,
-                f"axis {axis}: the controller's gentlest ramp is {acceleration} counts/s2, {least_dps2:.4g} deg/s2: "
-                "more than the axis is allowed",
-            )
+            least = math.degrees(acceleration / own.counts_per_turn * TURN)
+            raise DeviceRefused(self._device, sentence("table.gentlest", axis=axis, counts=acceleration, dps2=least))
         for what in ("AC", "DC"):
             await self._tell(f"{what}{own.address}={acceleration}")
 
@@ -276,16 +273,11 @@ class GalilTable(LineTable):
         """Return a rate in counts/s; DeviceRefused beyond the limits, which the controller does not know."""
         limits = self._axes[axis].limits
         if abs(rate_rps) > limits.rate_rps * 1.001 or abs(acceleration_rps2) > limits.acceleration_rps2 * 1.001:
-            raise DeviceRefused(
-                self._device,
-                f"axis {axis}: {math.degrees(rate_rps):g} deg/s at {math.degrees(acceleration_rps2):g} deg/s2 "
-                "is beyond its limits",
-            )
+            dps, dps2 = math.degrees(rate_rps), math.degrees(acceleration_rps2)
+            raise DeviceRefused(self._device, sentence("table.beyond_limits", axis=axis, dps=dps, dps2=dps2))
         rate = self._counts(axis, rate_rps)
         if rate == 0 and rate_rps != 0.0:
-            raise DeviceRefused(
-                self._device, f"axis {axis}: {math.degrees(rate_rps):g} deg/s is less than half a count a second"
-            )
+            raise DeviceRefused(self._device, sentence("table.half_a_count", axis=axis, dps=math.degrees(rate_rps)))
         return rate
 
     def _counts(self, axis: str, turns_rad: float) -> int:

@@ -13,7 +13,7 @@ from pymodbus.exceptions import ModbusException
 from pymodbus.transport import NULLMODEM_HOST
 
 from drivers.errors import BadReply, DeviceError, DeviceRefused, LinkLost
-from drivers.packaged import packaged_codes
+from drivers.packaged import packaged_codes, sentence
 from drivers.requests.turn import Turn
 from drivers.tables.modbus.order import READ, WRITE_ONE, Pending, Request, RtuGate, TcpGate
 from drivers.types import LinkCounts
@@ -207,11 +207,7 @@ class ModbusLine:
         """Take it that each unit still has replies on their way, to whoever used the line before."""
         for unit, probes in self._probes.items():
             if len({probe.head for probe in probes}) < 2:
-                raise DeviceRefused(
-                    self._device,
-                    "this drive's values are all of one width, so that late replies cannot be told on a serial line; "
-                    "use Modbus TCP",
-                )
+                raise DeviceRefused(self._device, sentence("link.one_width"))
             for probe in probes:
                 if probe.head not in self._pending[unit]:
                     self._pending[unit].add(probe.head, self._now())

@@ -22,7 +22,7 @@ from estimator.effects.conditions import REFERENCE_C
 from estimator.effects.effect import Acts
 from estimator.effects.thermal import THERMAL_BIAS, THERMAL_BIAS_QUADRATIC
 from estimator.geometry.array import TOLERANCE
-from station.errors import UsageError
+from station.errors import UsageError, sentence
 from station.exports.exported import Exported
 from station.exports.written import Written, as_triad, from_template
 
@@ -75,8 +75,5 @@ def _along_axes(exported: Exported, values: Floats) -> Floats:
     p = exported.compensation.array.p
     nearest = np.round(p)
     if np.abs(p - nearest).max() > TOLERANCE or (np.abs(nearest).sum(axis=0) != 1).any():
-        raise UsageError(
-            "an autopilot holds offsets along x, y and z, and the gyros do not lie along these axes: `--format c` "
-            "gives the function that makes a body rate of them"
-        )
+        raise UsageError(sentence("export.not_along_axes"))
     return np.asarray(nearest.T @ values)

@@ -15,7 +15,7 @@ import numpy as np
 from drivers.types import Floats
 from estimator.effects.site import G_SENSITIVITY
 from estimator.geometry.kinematics import GRAVITY_MPS2
-from station.errors import UsageError
+from station.errors import UsageError, sentence
 from station.exports.exported import Exported
 from station.exports.written import Written, as_triad, from_template
 
@@ -56,10 +56,7 @@ def _lower_and_rotation(sensitivity: Floats, form: str) -> tuple[Floats, Floats]
     signs = np.sign(np.diag(r))
     rotation = (q * signs).T
     if np.linalg.det(rotation) < 0:
-        raise UsageError(
-            f"{form} holds right-handed triads, and these gyros in their order form a left-handed one: put them in "
-            "another order in the bench file, or use `--format c`"
-        )
+        raise UsageError(sentence("export.left_handed", form=form))
     return r.T * signs + 0.0, rotation  # no minus zeros
 
 

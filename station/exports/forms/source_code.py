@@ -12,9 +12,10 @@ from estimator.effects.conditions import REFERENCE_C, SLOPE_S
 from estimator.effects.effect import Acts
 from estimator.effects.law import LAST_SHARE
 from estimator.geometry.kinematics import GRAVITY_MPS2
+from station.errors import sentence
 from station.exports.exported import Exported
 from station.exports.terms import AXIS_TABLES, Term, Terms, terms_of
-from station.exports.written import Written, delay_line, head, lines_of, number
+from station.exports.written import Written, head, lines_of, number
 from station.render.template import rendered
 
 _DOUBLE = re.compile(
@@ -147,13 +148,13 @@ def _arguments_said(exported: Exported, terms: Terms) -> list[str]:
 
 def _cautions(exported: Exported, terms: Terms) -> list[str]:
     """Return what of the calibration the function does not undo, and what undoing costs."""
-    lines = [*lines_of(exported.compensation.left_out), *delay_line(exported)]
+    lines = lines_of(exported.compensation.left_out)
+    if exported.compensation.delay_s:
+        lines.append(sentence("export.delay", delay_s=exported.compensation.delay_s))
     if terms.lag is not None and np.isfinite(exported.seen.rate_hz):
         share = float(terms.lag.values.max()) * exported.seen.rate_hz
-        lines.append(
-            f"{terms.lag.table}: the lag is undone by differences of samples, which at {exported.seen.rate_hz:.6g} "
-            f"samples a second makes the noise {np.hypot(1 + share, share):.2g} times as large"
-        )
+        noise = np.hypot(1 + share, share)
+        lines.append(sentence("export.lag", lag=terms.lag.table, rate_hz=exported.seen.rate_hz, noise=noise))
     return lines
 
 
