@@ -139,8 +139,8 @@ class Compensation:
                 why = f"its part at {REFERENCE_C + above:.4g} degC is in the constants"
                 why = why if of_temperature else "the bias is that after it"
             dropped[effect.known.called] = why
-        axes = self.array
-        x = np.stack([1 - _dot(g, axes.p), b, _dot(g, axes.k), -_dot(g, axes.j)], axis=1)
+        p, j, k = (np.einsum("ij,ij->i", g, axes) for axes in (self.array.p, self.array.j, self.array.k))
+        x = np.stack([1 - p, b, k, -j], axis=1)
         states = np.array([decode(row, np.zeros((4, 4)))[0] for row in x])
         return replace(self, states=states, effects=tuple(held)), dropped
 
@@ -153,7 +153,3 @@ def _joined(gyros: Sequence[GyroCalibration], arrays: Mapping[str, SensorArray])
     parts = [arrays[gyro.source].select([arrays[gyro.source].names.index(gyro.name)]) for gyro in gyros]
     p, j, k = (np.vstack([getattr(part, axis) for part in parts]) for axis in "pjk")
     return SensorArray(tuple(names), p, j, k)
-
-
-def _dot(a: Floats, b: Floats) -> Floats:
-    return np.asarray(np.einsum("ij,ij->i", a, b))

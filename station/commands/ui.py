@@ -1,7 +1,5 @@
 """station ui: the operator's screen. Its arguments, and whether this terminal can show it."""
 
-from __future__ import annotations
-
 import argparse
 import codecs
 import gc
@@ -72,7 +70,7 @@ def _keep(text: str) -> str:
     return f"{where}. A session that runs goes on: station ui --attach"
 
 
-def choices_of(arguments: argparse.Namespace) -> Choices:
+def choices_of(arguments: argparse.Namespace) -> "Choices":
     """Return what the options of `station ui`, or of `station run --ui`, choose beforehand.
 
     UsageError for an option that a watched run cannot have.

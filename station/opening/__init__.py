@@ -19,10 +19,12 @@ from station.bench.table import TWIN
 from station.errors import BenchError
 from station.opening.links import driver_link
 from station.opening.serving import serve_twins as serve_twins
-from station.opening.simulate import DeviceTruth as DeviceTruth
-from station.opening.simulate import Hidden as Hidden
-from station.opening.simulate import simulate as simulate
-from station.opening.simulate import simulate_bench as simulate_bench
+from station.opening.simulate import (
+    DeviceTruth as DeviceTruth,
+    Hidden as Hidden,
+    simulate as simulate,
+    simulate_bench as simulate_bench,
+)
 from station.opening.twins import Twins
 
 _GATHER_S = 0.005

@@ -206,10 +206,6 @@ def _nearest(at_s: Floats, t_s: Floats, values: Floats) -> Floats:
     return np.where(near, values[index], np.nan)
 
 
-def _galil(section: StrictTable, _folder: Path) -> Capture:
-    return partial(_read_galil, section.number("sample_us", _TM_1000_US, positive=True) * 1e-6)
-
-
 def _read_galil(sample_s: float, raw: bytes, _names: Sequence[str]) -> _Decoded:
     """Return positions of each axis in counts ("A.position", "A.reference", "A.auxiliary"), and ``time`` (s).
 
@@ -252,6 +248,6 @@ PROTOCOLS: Protocols = {
     "stim300": _stim300,
     "vectornav": lambda _section, _folder: _vectornav,
     "candump": _candump,
-    "galil": _galil,
+    "galil": lambda section, _: partial(_read_galil, section.number("sample_us", _TM_1000_US, positive=True) * 1e-6),
 }
 """Formats of captures that a mapping file may name, beside those of the estimator."""

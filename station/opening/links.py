@@ -4,8 +4,9 @@ from contextlib import suppress
 from typing import Any
 from urllib.parse import SplitResult, parse_qs, urlsplit
 
-from drivers.links.byte_links import SerialLink, TcpLink
 from drivers.links.can_link import CanLink
+from drivers.links.serial_link import SerialLink
+from drivers.links.tcp_link import TcpLink
 from drivers.specs import ImuSpec, TableSpec
 from drivers.tables.modbus.line import SerialPort
 from station.errors import BenchError, sentence

@@ -16,8 +16,7 @@ from estimator.recordings.reference import TableReadings
 from sims.direct import TimedMove, direct_run
 from sims.physics.geometry import MOUNTS_DEG, Mounting, mounted
 from sims.physics.gyro import GyroTruth
-from sims.physics.hidden import Hidden as Hidden
-from sims.physics.hidden import HiddenError
+from sims.physics.hidden import Hidden as Hidden, HiddenError
 from station.bench.bench import Bench
 from station.errors import BenchError
 from station.opening.twins import hidden_of, mounting_of, truth_of

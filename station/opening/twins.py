@@ -27,8 +27,7 @@ from sims.physics.hidden import Hidden, HiddenError
 from sims.physics.hidden.table import TableFaults
 from sims.physics.table import AxisData, TableModel
 from sims.tables.modbus import FaultyModbus, modbus_server, pull_plug
-from sims.tables.registry import Seat
-from sims.tables.registry import twin_of as twin_of_table
+from sims.tables.registry import Seat, twin_of as twin_of_table
 from sims.wires.faults import Exchanged, FaultyFrames, faulty_device
 from sims.wires.frames import FrameSink, NodeFaults
 from sims.wires.wires import ByteDevice, Plug, Write, in_memory

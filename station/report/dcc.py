@@ -12,7 +12,7 @@ from lxml import etree
 from scipy.special import chdtri
 
 from drivers.packaged import packaged_toml
-from station.errors import UsageError
+from station.errors import UsageError, sentence
 from station.render.template import rendered
 from station.report.document import Report
 from station.report.figures import COVERAGE
@@ -32,10 +32,7 @@ def check_facts(formal: Formal) -> None:
     """See, before any long work, that all is stated that must be; UsageError that lists what is not."""
     missing = [fact for fact in _FACTS["mandatory"] if not getattr(formal, fact.replace(".", "_"))]
     if missing:
-        raise UsageError(
-            f"a digital calibration certificate must state {', '.join(missing)}, and nobody did: write it into the "
-            "file for --meta (customer.name is `name` below [customer]), what is of the laboratory into the bench file"
-        )
+        raise UsageError(sentence("report.dcc_lacks", missing=", ".join(missing)))
 
 
 def make_dcc(recorded: Recorded, formal: Formal, report: Report, pdf: bytes | None = None) -> bytes:

@@ -15,8 +15,7 @@ from station.exports.exported import RAW_RULE, file_sha256, raw_sha256
 from station.render.investigation_printed import verdict_lines
 from station.render.plan_printed import combination
 from station.render.template import rendered
-from station.report import figures, pictures
-from station.report import traced as residual
+from station.report import figures, pictures, traced as residual
 from station.report.chapters import correction, front, results, unseen
 from station.report.formal import Formal, logo_of
 from station.report.recorded import Recorded, laid_out, read_recorded

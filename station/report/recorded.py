@@ -1,7 +1,5 @@
 """What a report needs of a recording beside its samples: calibration, live estimates, steps, events."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -172,7 +170,7 @@ def laid_out(path: Path, message: str) -> Iterator[None]:
         raise RecordingError(f"{path}: {message.format(first_line(error))}") from None
 
 
-def _allan(group: Group) -> tuple[Floats, Floats] | None:
+def _allan(group: "Group") -> tuple[Floats, Floats] | None:
     if "allan_tau_s" not in group:
         return None
     tau_s, deviation = (np.asarray(group[f"allan_{key}"][()], dtype=np.float64) for key in ("tau_s", "deviation_rps"))
@@ -181,7 +179,7 @@ def _allan(group: Group) -> tuple[Floats, Floats] | None:
     return tau_s, deviation
 
 
-def _course(estimate: Group, innovation: Group) -> Course:
+def _course(estimate: "Group", innovation: "Group") -> Course:
     states, sd, nis, dof = (
         np.asarray(group[name][()], dtype=np.float64)
         for group, name in ((estimate, "states"), (estimate, "sd"), (innovation, "nis"), (innovation, "dof"))
@@ -192,11 +190,11 @@ def _course(estimate: Group, innovation: Group) -> Course:
     return course
 
 
-def _steps(group: Group) -> tuple[Step, ...]:
+def _steps(group: "Group") -> tuple[Step, ...]:
     rows = zip(group["label"][()], group["t_start_ns"][()], group["t_end_ns"][()], strict=False)
     return tuple(Step(str(plain(label)), int(start), int(end)) for label, start, end in rows)
 
 
-def _events(group: Group) -> tuple[Event, ...]:
+def _events(group: "Group") -> tuple[Event, ...]:
     rows = zip(group["t_ns"][()], group["text"][()], strict=False)
     return tuple(Event(int(t), str(plain(text))) for t, text in rows)

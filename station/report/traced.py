@@ -1,7 +1,5 @@
 """An investigation read back: what the error model lacks, the residual before and after, and how the report says so."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping
@@ -75,7 +73,7 @@ def read_traced(path: Path | None, recorded: Recorded) -> Traced | None:
     return traced
 
 
-def _read(path: Path, group: Group) -> Traced:
+def _read(path: Path, group: "Group") -> Traced:
     names = tuple(str(plain(name)) for name in group["name"][()])
     states = np.asarray(group["states_after"][()], dtype=np.float64)
     if states.shape != (len(names), 4):
@@ -98,13 +96,13 @@ def _read(path: Path, group: Group) -> Traced:
     )
 
 
-def _residual(run: str, gyro: str, part: Group) -> ResidualView:
+def _residual(run: str, gyro: str, part: "Group") -> ResidualView:
     columns = {key: values[()].astype(np.float64) for key, values in part.items()}
     judges, noise_rps = bool(part.attrs["verification"]), float(part.attrs["noise_rps"])
     return ResidualView(run, gyro, judges, noise_rps=noise_rps, **{"temperature_c": None, **columns})
 
 
-def _spectrum(part: Group) -> Spectra:
+def _spectrum(part: "Group") -> Spectra:
     return Spectra(*(part[key][()].astype(np.float64) for key in ("frequency_hz", "before", "after", "noise")))
 
 

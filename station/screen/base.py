@@ -9,6 +9,7 @@ from textual.containers import VerticalScroll
 from textual.screen import Screen
 from textual.widgets import Footer, Input, Static
 
+from station.errors import sentence
 from station.screen.bars import StopBar, TopBar
 from station.screen.seen_app import SeenApp
 
@@ -36,11 +37,7 @@ class StationScreen(Screen[None]):
             yield from self.body()
         yield from self.row_below()
         yield Footer(show_command_palette=False)
-        yield Static(
-            f"This terminal is too small for the station: it needs {LEAST_WIDTH} x {LEAST_HEIGHT} characters. "
-            "Enlarge it, and the screen comes back. What runs goes on.",
-            id="small",
-        )
+        yield Static(sentence("screen.too_small", width=LEAST_WIDTH, height=LEAST_HEIGHT), id="small")
         yield StopBar()
 
     def body(self) -> ComposeResult:

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any, TypedDict, cast
 
 from drivers.types import Floats
-from estimator.tracing.investigation import Added, GyroErrors, Investigation
-from estimator.tracing.investigation import ResidualView as ResidualCourse
+from estimator.tracing.investigation import Added, GyroErrors, Investigation, ResidualView as ResidualCourse
 from estimator.tracing.residuals.residual import GyroResidual, Residual
 from station.views.json_values import by_state, json_object, named
 

@@ -12,7 +12,7 @@ from turntable_rigs import COUNTS, DEG, Controller, byte_pair, model_of, virtual
 from wire_pair import pair
 
 from drivers.errors import BadReply, LinkLost
-from drivers.links.byte_links import MemoryLink
+from drivers.links.memory_link import MemoryLink
 
 
 class LateWire:

@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from late_wire import read_under_lateness
 from setups import setup_of, twin_on
 from turntable_rigs import COUNTS, DEG, LIMITS, MAX_RATE, MemoryWire, model_of, rig, settle, virtually

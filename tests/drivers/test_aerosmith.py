@@ -8,8 +8,7 @@ import random
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from setups import twin_on
 from turntable_rigs import DEG, MAX_RATE, rig, settle, virtually
 

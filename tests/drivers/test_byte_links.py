@@ -17,8 +17,9 @@ import pytest
 from wire_pair import pair
 
 from drivers.errors import DeviceFault, LinkLost
-from drivers.links.byte_links import SerialLink, TcpLink
 from drivers.links.reopen import BackOff, reopen
+from drivers.links.serial_link import SerialLink
+from drivers.links.tcp_link import TcpLink
 from drivers.protocols import ByteLink
 from station.run.event_loop.loops import VirtualLoop
 

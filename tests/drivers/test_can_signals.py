@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from cantools.database.can import Message, Signal
 from cantools.database.conversion import LinearConversion, LinearIntegerConversion
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from drivers.errors import DeviceError
 from drivers.imus.signals import SignalReader, parameter_group, plain_unit

@@ -11,13 +11,13 @@ from contextlib import asynccontextmanager
 from itertools import pairwise
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from turntable_rigs import virtually
 from wire_pair import pair
 
 from drivers.errors import LinkLost
-from drivers.links.byte_links import MemoryLink, TcpLink
+from drivers.links.memory_link import MemoryLink
+from drivers.links.tcp_link import TcpLink
 from drivers.requests.exchange import Exchange, Token, Unanswered, UnexpectedReply
 from drivers.tables.galil.language import NOTHING, NUMBER, GalilFraming
 from station.run.event_loop.loops import ScaledLoop

@@ -10,15 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from late_wire import read_under_lateness
 from setups import setup_of, twin_on
 from turntable_rigs import COUNTS, DEG, LIMITS, MAX_RATE, model_of, rig, settle, virtually
 from wire_pair import pair
 
 from drivers.errors import DeviceFault, DeviceRefused
-from drivers.links.byte_links import MemoryLink
+from drivers.links.memory_link import MemoryLink
 from drivers.specs import AxisSetup
 from drivers.tables.galil.language import NUMBER, GalilFraming, Switches, error_of, floor_acceleration, revision
 from drivers.tables.galil.table import GalilTable

@@ -12,8 +12,7 @@ import can
 import numpy as np
 import pytest
 from can_support import collect, gyros, in_virtual_time, vectors, wire
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from setups import imu_setup
 
 from drivers.errors import DeviceRefused, LinkLost

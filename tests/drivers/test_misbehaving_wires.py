@@ -19,7 +19,8 @@ from setups import setup_of
 from turntable_rigs import COUNTS, DEG, LIMITS, byte_pair, model_of
 
 from drivers.errors import DeviceError
-from drivers.links.byte_links import MemoryLink, TcpLink
+from drivers.links.memory_link import MemoryLink
+from drivers.links.tcp_link import TcpLink
 from drivers.specs import AxisSetup
 from drivers.tables.modbus.line import Address, SerialPort
 from drivers.tables.modbus.registers import load_profile

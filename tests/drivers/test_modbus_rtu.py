@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from modbus_twin import modbus_server
 from pymodbus.client import AsyncModbusSerialClient
 from pymodbus.constants import ExcCodes

@@ -20,7 +20,8 @@ from drivers.errors import DeviceRefused, LinkLost
 from drivers.imus.stim300.codec import encode_special
 from drivers.imus.stim300.imu import Stim300Imu
 from drivers.imus.stim300.special import Configuration
-from drivers.links.byte_links import MemoryLink, SerialLink
+from drivers.links.memory_link import MemoryLink
+from drivers.links.serial_link import SerialLink
 from drivers.types import Identity, ImuBlock
 from sims.imus.stim300 import Stim300Device
 from sims.physics.body import Body

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from stim300_console import UtilityDecoder, data_of, status_of
 
 from drivers.imus.stim300.utility import UtilityMessage, crc8, encode_message

@@ -17,7 +17,7 @@ from wire_pair import pair
 from drivers.errors import BadReply, DeviceFault, DeviceRefused, LinkLost
 from drivers.imus.vectornav.codec import Sentence, encode_sentence
 from drivers.imus.vectornav.imu import VectorNavImu
-from drivers.links.byte_links import MemoryLink
+from drivers.links.memory_link import MemoryLink
 from drivers.types import Identity, ImuBlock
 from sims.imus.vectornav import VectorNavDevice
 from sims.physics.body import Body

@@ -31,7 +31,7 @@ from drivers.imus.xsens.mtdata2 import (
     encode_outputs,
 )
 from drivers.imus.xsens.xbus import Mid, XbusDecoder, encode
-from drivers.links.byte_links import MemoryLink
+from drivers.links.memory_link import MemoryLink
 from drivers.types import Identity, ImuBlock, SourceCounts
 from sims.imus.xsens import XsensDevice
 from sims.physics.body import Body

@@ -15,7 +15,7 @@ from pymodbus.transport import NULLMODEM_HOST
 from setups import setup_of, twin_on
 from wire_pair import pair
 
-from drivers.links.byte_links import MemoryLink
+from drivers.links.memory_link import MemoryLink
 from drivers.specs import AxisSetup
 from drivers.tables.acutrol.table import AcutrolTable
 from drivers.tables.aerosmith.table import AerosmithTable

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drivers.links.byte_links import MemoryLink
+from drivers.links.memory_link import MemoryLink
 
 
 class End(MemoryLink):

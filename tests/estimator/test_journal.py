@@ -17,8 +17,7 @@ import h5py
 import msgpack
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, example, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, example, given, settings, strategies as st
 
 from estimator.errors import RecordingError
 from estimator.geometry.array import triad

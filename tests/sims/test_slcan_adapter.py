@@ -16,8 +16,7 @@ from typing import Any
 import can
 import cantools
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from drivers.imus.can.imu import BUILT_IN_DBC
 from sims.wires.slcan_adapter import SlcanAdapter, decode_frame, encode_frame

@@ -6,8 +6,7 @@ from itertools import pairwise
 
 import can
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from sims.wires.socketcand_server import SocketcandSession
 

@@ -10,8 +10,10 @@ from contextlib import asynccontextmanager
 import pytest
 
 from drivers.errors import LinkLost
-from drivers.links.byte_links import MemoryLink, SerialLink, TcpLink
+from drivers.links.memory_link import MemoryLink
 from drivers.links.reopen import reopen
+from drivers.links.serial_link import SerialLink
+from drivers.links.tcp_link import TcpLink
 from drivers.protocols import ByteLink
 from sims.physics.table import AxisData, TableModel
 from sims.tables.galil_controller import GalilController

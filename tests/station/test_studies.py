@@ -9,8 +9,7 @@ import h5py
 import numpy as np
 import pytest
 from paper import main as reproduce
-from paper_study import study as paper
-from paper_study import text as paper_text
+from paper_study import study as paper, text as paper_text
 from paper_study.printed import print_paper
 
 from estimator.recordings.reading import read_recording

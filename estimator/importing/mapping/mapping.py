@@ -5,8 +5,7 @@ Units are those of the foreign file here and only here; what leaves this module 
 
 import math
 import re
-from collections.abc import Callable, Sequence
-from collections.abc import Mapping as Dict
+from collections.abc import Callable, Mapping as Dict, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path

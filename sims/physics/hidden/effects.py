@@ -7,8 +7,7 @@ from typing import Self
 from sims.physics.hidden.converter import KINDS as CONVERTER
 from sims.physics.hidden.fields import HiddenError, check, read, refuse_unknown
 from sims.physics.hidden.outputs import KINDS as OUTPUTS
-from sims.physics.hidden.table import KINDS as TABLE
-from sims.physics.hidden.table import OfTable, TableFaults
+from sims.physics.hidden.table import KINDS as TABLE, OfTable, TableFaults
 from sims.physics.hidden.temperature import Temperature
 from sims.physics.hidden.timing import KINDS as TIMING
 

@@ -21,8 +21,7 @@ from station.render.plan_printed import MARKED, unnoticed
 from station.report.figures import Unit, figure, significant, typographic
 from station.report.recorded import Recorded, Step
 from station.scripts.planned import planned_motion
-from station.scripts.script import Rest, Rotate, Script
-from station.scripts.script import Step as ScriptStep
+from station.scripts.script import Rest, Rotate, Script, Step as ScriptStep
 from station.views.figures import human
 
 _PERIOD_S = 0.1

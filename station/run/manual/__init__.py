@@ -8,7 +8,7 @@ from typing import Any
 
 from drivers.errors import DeviceRefused
 from drivers.protocols import Turntable
-from station.errors import UsageError
+from station.errors import UsageError, sentence
 from station.run.sequencer import ON_TARGET_RAD, OVERDUE_S, WATCH_S, Sequencer
 from station.scripts.script import Move, Rest, Script, check
 
@@ -18,10 +18,7 @@ _RENEWED_S = 0.4  # and after each further word: by the host's clock, for it is 
 _ENDLESS_RAD = 1e6  # where there is no travel: days of turning
 _HOLD_RPS = math.radians(1.0)  # of a move to where the axis stands; a language may know whole deg/s only
 _DEG = math.degrees(1)
-_WORDS = (
-    'not understood: say "jog" with axis, rate_rps; "go" with axis, angle_rad, rate_rps; "home" with rate_rps, and '
-    'axis if not all; all may have acceleration_rps2, the axis\' limit without; "hold"; "end"'
-)
+_WORDS = sentence("manual.words")
 
 
 class ManualSequencer(Sequencer):

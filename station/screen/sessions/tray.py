@@ -1,7 +1,5 @@
 """The tray: devices and scripts that are to be run one after another on a bench, kept when the screen is closed."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace

@@ -1,7 +1,5 @@
 """The form for what a certificate states beside the measurement: filled in, checked, kept beside the recording."""
 
-from __future__ import annotations
-
 import asyncio
 import hashlib
 import json
@@ -83,7 +81,7 @@ async def fill_in(app: Any, whole: Whole) -> None:
                 app.notify(str(error), title="NOT kept", severity="error", markup=False)
 
 
-def _stated(whole: Whole) -> tuple[Recorded, tuple[Path, Path], Mapping[str, Mapping[str, str]]]:
+def _stated(whole: Whole) -> tuple["Recorded", tuple[Path, Path], Mapping[str, Mapping[str, str]]]:
     """Return a recording without samples, the files to keep facts in, and those that are stated already, by where."""
     from estimator.recordings.recording import Recording
     from station.report.formal import kept_facts

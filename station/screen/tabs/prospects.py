@@ -1,7 +1,5 @@
 """What a bench file and a script say before anything is asked of a device: names, patterns, limits, the motion."""
 
-from __future__ import annotations
-
 import math
 import os
 import re
@@ -33,17 +31,17 @@ class Prospect:
     shift_s: float = math.inf
     scripts_follow: bool = False
     all_twins: bool = False
-    limits: Limits | None = None
+    limits: "Limits | None" = None
     script: str = ""
     script_wrong: str = ""
     duration_s: float = math.nan
-    motion: PlannedMotion | None = None
+    motion: "PlannedMotion | None" = None
     folder_wrong: str = ""
     files: tuple[str, ...] = ()
     manual: bool = False
 
 
-def look_ahead(choices: Choices) -> Prospect:
+def look_ahead(choices: "Choices") -> Prospect:
     """Read bench and script, and see to the folder; not for the thread that paints: it loads numpy, a disk may hang."""
     found = _read(choices.bench, choices.script, choices.device_options)
     files = sorted(str(path) for pattern in ("*.toml", "*/*.toml") for path in Path().glob(pattern))
