@@ -38,7 +38,8 @@ def attached(app: StationApp, elapsed_s: float, *pressed: str) -> Before:
 
     async def before(pilot: Pilot[None]) -> None:
         await until(pilot, lambda: (run := app.shown) and run.snapshot and run.snapshot.elapsed_s >= elapsed_s)
-        await drawn(pilot, app)
+        if app.size.width >= SMALL[0]:
+            await drawn(pilot, app)
         await pilot.press("right", "left", *pressed)  # draws the charts anew
         await pilot.pause()
 

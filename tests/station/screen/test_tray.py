@@ -10,12 +10,15 @@ from typing import Any
 import pytest
 from conftest import keys, until
 from streams import RECORDING, TINY, Replay
+from test_facts import entered, form_of, keep
 from test_who_and_which import driven, shown
 from textual import events
 from textual.app import App
+from textual.command import CommandList, CommandPalette
 from textual.pilot import Pilot
-from textual.widgets import OptionList
+from textual.widgets import DataTable, OptionList
 
+from station.report.dcc import validate
 from station.screen.app import StationApp
 from station.screen.choices import Choices
 from station.screen.memory import Remembered, save_remembered
@@ -128,10 +131,10 @@ class Day:
         save_remembered(Remembered())
         self.app = StationApp(Choices("bench.toml", "tiny.toml", place / "recordings", "A. Operator", scale=scale))
 
-    def mount(self, number: str, scale_factor_error_ppm: int = 300) -> None:
-        """Put a device onto the table."""
+    def mount(self, number: str, scale_factor_error_ppm: int = 300, more: str = "") -> None:
+        """Put a device onto the table; ``more`` are further tables of the bench file."""
         another = "" if number == FIRST else '\n[twin.stim300.fault]\nanother = "0 s"\n'
-        self.bench.write_text(self._text.replace('"300 ppm"', f'"{scale_factor_error_ppm} ppm"') + another)
+        self.bench.write_text(self._text.replace('"300 ppm"', f'"{scale_factor_error_ppm} ppm"') + another + more)
 
     async def seen(self, pilot: Pilot[None], holds: Callable[[], Any]) -> None:
         """Wait until something is shown."""
@@ -169,3 +172,73 @@ async def test_a_device_of_a_tray_is_calibrated_when_its_number_is_scanned(place
         await day.seen(pilot, lambda: app.current_mode == "tray")
         assert app.shown is not None
         assert column(app, "state") == [app.shown.outcome, "waiting"]
+
+
+LABORATORY = '[laboratory]\nname = "Test laboratory"\naddress = ["1 Main Street"]\ncountry = "DE"\n'
+
+
+@pytest.mark.full
+@pytest.mark.timeout(400)
+@driven
+async def test_a_day_with_a_wrong_a_failing_and_a_passing_device_ends_with_their_papers(place: Path) -> None:
+    day = Day(place, limits='scale_factor_error = "10000 ppm"', scale=1.0)
+    day.mount(FIRST, scale_factor_error_ppm=20_000, more=LABORATORY)
+    app, recordings = day.app, place / "recordings"
+
+    async def made(words: str, suffix: str) -> None:
+        await pilot.press("ctrl+p")
+        await day.seen(pilot, lambda: isinstance(app.screen, CommandPalette))
+        await pilot.press(*keys(words))
+        await day.seen(pilot, lambda: words in str(app.screen.query_one(CommandList).get_option_at_index(0).prompt))
+        await pilot.press("enter")
+        await day.seen(pilot, lambda: list(recordings.glob(f"*.{suffix}")))
+
+    async with app.run_test(size=(80, 24)) as pilot:
+        await day.begin(pilot, "SN-9", FIRST, SECOND)
+        await pilot.press("enter")  # but the device says another number
+        await day.seen(pilot, lambda: app.current_mode == "prepare" and FIRST in shown(app, "summary"))
+        assert app.shown is None
+        await pilot.press("f10", "tab", "s")
+        await day.seen(pilot, lambda: column(app, "state") == ["skipped", "waiting", "waiting"])
+        await pilot.press("f7")
+        await day.asked_for(pilot, FIRST)
+        scan(app, FIRST)
+        await day.asked_for(pilot, SECOND)
+        await pilot.press("escape")
+        await day.seen(pilot, lambda: "FAIL" in shown(app, "verdict"))
+        await made("Report, written", "html")
+        (report,) = recordings.glob("*.html")
+        assert "Calibration report: not within limits" in report.read_text()
+
+        day.mount(SECOND, more=LABORATORY)
+        await pilot.press("f10", "f7")
+        await day.asked_for(pilot, SECOND)
+        scan(app, SECOND)
+        await day.seen(pilot, lambda: app.current_mode == "result" and "PASS" in shown(app, "verdict"))
+        await pilot.press("f")
+        await form_of(pilot)
+        await entered(pilot, "customer.name", "A customer")
+        await entered(pilot, "customer.address", "2 Side Street")
+        await keep(pilot)
+        await day.seen(pilot, lambda: list(recordings.glob("*-certificate.toml")) and app.screen.query("#verdict"))
+        await pilot.press("a")
+        await day.seen(pilot, lambda: f"Accept the calibration of {SECOND}" in shown(app, "question"))
+        await pilot.press("tab", "enter")
+        await day.seen(pilot, lambda: "certificate:" in shown(app, "verdict"))
+        await made("Digital certificate", "xml")
+        await made("Export as C header", "h")
+        await made("Export as JSON", "json")
+        await pilot.press("f10")
+        await day.seen(pilot, lambda: column(app, "state") == ["skipped", "FAIL", "PASS"])
+        await pilot.press("f5")
+        await day.seen(pilot, lambda: app.current_mode == "history" and "2 recordings" in shown(app, "folder"))
+        listed = app.screen.query_one(DataTable)
+        told = {str(cell) for row in range(listed.row_count) for cell in listed.get_row_at(row)}
+        assert told >= {FIRST, SECOND, "FAIL", "PASS"}
+
+    for certificate in {*recordings.glob("*.html")} - {report}:  # of accepting, and of the digital one
+        assert "Specimen of a calibration certificate" in certificate.read_text()
+        assert "A customer" in certificate.read_text()
+    (dcc,) = recordings.glob("*.xml")
+    validate(dcc.read_bytes())
+    assert dcc.with_suffix(".pdf").read_bytes().startswith(b"%PDF-")
