@@ -226,7 +226,14 @@ def test_a_session_says_what_it_is_first(watched: Watched) -> None:
     assert (hello["kind"], hello["version"]) == ("hello", 2)
     assert hello["script"]["name"] == "turns"
     assert hello["script"]["duration_s"] == 27
-    assert hello["script"]["steps"][1] == {"label": "first turn", "start_s": 3, "end_s": 11}
+    turned_rad = pytest.approx(math.radians(240.0))
+    assert hello["script"]["steps"][1] == {
+        "label": "first turn",
+        "start_s": 3,
+        "end_s": 11,
+        "axis": "x",
+        "to_rad": turned_rad,
+    }
     assert hello["recording"] == str(watched.path)
     assert hello["gyros"] == ["gyro1", "gyro2", "gyro3", "gyro4"]
     assert hello["axes"] == ["z", "y", "x"]
