@@ -288,13 +288,9 @@ def _parameter(name: str, unit: str, largest: float, angle: str = "") -> Paramet
     return Parameter(name, unit, float(np.radians(largest)) if angle == "deg" else largest)
 
 
-def _setting(key: str, text: str = "{}", **more: Any) -> Setting:
-    return Setting(key=key, text=text.format, **more)
-
-
 _READ: Mapping[str, Callable[[Any], Any]] = {
     "parameters": lambda rows: tuple(_parameter(*row) for row in rows),
-    "settings": lambda rows: tuple(_setting(**row) for row in rows),
+    "settings": lambda rows: tuple(Setting(**{**row, "text": row.get("text", "{}").format}) for row in rows),
     "odds": lambda odds: Odds(**odds),
     "needs": frozenset,
     "kind": Kind,

@@ -44,10 +44,6 @@ def _faster(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
     return columns_of("; ".join(f"u_{axis}" for axis in conditions.gimbals), conditions, axes)
 
 
-def _shares_of(gimbals: Sequence[str], settings: Settings) -> tuple[Parameter, ...]:
-    return tuple(Parameter(f"of {axis}", "1", 1e-3) for axis in gimbals)
-
-
 def _others(axis: str) -> tuple[str, str]:
     a = AXES.index(axis)
     return AXES[(a + 1) % 3], AXES[(a + 2) % 3]
@@ -88,5 +84,8 @@ RECORDS = TABLE_HARMONIC, TABLE_AXES, TABLE_RATE = family(
         "confused_with": lambda settings: ("g_sensitivity", "earth_rate") if settings["order"] == 1 else (),
     },
     table_axes={"parameters": _tilts_of, "regressors": _tilting},
-    table_rate={"parameters": _shares_of, "regressors": _faster},
+    table_rate={
+        "parameters": lambda axes, _: tuple(Parameter(f"of {name}", "1", 1e-3) for name in axes),
+        "regressors": _faster,
+    },
 )

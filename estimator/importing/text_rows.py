@@ -3,6 +3,7 @@
 import re
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import partial
 
 import numpy as np
 
@@ -167,11 +168,8 @@ def _heading_hint(lines: Lines, file_format: FileFormat, wanted: Wanted, missing
 
 def _like(key: str, names: list[str]) -> str:
     """Return which of the names is this one but for a unit in brackets, capitals and signs; empty if none is."""
-    return next((name for name in names if name != key and _plain(name) == _plain(key)), "")
-
-
-def _plain(name: str) -> str:
-    return re.sub(r"[\[(].*|[\W_]", "", name).lower()
+    plain = partial(re.sub, r"[\[(].*|[\W_]", "")
+    return next((name for name in names if name != key and plain(name).lower() == plain(key).lower()), "")
 
 
 def _fields(line: str, file_format: FileFormat) -> list[str]:

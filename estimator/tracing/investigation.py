@@ -1,7 +1,5 @@
 """What an investigation ends with: values, without the way they were found."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -48,7 +46,7 @@ class Added:
     gyros: tuple[str, ...]
     probability: float
     parameters: Mapping[str, Value]
-    out_of_sample: OutOfSample | None = None
+    out_of_sample: "OutOfSample | None" = None
     same: tuple[str, ...] = ()
     constructed: bool = False
     expression: str = ""
@@ -196,8 +194,8 @@ class Investigation:
     notes: tuple[str, ...]
     taken_back: tuple[str, ...] = ()
     views: tuple[ResidualView, ...] = field(default=(), repr=False)
-    model: Augmented | None = field(default=None, repr=False)
-    residual_before: Residual | None = field(default=None, repr=False)
-    residual_after: Residual | None = field(default=None, repr=False)
-    verified_before: Residual | None = field(default=None, repr=False)
-    verified_after: Residual | None = field(default=None, repr=False)
+    model: "Augmented | None" = field(default=None, repr=False)
+    residual_before: "Residual | None" = field(default=None, repr=False)
+    residual_after: "Residual | None" = field(default=None, repr=False)
+    verified_before: "Residual | None" = field(default=None, repr=False)
+    verified_after: "Residual | None" = field(default=None, repr=False)

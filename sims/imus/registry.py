@@ -11,9 +11,7 @@ from sims.imus.described import DescribedDevice
 from sims.imus.stim300 import Stim300Device
 from sims.imus.vectornav import VectorNavDevice
 from sims.imus.xsens import XsensDevice
-from sims.wires.frames import Ride
-
-__all__ = ["TWINS", "Ride", "twin_of"]
+from sims.wires.frames import Ride as Ride
 
 TWINS: dict[str, Callable[[Ride, Any], Any]] = {
     "can": CanNodes,

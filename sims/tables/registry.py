@@ -9,11 +9,8 @@ from sims.tables.acutrol_controller import AcutrolController
 from sims.tables.aerosmith_controller import AerosmithController
 from sims.tables.galil_controller import GalilController
 from sims.tables.modbus import ModbusRtu, drives_by_unit
-from sims.wires.line_controller import Seat
+from sims.wires.line_controller import Seat as Seat
 from sims.wires.wires import ByteDevice, Write
-
-__all__ = ["TWINS", "Seat", "twin_of"]
-
 
 TWINS: dict[str, Callable[[Seat, Write], ByteDevice]] = {
     "modbus": lambda seat, write: ModbusRtu(drives_by_unit(seat), SerialPort("").silence_s, write),

@@ -74,8 +74,7 @@ class Bench:
 
     ``station`` is the name of the place; the patterns say what names of operators and serial numbers of devices look
     like there (regular expressions for the whole of it), empty for anything; the screen asks anew who operates it after
-    ``shift_s``; with ``scripts_follow`` the next script for the same device starts by itself. ``excluded`` are effects
-    of the catalogue that devices and table do not have; None for all of them.
+    ``shift_s``. ``excluded`` are effects of the catalogue that devices and table do not have; None for all of them.
     ``plugins`` are files and packages from outside.
     """
 
@@ -90,7 +89,6 @@ class Bench:
     operator_pattern: str
     serial_pattern: str
     shift_s: float
-    scripts_follow: bool = False
     excluded: frozenset[str] | None = None
     plugins: tuple[str, ...] = ()
 
@@ -153,7 +151,6 @@ def read_bench(
         operator_pattern=place["operator_pattern"],
         serial_pattern=place["serial_pattern"],
         shift_s=place["shift_s"],
-        scripts_follow=place["scripts_follow"],
         excluded=_excluded(own["undeclared"]),
     )
     names = [imu.name for imu in bench.imus]

@@ -14,7 +14,7 @@ from typing import Any
 
 from drivers.errors import DeviceError
 from estimator.calibration.error_model import ErrorModel
-from estimator.errors import EstimatorError
+from estimator.errors import MISSHAPEN, EstimatorError
 from estimator.recordings.writing import write_recording
 from estimator.untrusted import harmless
 from station.atomic_write import new_recording
@@ -89,7 +89,8 @@ def _run(arguments: argparse.Namespace) -> int:
         if serial and host is None and result.calibration is not None:
             from station.screen.archive.archive import moved
 
-            print_rendered(stdout(), "station.render", "moved.rich", {"moves": asyncio.run(moved(path))})
+            with suppress(*MISSHAPEN, KeyboardInterrupt):  # the run has ended, whatever becomes of this
+                print_rendered(stdout(), "station.render", "moved.rich", {"moves": asyncio.run(moved(path))})
     return result.verdict.outcome.exit_code
 
 

@@ -68,6 +68,12 @@ def lines_of(reasons: Mapping[str, str]) -> list[str]:
     return [f"{readable(effect)}: {why}" for effect, why in reasons.items()]
 
 
+def delay_line(exported: Exported, what: str = "take it off the stamps of the samples") -> list[str]:
+    """Return the line for a delay that a form does not hold; none if there is no delay."""
+    delay_s = exported.compensation.delay_s
+    return [f"a delay of {delay_s:.6g} s: {what}"] if delay_s else []
+
+
 def head(exported: Exported, what: str, not_held: Sequence[str], mark: str) -> list[str]:
     """Return the lines that a text begins with, each behind ``mark``."""
     lines = [what, "", *exported.origin]

@@ -131,8 +131,8 @@ class Host:
         if snapshot is not None:
             client.transport.write(_line("snapshot", json_object(snapshot)))
 
-    def do(self, line: bytes) -> bytes:
-        """Do what a line asks and return the answer, if it has one; UsageError if that cannot be done or understood."""
+    def do(self, line: bytes, *, late: bool = False) -> bytes:
+        """Do what a line asks; return its answer, if any; UsageError if it cannot be. ``late``: not to move a table."""
         assert self._run is not None
         try:
             request = json.loads(line)
@@ -145,6 +145,8 @@ class Host:
                 self._run.note(text)
             case {"do": "stop" | "pause" | "resume" as action}:
                 getattr(self._run, action)()
+            case {"do": "jog" | "go" | "home"} if late:
+                raise UsageError("it came too late to move the table: say fewer words at once")
             case {"do": "jog" | "go" | "home" | "hold" | "end" as action, **given}:
                 self._run.drive(action, cast(Mapping[str, Any], given))
             case {"do": action}:
@@ -228,7 +230,7 @@ class _Client(asyncio.Protocol):
             self._received += rest.recv(_LONGEST_LINE)
         for line in self._received.split(b"\n", _LINES_AT_ONCE)[:-1]:
             with suppress(UsageError):
-                self._host.do(line)
+                self._host.do(line, late=True)
 
     def send_events(self) -> None:
         """Send the events that it has not been told, as many as it takes."""
@@ -242,14 +244,14 @@ class _Client(asyncio.Protocol):
         self.transport.write(b"".join((*self._host.events[self._told :], last)))
         self.transport.close()
 
-    def _heed(self) -> None:
+    def _heed(self, *, late: bool = False) -> None:
         """Act on some of the lines that are there; on the rest, of a client that sends without end, a little later."""
         if self.transport.is_closing():
             return
         *lines, self._received = self._received.split(b"\n", _LINES_AT_ONCE)
         for line in lines:
             try:
-                answer = self._host.do(line)
+                answer = self._host.do(line, late=late)
             except UsageError as error:
                 answer = _refused(str(error))
             self._answer(answer)
@@ -263,7 +265,7 @@ class _Client(asyncio.Protocol):
     def _go_on(self) -> None:
         if not self.transport.is_closing():
             self.transport.resume_reading()
-            self._heed()
+            self._heed(late=True)
 
     def _answer(self, answer: bytes) -> None:
         if answer and self.idle:

@@ -3,11 +3,12 @@
 from base64 import b64encode
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from datetime import date
+from datetime import date, datetime, timedelta
 from io import BytesIO
-from itertools import pairwise
+from itertools import combinations
 from pathlib import Path
 from typing import Any
+from unicodedata import normalize
 
 from estimator.untrusted import MOST_TEXT_BYTES, read_bytes, read_text
 from station.errors import BenchError, UsageError
@@ -58,13 +59,14 @@ class Formal:
     def overdue(self) -> tuple[Equipment, ...]:
         """Instruments whose calibration was over at the time of this one, or nobody stated until when it is good."""
         day = self.performed_date
-        late = (not one.no_due if one.due is None else day is not None and one.due < day for one in self.equipment)
+        late = (not one.no_due if one.due is None else day is None or one.due < day for one in self.equipment)
         return tuple(one for one, over in zip(self.equipment, late, strict=True) if over)
 
     @property
     def approved(self) -> bool:
         """Whether it is approved as the bench wants it."""
-        by, made = (" ".join((who or "").casefold().split()) for who in (self.certificate_approved_by, self.operator))
+        said = (normalize("NFKC", who or "").casefold() for who in (self.certificate_approved_by, self.operator))
+        by, made = ("".join(filter(str.isalpha, who)) for who in said)  # whatever is between and around the letters
         return not self.approved_by_another or by not in ("", made)
 
 
@@ -101,7 +103,7 @@ def read_formal(recorded: Recorded, meta: Path | None = None, text: str | None =
         raise where.fail("false_accept", 'is for rule = "guard band"')
     stated.setdefault("certificate_approved_by", recorded.text("accepted_by") or None)
     stated.setdefault("performed_date", begun and begun.date())
-    _check_dates(top, stated, begun and begun.date())
+    _check_dates(top, stated, begun)
     stated |= {field: recorded.text(name) or None for field, name in _RECORDED.items()}
     stated["approved_by_another"] = bench.table("station", optional=True).read("bench.station")["approved_by_another"]
     return Formal({**_LEFT_OUT, **stated})
@@ -110,8 +112,9 @@ def read_formal(recorded: Recorded, meta: Path | None = None, text: str | None =
 def logo_of(path: Path) -> str:
     """Return a picture as a data URI; UsageError if it cannot be read, or holds none, whatever its name."""
     from lxml import etree
-    from PIL import Image
+    from PIL import Image, ImageFile
 
+    ImageFile.LOAD_TRUNCATED_IMAGES = False  # WeasyPrint sets it
     content = read_bytes(path, UsageError, MOST_TEXT_BYTES, f"laboratory.logo: {path}")
     try:
         if path.suffix.lower() == ".svg":
@@ -128,12 +131,14 @@ def logo_of(path: Path) -> str:
     return f"data:image/{kind};base64,{b64encode(content).decode()}"
 
 
-def _check_dates(top: Table, stated: Mapping[str, Any], begun: date | None) -> None:
-    """See that dates are in their order; ``begun`` is that of the recording, UTC, a day beside that of some places."""
+def _check_dates(top: Table, stated: Mapping[str, Any], begun: datetime | None) -> None:
+    """See that dates are in their order; ``begun``: of the recording, UTC; places are 12 h behind to 14 h ahead."""
     day = stated["performed_date"]
-    if begun and day and abs((day - begun).days) > 1:
-        raise top.fail_at(f"performed.date: {day} cannot be, the run began on {begun} UTC: correct it, or leave it out")
-    for first, then in pairwise(field for field in _ORDER if stated.get(field)):
+    if begun and day and not (begun - timedelta(hours=12)).date() <= day <= (begun + timedelta(hours=14)).date():
+        raise top.fail_at(
+            f"performed.date: {day} cannot be, the run began on {begun:%Y-%m-%d} UTC: correct it, or leave it out"
+        )
+    for first, then in combinations((field for field in _ORDER if stated.get(field)), 2):
         if (stated[first] - stated[then]).days > ("performed_date" in (first, then)):
             own, other = (first, then) if then == "performed_date" else (then, first)
             told = [f"{field.replace('_', '.', 1)}{sign} {stated[field]}" for field, sign in ((own, ":"), (other, ","))]

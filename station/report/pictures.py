@@ -1,7 +1,5 @@
 """Pictures of a report as SVG, the same bytes for the same data, and of a residual with --plot."""
 
-from __future__ import annotations
-
 import base64
 import io
 import re
@@ -192,7 +190,7 @@ def draw_investigation(path: Path, found: Investigation) -> None:
             raise UsageError(f"--plot {path} cannot be written: {error}") from None
 
 
-def _draw(row: Sequence[Axes], view: ResidualView, spectra: Spectra | None, *, warm: bool = False) -> None:
+def _draw(row: "Sequence[Axes]", view: ResidualView, spectra: Spectra | None, *, warm: bool = False) -> None:
     """Draw one gyro into a row of panels, each with its legend's labels."""
     over_time, *beside = row
     both = (("before", ORANGE, "x", view.before_rps), ("after", BLUE, "o", view.after_rps))
@@ -221,7 +219,7 @@ def _draw(row: Sequence[Axes], view: ResidualView, spectra: Spectra | None, *, w
         _draw_spectra(row[-1], spectra)
 
 
-def _draw_spectra(panel: Axes, spectra: Spectra) -> None:
+def _draw_spectra(panel: "Axes", spectra: Spectra) -> None:
     """Draw roots of one-sided densities."""
     for colour, style, density, label in (
         (ORANGE, "-", spectra.before, "_before"),
@@ -234,7 +232,7 @@ def _draw_spectra(panel: Axes, spectra: Spectra) -> None:
     panel.set_ylabel("°/h/√Hz")
 
 
-def _plain_decades(panel: Axes) -> None:
+def _plain_decades(panel: "Axes") -> None:
     """Number logarithmic axes at each decade, and those of two decades or less at 2 and 5, too."""
     from matplotlib.ticker import LogLocator
 
@@ -256,7 +254,7 @@ def _drawn(
     top: float = 0.08,
     between: float = 0.5,
     widths: Sequence[float] | None = None,
-) -> Iterator[tuple[Figure, NDArray[np.object_]]]:
+) -> "Iterator[tuple[Figure, NDArray[np.object_]]]":
     """Give a figure with panels, in the style of the report.
 
     Margins and the space ``between`` panels are in inches: to have matplotlib find them doubles the time.
@@ -284,7 +282,7 @@ def _drawn(
         yield figure, panels
 
 
-def _done(figure: Figure, picture: str, **values: object) -> Picture:
+def _done(figure: "Figure", picture: str, **values: object) -> Picture:
     """Return the figure with the text in its place and its caption, which stand in a template."""
     alternative, caption = rendered("station.report", "pictures.txt", {"picture": picture, **values}).splitlines()
     out = io.StringIO()
@@ -327,7 +325,7 @@ def _means(t_s: Floats, values: Floats) -> tuple[Floats, Floats]:
     return np.asarray(at), np.asarray(means)
 
 
-def _close_up(panel: Axes, value: Floats, sd: Floats) -> None:
+def _close_up(panel: "Axes", value: Floats, sd: Floats) -> None:
     """Show of a curve that begins at the prior what it came to: twelve of its last sigmas to each side."""
     half = 12 * float(sd[-1])
     if np.isfinite(half) and half > 0 and np.isfinite(value[-1]):

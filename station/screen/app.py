@@ -90,10 +90,8 @@ class StationApp(App[None]):
         self.bench_recalled = bool(self.remembered.bench) and not choices.bench
         self.archive = Archive()
         self.shown: LiveRun | None = None
-        self._tray = Tray(whole(self.choices.bench))
         self.mounted = False
         """Whether the operator has mounted a device of the tray, whose run starts once nothing stands against it."""
-        self._scripts_follow = False
         self.others = 0
         """How many sessions run while none is shown."""
         self._link: SessionLink | None = None
@@ -108,10 +106,8 @@ class StationApp(App[None]):
 
     @property
     def tray(self) -> Tray:
-        """The tray of the bench that is chosen."""
-        if self._tray.bench != whole(self.choices.bench):
-            self._tray = Tray(whole(self.choices.bench))
-        return self._tray
+        """The tray of the bench that is chosen, as it is kept: another screen may have changed it."""
+        return Tray(whole(self.choices.bench))
 
     def get_driver_class(self) -> type[Driver]:
         """Return the driver of this terminal, with STOP before everything."""
@@ -200,7 +196,6 @@ class StationApp(App[None]):
     def start_run(self, prospect: Prospect) -> None:
         """Start a session with what was chosen on a bench, keep what was entered, and show the session."""
         self._remember()
-        self._scripts_follow = prospect.scripts_follow
         self.work(partial(self._start, prospect), "start")
 
     async def _start(self, prospect: Prospect) -> None:
@@ -356,12 +351,8 @@ class StationApp(App[None]):
         if run.result is None:
             self.work(partial(self._look_into, run, run.recording), "ended")
         elif run.outcome in ("PASS", "ESTIMATED", "FAIL") and isinstance(self.screen, RunScreen):
-            spot = self.tray.next if ran is not None and not run.stop_asked else None
-            if spot is not None and ran is not None and self._scripts_follow and spot.serial == ran.serial:
-                self._mount(spot, spot.serial)
-                return
             self.switch_mode("result")
-            if spot is not None:
+            if ran is not None and not run.stop_asked:
                 self.action_next_on_tray()
 
     async def _look_into(self, run: LiveRun, recording: Path) -> None:

@@ -61,7 +61,10 @@ def load_state(file: str) -> dict[str, Any]:
     return {}
 
 
-def save_state(file: str, state: Mapping[str, Any]) -> None:
-    """Keep it; a folder that cannot be written is no reason to stop a calibration."""
-    with suppress(UsageError):
+def save_state(file: str, state: Mapping[str, Any]) -> str:
+    """Keep it; a folder that cannot be written is no reason to stop a calibration, and is returned in words."""
+    try:
         write_whole(state_folder() / file, json.dumps(state, indent=1), replace=True)
+    except UsageError as error:
+        return str(error)
+    return ""

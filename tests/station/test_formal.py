@@ -108,7 +108,8 @@ def test_equipment_is_overdue_and_approval_lacking_by_what_the_bench_wants(tmp_p
     late = read_formal(recorded(tmp_path, BENCH.replace("2026-06-30", "2026-04-30")))
     assert [one.name for one in late.overdue] == ["rate table"]
     assert not late.approved
-    assert not read_formal(recorded(tmp_path, accepted_by="a.  turing".upper())).approved
+    for same in ("A.  TURING", "A.Turing.", "A. Tur\u200bing", "-"):
+        assert not read_formal(recorded(tmp_path, accepted_by=same)).approved
     assert read_formal(recorded(tmp_path, BENCH.replace("true", "false"))).approved
 
 
@@ -162,6 +163,8 @@ def test_equipment_states_until_when_it_is_good_or_why_that_has_no_date(tmp_path
     assert [one.name for one in read_formal(recorded(tmp_path), written(tmp_path, undated)).overdue] == ["level"]
     reason = f'{undated}no_due = "a square of granite, checked before each use"\n'
     assert not read_formal(recorded(tmp_path), written(tmp_path, reason)).overdue
+    day_unknown = recorded(tmp_path, clock_zero_utc_s=float("nan"))
+    assert [one.name for one in read_formal(day_unknown).overdue] == ["rate table"]
 
 
 def test_dates_that_cannot_follow_each_other_are_told_where_they_stand(tmp_path: Path) -> None:
@@ -170,6 +173,8 @@ def test_dates_that_cannot_follow_each_other_are_told_where_they_stand(tmp_path:
         "[certificate]\nnext_due = 2026-04-01": r"line 2: certificate.next_due: 2026-04-01 and performed.date, 2026",
         "[certificate]\nissued = 2026-06-01\nnext_due = 2026-05-20": r"line 3: .* certificate.issued, 2026-06-01",
         "[performed]\ndate = 2026-04-20": r"line 2: performed.date: 2026-04-20 .* 2026-05-01 .*: correct it, or leave",
+        "[item]\nreceived = 2026-05-02\n[certificate]\nissued = 2026-04-30": "in the wrong order",
+        "[performed]\ndate = 2026-05-02": "correct it, or leave",  # no place was that far ahead at midnight UTC
     }.items():
         with pytest.raises(UsageError, match=said):
             read_formal(run, written(tmp_path, text))

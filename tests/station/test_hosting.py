@@ -566,7 +566,9 @@ def _wait_until(condition: Callable[[], bool]) -> None:
 
 
 @pytest.mark.full
-def test_a_jog_ends_when_the_link_of_who_said_it_is_cut(place: Path, tmp_path: Path) -> None:
+def test_a_jog_ends_when_the_link_of_who_said_it_is_cut_and_no_flood_of_words_prolongs_it(
+    place: Path, tmp_path: Path
+) -> None:
     run = Run(tmp_path, "--manual")
 
     async def rate(session: RemoteSession, holds: Callable[[float], bool]) -> float:
@@ -587,6 +589,12 @@ def test_a_jog_ends_when_the_link_of_who_said_it_is_cut(place: Path, tmp_path: P
         hand.drive("jog", axis="x", rate_rps=0.5)
         hand.close()
         assert await rate(other, lambda rps: rps == 0.0) - turned_s < 3 * 2.0  # at three times as fast as the wall
+        flooding = await run.connect()  # and by the words of who says too many and then no more
+        for _ in range(8000):
+            flooding.drive("jog", axis="x", rate_rps=0.5)
+        turned_s = await rate(other, lambda rps: rps > 0.4)
+        assert await rate(other, lambda rps: rps == 0.0) - turned_s < 3 * 2.0
+        flooding.close()
         other.drive("dance")
         other.drive("end")
         async for message in other.messages():

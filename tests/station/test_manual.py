@@ -197,6 +197,9 @@ def test_what_is_beyond_the_limits_of_the_bench_is_refused_in_words_and_a_jog_en
             ("not understood", "jog", {"axis": "x"}),
             ("not understood", "jog", {"axis": "x", "rate_rps": math.nan}),
             ("not understood", "go", {"axis": "y", "angle_rad": math.inf, "rate_rps": 0.1}),
+            ("not understood", "jog", {"axis": "y", "rate_rps": 10**401}),
+            ("not understood", "jog", {"axis": "y", "rate_rps": 5e-324}),
+            ("not understood", "jog", {"axis": "y", "rate_rps": True}),
             ("not understood", "dance", {}),
         ):
             with pytest.raises(UsageError, match=words):
@@ -212,7 +215,11 @@ def test_what_is_beyond_the_limits_of_the_bench_is_refused_in_words_and_a_jog_en
         assert 29.9 * DEG < max(seen) < 30.05 * DEG
         with pytest.raises(UsageError, match="end of its travel"):
             hand.say("jog", axis="x", rate_rps=0.1)
+        hand.say("hold", who="whatever else is said")
         hand.say("end")
+        hand.say("hold")
+        with pytest.raises(UsageError, match="not understood"):
+            hand.say("jog", axis="y", rate_rps=0.1)
 
     bench = bench_of(tmp_path, travel='["-20 deg", "30 deg"]')
     assert by_hand(tmp_path, bench, operate).verdict.outcome is Outcome.MANUAL

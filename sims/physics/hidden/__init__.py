@@ -5,8 +5,6 @@ a low pass runs through the samples, a tilted axis is turned about. Everything t
 rad/s. Times are those of a bench clock that goes on from run to run.
 """
 
-from sims.physics.hidden.effects import KINDS, Hidden
-from sims.physics.hidden.fields import HiddenError
-from sims.physics.hidden.temperature import Temperature
-
-__all__ = ["KINDS", "Hidden", "HiddenError", "Temperature"]
+from sims.physics.hidden.effects import KINDS as KINDS, Hidden as Hidden
+from sims.physics.hidden.fields import HiddenError as HiddenError
+from sims.physics.hidden.temperature import Temperature as Temperature

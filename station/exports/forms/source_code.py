@@ -15,7 +15,7 @@ from estimator.geometry.kinematics import GRAVITY_MPS2
 from station.errors import sentence
 from station.exports.exported import Exported
 from station.exports.terms import AXIS_TABLES, Term, Terms, terms_of
-from station.exports.written import Written, head, lines_of, number
+from station.exports.written import Written, delay_line, head, lines_of, number
 from station.render.template import rendered
 
 _DOUBLE = re.compile(
@@ -148,9 +148,7 @@ def _arguments_said(exported: Exported, terms: Terms) -> list[str]:
 
 def _cautions(exported: Exported, terms: Terms) -> list[str]:
     """Return what of the calibration the function does not undo, and what undoing costs."""
-    lines = lines_of(exported.compensation.left_out)
-    if exported.compensation.delay_s:
-        lines.append(sentence("export.delay", delay_s=exported.compensation.delay_s))
+    lines = [*lines_of(exported.compensation.left_out), *delay_line(exported)]
     if terms.lag is not None and np.isfinite(exported.seen.rate_hz):
         share = float(terms.lag.values.max()) * exported.seen.rate_hz
         noise = np.hypot(1 + share, share)

@@ -19,6 +19,7 @@ _ENDLESS_RAD = 1e6  # where there is no travel: days of turning
 _HOLD_RPS = math.radians(1.0)  # of a move to where the axis stands; a language may know whole deg/s only
 _DEG = math.degrees(1)
 _WORDS = sentence("manual.words")
+_LEAST, _MOST = 1e-6, 1e6  # numbers that a word may have beside 0, in rad, rad/s, rad/s2
 
 
 class ManualSequencer(Sequencer):
@@ -50,9 +51,13 @@ class ManualSequencer(Sequencer):
     def obey(self, action: str, given: Mapping[str, Any]) -> None:
         """Take a word, which takes the place of the last; UsageError if it is not understood, or beyond a limit."""
         numbers = [value for key, value in given.items() if key != "axis"]
-        if not all(isinstance(value, int | float) and math.isfinite(value) for value in numbers):
-            raise UsageError(_WORDS)
+        sound = all(type(value) in (int, float) and (_LEAST <= abs(value) < _MOST or value == 0) for value in numbers)
         match action, given:
+            case "hold" | "end", _:
+                self._ended |= action == "end"
+                self._order([])
+            case _ if self._ended or not sound:
+                raise UsageError(_WORDS)
             case "jog", {"axis": str(axis), "rate_rps": rate}:
                 self._jog(axis, rate, given)
             case "go", {"axis": str(axis), "angle_rad": angle, "rate_rps": rate}:
@@ -60,9 +65,6 @@ class ManualSequencer(Sequencer):
             case "home", {"rate_rps": rate}:
                 axes = [str(given["axis"])] if "axis" in given else self._table.limits
                 self._order([self._checked(f"{axis} home", axis, 0.0, rate, given) for axis in axes])
-            case "hold" | "end", _:
-                self._ended = action == "end"
-                self._order([])
             case _:
                 raise UsageError(_WORDS)
 
@@ -98,7 +100,8 @@ class ManualSequencer(Sequencer):
         while not self._ended:
             if self._orders:
                 step = self._orders[0]
-                await self._turn(step)
+                if asyncio.get_running_loop().time() < self._until_s:  # a jog may have waited for a halt
+                    await self._turn(step)
                 if self._orders and self._orders[0] is step:
                     self._orders.popleft()
             else:

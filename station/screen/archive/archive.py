@@ -9,8 +9,10 @@ from collections import deque
 from collections.abc import AsyncGenerator, Mapping, Sequence
 from concurrent.futures import TimeoutError as TooLong
 from contextlib import aclosing, redirect_stderr, suppress
+from itertools import islice
 from multiprocessing import resource_tracker
 from pathlib import Path
+from stat import S_ISREG
 from typing import TYPE_CHECKING, Any
 
 from station.screen.archive.entries import Entry, File, Whole, moves
@@ -34,15 +36,15 @@ class Archive:
         self._known: dict[File, Entry] = {}
         self.unread = 0
 
-    async def entries(self, folder: Path) -> AsyncGenerator[Entry]:
-        """Yield the recordings of a folder and its subfolders: known ones, then ``unread`` others.
+    async def entries(self, folder: Path, *, deep: bool = True) -> AsyncGenerator[Entry]:
+        """Yield the recordings of a folder and, if ``deep``, its subfolders: known ones, then ``unread`` others.
 
         Of both those that changed last come first. What is read is soon indexed; what cannot be read is tried again by
         the next program.
         """
         from station.screen.archive import index  # with SQLite: not before the first picture
 
-        began_ns, files = time.time_ns(), await asyncio.to_thread(_files, folder)
+        began_ns, files = time.time_ns(), await asyncio.to_thread(_files, folder, deep)
         if not self._known.keys() >= set(files):
             self._known |= await asyncio.to_thread(index.load, folder)
         others = [file for file in files if file not in self._known]
@@ -58,8 +60,7 @@ class Archive:
                 if len(unkept) >= enough or file == others[-1]:  # the disk may be slow, and no key waits for it
                     kept = await asyncio.to_thread(index.keep, folder, unkept)
                     unkept, enough = ({}, min(2 * enough, _KEPT_AT_ONCE)) if kept else (unkept, 2 * enough)
-                gone = entry.wrong and not os.path.exists(file[0])  # deleted meanwhile
-                if not entry.foreign and not gone:
+                if not entry.foreign and os.path.exists(file[0]):  # and was not deleted meanwhile
                     yield entry
 
     async def read(self, path: Path) -> Whole:
@@ -125,8 +126,9 @@ class Archive:
 async def moved(recording: Path) -> list[dict[str, Any]]:
     """Return what moved since the last comparable run in its folder, as far as that is read within some seconds."""
     archive, found = Archive(), list[Entry]()
+    entries = archive.entries(recording.absolute().parent, deep=False)
     with suppress(TimeoutError):
-        async with asyncio.timeout(_LIMIT_S), aclosing(archive.entries(recording.absolute().parent)) as entries:
+        async with asyncio.timeout(_LIMIT_S), aclosing(entries):
             async for entry in entries:
                 found.append(entry)
     await archive.close()
@@ -146,11 +148,11 @@ def _done(work: str, *about: Any) -> Any:
     return getattr(reading, work)(*about)
 
 
-def _files(folder: Path) -> list[File]:
+def _files(folder: Path, deep: bool) -> list[File]:
     found: list[File] = []
     walk = os.walk(folder, onerror=lambda e: found.extend([(e.filename, 0, 0)] * os.path.exists(e.filename)))  # told
-    for path in (os.path.join(top, name) for top, _, names in walk for name in names):
+    for path in (os.path.join(top, name) for top, _, names in islice(walk, None if deep else 1) for name in names):
         with suppress(OSError):
-            if path.endswith(".h5"):
-                found.append((path, (status := os.stat(path)).st_mtime_ns, status.st_size))
+            if path.endswith(".h5") and S_ISREG((status := os.stat(path)).st_mode):  # who reads a pipe waits
+                found.append((path, status.st_mtime_ns, status.st_size))
     return sorted(found, key=lambda file: file[1], reverse=True)

@@ -132,6 +132,9 @@ def moves(entries: Iterable[Entry]) -> dict[str, list[dict[str, Any]]]:
     found, last = dict[str, list[dict[str, Any]]](), None
     for run in (run for runs in comparable(entries) for run in runs):
         last = last if last is not None and last.series == run.series else run
+        if run is not last and run.when_utc_s == last.when_utc_s:  # a copy
+            found[run.file] = found[last.file]
+            continue
         since = {"since": last.path.name, "since_when": last.when}
         limit = NormalDist().inv_cdf(1 - _BY_CHANCE / 2 / (len(run.gyros) * len(STATES)))
         found[run.file] = [

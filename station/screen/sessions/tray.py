@@ -30,17 +30,18 @@ class Tray:
         """``bench`` is the absolute path of the bench file, empty for the built-in one; what the tray held is read."""
         self.bench, self.spots = bench, list[Spot]()
         with suppress(*MISSHAPEN):
-            self.spots = [Spot(**{key: str(spot[key]) for key in spot}) for spot in load_state(_FILE)[bench]]
+            told = load_state(_FILE)[bench]
+            self.spots = [Spot(*(str(spot.get(key, "")) for key in Spot.__slots__)) for spot in told]
 
     @property
     def next(self) -> Spot | None:
         """The first spot that waits."""
         return next((spot for spot in self.spots if spot.state == WAITING), None)
 
-    def keep(self, spots: Sequence[Spot]) -> None:
-        """Take other spots, or another order."""
+    def keep(self, spots: Sequence[Spot]) -> str:
+        """Take other spots, or another order; return why they cannot be kept, empty if they are."""
         self.spots = list(spots)
-        save_state(_FILE, {**load_state(_FILE), self.bench: [asdict(spot) for spot in spots]})
+        return save_state(_FILE, {**load_state(_FILE), self.bench: [asdict(spot) for spot in spots]})
 
     def change(self, spot: Spot, **new: str) -> None:
         """Change fields of a spot, if it is there."""

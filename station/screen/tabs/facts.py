@@ -6,6 +6,7 @@ import json
 import re
 import tomllib
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +30,8 @@ _LASTING = ("laboratory.", "customer.", _LIST, "procedure.", "decision.", "perfo
 _RECORDED = {"item.serial_number": "device_serial", "certificate.approved_by": "accepted_by"}
 _PLACE = re.compile(rf": ((?:{'|'.join(_SECTIONS)})\.[\w.]+): (.*)", re.DOTALL)
 _FORM: dict[str, Any] = {name: packaged_toml("station.report", f"{name}.toml") for name in ("certificate", "dcc")}
-_FORM |= {"sections": _SECTIONS, "keys_of": keys_of, "as_toml": json.dumps}
+_FORM |= {"sections": _SECTIONS, "keys_of": keys_of}
+_FORM["as_toml"] = lambda text: json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")  # as TOML has it
 _LEAVE = "What was entered is not kept yet.", [("back", "Back to the form"), ("drop", "Leave, keep nothing")]
 
 
@@ -66,6 +68,8 @@ async def fill_in(app: Any, whole: Whole) -> None:
             question = rendered("station.screen", "fact.txt", {**values, "field": chosen})
             text = await app.push_screen_wait(AskTextDialog(question, begun=entered.get(chosen, "")))
             entered |= {} if text is None else {chosen: text}
+            if not any(entered[field] for field in entered if field.startswith(_LIST)):  # the bench file's hold again
+                entered |= {field: text for field, text in sources["bench file"].items() if field.startswith(_LIST)}
         elif not chosen:
             if entered == begun or await app.push_screen_wait(AskDialog(*_LEAVE)) == "drop":
                 return
@@ -73,11 +77,12 @@ async def fill_in(app: Any, whole: Whole) -> None:
             chosen = values["place"]
         else:
             try:
-                for file in files:
-                    await asyncio.to_thread(write_whole, file, toml, replace=True)
+                await asyncio.to_thread(write_whole, files[0], toml, replace=True)
+                with suppress(UsageError):  # what is remembered is no loss
+                    await asyncio.to_thread(write_whole, files[1], toml, replace=True)
                 app.notify(f"{files[0]}: CTRL+P makes report, PDF and DCC with them", title="Kept", markup=False)
                 return
-            except UsageError as error:
+            except (UsageError, *MISSHAPEN) as error:
                 app.notify(str(error), title="NOT kept", severity="error", markup=False)
 
 
@@ -97,8 +102,9 @@ def _stated(whole: Whole) -> tuple["Recorded", tuple[Path, Path], Mapping[str, M
     found["bench file"] = _texts(recorded.text("bench"))
     if kept.is_file():
         return recorded, (kept, last), {"kept": _texts(read_text(kept, UsageError)), **found}
-    facts = _texts(read_text(last, UsageError)) if last.is_file() else {}
-    found["LAST FORM, this bench"] = {field: text for field, text in facts.items() if field.startswith(_LASTING)}
+    with suppress(UsageError, *MISSHAPEN):
+        facts = _texts(read_text(last, UsageError)) if recorded.text("station") else {}
+        found["LAST FORM, this bench"] = {field: text for field, text in facts.items() if field.startswith(_LASTING)}
     return recorded, (kept, last), found
 
 
@@ -109,5 +115,5 @@ def _texts(toml: str) -> dict[str, str]:
         for number, table in enumerate(facts if isinstance(facts, list) else [facts]):
             where = f"{name}.{number}" if isinstance(facts, list) else name
             for key, value in table.items() if name in _SECTIONS else ():
-                found[f"{where}.{key}"] = "; ".join(value) if isinstance(value, list) else str(value)
+                found[f"{where}.{key}"] = " | ".join(value) if isinstance(value, list) else str(value)
     return found

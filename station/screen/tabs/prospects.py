@@ -29,7 +29,6 @@ class Prospect:
     operator_pattern: str = ANYTHING
     serial_pattern: str = ANYTHING
     shift_s: float = math.inf
-    scripts_follow: bool = False
     all_twins: bool = False
     limits: "Limits | None" = None
     script: str = ""
@@ -66,7 +65,6 @@ def _read(bench_path: str, script_path: str, device_options: tuple[str, ...]) ->
         operator_pattern=bench.operator_pattern or ANYTHING,
         serial_pattern=bench.serial_pattern or ANYTHING,
         shift_s=bench.shift_s,
-        scripts_follow=bench.scripts_follow,
         all_twins=needs_only_memory(bench),
         limits=bench.limits,
     )

@@ -22,18 +22,25 @@ class ScanField(Field):
 
     def on_key(self, event: events.Key) -> None:
         """Submit before the next letter is read."""
-        if event.key in ("enter", "tab") and self.value.strip():
+        text = self.value.strip()
+        if event.key == "enter" or (event.key == "tab" and text):
             event.stop()
             event.prevent_default()
-            self.post_message(self.Submitted(self, self.value.strip()))
-            self.clear()
+            if text:
+                self.post_message(self.Submitted(self, text))
+                self.clear()
 
 
 class MountDialog(AskTextDialog):
-    """Asks that a device be mounted; Enter takes the number that is there at first, a scan takes its place."""
+    """Asks that a device be mounted; no key that a scanner sends confirms it, but the number itself."""
+
+    BINDINGS: ClassVar = [Binding("f8", "mounted", "It is mounted", key_display="F8")]
 
     def answers(self) -> ComposeResult:
-        yield ScanField(value=self._begun, select_on_focus=True)
+        yield ScanField(placeholder=self._begun)
+
+    def action_mounted(self) -> None:
+        self.dismiss(self._begun)
 
 
 class TrayScreen(StationScreen):
@@ -69,12 +76,11 @@ class TrayScreen(StationScreen):
 
     async def _look_up(self) -> None:
         """Find out how runs ended whose end no screen saw."""
-        tray = self.station.tray
         live = {hello.get("recording") for _, hello in await sessions_there()}
-        for spot in [spot for spot in tray.spots if spot.state == RUNNING and spot.recording not in live]:
+        for spot in [spot for spot in self.station.tray.spots if spot.state == RUNNING and spot.recording not in live]:
             if not self.station.busy:  # what this screen has just started is in no list yet
                 entry = (await self.station.archive.read(Path(spot.recording))).entry
-                tray.end(Path(spot.recording), entry.texts.get("outcome") or NO_RESULT)
+                self.station.tray.end(Path(spot.recording), entry.texts.get("outcome") or NO_RESULT)
 
     def on_input_submitted(self, event: Input.Submitted) -> None:
         """Put a device that was scanned onto the tray, once for each script."""
@@ -83,11 +89,9 @@ class TrayScreen(StationScreen):
         for script in self.query_one("#scripts", Input).value.split(",") if event.input is scan and event.value else ():
             spot = Spot(event.value, whole(script.strip()))
             if any((old.serial, old.script) == (spot.serial, spot.script) for old in tray.spots):
-                self.notify(
-                    f"{spot.serial} is on the tray already", title="Not added", severity="warning", markup=False
-                )
-            else:
-                tray.keep([*tray.spots, spot])
+                self.notify(f"{spot.serial} is there already", title="Not added", severity="warning", markup=False)
+            elif wrong := tray.keep([*tray.spots, spot]):
+                self.notify(wrong, title="NOT kept", severity="error", markup=False)
 
     def on_option_list_option_selected(self, event: OptionList.OptionSelected) -> None:
         for spot in self._chosen():

@@ -100,7 +100,7 @@ def test_what_the_form_keeps_is_what_a_report_states(jobs: Path) -> None:
         assert line(pilot, "performed.date").endswith("2026-05-01 recording")
         assert "needed for a DCC" in line(pilot, "customer.name")
         await entered(pilot, "customer.name", "Aerial surveys")
-        await entered(pilot, "customer.address", "Langstrasse 1; Bern")
+        await entered(pilot, "customer.address", "Langstrasse 1 | Bern")
         assert line(pilot, "customer.name") == "customer name Aerial surveys entered"
         await entered(pilot, "certificate.issued", "1.5.2026")
         assert "WRONG: '1.5.2026' is no date: write it as 2026-11-23" in line(pilot, "certificate.issued")

@@ -95,6 +95,12 @@ def test_a_device_that_moved_is_told_at_once(series: Path, capsys: pytest.Captur
     assert only["moved"][0]["since"] == "day-10.h5"
 
 
+def test_a_copy_hides_no_move(series: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copy(series / "day-11.h5", series / "copy.h5")
+    found = json.loads(history(capsys, series, "--json"))["recordings"]
+    assert {each["file"] for each in found if each["moved"]} == {"day-11.h5", "copy.h5"}
+
+
 def test_the_end_of_a_run_tells_that_the_device_has_moved(
     place: Path, runs: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
