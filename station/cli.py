@@ -2,6 +2,7 @@
 
 import argparse
 import codecs
+import difflib
 import importlib
 import io
 import json
@@ -45,6 +46,14 @@ class _Forms:
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         self.exit(EXIT_USAGE, f"station: {message}\ntry: {self.prog} --help\n")
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """Check a choice; name the nearest one where it is mistyped."""
+        if isinstance(action, argparse._SubParsersAction) and value not in action.choices:
+            near = difflib.get_close_matches(value, action.choices, n=1)
+            suggestion = f": did you mean {near[0]!r}?" if near else f": the commands are {', '.join(action.choices)}"
+            raise argparse.ArgumentError(None, f"there is no command {value!r}{suggestion}")
+        super()._check_value(action, value)
 
 
 class _Station(_Parser):

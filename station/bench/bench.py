@@ -110,9 +110,8 @@ def load_bench(path: Path | None) -> Bench:
     """Read a bench file, or the built-in one; BenchError with line and key for what is wrong."""
     if path is None:
         return read_bench(default_bench_text(), "built-in bench")
-    return read_bench(
-        read_text(path, BenchError), str(path), path.stem, path.parent, sorted((path.parent / "plugins").glob("*.py"))
-    )
+    text = read_text(path, BenchError, "a bench file: a bench file is a .toml file")
+    return read_bench(text, str(path), path.stem, path.parent, sorted((path.parent / "plugins").glob("*.py")))
 
 
 def read_bench(

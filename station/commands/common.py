@@ -17,7 +17,7 @@ from estimator.calibration.error_model import ErrorModel
 from estimator.errors import MISSHAPEN, EstimatorError
 from estimator.recordings.writing import write_recording
 from estimator.untrusted import harmless
-from station.atomic_write import new_recording
+from station.atomic_write import check_new_recording, new_recording
 from station.bench.bench import Bench, load_bench
 from station.errors import EXIT_USAGE, UsageError, sentence
 from station.opening import needs_only_memory, open_bench, serve_twins, with_links
@@ -58,6 +58,7 @@ def _run(arguments: argparse.Namespace) -> int:
             check_early_end(bench)
         model = _model_of(arguments, bench)
         path = Path(arguments.output) if arguments.output else new_recording(Path("recordings"))
+        check_new_recording(path)
         scale = arguments.scale or (1.0 if arguments.host else None)  # virtual time has no sockets
         host = Host(scale or 1.0) if arguments.host else None
         options = RunOptions(
