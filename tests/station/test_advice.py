@@ -49,9 +49,8 @@ def _wrong(text: str, options: dict[str, set[str]]) -> list[str]:
             wrong.append(advice[0].strip())
             continue
         spelled = re.split(r"[,;:()|#>]|\. |\bor\b|\band\b|station ", advice["rest"])[0]
-        wrong += [
-            f"station {command} {o}" for o in re.findall(r"(?<!\S)--[a-z][a-z-]*", typed) if o not in options[command]
-        ]
+        named = re.findall(r"(?<!\S)--[a-z][a-z-]*", spelled)
+        wrong += [f"station {command} {option}" for option in named if option not in options[command]]
     return wrong
 
 
