@@ -173,8 +173,9 @@ class ErrorModel:
         return cls(effects, left_out)
 
     @classmethod
-    def read(cls, path: Path) -> Self:
+    def read(cls, path: Path | str) -> Self:
         """Return the model in a file: JSON, or what an investigation wrote (HDF5). ModelError if it holds none."""
+        path = Path(path)
         try:
             if not path.is_file():
                 raise ModelError(f"{path} is not a file: {_GIVE}")

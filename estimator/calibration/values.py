@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from estimator.calibration.budget import TYPE_A, Contribution
+from estimator.geometry.array import SensorArray
 from estimator.geometry.model import STATES, Prior
 from estimator.geometry.noise import NoiseFound
 from estimator.observations.health import Excluded
@@ -104,6 +105,58 @@ class Calibration:
     holds_for: str = ""
     offsets: Mapping[str, TimeOffset] = field(default_factory=dict)
     spoilt: tuple[str, ...] = ()
+    arrays: Mapping[str, SensorArray] = field(default_factory=dict)
+    """Nominal axes of the gyros by source."""
+
+    def apply(
+        self,
+        outputs_rps: Any,
+        *,
+        device: str | None = None,
+        t_s: Floats | None = None,
+        temperature_c: Floats | None = None,
+        accel_mps2: Floats | None = None,
+    ) -> Any:
+        """Return the rate of the body for samples of the calibrated gyros, in rad/s about the body axes x, y, z.
+
+        ``outputs_rps`` (N, n) in rad/s has a column for each gyro, in the order of ``gyros``. A pandas.DataFrame has
+        columns of their names, in any order beside others; the answer is then a DataFrame (x_rps, y_rps, z_rps) with
+        its index, else an array (N, 3). ``device`` selects the gyros of one device under test.
+
+        Effects of the error model are undone, too. Those of the temperature need ``temperature_c`` (N,), those of
+        acceleration ``accel_mps2`` (N, 3), the specific force in body axes, and those with memory the instants ``t_s``
+        (N,). Rates are NaN where an effect of the rate cannot be undone.
+
+        Raises CompensationError if gyros do not span space, or if columns, temperatures or others are missing.
+        """
+        from estimator.calibration.applied import applied  # builds on this module
+
+        return applied(self, outputs_rps, device=device, t_s=t_s, temperature_c=temperature_c, accel_mps2=accel_mps2)
+
+    def to_xarray(self) -> Any:
+        """Return an xarray.Dataset over gyro and state, in SI units. Needs xarray.
+
+        ``value`` and ``sd`` (gyro, state), ``covariance`` (gyro, state, other_state), ``noise_rps`` (gyro).
+        """
+        from xarray import Dataset
+
+        dimensions = ("gyro", "state")
+        return Dataset(
+            {
+                "value": (dimensions, np.array([gyro.states for gyro in self.gyros])),
+                "sd": (dimensions, np.array([gyro.sd for gyro in self.gyros])),
+                "covariance": ((*dimensions, "other_state"), np.array([gyro.covariance for gyro in self.gyros])),
+                "noise_rps": (("gyro",), np.array([gyro.noise_rps for gyro in self.gyros])),
+            },
+            {
+                "gyro": [gyro.name for gyro in self.gyros],
+                "device": ("gyro", [gyro.device for gyro in self.gyros]),
+                "state": list(STATES),
+                "other_state": list(STATES),
+                "unit": ("state", ["1", "rad/s", "rad", "rad"]),
+            },
+            {"nis_mean": self.nis_mean, "samples": self.samples, "lost": self.lost, "holds_for": self.holds_for},
+        )
 
     def to_frame(self) -> Any:
         """Return a pandas.DataFrame with a row a gyro: its device, states and sigmas, in SI. Needs pandas."""

@@ -224,9 +224,9 @@ def _joined(blocks: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[A
     return {name: np.concatenate([block[name] for block in blocks if name in block]) for name in names}
 
 
-def write_recording(path: Path, recording: Recording) -> None:
+def write_recording(path: Path | str, recording: Recording) -> None:
     """Write a whole recording, for instance an imported one; RecordingError if the file exists."""
-    writer = RecordingWriter(path, recording.attributes)
+    writer = RecordingWriter(Path(path), recording.attributes)
     try:
         if recording.site is not None:
             writer.set_attributes({f"site_{key}": value for key, value in asdict(recording.site).items()})

@@ -4,6 +4,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -107,6 +108,7 @@ def _identity(path: Path, recording: Recording, gyros: Sequence[GyroCalibration]
         "operator": told.get("operator", ""),
         "station": told.get("station", ""),
         "script": told.get("script", ""),
+        "measured (UTC)": _measured_utc(recording),
         "outcome": " ".join(str(told[key]) for key in ("outcome", "reason") if key in told),
         "software version": told.get("software_version", ""),
         "recording": path.name,
@@ -114,6 +116,15 @@ def _identity(path: Path, recording: Recording, gyros: Sequence[GyroCalibration]
     }
     # A line each: what a file says of itself must not end the comment that it stands in.
     return {key: " ".join(str(value).split()) for key, value in named.items() if value}
+
+
+def _measured_utc(recording: Recording) -> str:
+    """Return when the first sample was taken, ISO 8601; empty in virtual time and for imports without a date."""
+    first_ns = min((int(data.t_ns[0]) for data in recording.sources.values() if len(data.t_ns)), default=0)
+    with suppress(KeyError, TypeError, OverflowError, OSError, ValueError):
+        utc_s = float(recording.attributes["clock_zero_utc_s"]) + first_ns * 1e-9
+        return datetime.fromtimestamp(utc_s, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    return ""
 
 
 def _kind(attributes: Mapping[str, Any]) -> str:

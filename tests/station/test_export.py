@@ -18,12 +18,12 @@ import h5py
 import numpy as np
 import pytest
 import yaml
-from compensating import compensate, less_added
 from scipy.io import loadmat
 from support import station
 
 from estimator.calibration.calibration_file import write_calibration
 from estimator.calibration.compensation import Compensation
+from estimator.calibration.correction import compensate, less_added
 from estimator.calibration.error_model import ErrorModel, KnownEffect, Size
 from estimator.calibration.values import Calibration, EffectValue, GyroCalibration
 from estimator.effects.catalogue import everything
