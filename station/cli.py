@@ -97,6 +97,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     os.environ.update(ONE_BLAS_THREAD)
     os.environ["PYTHONSAFEPATH"] = "1"  # no process that is started, of a pool or a screen, imports from its folder
     command = "ui" if getattr(arguments, "ui", False) else arguments.command
+    try:
+        return _carry_out(command, arguments)
+    except BrokenPipeError:  # whoever read stdout is gone
+        sys.stderr.close()
+        return EXIT_USAGE
+
+
+def _carry_out(command: str, arguments: argparse.Namespace) -> int:
+    """Call the function of a command and return its exit code; an error of the station's own is printed."""
     module = None
     try:
         # The libraries behind the commands cost a second: --help does without.
@@ -113,9 +122,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("station: stopped by Ctrl-C", file=sys.stderr)
         return EXIT_ABORTED
-    except BrokenPipeError:
-        sys.stderr.close()
-        return EXIT_USAGE
 
 
 def _spell_out() -> None:
