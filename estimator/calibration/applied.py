@@ -1,4 +1,4 @@
-"""A calibration applied to samples of its gyros, as arrays or as a pandas.DataFrame."""
+"""A compensation applied to samples of its gyros, as arrays or as a pandas.DataFrame."""
 
 from typing import Any
 
@@ -6,27 +6,20 @@ import numpy as np
 
 from estimator.calibration.compensation import Compensation, CompensationError
 from estimator.calibration.correction import compensate, needs_of
-from estimator.calibration.values import Calibration
 from estimator.types import Floats
 
 _COLUMNS = ("x_rps", "y_rps", "z_rps")
 
 
 def applied(
-    calibration: Calibration,
+    compensation: Compensation,
     outputs_rps: Any,
     *,
-    device: str | None,
     t_s: Floats | None,
     temperature_c: Floats | None,
     accel_mps2: Floats | None,
 ) -> Any:
-    """Return what ``Calibration.apply`` promises, with the same arguments and errors."""
-    gyros = tuple(gyro for gyro in calibration.gyros if device in (None, gyro.device))
-    if not gyros:
-        devices = dict.fromkeys(gyro.device for gyro in calibration.gyros)
-        raise CompensationError(f"no calibrated device is called {device!r}; there are {', '.join(devices) or 'none'}")
-    compensation = Compensation.of(gyros, calibration.arrays, calibration.model)
+    """Return the rate of the body; arguments, answer and errors are those of ``Calibration.apply``."""
     names = compensation.array.names
     is_frame = hasattr(outputs_rps, "columns")
     if is_frame:

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from estimator.calibration.budget import Contribution
 from estimator.calibration.error_model import ErrorModel
-from estimator.calibration.values import Calibration, EffectValue, GyroCalibration
+from estimator.calibration.gyro import EffectValue, GyroCalibration
+from estimator.calibration.values import Calibration
 from estimator.errors import MISSHAPEN, RecordingError
 from estimator.geometry.model import STATES
 from estimator.geometry.noise import NoiseFound, NoiseModel

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from estimator.calibration.budget import TYPE_A, Contribution
+from estimator.calibration.applied import applied
+from estimator.calibration.compensation import Compensation, CompensationError
+from estimator.calibration.gyro import GyroCalibration
 from estimator.geometry.array import SensorArray
 from estimator.geometry.model import STATES, Prior
-from estimator.geometry.noise import NoiseFound
 from estimator.observations.health import Excluded
-from estimator.observations.rests import RestNoise
 from estimator.observations.timing import TimeOffset
 from estimator.types import Floats
 
@@ -31,55 +31,6 @@ class GyroParity:
     worst_t_s: float
     suspect: bool
     told_apart: bool
-
-
-@dataclass(frozen=True, slots=True)
-class EffectValue:
-    """One parameter of an effect of the error model: what was found on a gyro, and what the model expected.
-
-    SI: value and standard deviation in ``unit``; ``expected_sd`` is that of the model. ``shared``: of all gyros.
-    """
-
-    effect: str
-    parameter: str
-    value: float
-    sd: float
-    unit: str
-    expected_sd: float
-    shared: bool
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class GyroCalibration:
-    """States of one gyro [k, b_rps, sigma_j_rad, sigma_k_rad], their covariance, the noise of one sample.
-
-    ``covariance`` holds everything; ``budget`` is what it is the sum of: type A, from the scatter of the data, and
-    type B, from the table's stated uncertainty. ``noise`` is what the data say of the noise, where they do, and
-    ``rest`` what the rests of the table alone say of it. ``effects`` are those of the error model, if one was given.
-    """
-
-    name: str
-    source: str
-    states: Floats
-    covariance: Floats
-    noise_rps: float
-    p: Floats
-    device: str
-    budget: tuple[Contribution, ...] = ()
-    noise: NoiseFound | None = None
-    rest: RestNoise | None = None
-    effects: tuple[EffectValue, ...] = ()
-
-    @property
-    def sd(self) -> Floats:
-        """Standard deviations of the states (4,)."""
-        return np.sqrt(np.diag(self.covariance))
-
-    @property
-    def type_a(self) -> Floats:
-        """What the data leave open of the states (4, 4), whatever may be wrong with the reference; all if not known."""
-        own = [line.covariance for line in self.budget if line.name in TYPE_A]
-        return np.asarray(np.sum(own, axis=0)) if own else self.covariance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,9 +80,12 @@ class Calibration:
 
         Raises CompensationError if gyros do not span space, or if columns, temperatures or others are missing.
         """
-        from estimator.calibration.applied import applied  # builds on this module
-
-        return applied(self, outputs_rps, device=device, t_s=t_s, temperature_c=temperature_c, accel_mps2=accel_mps2)
+        gyros = tuple(gyro for gyro in self.gyros if device in (None, gyro.device))
+        if not gyros:
+            devices = ", ".join(dict.fromkeys(gyro.device for gyro in self.gyros)) or "none"
+            raise CompensationError(f"no calibrated device is called {device!r}; there are {devices}")
+        compensation = Compensation.of(gyros, self.arrays, self.model)
+        return applied(compensation, outputs_rps, t_s=t_s, temperature_c=temperature_c, accel_mps2=accel_mps2)
 
     def to_xarray(self) -> Any:
         """Return an xarray.Dataset over gyro and state, in SI units. Needs xarray.

@@ -6,7 +6,8 @@ import numpy as np
 
 from estimator.calibration.budget import Contribution, table_budget
 from estimator.calibration.error_model import ErrorModel
-from estimator.calibration.values import Calibration, GyroCalibration, GyroParity, unseen_notes
+from estimator.calibration.gyro import GyroCalibration
+from estimator.calibration.values import Calibration, GyroParity, unseen_notes
 from estimator.errors import RecordingError
 from estimator.estimation.joint import check_model, effect_notes, estimate_device
 from estimator.estimation.noise_evidence import TooShort

@@ -75,7 +75,8 @@ class Bench:
     ``station`` is the name of the place; the patterns say what names of operators and serial numbers of devices look
     like there (regular expressions for the whole of it), empty for anything; the screen asks anew who operates it after
     ``shift_s``. ``excluded`` are effects of the catalogue that devices and table do not have; None for all of them.
-    ``plugins`` are files and packages from outside.
+    ``plugins`` are files and packages from outside. ``after_run`` is the program, with its arguments, that is given the
+    result of each run; empty for none.
     """
 
     name: str
@@ -91,6 +92,7 @@ class Bench:
     shift_s: float
     excluded: frozenset[str] | None = None
     plugins: tuple[str, ...] = ()
+    after_run: tuple[str, ...] = ()
 
     def checked_operator(self, text: str) -> str:
         """Return an operator's name as it is to be kept; UsageError with the pattern if it does not match."""
@@ -151,6 +153,7 @@ def read_bench(
         serial_pattern=place["serial_pattern"],
         shift_s=place["shift_s"],
         excluded=_excluded(own["undeclared"]),
+        after_run=_command(place["after_run"] or (), folder),
     )
     names = [imu.name for imu in bench.imus]
     if not names or len(set(names)) != len(names):
@@ -158,6 +161,15 @@ def read_bench(
     origins = {tables.origin(bench.table.protocol), *(imus.origin(imu.protocol) for imu in bench.imus)}
     origins |= {*map(origin_of, modules), *(record.origin for record in records())}
     return replace(bench, plugins=tuple(sorted(origins - {""})))
+
+
+def _command(words: Sequence[str], folder: Path) -> tuple[str, ...]:
+    """Return a program and its arguments; a program with a relative path counts from the folder of the bench file."""
+    program, *arguments = words or ("",)
+    if not program:
+        return ()
+    is_path = "/" in program and not Path(program).is_absolute()
+    return (str((folder / program).absolute()) if is_path else program, *arguments)
 
 
 def _distinct(imus: Sequence[ImuConfig]) -> tuple[ImuConfig, ...]:

@@ -21,6 +21,7 @@ from station.atomic_write import check_new_recording, new_recording
 from station.bench.bench import Bench, load_bench
 from station.errors import EXIT_USAGE, UsageError, sentence
 from station.opening import needs_only_memory, open_bench, serve_twins, with_links
+from station.remote.after_run import tell_program
 from station.remote.hosting import Host, introduction
 from station.render.printing import print_calibration, print_verdict, refuse, result_object
 from station.render.progress import RunProgress
@@ -78,6 +79,11 @@ def _run(arguments: argparse.Namespace) -> int:
         return refuse(str(error), arguments.json)
     except DeviceError as error:
         return refuse(str(error), arguments.json, Outcome.FAULT)
+    if bench.after_run:
+        told = {"bench": bench.station, "script": script.name, "operator": operator, "serial_number": serial}
+        problem = tell_program(bench.after_run, {**_run_object(result), **told})
+        if problem:
+            print(f"note: after_run: {problem}; the result stands in {path}", file=sys.stderr)
     if arguments.json:
         print(json.dumps(_run_object(result)))
     else:

@@ -14,7 +14,8 @@ import numpy as np
 from estimator.calibration.calibration_file import read_calibration
 from estimator.calibration.compensation import Compensation
 from estimator.calibration.error_model import ErrorModel
-from estimator.calibration.values import Calibration, GyroCalibration
+from estimator.calibration.gyro import GyroCalibration
+from estimator.calibration.values import Calibration
 from estimator.errors import EstimatorError, RecordingError
 from estimator.recordings.reading import read_recording
 from estimator.recordings.recording import Recording

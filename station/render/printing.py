@@ -11,7 +11,8 @@ import numpy as np
 
 from drivers.packaged import packaged_toml
 from drivers.types import Floats
-from estimator.calibration.values import Calibration, GyroCalibration
+from estimator.calibration.gyro import GyroCalibration
+from estimator.calibration.values import Calibration
 from estimator.estimation.repeatability import Repeatability
 from estimator.observations.rests import RestNoise
 from station.errors import EXIT_USAGE

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from estimator.calibration.budget import UNSEEN, Contribution
-from estimator.calibration.values import Calibration, GyroCalibration
+from estimator.calibration.gyro import GyroCalibration
+from estimator.calibration.values import Calibration
 from estimator.observations.health import Excluded
 from station.bench.bench import Limits
 from station.run.outcome import Outcome, judge

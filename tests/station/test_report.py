@@ -25,7 +25,7 @@ from estimator.calibration.calibration_file import read_calibration
 from estimator.calibration.compensation import Compensation
 from estimator.calibration.correction import compensate
 from estimator.calibration.error_model import ErrorModel, KnownEffect, Size
-from estimator.calibration.values import EffectValue, GyroCalibration
+from estimator.calibration.gyro import EffectValue, GyroCalibration
 from estimator.effects.catalogue import everything
 from estimator.effects.effect import Acts
 from estimator.geometry.array import tetrahedron
