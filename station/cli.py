@@ -20,6 +20,7 @@ from estimator.errors import EstimatorError
 from estimator.untrusted import harmless
 from station.bench.plugins import use_effects
 from station.campaigns import ONE_BLAS_THREAD
+from station.computer.facilities import missing_facility
 from station.errors import EXIT_ABORTED, EXIT_FAULT, EXIT_USAGE, UsageError, sentence
 from station.exports import GROUP as EXPORTS
 
@@ -94,6 +95,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments.parser, arguments.typed = parser, typed  # what a shell completes; what a browser's screen is begun with
     # Before any command imports numpy. Matrices here are small: threads of the linear algebra library gain nothing,
     # and on a busy machine they wait for each other for seconds.
+    if missing := missing_facility():
+        print(f"station: {missing}", file=sys.stderr)
+        return EXIT_USAGE
     os.environ.update(ONE_BLAS_THREAD)
     os.environ["PYTHONSAFEPATH"] = "1"  # no process that is started, of a pool or a screen, imports from its folder
     command = "ui" if getattr(arguments, "ui", False) else arguments.command

@@ -19,6 +19,7 @@ from estimator.recordings.writing import write_recording
 from estimator.untrusted import harmless
 from station.atomic_write import check_new_recording, new_recording
 from station.bench.bench import Bench, load_bench
+from station.computer.facilities import peer_note
 from station.errors import EXIT_USAGE, UsageError, sentence
 from station.opening import needs_only_memory, open_bench, serve_twins, with_links
 from station.remote.after_run import tell_program
@@ -62,6 +63,8 @@ def _run(arguments: argparse.Namespace) -> int:
         check_new_recording(path)
         scale = arguments.scale or (1.0 if arguments.host else None)  # virtual time has no sockets
         host = Host(scale or 1.0) if arguments.host else None
+        if host is not None and (note := peer_note()):
+            print(f"note: {note}", file=sys.stderr)
         options = RunOptions(
             arguments.reset_fault,
             arguments.end_early,
