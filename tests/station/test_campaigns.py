@@ -20,7 +20,7 @@ import distributed
 import h5py
 import pytest
 from chores import die_at_three, own_threads, square, square_but_three, unwelcome
-from support import command, direct_recording, station
+from support import command, ctrl_c_of_children, direct_recording, station
 
 from estimator.recordings.writing import write_recording
 from station.campaigns import ONE_BLAS_THREAD
@@ -286,15 +286,18 @@ def test_ctrl_c_stops_the_processes_and_what_they_started(tmp_path: Path) -> Non
         "        sys.exit(3)\n"
     )
     told = [tmp_path / "0.ids", tmp_path / "1.ids"]
-    run = subprocess.Popen(
-        [sys.executable, str(script)], cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True
-    )
+    words = [sys.executable, str(script)]
+    with ctrl_c_of_children():
+        run = subprocess.Popen(words, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    assert run.stderr is not None
     try:
         until(lambda: all(path.exists() for path in told))
         os.killpg(run.pid, signal.SIGINT)  # as a terminal does
         _, err = run.communicate(timeout=20)
     finally:
         run.kill()
+        run.wait()
+        run.stderr.close()
     assert run.returncode == 3
     assert "Traceback" not in err
     for process in (int(word) for path in told for word in path.read_text().split()):

@@ -2,7 +2,8 @@
 
 python tests/station/screen/streams.py      makes tests/data/screen/* anew, from sessions on twins
 
-Pictures show figures from these files only. A figure that a test computes differs in its last digits between processors.
+Pictures show figures from these files only. A figure that a test computes
+differs in its last digits between processors.
 
 Each line of a stream is a message with "at_s" beside it: the instant on the loop's clock, in virtual time, at which it
 was said. A snapshot a second is kept, its figures to five digits.
