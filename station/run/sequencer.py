@@ -149,7 +149,7 @@ class Sequencer:
         self._sent_s = loop.time()
         await asyncio.sleep(max(due_s - WATCH_S - loop.time(), 0.0))
         while not (await self._table.status(axis)).target_reached:
-            if loop.time() > due_s + OVERDUE_S:
+            if loop.time() > due_s + (self._sent_s - self._step_began_s) + OVERDUE_S:  # a slow line takes long to tell
                 at, to = math.degrees((await self._table.read(axis)).angle_rad), math.degrees(target)
                 raise DeviceRefused("table", sentence("run.overdue", axis=axis, step=step.label, at_deg=at, to_deg=to))
             await asyncio.sleep(WATCH_S)

@@ -122,7 +122,7 @@ async def watch_table(
     on_row: Callable[[TableRow], None],
     on_lost: Callable[[LinkLost], Awaitable[None]],
 ) -> None:
-    """Read until cancelled; DeviceFault when an axis goes to fault, leaves operation, turns by itself or stands by itself.
+    """Read until cancelled; DeviceFault when an axis goes to fault, leaves operation, turns or stands by itself.
 
     ``rate_hz`` is how often it is read, and ``sequencer`` may want more; a slow link gives what it can. ``on_lost``
     opens a link again that was lost, or raises.

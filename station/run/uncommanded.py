@@ -104,8 +104,8 @@ class MotionGuard:
         does = f"turns at {rate_dps:.1f} deg/s"
         if abs(turned_rad / took_s) < _STANDS * abs(state.rate_rps):
             turned_deg = math.degrees(turned_rad)
-            does = f"reports a rate of {rate_dps:.1f} deg/s, but its position changed by {turned_deg:.2f} deg in {took_s:.2f} s"
-            does = f"{does}: it turns, or its readings are frozen or wrong"
+            does = f"reports a rate of {rate_dps:.1f} deg/s and a position that changed by {turned_deg:.2f} deg"
+            does = f"{does} in {took_s:.2f} s: it turns, or its readings are frozen or wrong"
         if abs(rate_dps) < math.degrees(_RATE_RPS):
             off_deg = math.degrees(told.off_rad(state.angle_rad))
             does = f"stands {off_deg:+.2f} deg from where it should be (it was turned, or its encoder has jumped)"
