@@ -164,6 +164,7 @@ class ModbusLine:
             self._check_connected()
             began_s, pause_s = self._now(), _FIRST_PAUSE * self._timeout_s
             limit_s = began_s + within_s if prompt else None  # else the client asks twice
+            self._rtu.refusal = None
             await self._hear_out()
             while True:
                 try:
@@ -197,6 +198,9 @@ class ModbusLine:
             return BadReply(self._device, f"{_who(request)} {said}")
         said = f"does not answer within {within_s:g} s{'' if once else ', twice asked'}"
         heard = "; what comes is late, damaged, or no answer to it" if self._rtu.heard else ""
+        if (code := self._rtu.refusal) is not None:
+            said = f"refuses all that it is asked within {within_s:g} s"
+            heard = f": Modbus exception {code}, {_EXCEPTIONS.get(code, 'unknown exception')}"
         return LinkLost(self._device, f"{_who(request)} {said}{heard}")
 
     async def _hear_out(self) -> None:
