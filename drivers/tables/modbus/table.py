@@ -23,6 +23,7 @@ _HOMING_RATE_RPS = math.radians(30.0)
 _TAKEN_S = 0.02  # drives take a mode or a controlword in a cycle of their own, of at most 10 ms
 _START_AGAIN_S = 0.5  # if a drive does not show that it took the start of its homing
 _HOME_RAD = math.radians(0.05)  # about zero: at home
+_ORDERS = ("controlword", "mode", "target_position", "target_rate")
 _FAULTS = (cia402.DriveState.FAULT, cia402.DriveState.FAULT_REACTION)
 
 
@@ -230,6 +231,14 @@ class ModbusTable(Table):
             (one.sent_s, one.received_s, self._value(axis, name, one) * TURN) for name, one in replies.items()
         )
         return AxisState.told(angle, rate)
+
+    async def orders(self, axis: str) -> dict[str, float]:
+        """Read back what the drive was told last; what it lets nobody read is left out."""
+        found = {}
+        for name in _ORDERS:
+            with kept([]):
+                found[name] = await self._read(axis, name)
+        return found
 
     async def status(self, axis: str) -> AxisStatus:
         """Get state, target reached, and the fault in words."""
