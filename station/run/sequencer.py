@@ -151,7 +151,8 @@ class Sequencer:
         while not (await self._table.status(axis)).target_reached:
             if loop.time() > due_s + (self._sent_s - self._step_began_s) + OVERDUE_S:  # a slow line takes long to tell
                 at, to = math.degrees((await self._table.read(axis)).angle_rad), math.degrees(target)
-                raise DeviceRefused("table", sentence("run.overdue", axis=axis, step=step.label, at_deg=at, to_deg=to))
+                name = "never_arrived" if abs(at - to) < math.degrees(ON_TARGET_RAD) else "overdue"
+                raise DeviceRefused("table", sentence(f"run.{name}", axis=axis, step=step.label, at_deg=at, to_deg=to))
             await asyncio.sleep(WATCH_S)
         await asyncio.sleep(max(due_s - loop.time(), 0.0))
         angle = (await self._table.read(axis)).angle_rad

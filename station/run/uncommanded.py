@@ -27,6 +27,7 @@ _SEEN_S = 0.25  # of that: readings are taken again, the fault is raised, the st
 _SHORTEST_WINDOW_S = 0.2  # controllers and gateways may tell the same reading twice
 _LATEST_START_S = 0.4  # that a drive may take to begin a motion, at least
 _STANDS = 0.5  # share of the way that was asked for, below which an axis stands
+_RATE_OFF = 0.25  # share of a steady rate by which all readings of it may differ from what the position tells
 _COUNTS = 2  # that a difference of two readings may be off
 
 
@@ -142,12 +143,12 @@ class MotionGuard:
         if until_s - from_s < window_s:
             return ""
         way = _Way(tuple(readings), limits.resolution_rad)
-        for found in (self._stands(told, late_s + round_trips_s, way), self._contradicts(axis, way)):
+        for found in (self._stands(axis, told, late_s + round_trips_s, way), self._contradicts(axis, way)):
             if found:
                 return f"axis {axis} {found}; {_was_told(told)}"
         return ""
 
-    def _stands(self, told: Commanded, late_s: float, way: "_Way") -> str:
+    def _stands(self, axis: str, told: Commanded, late_s: float, way: "_Way") -> str:
         """Return in words that an axis reads as if it stood, where it turns by its course even if it is so late."""
         course = told.course
         if course is None or (course.may_be_over(way.until_s) and abs(way.angle_rad - course.target_rad) < _ANGLE_RAD):
@@ -162,9 +163,18 @@ class MotionGuard:
             if rates_rps and max(map(abs, rates_rps)) > _RATE_RPS:
                 return f"{way.stands}, and it reports {way.rate_text}: its position readings are frozen or wrong"
             return f"{way.stands}: it is held fast, its drive does not obey, or its readings are frozen"
-        if rates_stand:
+        if rates_stand or self._rate_is_off(axis, course, way, least_rps):
             return f"reports {way.rate_text} while its position turns at {way.mean_dps:.1f} deg/s: its rate is wrong"
         return ""
+
+    def _rate_is_off(self, axis: str, course: Course, way: "_Way", least_rps: float) -> bool:
+        """Return whether an axis turns steadily and reports rates of which none is that of its position."""
+        if least_rps < abs(course.rate_rps) or not way.rates_rps:
+            return False
+        mean_rps = way.turned_rad / way.took_s
+        nearest_rps = min(abs(rate - mean_rps) for rate in way.rates_rps)
+        doubt_rps = way.doubt_rad(least_rps) / way.took_s + _SIGMAS * math.sqrt(self._noise_rps2[axis])
+        return nearest_rps > _RATE_OFF * least_rps + _RATE_RPS + doubt_rps
 
     def _contradicts(self, axis: str, way: "_Way") -> str:
         """Return in words that an axis reports a rate, and a position that stands; rates must all be of one sign."""

@@ -99,6 +99,8 @@ FROZEN: Mapping[str, tuple[tuple[int, ...], bool]] = {
     "zero rate": ((RATE,), True),
 }
 """Which registers tell always the same from the strike on, and whether that is zero."""
+TRUE_UNTIL_THE_END = ("frozen rate", "frozen status")
+"""What nobody can see until the end of a steady turn: until then it is true. The move ends as it was commanded."""
 PROXIED = {
     "late": "300", "late1in20": "500", "tid": "1", "tid0": "0", "split": "1", "dup": "1", "unit": "1", "fc": "1",
     "len": "1", "count": "1", "stale": "1", "flip": "20", "garbage": "20", "drop": "1", "droponce": "1", "hole": "1",
@@ -130,6 +132,8 @@ class Case:
             return "" if self.outcome in ("PASS", "FAIL") else self.outcome or "no verdict"
         if not self.struck_s:
             return "not struck"
+        if self.kind in TRUE_UNTIL_THE_END:
+            return "not seen" if self.outcome != "FAULT" else ""
         if self.outcome not in ("PASS", "FAIL") and self.rest_s > AT_REST_S:
             return f"at rest after {self.rest_s:.2f} s"
         if self.kind in FROZEN and self.phase != "homing" and "keeps turning" in self.reason:
