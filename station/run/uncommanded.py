@@ -25,7 +25,7 @@ AT_REST_S = 1.5
 """Time from when readings stop to tell the truth to when the axis is to stand."""
 _SEEN_S = 0.25  # of that: readings are taken again, the fault is raised, the stop is sent
 _SHORTEST_WINDOW_S = 0.2  # controllers and gateways may tell the same reading twice
-_LATEST_START_S = 0.4  # that a drive may take to begin a motion, at least
+_LATEST_START_S = 0.3  # that a drive may take to begin a motion, at least
 _STANDS = 0.5  # share of the way that was asked for, below which an axis stands
 _RATE_OFF = 0.25  # share of a steady rate by which all readings of it may differ from what the position tells
 _COUNTS = 2  # that a difference of two readings may be off

@@ -96,7 +96,7 @@ def test_what_is_slow_small_steep_or_late_is_no_fault(tmp_path: Path, name: str)
     axis = bench.table.gimbals[-1]
     limits = bench.table.axes[axis].limits
     steepest, count = limits.acceleration_rps2, limits.resolution_rad
-    steps = [
+    steps: list[Move | Rotate] = [
         Rotate(axis, 0.1 * DEG, 6.0, 20 * DEG, "0.1 deg/s"),
         Rotate(axis, -0.1 * DEG, 6.0, 0.1 * DEG, "0.1 deg/s, gentle"),
         Rotate(axis, max(0.002 * DEG, 1.5 * count), 8.0, 20 * DEG, "about a count a second"),
