@@ -154,7 +154,9 @@ async def _check_table(opened: OpenBench, time_scale: float) -> DeviceCheck:
             dps = math.degrees(state.rate_rps)
             if abs(dps) > 0.05:
                 elsewhere = sentence("check.driven_elsewhere", axis=axis, dps=dps)
-                check.wrong.append(elsewhere if status.enabled else f"axis {axis} turns at {dps:.2f} deg/s: stop it first")
+                check.wrong.append(
+                    elsewhere if status.enabled else f"axis {axis} turns at {dps:.2f} deg/s: stop it first"
+                )
         if told and enabled:
             await asyncio.sleep(_OTHERS_S * max(time_scale, 1.0))
             check.wrong += _told_by_others(told, await _orders(table, bench.table.gimbals))

@@ -1,6 +1,6 @@
 """Whole runs on a table that is not ours, in real time: wires that misbehave, readings that lie, a drive's own cycle.
 
-python tests/bench/strange_table.py --table PATH                        readings that lie; TCP and RTU; cycles 0, 2, 10 ms
+python tests/bench/strange_table.py --table PATH                        readings that lie; TCP, RTU; cycles 0, 2, 10 ms
 python tests/bench/strange_table.py --table PATH --proxy PATH           and the modes of a misbehaving proxy
 python tests/bench/strange_table.py --table PATH --kinds none --runs 5  runs one after the other on a table left enabled
 python tests/bench/strange_table.py ... --wires rtu --cycles 0.01 --kinds frozen,zeros --phases ramp --verbose

@@ -158,7 +158,9 @@ def test_check_names_a_master_that_commands_the_table(other_does: str) -> None:
                     await asyncio.sleep(0.1)
 
         commanding = asyncio.ensure_future(command() if other_does != "stands" else asyncio.sleep(0))
-        checked = await asyncio.to_thread(station, "check", bench, "--link", f"table={link}", "--json", "--device", "first")
+        checked = await asyncio.to_thread(
+            station, "check", bench, "--link", f"table={link}", "--json", "--device", "first"
+        )
         commanding.cancel()
         await other.stop()
         other.close()
