@@ -47,12 +47,14 @@ class AxisLimits:
     """What an axis may be asked for. ``travel_rad``: the angles from home that it stays between, None for all.
 
     ``acceleration_step_rps2``: the controller takes multiples of it only, and the one below what it is given.
+    ``resolution_rad``: the angle by which readings differ at least, 0 where that is not known.
     """
 
     rate_rps: float
     acceleration_rps2: float
     travel_rad: tuple[float, float] | None = None
     acceleration_step_rps2: float = 0.0
+    resolution_rad: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -58,6 +58,7 @@ class Limits:
 class TwinConfig:
     """What only twins read: seed, watchdog, the table of truths, unread; what is hidden from the station.
 
+    ``drive_cycle_s`` is how often a CiA 402 drive samples its controlword.
     Temperature and hidden effects follow a clock that stands at ``started_s`` when the loop's stands at 0.
     """
 
@@ -66,6 +67,7 @@ class TwinConfig:
     truths: Table
     hidden: Path | None = None
     started_s: float = 0.0
+    drive_cycle_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

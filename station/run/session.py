@@ -31,8 +31,8 @@ from station.run.manual import ManualSequencer
 from station.run.outcome import MANUAL_VERDICT, Outcome, Verdict, judge
 from station.run.sequencer import Sequencer
 from station.run.snapshot import EventKind, Phase, Snapshot
-from station.run.table_watch import TableRow, check_axes, watch_table
-from station.run.uncommanded import watch_homing
+from station.run.table_watch import TableRow, watch_table
+from station.run.uncommanded import UntrueReadings, check_axes, watch_homing
 from station.scripts.polling import too_steep
 from station.scripts.script import Script
 
@@ -109,6 +109,7 @@ class Session:
         self._running: asyncio.Task[None] | None = None
         self._verdict: Verdict | None = None
         self._connected = self._rested = self._terminal_gone = False
+        self._untrue = False  # readings of the table: they do not show whether it stands
         self._reopening = Reopening(self._moving, lambda text: self._event(EventKind.LINK, text), self._time_scale)
         self._acquisition = Acquisition(
             bench,
@@ -302,14 +303,22 @@ class Session:
         if not self._connected:
             return
         trouble = await self._tried(self._open.table.stop(), None)
-        if trouble:
+        seen_at_rest = not trouble and not self._untrue
+        if self._untrue:
+            # What was seen of the stop is worth nothing, and an axis that is let go in motion may coast.
+            limits = self._open.table.limits.values()
+            await asyncio.sleep(max(axis.rate_rps / axis.acceleration_rps2 for axis in limits))
+            trouble = "the table was told to stop, but its readings cannot show that it stands: look at it"
+            self._event(EventKind.NOT_AT_REST, trouble)
+        elif trouble:
             self._event(EventKind.NOT_AT_REST, f"controlled stop not confirmed: {trouble}")
             aborted = await self._tried(self._open.table.abort(), None)  # as hard as the controller can
             trouble = f"it did not come to rest by a controlled stop ({trouble})"
+            seen_at_rest = not aborted
             if aborted:
                 trouble = f"the table was not seen to come to rest ({aborted}): use the emergency stop"
         off = await self._tried(self._open.table.disable())  # also what heeds nothing else: it may then coast
-        if not trouble or not aborted:
+        if seen_at_rest:
             trouble = trouble or (off and f"the table is at rest, but its power may be on ({off})")
             self._event(EventKind.AT_REST, "table at rest")
         if trouble:
@@ -362,6 +371,7 @@ class Session:
         errors = list(_leaves(error))
         for device_error in errors:
             if isinstance(device_error, DeviceError):
+                self._untrue |= isinstance(device_error, UntrueReadings)
                 if device_error.device == "table":
                     self._monitor.table_fault = device_error.message
                 return Verdict(Outcome.FAULT, str(device_error))

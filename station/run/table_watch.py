@@ -9,12 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drivers.errors import DeviceFault, LinkLost
+from drivers.errors import LinkLost
 from drivers.protocols import Turntable
 from drivers.types import AxisState, Floats
-from station.errors import sentence
 from station.run.sequencer import Sequencer
-from station.run.uncommanded import MotionGuard
+from station.run.uncommanded import MotionGuard, check_axes
 
 _STATUS_EVERY = 5  # condition is asked for in every so many-th reading
 _STATUS_AT_LATEST_S = 0.6  # and on a slow link before a drive stops that hears nothing
@@ -123,7 +122,7 @@ async def watch_table(
     on_row: Callable[[TableRow], None],
     on_lost: Callable[[LinkLost], Awaitable[None]],
 ) -> None:
-    """Read until cancelled; DeviceFault when an axis goes to fault, leaves operation or turns by itself.
+    """Read until cancelled; DeviceFault when an axis goes to fault, leaves operation, turns or stands by itself.
 
     ``rate_hz`` is how often it is read, and ``sequencer`` may want more; a slow link gives what it can. ``on_lost``
     opens a link again that was lost, or raises.
@@ -178,13 +177,3 @@ async def watch_table(
     finally:
         for row in aligner.last():
             on_row(row)
-
-
-async def check_axes(table: Turntable, axes: tuple[str, ...]) -> None:
-    """See that every axis is in operation; DeviceFault if one is not."""
-    for axis in axes:
-        status = await table.status(axis)
-        if status.trouble:
-            raise DeviceFault("table", status.trouble)
-        if not status.enabled:
-            raise DeviceFault("table", sentence("run.left_operation", axis=axis, status=status.text))

@@ -48,7 +48,7 @@ def test_the_examples_pass_and_each_suite_is_told(path: Path, capsys: pytest.Cap
             "[new] * self._lsb",
             "[new] * 2 * self._lsb",
             "units",
-            "says 39.* deg/s where it turns at 20.00",
+            "says 40.00 deg/s where it turns at 20.00",
         ),
         ("counted_imu", "1 / setup.rate_hz, 1", "1.1 / setup.rate_hz, 1", "clock", "sample times do not always go up"),
         ("counted_imu", "ImuBlock(t_ns, arr", "ImuBlock(t_ns - 50_000_000, arr", "clock", "are [45]. ms too early"),
