@@ -77,6 +77,8 @@ def _run(arguments: argparse.Namespace) -> int:
         return refuse(str(error), arguments.json)
     except DeviceError as error:
         return refuse(str(error), arguments.json, Outcome.FAULT)
+    for note in result.notes:
+        print(f"note: {harmless(note)}", file=sys.stderr)
     if arguments.json:
         print(json.dumps(_run_object(result)))
     else:

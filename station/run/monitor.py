@@ -11,9 +11,11 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from drivers.types import ImuBlock
+from drivers.protocols import ImuSource
+from drivers.types import Alignment, ImuBlock, SourceCounts
 from station.opening import OpenBench
 from station.opening.reopening import Reopening
+from station.run.beside import Beside
 from station.run.live import LiveEstimate
 from station.run.sequencer import Sequencer
 from station.run.snapshot import AxisSnapshot, GyroSnapshot, Phase, Snapshot, SourceSnapshot
@@ -37,8 +39,12 @@ class _Mark:
 class Monitor:
     """Looks at one run."""
 
-    def __init__(self, opened: OpenBench, live: LiveEstimate, reopening: Reopening, time_scale: float) -> None:
+    def __init__(
+        self, opened: OpenBench, live: LiveEstimate, reopening: Reopening, time_scale: float, beside: Beside
+    ) -> None:
         """Begin before anything has come; how far the run is, whoever drives it says."""
+        self._beside = beside
+        self._counts: dict[str, SourceCounts] = {}
         self._open, self._live, self._reopening, self._scale = opened, live, reopening, time_scale
         self._axes = opened.bench.table.gimbals
         self._rows: Counter[str] = Counter()
@@ -75,14 +81,29 @@ class Monitor:
         """Take it that nothing more will come: what a closed link does not say is no silence."""
         self._ended_s = asyncio.get_running_loop().time()
 
+    def counts(self, source: ImuSource, name: str) -> SourceCounts:
+        """Return the counts of a source; from a driver that fails to tell them, the last that it told."""
+        last = self._counts.get(name, SourceCounts())
+        self._counts[name] = self._beside.attempt(f"counts of {name}", lambda: source.counts(name), last)
+        return self._counts[name]
+
+    def alignment(self, source: ImuSource, name: str) -> Alignment | None:
+        """Return how the clock of a source lies to the loop's; None if its driver does not or cannot tell."""
+        return self._beside.attempt(f"clock of {name}", lambda: source.alignment(name), None)
+
+    @property
+    def label(self) -> str:
+        """Label of the step under way, empty where there is none."""
+        return self.sequencer.label if self.sequencer is not None and self.phase is Phase.RUNNING else ""
+
     def brief(self) -> Snapshot:
         """Return what a progress bar shows."""
-        counts = [imu.source.counts(name) for imu in self._open.imus for name in imu.source.names]
+        counts = [self.counts(imu.source, name) for imu in self._open.imus for name in imu.source.names]
         sequencer = self.sequencer
         times_s = sequencer.times_s(asyncio.get_running_loop().time()) if sequencer else (0.0, self.planned_s)
         return Snapshot(
             self.phase,
-            sequencer.label if sequencer and self.phase is Phase.RUNNING else "",
+            self.label,
             *times_s,
             samples=sum(c.samples for c in counts),
             lost=sum(c.lost for c in counts),
@@ -117,7 +138,8 @@ class Monitor:
     def _source_snapshots(self, now_s: float) -> Iterator[SourceSnapshot]:
         for imu in self._open.imus:
             for name in imu.source.names:
-                counts, alignment = imu.source.counts(name), imu.source.alignment(name)
+                counts = self.counts(imu.source, name)
+                alignment = self.alignment(imu.source, name)
                 last, marks = self._last.get(name), self._marks[name]
                 link = self._link(imu.config.name, last, now_s)
                 yield SourceSnapshot(

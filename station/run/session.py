@@ -60,6 +60,8 @@ class Result:
     """What was had of each source."""
     links: Mapping[str, LinkCounts] = field(default_factory=dict)
     """What went over the link of each device."""
+    notes: tuple[str, ...] = ()
+    """What failed beside the run and did not touch what is measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +141,19 @@ class Session:
                     self._verdict = self._verdict or self._verdict_of(error)
                     if this is not None and isinstance(error, asyncio.CancelledError):
                         this.uncancel()
-            raise RuntimeError(f"the run could not be ended: {self._verdict}")
+            return self._unended()
+
+    def _unended(self) -> Result:
+        """Return a result for a run whose way out was interrupted too often: what is known, and what to look after."""
+        verdict = self._verdict or Verdict(Outcome.ABORTED, "cancelled")
+        look = sentence("run.unended" if self._rested or not self._connected else "run.unended_in_motion")
+        return Result(
+            verdict=replace(verdict, reason=f"{verdict.reason}; {look}"),
+            recording=self._writer.path,
+            calibration=None,
+            agreement=float("nan"),
+            ended_early=self._ended_early,
+        )
 
     async def _go_through(self) -> Result:
         """Work, bring the table to rest, conclude: from where an interruption left it."""
@@ -157,8 +171,15 @@ class Session:
         return await self._conclude()
 
     def snapshot(self) -> Snapshot:
-        """Return the state of the run now, as a whole: for ten looks a second, not for each row."""
-        return self._monitor.full()
+        """Return the state of the run now, as a whole: for ten looks a second, not for each row.
+
+        What goes wrong with that is told once, and raised for whoever asked.
+        """
+        try:
+            return self._monitor.full()
+        except Exception as error:
+            self._acquisition.beside.failed("the snapshot", error)
+            raise
 
     @property
     def gyros(self) -> tuple[str, ...]:
@@ -198,8 +219,8 @@ class Session:
         self._event(EventKind.NOTE, _NOTE + kept)
 
     def _stopped_by(self, who: str) -> str:
-        now = self._monitor.brief()
-        return f"stopped by {who} in {f'step {now.label!r}' if now.label else f'phase {now.phase.value!r}'}"
+        monitor = self._monitor
+        return f"stopped by {who} in {f'step {monitor.label!r}' if monitor.label else f'phase {monitor.phase.value!r}'}"
 
     def _script_under_way(self) -> Sequencer:
         """Return the sequencer; UsageError if there is no script under way."""
@@ -271,7 +292,7 @@ class Session:
 
     def _take_row(self, row: TableRow) -> None:
         self._acquisition.take_row(row)
-        self._on_progress(self._monitor.brief)
+        self._acquisition.beside.attempt("progress", lambda: self._on_progress(self._monitor.brief), None)
 
     async def _run_until_enough(self, group: asyncio.TaskGroup, sequencer: Sequencer, early_end: EarlyEnd) -> None:
         """Run the script to its end, or until enough has been seen: the table is then still to be stopped."""
@@ -354,8 +375,9 @@ class Session:
         except RecordingError as error:
             verdict = replace(verdict, reason=f"{verdict.reason}; the outcome is not in the recording: {error}")
         reports = tuple(acquisition.reports.values())
-        links = self._open.link_counts()
-        return Result(verdict, self._writer.path, calibration, agreement, self._ended_early, reports, links)
+        links = acquisition.beside.attempt("counts of links", self._open.link_counts, {})
+        notes = tuple(acquisition.beside.notes)
+        return Result(verdict, self._writer.path, calibration, agreement, self._ended_early, reports, links, notes)
 
     def _verdict_of(self, error: BaseException) -> Verdict:
         """Return the verdict for what ended the run: a device's error first, a stop, else a defect of the station."""
