@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from estimator.errors import MISSHAPEN, RecordingError
+from estimator.importing.expressions import SEARCH_LIMIT_S, groups_of
 from estimator.importing.log import Log
 from estimator.importing.mapping.mapping import Mapping, beside
 from estimator.importing.mapping.reference import Rests, StatedTurns, Turn, turn_about
@@ -63,11 +64,17 @@ def _turn_of_file(mapping: Mapping, reference: StatedTurns, path: Path) -> Turn:
     if reference.turn is not None:
         return reference.turn
     assert reference.pattern is not None
-    found = reference.pattern.search(path.name)
-    if not found:
+    try:
+        found = groups_of(reference.pattern, path.name)
+    except TimeoutError:
+        raise RecordingError(
+            f"{path.name}: file_name in [reference] of {mapping.name} does not come to an end with this name within "
+            f"{SEARCH_LIMIT_S:g} s: write it without a repetition within a repetition, as (a+)+"
+        ) from None
+    if found is None:
         raise RecordingError(f"{path.name}: its name does not match file_name in [reference] of {mapping.name}")
     try:
-        return turn_about(found["axis"] or "", float(found["angle_deg"]))
+        return turn_about(found["axis"] or "", float(found["angle_deg"] or ""))
     except (ValueError, TypeError) as error:
         raise RecordingError(f"{path.name}: its name states no turn: {error}") from None
 

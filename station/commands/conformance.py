@@ -23,6 +23,7 @@ from drivers.tables.registry import TABLES, USUAL_TABLE
 from drivers.types import AxisState, Floats, ImuBlock, SourceCounts
 from estimator.strict_toml import not_one_of
 from station.bench.bench import read_bench
+from station.bench.descriptions import load_description
 from station.bench.imu import ImuConfig
 from station.errors import UsageError
 from station.init.gyros import GYROS, built_in_channels
@@ -32,6 +33,7 @@ from station.run.event_loop.loops import VirtualLoop
 from station.run.outcome import Outcome
 
 _RATE_RPS, _RAMP_RPS2, _LITTLE_RPS = math.radians(20.0), math.radians(20.0), math.radians(0.3)
+USUAL_DESCRIPTION = "hipnuc_hi91"
 _REST_S, _LOOKS, _LOOK_S = 4.0, 50, 0.1
 
 
@@ -226,10 +228,16 @@ def suites_of(spec: ImuSpec | TableSpec) -> _Suites:
     return _FRAMES if spec.on_can else _FRAMES | _BYTES  # a bus hands over whole frames
 
 
-def complaint(spec: ImuSpec | TableSpec, suite: str, plugins: Sequence[Path] = (), within_s: float = 60.0) -> str:
+def complaint(
+    spec: ImuSpec | TableSpec,
+    suite: str,
+    plugins: Sequence[Path] = (),
+    description: Path | None = None,
+    within_s: float = 60.0,
+) -> str:
     """Return in words what is wrong with a device by one suite, nothing if it passes; ``plugins`` have its record.
 
-    It may take ``within_s`` of the host's time.
+    ``description`` is the file of a described IMU, by default one that ships. The suite may take ``within_s`` of the host's time.
     """
     faults, judge = suites_of(spec)[suite]
     (table, imu) = (spec, IMUS[USUAL_IMU]) if isinstance(spec, TableSpec) else (TABLES[USUAL_TABLE], spec)
@@ -237,6 +245,7 @@ def complaint(spec: ImuSpec | TableSpec, suite: str, plugins: Sequence[Path] = (
     axes = "zyx"[: table.most_axes] if own else "z"
     keys = "\n".join(f"{key} = {json.dumps(value)}" for key, value in faults.items())
     values = {"table": table, "imu": imu, "axes": axes, "channels": built_in_channels(GYROS.get(imu.proposed.array, 0))}
+    values |= {"description": str(description or USUAL_DESCRIPTION), "p": _axes_of(description)}
     values |= {"table_faults": keys if own else "", "imu_faults": "" if own else keys}
     bench = read_bench(rendered("station.commands", "conformance.toml", values), "conformance", plugins=plugins)
 
@@ -284,6 +293,14 @@ def complaint(spec: ImuSpec | TableSpec, suite: str, plugins: Sequence[Path] = (
         signal.signal(signal.SIGALRM, before)
 
 
+def _axes_of(description: Path | None) -> list[list[float]]:
+    """Return axes for the gyros of a described IMU that are no triad: along x, y and z in turn; else none."""
+    if description is None:
+        return []
+    gyros = len(load_description(str(description)).channels[0].rates)
+    return [] if gyros == 3 else [[0.0] * axis + [1.0] + [0.0] * (2 - axis) for axis in (2 - i % 3 for i in range(gyros))]
+
+
 def _told(error: BaseException) -> str:
     if isinstance(error, (DeviceError, PluginError)):
         return str(error)
@@ -292,21 +309,25 @@ def _told(error: BaseException) -> str:
 
 
 def command_conformance(arguments: argparse.Namespace) -> int:
-    """Try the devices of a Python file, or one by its protocol; 0 if all pass, 1 if not."""
+    """Try the devices of a Python file, the IMU that a file describes, or one by protocol; 0 if all pass, 1 if not."""
     name, plugins = arguments.module, [Path(arguments.module)] if arguments.module.endswith(".py") else []
+    described = Path(name).absolute() if name.endswith(".toml") else None
     modules = [load_file(path) for path in plugins]
     found: list[ImuSpec | TableSpec] = []
     for module in modules:
         found += [*records_of(module, ImuSpec), *records_of(module, TableSpec)]
     found += [registry[name] for registry in (IMUS, TABLES) if name in registry]
+    if described is not None:
+        load_description(str(described))  # what is wrong with it is told by file, line and key, before anything is tried
+        found.append(IMUS["described"])
     if not found:
         if modules:
             raise UsageError(f"{name} has no ImuSpec and no TableSpec: give the record a name, as SPEC = ImuSpec(...)")
-        raise UsageError(f"{not_one_of(name, [*IMUS, *TABLES])}; or give a .py with an ImuSpec or a TableSpec")
+        raise UsageError(f"{not_one_of(name, [*IMUS, *TABLES])}; or give a .py with an ImuSpec or a TableSpec, or a .toml that describes an IMU")
     told, off = [], set[str]()
     for spec, suite in [(one, suite) for one in found for suite in suites_of(one)]:
         skipped = suite in ("clock", "garbage") and spec.name in off
-        wrong = "it judges by rates, and units fails" if skipped else complaint(spec, suite, plugins)
+        wrong = "it judges by rates, and units fails" if skipped else complaint(spec, suite, plugins, described)
         told.append({"device": spec.name, "suite": suite, "wrong": wrong})
         off |= {spec.name} if wrong and suite == "units" else set()
         if not arguments.json:

@@ -51,17 +51,33 @@ def run_once(kind: str, seconds: float, rate_hz: float) -> tuple[str, str]:
         folder = Path(name)
         (folder / "bench.toml").write_text(bench_of(kind, rate_hz))
         (folder / "script.toml").write_text(SCRIPT.format(rest_s=seconds / 2, turn_s=seconds / 2))
-        with TwinProcess("--bench", folder / "bench.toml") as twin:
+        twin = TwinProcess("--bench", folder / "bench.toml")
+        try:
             words = command(
                 "run", "--bench", folder / "bench.toml", "--script", folder / "script.toml", "--device", "array",
                 "--json", "-o", folder / "run.h5", *twin.options("table", "array"),
             )  # fmt: skip
             done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=20 * seconds + 120)
+        finally:
+            end(twin.process)
     try:
         found = json.loads(done.stdout)
     except ValueError:
         return "no answer", f"exit code {done.returncode}: {done.stderr[-500:]}"
     return str(found.get("outcome")), str(found.get("reason")) + done.stderr.partition("note: ")[2][:300]
+
+
+def end(twin: subprocess.Popen[str]) -> None:
+    """End a twin; what does not end in a quarter of a minute on this busy machine is killed: it is not what is judged."""
+    twin.terminate()
+    try:
+        twin.wait(15)
+    except subprocess.TimeoutExpired:
+        print("a twin did not end within 15 s and was killed", flush=True)
+        twin.kill()
+        twin.wait()
+    if twin.stdout is not None:
+        twin.stdout.close()
 
 
 def main() -> None:
