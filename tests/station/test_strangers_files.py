@@ -75,18 +75,14 @@ def test_a_pipe_in_place_of_a_plug_in_is_told(plugins: Path) -> None:
     assert "pipe.py: it is a pipe" in said
 
 
-def test_an_expression_that_does_not_end_is_told(
-    tmp_path: Path,
-) -> None:
+def test_an_expression_that_does_not_end_is_told(tmp_path: Path) -> None:
     text = (PHONES / "mapping_iphone.toml").read_text()
     (tmp_path / "mapping.toml").write_text(
         changed(text, (r"_(?P<axis>[XYZ]?)G_[\d.]+_(?P<angle_deg>\d+)", "(a+)+(?P<axis>b)(?P<angle_deg>c)"))
     )
     file = tmp_path / f"{'a' * 60}.csv"
     shutil.copy(PHONES / "Iphone14pro_ZG_1_90_1.csv", file)
-    done = station(
-        "import", "--mapping", tmp_path / "mapping.toml", file, "-o", tmp_path / "out.h5", timeout=60
-    )
+    done = station("import", tmp_path / "mapping.toml", file, "-o", tmp_path / "out.h5", timeout=60)
     assert done.returncode == 2
     assert "file_name" in done.stderr
     assert "does not come to an end" in done.stderr
