@@ -1,6 +1,5 @@
 """Files and sections of them of which something is stated; a stated turn is checked before it counts."""
 
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -17,7 +16,7 @@ from estimator.importing.mapping.reference import Rests, StatedTurns, Turn, turn
 from estimator.importing.table import Table
 from estimator.packaged import sentence
 from estimator.types import Floats
-from estimator.untrusted import read_text
+from estimator.untrusted import read_json, read_text
 
 T = TypeVar("T")
 
@@ -142,7 +141,7 @@ def _listed(path: Path, table: Table) -> list[tuple[str, int, int]]:
     if not path.is_file():
         raise RecordingError(f"{table.name}: its section list {path.name} is not beside it")
     try:
-        values: Any = json.loads(read_text(path, RecordingError))
+        values: Any = read_json(read_text(path, RecordingError))
         limits = {str(name): (int(value["start"]), int(value["end"])) for name, value in values.items()}
     except MISSHAPEN:
         raise RecordingError(f'{path.name} is no section list: write {{"name": {{"start": 0, "end": 100}}}}') from None

@@ -22,7 +22,7 @@ from drivers.specs import ImuSpec, TableSpec
 from drivers.tables.registry import TABLES, USUAL_TABLE
 from drivers.types import AxisState, Floats, ImuBlock, SourceCounts
 from estimator.strict_toml import not_one_of
-from station.bench.bench import read_bench
+from station.bench.bench import Bench, read_bench
 from station.bench.descriptions import load_description
 from station.bench.imu import ImuConfig
 from station.errors import UsageError
@@ -228,6 +228,20 @@ def suites_of(spec: ImuSpec | TableSpec) -> _Suites:
     return _FRAMES if spec.on_can else _FRAMES | _BYTES  # a bus hands over whole frames
 
 
+def _bench_of(
+    spec: ImuSpec | TableSpec, faults: Mapping[str, Any], plugins: Sequence[Path], description: Path | None
+) -> Bench:
+    """Return a bench of the device's twin, whose wire has these faults, and of the other twin that it needs."""
+    (table, imu) = (spec, IMUS[USUAL_IMU]) if isinstance(spec, TableSpec) else (TABLES[USUAL_TABLE], spec)
+    own = table is spec
+    axes = "zyx"[: table.most_axes] if own else "z"
+    keys = "\n".join(f"{key} = {json.dumps(value)}" for key, value in faults.items())
+    values = {"table": table, "imu": imu, "axes": axes, "channels": built_in_channels(GYROS.get(imu.proposed.array, 0))}
+    values |= {"description": str(description or USUAL_DESCRIPTION), "p": _axes_of(description)}
+    values |= {"table_faults": keys if own else "", "imu_faults": "" if own else keys}
+    return read_bench(rendered("station.commands", "conformance.toml", values), "conformance", plugins=plugins)
+
+
 def complaint(
     spec: ImuSpec | TableSpec,
     suite: str,
@@ -237,17 +251,12 @@ def complaint(
 ) -> str:
     """Return in words what is wrong with a device by one suite, nothing if it passes; ``plugins`` have its record.
 
-    ``description`` is the file of a described IMU, by default one that ships. The suite may take ``within_s`` of the host's time.
+    ``description`` is the file of a described IMU, by default one that ships. ``within_s`` is how much of the host's
+    time the suite may take.
     """
     faults, judge = suites_of(spec)[suite]
-    (table, imu) = (spec, IMUS[USUAL_IMU]) if isinstance(spec, TableSpec) else (TABLES[USUAL_TABLE], spec)
-    own = table is spec
-    axes = "zyx"[: table.most_axes] if own else "z"
-    keys = "\n".join(f"{key} = {json.dumps(value)}" for key, value in faults.items())
-    values = {"table": table, "imu": imu, "axes": axes, "channels": built_in_channels(GYROS.get(imu.proposed.array, 0))}
-    values |= {"description": str(description or USUAL_DESCRIPTION), "p": _axes_of(description)}
-    values |= {"table_faults": keys if own else "", "imu_faults": "" if own else keys}
-    bench = read_bench(rendered("station.commands", "conformance.toml", values), "conformance", plugins=plugins)
+    bench = _bench_of(spec, faults, plugins, description)
+    own = isinstance(spec, TableSpec)
 
     async def tried() -> str:
         before = asyncio.all_tasks()
@@ -294,11 +303,13 @@ def complaint(
 
 
 def _axes_of(description: Path | None) -> list[list[float]]:
-    """Return axes for the gyros of a described IMU that are no triad: along x, y and z in turn; else none."""
+    """Return axes for the gyros of a described IMU that are no triad: along z, y and x in turn; else none."""
     if description is None:
         return []
     gyros = len(load_description(str(description)).channels[0].rates)
-    return [] if gyros == 3 else [[0.0] * axis + [1.0] + [0.0] * (2 - axis) for axis in (2 - i % 3 for i in range(gyros))]
+    if gyros == 3:
+        return []
+    return [[1.0 if axis == gyro % 3 else 0.0 for axis in (2, 1, 0)] for gyro in range(gyros)]
 
 
 def _told(error: BaseException) -> str:
@@ -318,12 +329,15 @@ def command_conformance(arguments: argparse.Namespace) -> int:
         found += [*records_of(module, ImuSpec), *records_of(module, TableSpec)]
     found += [registry[name] for registry in (IMUS, TABLES) if name in registry]
     if described is not None:
-        load_description(str(described))  # what is wrong with it is told by file, line and key, before anything is tried
+        load_description(str(described))  # before anything is tried: tells what is wrong by file, line and key
         found.append(IMUS["described"])
     if not found:
         if modules:
             raise UsageError(f"{name} has no ImuSpec and no TableSpec: give the record a name, as SPEC = ImuSpec(...)")
-        raise UsageError(f"{not_one_of(name, [*IMUS, *TABLES])}; or give a .py with an ImuSpec or a TableSpec, or a .toml that describes an IMU")
+        raise UsageError(
+            f"{not_one_of(name, [*IMUS, *TABLES])}; or give a .py with an ImuSpec or a TableSpec, "
+            "or a .toml that describes an IMU"
+        )
     told, off = [], set[str]()
     for spec, suite in [(one, suite) for one in found for suite in suites_of(one)]:
         skipped = suite in ("clock", "garbage") and spec.name in off

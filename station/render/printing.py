@@ -131,5 +131,11 @@ def _gyro_object(gyro: GyroCalibration) -> dict[str, Any]:
     effects: dict[str, dict[str, list[float | str]]] = {}
     for value in gyro.effects:
         effects.setdefault(value.effect, {})[value.parameter] = [value.value, value.sd, value.unit]
-    found = {"name": gyro.name, "source": gyro.source, **by_state(gyro.states), "sd": by_state(gyro.sd), **budget_and_noise(gyro)}
+    found = {
+        "name": gyro.name,
+        "source": gyro.source,
+        **by_state(gyro.states),
+        "sd": by_state(gyro.sd),
+        **budget_and_noise(gyro),
+    }
     return found | ({"effects": effects} if effects else {})

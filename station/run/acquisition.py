@@ -20,10 +20,9 @@ from estimator.recordings.writing import RecordingWriter
 from station.errors import sentence
 from station.opening import OpenBench, OpenImu
 from station.opening.reopening import Reopening
-from station.run.beside import Beside
 from station.run.event_loop.loops import is_virtual
 from station.run.live import LiveEstimate, LiveSource
-from station.run.monitor import Monitor
+from station.run.monitor import Beside, Monitor
 from station.run.snapshot import EventKind
 from station.run.table_watch import TableRow
 from station.views.json_values import named

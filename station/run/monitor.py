@@ -4,22 +4,28 @@ What comes with every block and every row is only kept; all work is done for who
 """
 
 import asyncio
+import logging
 import math
 from collections import Counter, defaultdict, deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
 from drivers.protocols import ImuSource
 from drivers.types import Alignment, ImuBlock, SourceCounts
+from station.errors import sentence
 from station.opening import OpenBench
 from station.opening.reopening import Reopening
-from station.run.beside import Beside
 from station.run.live import LiveEstimate
 from station.run.sequencer import Sequencer
 from station.run.snapshot import AxisSnapshot, GyroSnapshot, Phase, Snapshot, SourceSnapshot
 from station.run.table_watch import TableRow
+
+_log = logging.getLogger(__name__)
+
+T = TypeVar("T")
 
 _OVER_S = 2.0  # of the host's clock: for rates and latencies
 _SILENT_S = 0.5
@@ -34,6 +40,40 @@ class _Mark:
     rows: int
     newest_ns: int
     latency_s: float
+
+
+class Beside:
+    """Does what only serves those who look on and must not end a run: counts, snapshots, progress, events told."""
+
+    def __init__(self, tell: Callable[[str], None]) -> None:
+        """``tell`` is given one sentence for each piece of work that fails, the first time it does."""
+        self._tell = tell
+        self._failed: set[str] = set()
+        self.notes: list[str] = []
+        """What has been told."""
+
+    def attempt(self, what: str, work: Callable[[], T], otherwise: T) -> T:
+        """Return what ``work`` returns, or ``otherwise`` if it raises; ``what`` names it to the operator.
+
+        A lack of memory is raised: it is one of the computer, and the next to meet it would be the recording.
+        """
+        try:
+            return work()
+        except MemoryError:
+            raise
+        except Exception as error:  # whatever a driver, a plug-in or the station itself has wrong
+            self.failed(what, error)
+            return otherwise
+
+    def failed(self, what: str, error: Exception) -> None:
+        """Log that a piece of work failed, and tell it, once."""
+        if what in self._failed:
+            return
+        self._failed.add(what)
+        _log.error("%s failed; the run goes on", what, exc_info=error)
+        note = sentence("run.beside_failed", what=what, error=f"{type(error).__name__}: {error}")
+        self.notes.append(note)
+        self._tell(note)
 
 
 class Monitor:

@@ -6,7 +6,7 @@ import importlib.metadata
 import logging
 import time
 import traceback
-from collections.abc import Callable, Coroutine, Iterator, Mapping
+from collections.abc import Callable, Coroutine, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -25,6 +25,7 @@ from station.opening.reopening import Reopening
 from station.run.acquisition import Acquisition, SourceReport, identity_attributes
 from station.run.early_end import EarlyEnd
 from station.run.event_loop.loops import is_virtual
+from station.run.event_loop.services import leaves, serve
 from station.run.event_loop.signals import heeded_signals
 from station.run.final_estimate import final_estimate
 from station.run.manual import ManualSequencer
@@ -235,19 +236,19 @@ class Session:
         axes = self._bench.table.gimbals
         monitor, acquisition = self._monitor, self._acquisition
         async with asyncio.TaskGroup() as group:
-            services = [_serve(group, acquisition.keep_flushing())]
+            services = [serve(group, acquisition.keep_flushing())]
             for imu in self._open.imus:
                 self._check_serial(imu.config.name, (await acquisition.open(imu)).serial)
-                services.append(_serve(group, acquisition.acquire(imu)))
+                services.append(serve(group, acquisition.acquire(imu)))
             await table.open()  # the last: what is not there is known before the table is touched
             await first_look(table, take_over=self._options.reset_fault)
             self._connected = True  # from here on it is ours to stop
             self._writer.set_attributes(identity_attributes("table_", await self._reopening.identify("table", table)))
             await acquisition.first_samples()
-            services.append(_serve(group, acquisition.watch_silence()))
+            services.append(serve(group, acquisition.watch_silence()))
             if self._options.reset_fault:
                 await table.reset_fault()
-            watch_home = _serve(group, watch_homing(table))
+            watch_home = serve(group, watch_homing(table))
             monitor.phase = Phase.ENABLING
             await table.enable()
             monitor.phase = Phase.HOMING
@@ -267,7 +268,7 @@ class Session:
                 sequencer = monitor.sequencer = ManualSequencer(table, end_step, tell, scale)
             monitor.phase = Phase.RUNNING
             rate_hz, restore = self._bench.table.poll_rate_hz, partial(self._reopening.restore, "table", table)
-            services.append(_serve(group, watch_table(table, axes, rate_hz, sequencer, self._take_row, restore)))
+            services.append(serve(group, watch_table(table, axes, rate_hz, sequencer, self._take_row, restore)))
             tell("manual mode begins" if self._options.manual else "script begins")
             if self._early_end is None:
                 await sequencer.run()
@@ -381,7 +382,7 @@ class Session:
 
     def _verdict_of(self, error: BaseException) -> Verdict:
         """Return the verdict for what ended the run: a device's error first, a stop, else a defect of the station."""
-        errors = list(_leaves(error))
+        errors = list(leaves(error))
         for device_error in errors:
             if isinstance(device_error, DeviceError):
                 if device_error.device == "table":
@@ -407,33 +408,6 @@ class Session:
         if not self._terminal_gone and not self._acquisition.closed:
             self._terminal_gone = True
             self._event(EventKind.TERMINAL, _TERMINAL_GONE)
-
-
-def _leaves(error: BaseException) -> Iterator[BaseException]:
-    """Yield what is in groups, and what a cancel was for."""
-    if isinstance(error, BaseExceptionGroup):
-        for one in error.exceptions:
-            yield from _leaves(one)
-    elif isinstance(error, asyncio.CancelledError) and error.args and isinstance(error.args[0], BaseException):
-        yield from _leaves(error.args[0])
-    else:
-        yield error
-
-
-def _serve(group: asyncio.TaskGroup, service: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
-    """Begin what goes on all the run; a task group takes a cancel that nobody asked for as a good end of it."""
-
-    async def serve() -> None:
-        task = asyncio.current_task()
-        try:
-            await service
-        except asyncio.CancelledError:
-            if task is not None and task.cancelling():
-                raise
-        raise RuntimeError(f"{name} has ended by itself")
-
-    name = getattr(service, "__qualname__", "a service")
-    return group.create_task(serve())
 
 
 def _attributes(bench: OpenBench, script: Script, options: RunOptions) -> dict[str, Any]:
