@@ -329,7 +329,11 @@ def command_conformance(arguments: argparse.Namespace) -> int:
         found += [*records_of(module, ImuSpec), *records_of(module, TableSpec)]
     found += [registry[name] for registry in (IMUS, TABLES) if name in registry]
     if described is not None:
-        load_description(str(described))  # before anything is tried: tells what is wrong by file, line and key
+        gyros = len(load_description(str(described)).channels[0].rates)  # tells what is wrong by file, line and key
+        if gyros < 3:
+            raise UsageError(
+                f"{described} describes {gyros} gyros: on a bench it takes three or more, in all directions"
+            )
         found.append(IMUS["described"])
     if not found:
         if modules:

@@ -7,6 +7,7 @@ import logging
 import time
 import traceback
 from collections.abc import Callable, Coroutine, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -145,11 +146,16 @@ class Session:
             return self._unended()
 
     def _unended(self) -> Result:
-        """Return a result for a run whose way out was interrupted too often: what is known, and what to look after."""
+        """Close the recording of a run whose way out failed or was interrupted too often; return what is known.
+        """
         verdict = self._verdict or Verdict(Outcome.ABORTED, "cancelled")
         look = sentence("run.unended" if self._rested or not self._connected else "run.unended_in_motion")
+        verdict = replace(verdict, reason=f"{verdict.reason}; {look}")
+        with suppress(Exception):  # one of these may be what failed
+            self._writer.close()
+            write_attributes(self._writer.path, {"outcome": str(verdict.outcome), "reason": verdict.reason})
         return Result(
-            verdict=replace(verdict, reason=f"{verdict.reason}; {look}"),
+            verdict=verdict,
             recording=self._writer.path,
             calibration=None,
             agreement=float("nan"),

@@ -7,8 +7,8 @@ Each run is `station run` on its own twin in another process; the kinds of wire 
 Nobody stops these runs, so whatever ends ABORTED did so by itself. FAIL and FAULT are counted and told, too: a computer
 that does not keep up may lose samples or answers, and says so.
 
-Threads take turns every 5 ms, so two of them seldom meet in one place. With ``--switch 1e-6`` they do a thousand times
-as often: a race that a busy machine shows once in a while then shows in most runs.
+Threads take turns every 5 ms, so two of them seldom meet in one place. With a shorter ``--switch`` they meet more
+often, and the computer keeps up less well.
 """
 
 from __future__ import annotations
@@ -107,9 +107,8 @@ def main() -> None:
     arguments = parser.parse_args()
     kinds = [arguments.kinds[i % len(arguments.kinds)] for i in range(arguments.runs)]
     with ThreadPoolExecutor(arguments.at_once) as pool:
-        ends = list(
-            pool.map(lambda kind: (kind, *run_once(kind, arguments.seconds, arguments.rate, arguments.switch)), kinds)
-        )
+        tried = partial(run_once, seconds=arguments.seconds, rate_hz=arguments.rate, switch_s=arguments.switch)
+        ends = [(kind, *end) for kind, end in zip(kinds, pool.map(tried, kinds), strict=True)]
     for (kind, outcome, reason), count in Counter(ends).most_common():
         if outcome != "ESTIMATED":
             print(f"{count} x {kind}: {outcome}: {reason}")

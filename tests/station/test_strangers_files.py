@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from pathlib import Path
+from typing import Any
 
 import h5py
 import pytest
@@ -14,6 +16,11 @@ from station.bench.bench import default_bench_text
 from station.cli import main
 
 TRACE = "from pathlib import Path\nPath(__file__).with_name('ran').write_text('')\n"
+EVIL = "Name\x1b[2J\u202etxt"
+SCRIPT = '[[step]]\nkind = "rest"\nduration = "4 s"\n' + "".join(
+    f'[[step]]\nkind = "rotate"\naxis = "{axis}"\nrate = "40 deg/s"\nacceleration = "40 deg/s2"\nduration = "5 s"\n'
+    for axis in "xyz"
+)
 PHONES = Path(__file__).parents[1] / "data" / "phones"
 
 
@@ -89,18 +96,45 @@ def test_an_expression_that_does_not_end_is_told(tmp_path: Path) -> None:
     assert "Traceback" not in done.stderr
 
 
+def marked(value: Any) -> Any:
+    """Return a JSON value with something harmful behind each of its texts that is a phrase."""
+    if isinstance(value, dict):
+        return {key: marked(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [marked(item) for item in value]
+    return f"{value} {EVIL}" if isinstance(value, str) and " " in value else value
+
+
+def short_run(folder: Path) -> Path:
+    """Return a recording of a short run on the built-in twins."""
+    (folder / "script.toml").write_text(SCRIPT)
+    recording = folder / "run.h5"
+    assert main(["run", "--script", str(folder / "script.toml"), "--json", "--seed", "3", "-o", str(recording)]) == 1
+    return recording
+
+
+def test_an_investigation_steers_no_terminal_and_turns_no_text_in_the_report(tmp_path: Path) -> None:
+    recording, found = short_run(tmp_path), tmp_path / "found.h5"
+    assert main(["investigate", str(recording), "-o", str(found), "--most-effects", "1", "--json"]) == 0
+    with h5py.File(found, "r+") as file:
+        held = json.loads(file["investigation"].attrs["json"])
+        file["investigation"].attrs["json"] = json.dumps(marked(held))  # spelt in six harmless letters each
+    done = station("report", recording, "--investigation", found, "-o", tmp_path / "report.html")
+    assert done.returncode == 0, done.stderr
+    for text in (done.stdout, done.stderr, (tmp_path / "report.html").read_text(encoding="utf-8")):
+        assert "\x1b" not in text
+        assert "\u202e" not in text
+    assert "[2J" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
 def test_what_a_recording_holds_steers_no_terminal_and_turns_no_text_in_its_report(tmp_path: Path) -> None:
-    evil = "Name\x1b[2J\u202etxt"
-    recording = tmp_path / "run.h5"
-    bench = tmp_path / "bench.toml"
-    bench.write_text(default_bench_text())
-    assert main(["run", "--bench", str(bench), "--json", "--seed", "3", "-o", str(recording)]) == 0
+    recording = short_run(tmp_path)
     with h5py.File(recording, "r+") as file:
-        file.attrs["operator"] = evil
-        file.attrs["reason"] = evil
-        file.attrs["script_steps"] = [evil]
-        file["events/text"][0] = evil.encode()
-        file["steps/label"][0] = evil.encode()
+        file.attrs["operator"] = EVIL
+        file.attrs["reason"] = EVIL
+        file.attrs["script_steps"] = [EVIL]
+        file["events/text"][0] = EVIL.encode()
+        file["steps/label"][0] = EVIL.encode()
     strange = tmp_path / "run\u202e\x1b.h5"
     recording.rename(strange)
     done = station("report", strange, "-o", tmp_path / "report.html")
