@@ -15,8 +15,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import TypeVar
 
-from drivers.packaged import sentence
-
 T = TypeVar("T")
 
 GIVEN = "STATION_PLUGINS"
@@ -40,7 +38,11 @@ def load_files(paths: Iterable[Path] = ()) -> list[ModuleType]:
     found = [path for path in dict.fromkeys(path.resolve() for path in paths) if path not in named]
     for path in found:
         if reason := _changed_by_others(path):
-            raise PluginError(sentence("plugins.not_ours", path=path, reason=reason))
+            raise PluginError(
+                f"plug-in {path} is not loaded: {reason}, and it is code that would run as you. Copy it to a folder "
+                "that only you may write to; or, if you have looked at it and trust who may change it, name it: "
+                f"--plugin {path}"
+            )
     return [load_file(path) for path in (*named, *found)]
 
 

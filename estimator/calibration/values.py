@@ -30,6 +30,7 @@ class GyroParity:
     worst_t_s: float
     suspect: bool
     told_apart: bool
+    source: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,6 +3,7 @@
 import json
 import math
 import sys
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 
 from drivers.packaged import packaged_toml
 from drivers.types import Floats
-from estimator.calibration.values import Calibration, GyroCalibration
+from estimator.calibration.values import Calibration, GyroCalibration, GyroParity
 from estimator.estimation.repeatability import Repeatability
 from estimator.observations.rests import RestNoise
 from station.errors import EXIT_USAGE
@@ -122,8 +123,16 @@ def result_object(verdict: Verdict, recording: str, calibration: Calibration | N
         **named(found, ("samples", "lost", "holds_for")),
         "doubts": list(found.doubts),
         "excluded": {e.name: e.reason for e in found.excluded},
-        "parity": {c.name: named(c, ("rms_sigma", "worst_sigma", "suspect")) for c in found.parity},
+        "parity": _parity_object(found.parity),
     }
+
+
+def _parity_object(checks: Sequence[GyroParity]) -> dict[str, Any]:
+    """Return the parity checks by gyro, with its source before its name where two have one name."""
+    alike = Counter(check.name for check in checks)
+    keys = [check.name if alike[check.name] == 1 else f"{check.source} {check.name}" for check in checks]
+    values = [named(check, ("rms_sigma", "worst_sigma", "suspect")) for check in checks]
+    return dict(zip(keys, values, strict=True))
 
 
 def _gyro_object(gyro: GyroCalibration) -> dict[str, Any]:

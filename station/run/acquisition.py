@@ -90,7 +90,7 @@ class Acquisition:
         on_event: Callable[[float, EventKind, str], None] | None,
     ) -> None:
         """Describe table and sources in the recording; ``time_scale`` is how fast the loop's clock runs."""
-        self._opened, self._imus, self._bench = opened, opened.imus, opened.bench
+        self._imus, self._bench = opened.imus, opened.bench
         self.writer, self._model, self._reopening, self._on_event = writer, model, reopening, on_event
         self._host_scale, self._scale = time_scale, max(time_scale, 1.0)  # below 1 devices are slow, too
         self.live = LiveEstimate(self._bench.table.gimbals, self._bench.site)
@@ -286,7 +286,7 @@ class Acquisition:
             with suppress(EstimatorError):  # which the batch estimate tells
                 self.live.finish()
         self._take_histories(1)
-        if counts := self.beside.attempt("counts of links", self._opened.link_counts, {}).get("table"):
+        if counts := self.monitor.link_counts().get("table"):
             self.writer.set_attributes(_link_attributes("table_", counts))
         self.writer.set_attributes({"table_read_half_width_ns": self._half_width_ns, **attributes})
         if self._sync is not None:

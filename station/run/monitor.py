@@ -7,14 +7,14 @@ import asyncio
 import logging
 import math
 from collections import Counter, defaultdict, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 
 from drivers.protocols import ImuSource
-from drivers.types import Alignment, ImuBlock, SourceCounts
+from drivers.types import Alignment, ImuBlock, LinkCounts, SourceCounts
 from station.errors import sentence
 from station.opening import OpenBench
 from station.opening.reopening import Reopening
@@ -131,6 +131,11 @@ class Monitor:
         """Return how the clock of a source lies to the loop's; None if its driver does not or cannot tell."""
         return self._beside.attempt(f"clock of {name}", lambda: source.alignment(name), None)
 
+    def link_counts(self) -> Mapping[str, LinkCounts]:
+        """Return what went over the link of each device; nothing if a link fails to tell it."""
+        nothing: Mapping[str, LinkCounts] = {}
+        return self._beside.attempt("counts of links", self._open.link_counts, nothing)
+
     @property
     def label(self) -> str:
         """Label of the step under way, empty where there is none."""
@@ -162,7 +167,7 @@ class Monitor:
             axes=tuple(self._axis_snapshots(now_s)),
             sources=tuple(self._source_snapshots(now_s)),
             gyros=tuple(self._gyro_snapshots()),
-            links=tuple(f"link of {name}: {counts.text}" for name, counts in self._open.link_counts().items()),
+            links=tuple(f"link of {name}: {counts.text}" for name, counts in self.link_counts().items()),
         )
 
     def _axis_snapshots(self, now_s: float) -> Iterator[AxisSnapshot]:

@@ -146,8 +146,7 @@ class Session:
             return self._unended()
 
     def _unended(self) -> Result:
-        """Close the recording of a run whose way out failed or was interrupted too often; return what is known.
-        """
+        """Close the recording of a run whose way out failed or was interrupted too often; return what is known."""
         verdict = self._verdict or Verdict(Outcome.ABORTED, "cancelled")
         look = sentence("run.unended" if self._rested or not self._connected else "run.unended_in_motion")
         verdict = replace(verdict, reason=f"{verdict.reason}; {look}")
@@ -382,7 +381,7 @@ class Session:
         except RecordingError as error:
             verdict = replace(verdict, reason=f"{verdict.reason}; the outcome is not in the recording: {error}")
         reports = tuple(acquisition.reports.values())
-        links = acquisition.beside.attempt("counts of links", self._open.link_counts, {})
+        links = self._monitor.link_counts()
         notes = tuple(acquisition.beside.notes)
         return Result(verdict, self._writer.path, calibration, agreement, self._ended_early, reports, links, notes)
 
