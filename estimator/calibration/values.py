@@ -31,6 +31,7 @@ class GyroParity:
     worst_t_s: float
     suspect: bool
     told_apart: bool
+    source: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -169,7 +169,8 @@ def _parity(estimates: Sequence[SourceEstimate], gyros: Sequence[GyroCalibration
         return []
     noise = [gyro.noise.mean for gyro in gyros if gyro.noise is not None]
     states, growth_s = np.array([gyro.states for gyro in gyros]), max(one.growth_s for one in estimates)
-    return parity([one.data.array for one in estimates], blocks, states, noise, growth_s)
+    sources = [gyro.source for gyro in gyros]
+    return parity([one.data.array for one in estimates], blocks, states, noise, growth_s, sources)
 
 
 def _nis_doubts(nis: float, estimates: Sequence[SourceEstimate]) -> list[str]:

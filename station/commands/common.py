@@ -87,6 +87,8 @@ def _run(arguments: argparse.Namespace) -> int:
         problem = tell_program(bench.after_run, {**_run_object(result), **told})
         if problem:
             print(f"note: after_run: {problem}; the result stands in {path}", file=sys.stderr)
+    for note in result.notes:
+        print(f"note: {harmless(note)}", file=sys.stderr)
     if arguments.json:
         print(json.dumps(_run_object(result)))
     else:

@@ -6,7 +6,8 @@ import importlib.metadata
 import logging
 import time
 import traceback
-from collections.abc import Callable, Coroutine, Iterator, Mapping
+from collections.abc import Callable, Coroutine, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -25,6 +26,7 @@ from station.opening.reopening import Reopening
 from station.run.acquisition import Acquisition, SourceReport, identity_attributes
 from station.run.early_end import EarlyEnd
 from station.run.event_loop.loops import is_virtual
+from station.run.event_loop.services import leaves, serve
 from station.run.event_loop.signals import heeded_signals
 from station.run.final_estimate import final_estimate
 from station.run.manual import ManualSequencer
@@ -60,6 +62,8 @@ class Result:
     """What was had of each source."""
     links: Mapping[str, LinkCounts] = field(default_factory=dict)
     """What went over the link of each device."""
+    notes: tuple[str, ...] = ()
+    """What failed beside the run and did not touch what is measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +144,23 @@ class Session:
                     self._verdict = self._verdict or self._verdict_of(error)
                     if this is not None and isinstance(error, asyncio.CancelledError):
                         this.uncancel()
-            raise RuntimeError(f"the run could not be ended: {self._verdict}")
+            return self._unended()
+
+    def _unended(self) -> Result:
+        """Close the recording of a run whose way out failed or was interrupted too often; return what is known."""
+        verdict = self._verdict or Verdict(Outcome.ABORTED, "cancelled")
+        look = sentence("run.unended" if self._rested or not self._connected else "run.unended_in_motion")
+        verdict = replace(verdict, reason=f"{verdict.reason}; {look}")
+        with suppress(Exception):  # one of these may be what failed
+            self._writer.close()
+            write_attributes(self._writer.path, {"outcome": str(verdict.outcome), "reason": verdict.reason})
+        return Result(
+            verdict=verdict,
+            recording=self._writer.path,
+            calibration=None,
+            agreement=float("nan"),
+            ended_early=self._ended_early,
+        )
 
     async def _go_through(self) -> Result:
         """Work, bring the table to rest, conclude: from where an interruption left it."""
@@ -158,8 +178,15 @@ class Session:
         return await self._conclude()
 
     def snapshot(self) -> Snapshot:
-        """Return the state of the run now, as a whole: for ten looks a second, not for each row."""
-        return self._monitor.full()
+        """Return the state of the run now, as a whole: for ten looks a second, not for each row.
+
+        What goes wrong with that is told once, and raised for whoever asked.
+        """
+        try:
+            return self._monitor.full()
+        except Exception as error:
+            self._acquisition.beside.failed("the snapshot", error)
+            raise
 
     @property
     def gyros(self) -> tuple[str, ...]:
@@ -199,8 +226,8 @@ class Session:
         self._event(EventKind.NOTE, _NOTE + kept)
 
     def _stopped_by(self, who: str) -> str:
-        now = self._monitor.brief()
-        return f"stopped by {who} in {f'step {now.label!r}' if now.label else f'phase {now.phase.value!r}'}"
+        monitor = self._monitor
+        return f"stopped by {who} in {f'step {monitor.label!r}' if monitor.label else f'phase {monitor.phase.value!r}'}"
 
     def _script_under_way(self) -> Sequencer:
         """Return the sequencer; UsageError if there is no script under way."""
@@ -215,19 +242,19 @@ class Session:
         axes = self._bench.table.gimbals
         monitor, acquisition = self._monitor, self._acquisition
         async with asyncio.TaskGroup() as group:
-            services = [_serve(group, acquisition.keep_flushing())]
+            services = [serve(group, acquisition.keep_flushing())]
             for imu in self._open.imus:
                 self._check_serial(imu.config.name, (await acquisition.open(imu)).serial)
-                services.append(_serve(group, acquisition.acquire(imu)))
+                services.append(serve(group, acquisition.acquire(imu)))
             await table.open()  # the last: what is not there is known before the table is touched
             await first_look(table, take_over=self._options.reset_fault)
             self._connected = True  # from here on it is ours to stop
             self._writer.set_attributes(identity_attributes("table_", await self._reopening.identify("table", table)))
             await acquisition.first_samples()
-            services.append(_serve(group, acquisition.watch_silence()))
+            services.append(serve(group, acquisition.watch_silence()))
             if self._options.reset_fault:
                 await table.reset_fault()
-            watch_home = _serve(group, watch_homing(table))
+            watch_home = serve(group, watch_homing(table))
             monitor.phase = Phase.ENABLING
             await table.enable()
             monitor.phase = Phase.HOMING
@@ -247,7 +274,7 @@ class Session:
                 sequencer = monitor.sequencer = ManualSequencer(table, end_step, tell, scale)
             monitor.phase = Phase.RUNNING
             rate_hz, restore = self._bench.table.poll_rate_hz, partial(self._reopening.restore, "table", table)
-            services.append(_serve(group, watch_table(table, axes, rate_hz, sequencer, self._take_row, restore)))
+            services.append(serve(group, watch_table(table, axes, rate_hz, sequencer, self._take_row, restore)))
             tell("manual mode begins" if self._options.manual else "script begins")
             if self._early_end is None:
                 await sequencer.run()
@@ -272,7 +299,7 @@ class Session:
 
     def _take_row(self, row: TableRow) -> None:
         self._acquisition.take_row(row)
-        self._on_progress(self._monitor.brief)
+        self._acquisition.beside.attempt("progress", lambda: self._on_progress(self._monitor.brief), None)
 
     async def _run_until_enough(self, group: asyncio.TaskGroup, sequencer: Sequencer, early_end: EarlyEnd) -> None:
         """Run the script to its end, or until enough has been seen: the table is then still to be stopped."""
@@ -363,12 +390,13 @@ class Session:
         except RecordingError as error:
             verdict = replace(verdict, reason=f"{verdict.reason}; the outcome is not in the recording: {error}")
         reports = tuple(acquisition.reports.values())
-        links = self._open.link_counts()
-        return Result(verdict, self._writer.path, calibration, agreement, self._ended_early, reports, links)
+        links = self._monitor.link_counts()
+        notes = tuple(acquisition.beside.notes)
+        return Result(verdict, self._writer.path, calibration, agreement, self._ended_early, reports, links, notes)
 
     def _verdict_of(self, error: BaseException) -> Verdict:
         """Return the verdict for what ended the run: a device's error first, a stop, else a defect of the station."""
-        errors = list(_leaves(error))
+        errors = list(leaves(error))
         for device_error in errors:
             if isinstance(device_error, DeviceError):
                 self._untrue |= isinstance(device_error, UntrueReadings)
@@ -395,33 +423,6 @@ class Session:
         if not self._terminal_gone and not self._acquisition.closed:
             self._terminal_gone = True
             self._event(EventKind.TERMINAL, _TERMINAL_GONE)
-
-
-def _leaves(error: BaseException) -> Iterator[BaseException]:
-    """Yield what is in groups, and what a cancel was for."""
-    if isinstance(error, BaseExceptionGroup):
-        for one in error.exceptions:
-            yield from _leaves(one)
-    elif isinstance(error, asyncio.CancelledError) and error.args and isinstance(error.args[0], BaseException):
-        yield from _leaves(error.args[0])
-    else:
-        yield error
-
-
-def _serve(group: asyncio.TaskGroup, service: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
-    """Begin what goes on all the run; a task group takes a cancel that nobody asked for as a good end of it."""
-
-    async def serve() -> None:
-        task = asyncio.current_task()
-        try:
-            await service
-        except asyncio.CancelledError:
-            if task is not None and task.cancelling():
-                raise
-        raise RuntimeError(f"{name} has ended by itself")
-
-    name = getattr(service, "__qualname__", "a service")
-    return group.create_task(serve())
 
 
 def _attributes(bench: OpenBench, script: Script, options: RunOptions) -> dict[str, Any]:

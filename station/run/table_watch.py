@@ -139,6 +139,14 @@ async def watch_table(
     counter = itertools.count()
     checked_s, read_s = dict.fromkeys(axes, due_s), dict.fromkeys(axes, due_s)
     turned: set[str] = set()
+    broken_off = False  # in the middle of taking a row in: what takes them is not asked again, and blames nobody
+
+    def give(rows: list[TableRow]) -> None:
+        nonlocal broken_off
+        for row in rows:
+            broken_off = True
+            on_row(row)
+            broken_off = False
 
     async def read_once() -> None:
         count = next(counter)
@@ -158,8 +166,7 @@ async def watch_table(
             if axis not in busy:
                 rate_ns = now_ns - states[axis].rate_window_ns // 2
                 states[axis] = replace(states[axis], angle_t_ns=now_ns, rate_t_ns=rate_ns, half_width_ns=0)
-        for row in aligner.add(states):
-            on_row(row)
+        give(aligner.add(states))
         for axis in axes:
             if (count + 1) % _STATUS_EVERY == 0 or loop.time() - checked_s[axis] >= _STATUS_AT_LATEST_S:
                 await check_axes(table, (axis,))
@@ -175,5 +182,5 @@ async def watch_table(
             due_s = max(due_s + 1 / max(rate_hz, sequencer.wanted_hz(loop.time())), loop.time())
             await asyncio.sleep(due_s - loop.time())
     finally:
-        for row in aligner.last():
-            on_row(row)
+        if not broken_off:
+            give(aligner.last())

@@ -15,6 +15,7 @@ import pytest
 from support import TABLE_1, changed, command, ctrl_c_of_children
 
 from station.bench.bench import default_bench_text
+from station.bench.descriptions import DESCRIPTIONS
 from station.cli import main
 
 KEYS = ("k", "b_rps", "sigma_j_rad", "sigma_k_rad")
@@ -299,3 +300,27 @@ def test_ctrl_c_in_mid_run_leaves_the_table_at_rest_and_a_readable_file(tmp_path
     with h5py.File(path) as file:
         assert file.attrs["outcome"] == "ABORTED"
         assert len(file["imu/gyro1/t_ns"]) == len(file["imu/gyro1/rate_rps"])
+
+
+def test_gyros_of_one_name_on_two_devices_are_told_apart_by_their_sources(
+    tmp_path: Path, brief: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    imu = """
+[[imu]]
+name = "{}"
+protocol = "described"
+description = "own.toml"
+array = "tetrahedron"
+rate = "100 Hz"
+[imu.datasheet]
+arw = "0.01 deg/s/rtHz"
+bias_instability = "10 deg/h"
+"""
+    csv = (DESCRIPTIONS / "csv.toml").read_text()
+    (tmp_path / "own.toml").write_text(csv.replace('["gx", "gy", "gz"]', '["gx", "gy", "gz", "g4"]'))
+    table = (Path(__file__).parents[1] / "data" / "benches" / "two_triads.toml").read_text().partition("[[imu]]")[0]
+    (tmp_path / "bench.toml").write_text(table + imu.format("left") + imu.format("right"))
+    _, found = run_json(capsys, "--bench", tmp_path / "bench.toml", "--script", brief, "-o", tmp_path / "run.h5")
+    both = {(source, f"gyro{i}") for source in ("left", "right") for i in (1, 2, 3, 4)}
+    assert {(gyro["source"], gyro["name"]) for gyro in found["gyros"]} == both
+    assert set(found["parity"]) == {f"{source} {name}" for source, name in both}
