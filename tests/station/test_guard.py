@@ -1,0 +1,127 @@
+"""What becomes of the table when the station is killed: a guard process stops it and takes its power off."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import socket
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import guard as bench
+import pytest
+from support import command
+
+from station.bench.bench import load_bench
+from station.opening import open_bench, with_links
+from station.run.event_loop.loops import ScaledLoop
+from station.run.guard.guard import Guard, guard_log_of
+
+pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks for guards in /proc")
+
+
+def killed(protocol: str, folder: Path, after_s: float = 0.3, *, how: str = "process") -> bench.Kill:
+    async def main() -> bench.Kill:
+        async with bench.twin_table(protocol, folder, 0.0) as table:
+            return await bench.kill_once(protocol, table, folder, after_s, how=how)
+
+    with asyncio.Runner(loop_factory=ScaledLoop) as runner:
+        return runner.run(main())
+
+
+@pytest.mark.parametrize(("protocol", "how"), [("modbus", "process"), ("rtu", "group")])
+def test_a_table_whose_station_is_killed_in_motion_is_stopped_and_switched_off(
+    protocol: str, how: str, tmp_path: Path
+) -> None:
+    kill = killed(protocol, tmp_path, how=how)
+    assert kill.good, kill
+    assert "the table is at rest, its power off" in kill.log
+    assert kill.guard_mb < 30
+    assert kill.guard_cpu_s < 1.5  # all of it for its start
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("protocol", ["modbus", "rtu", "galil", "acutrol", "aerosmith", "numbered"])
+@pytest.mark.parametrize("after_s", [0.0, 3.3, 8.1])
+def test_on_every_protocol_and_for_a_plugin(protocol: str, after_s: float, tmp_path: Path) -> None:
+    kill = killed(protocol, tmp_path, after_s)
+    assert kill.good, kill
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("protocol", ["modbus", "rtu", "galil", "acutrol"])
+def test_the_watchdog_of_a_drive_stops_it_without_a_guard(protocol: str, tmp_path: Path) -> None:
+    async def main(watchdog_s: float) -> bench.Kill:
+        async with bench.twin_table(protocol, tmp_path, watchdog_s) as table:
+            return await bench.kill_once(protocol, table, tmp_path, 4.0, guarded=False)
+
+    with asyncio.Runner(loop_factory=ScaledLoop) as runner:
+        kill = runner.run(main(1.0))
+    assert kill.rest_s <= kill.limit_s + 1.0, kill
+    assert kill.log == ""
+
+
+def test_a_guard_that_is_killed_is_told_and_another_takes_its_place(tmp_path: Path) -> None:
+    async def main() -> str:
+        async with bench.twin_table("galil", tmp_path, 0.0) as table:
+            script = tmp_path / "script.toml"
+            script.write_text(bench.script_of("z", 2.0))
+            links = [word for name, link in table.links.items() for word in ("--link", f"{name}={link}")]
+            run = await asyncio.create_subprocess_exec(
+                *command("run", "--bench", table.bench, *links, "--script", script, "-o", tmp_path / "r.h5", "--json"),
+                stdout=asyncio.subprocess.PIPE,
+                stderr=asyncio.subprocess.PIPE,
+            )
+            while not table.turning():
+                await asyncio.sleep(0.01)
+            (first,) = bench.guards_of(run.pid)
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+                os.kill(first, number)  # none of which ends it
+            await asyncio.sleep(0.1)
+            assert bench.guards_of(run.pid) == [first]
+            os.kill(first, signal.SIGKILL)
+            while bench.guards_of(run.pid) in ([first], []):
+                await asyncio.sleep(0.01)
+            (second,) = bench.guards_of(run.pid)
+            out, said = await run.communicate()
+            assert run.returncode in (0, 1), out  # a short script shows too little for a PASS
+            assert not bench.alive(second)
+            assert not guard_log_of(tmp_path / "r.h5").exists()
+            return said.decode()
+
+    with asyncio.Runner(loop_factory=ScaledLoop) as runner:
+        assert "the guard process has ended, another is started" in runner.run(main())
+
+
+@asynccontextmanager
+async def guarded_listener(folder: Path) -> AsyncIterator[tuple[Guard, socket.socket]]:
+    """Yield a guard of a Galil at a port that nobody should knock at."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        listener.setblocking(False)
+        path = folder / "galil.toml"
+        path.write_text(bench.bench_text("galil", 0.0))
+        link = f"tcp://127.0.0.1:{listener.getsockname()[1]}"
+        async with open_bench(with_links(load_bench(path), {"table": link}, [])) as opened:
+            yield Guard(opened.guarded, folder / "r.h5", 1.0, pytest.fail), listener
+
+
+@pytest.mark.parametrize("armed", [True, False])
+def test_a_guard_that_is_dismissed_does_not_touch_the_table(armed: bool, tmp_path: Path) -> None:
+    async def main() -> None:
+        async with guarded_listener(tmp_path) as (guard, listener):
+            guard.start()
+            if armed:
+                await guard.arm()
+            while not (started := bench.guards_of(os.getpid())):
+                await asyncio.sleep(0.001)
+            (process,) = started
+            guard.dismiss()
+            assert not bench.alive(process)
+            with pytest.raises(BlockingIOError):
+                listener.accept()
+
+    with asyncio.Runner(loop_factory=ScaledLoop) as runner:
+        runner.run(main())
+    assert not guard_log_of(tmp_path / "r.h5").exists()
