@@ -22,8 +22,8 @@ _SHARED = ("/run/lock", "/var/lock", "/tmp")
 async def held(device: str, link: str, default_port: int | None, what: str) -> AsyncIterator[tuple[int, ...]]:
     """Hold a link while this lasts; DeviceRefused, which names the holder, if another program or user does.
 
-    ``what`` is said of this program to whoever comes second. Yields the descriptors of the locked files, none on systems
-    without flock, which hold nothing. A process that is given these descriptors keeps the lock if this one dies.
+    ``what`` is said of this program to whoever comes second. Yields the descriptors of the locked files, none on
+    systems without flock, which hold nothing. A process that is given these keeps the lock if this one dies.
     """
     with ExitStack() as stack:
         names = await _names(link, default_port) if sys.platform != "win32" else ()

@@ -13,7 +13,7 @@ _STEP_LIMIT_S = 15.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rest:
-    """``trouble``: what went wrong, in words, empty for a table at rest without power. ``seen``: it was seen at rest."""
+    """How a table was left: ``trouble`` says what went wrong, empty if it rests without power; ``seen`` at rest."""
 
     trouble: str
     seen: bool

@@ -7,6 +7,7 @@ motion is that of the twin's model, not what the station or a controller says.
     python tests/bench/guard.py --times 40 --without-guard      the guard is killed first: as it was before it was built
     python tests/bench/guard.py --times 12 --without-guard --watchdog 1   the drives' own watchdog alone
     python tests/bench/guard.py --times 10 --kill group         everything in the station's process group
+    python tests/bench/guard.py --times 10 --kill hosted        a session as the operator's screen starts it
     python tests/bench/guard.py --times 10 --table BINARY       against a table of others, which logs its motion
 
 A table has to be at rest within its braking time, from the rate that it had, and one second.
@@ -34,6 +35,7 @@ from typing import Protocol
 
 from support import command
 
+from drivers.links.reopen import reopen
 from station.bench.bench import default_bench_text, load_bench
 from station.opening import open_bench, with_links
 from station.opening.serving import Serving
@@ -238,6 +240,7 @@ async def kill_once(
     (imu,) = [name for name in table.links if name != "table"]
     options = [word for name, link in table.links.items() for word in ("--link", f"{name}={link}")]
     words = ["run", "--bench", table.bench, *options, "--device", imu, "--script", script, "-o", recording, "--json"]
+    words += ["--host"] if how == "hosted" else []
     said = folder / "stderr"
     with said.open("wb") as stderr:
         run = subprocess.Popen(command(*words), stdout=subprocess.DEVNULL, stderr=stderr, start_new_session=True)
@@ -295,7 +298,7 @@ async def energised(table: Table, imu: str) -> list[str]:
     """Ask the controller itself which axes have power."""
     bench = with_links(load_bench(table.bench), table.links, [imu])
     async with open_bench(bench) as opened:
-        await opened.table.open()
+        await reopen(opened.table)  # the controller may take a moment after the guard has gone
         found = [axis for axis in opened.table.limits if (await opened.table.status(axis)).enabled]
         opened.table.close()
     return found
@@ -328,7 +331,7 @@ def main() -> int:
     parser.add_argument("--protocols", default=",".join(USUAL), help="also numbered, a plug-in, and aerosmith")
     parser.add_argument("--table", metavar="BINARY", help="a table of others, in place of twins")
     parser.add_argument("--watchdog", type=float, default=0.0, help="of the drives, in s")
-    parser.add_argument("--kill", choices=("process", "group"), default="process")
+    parser.add_argument("--kill", choices=("process", "group", "hosted"), default="process")
     parser.add_argument("--without-guard", action="store_true")
     arguments = parser.parse_args()
     with asyncio.Runner(loop_factory=ScaledLoop) as runner:

@@ -10,7 +10,7 @@ import pickle
 import signal
 import sys
 import time
-from collections.abc import Callable, Coroutine
+from collections.abc import Coroutine
 from contextlib import suppress
 from typing import Any
 
@@ -26,7 +26,6 @@ from station.run.resting import Rest, make_safe
 
 _SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP", "SIGPIPE")
 _GIVE_UP_S, _PAUSE_S = 60.0, 0.5
-_SETTLE_S = 0.005  # what the dead process had begun to send is on the wire, and a frame on a serial line must end
 _OOM_STEPS = range(-1000, 1000, 100)
 
 
@@ -100,7 +99,6 @@ async def _act(order: Order, table: Turntable) -> None:
     say(f"{order.who} has died with the table in its hands: the guard stops it")
     loop = asyncio.get_running_loop()
     began_s = loop.time()
-    await asyncio.sleep(_SETTLE_S * order.time_scale)
     while True:
         rest = await _tried(make_safe(table, time_scale=order.time_scale, unconfirmed=say))
         after_s = (loop.time() - began_s) / order.time_scale
