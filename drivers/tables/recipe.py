@@ -26,7 +26,8 @@ def unpacked_table(data: bytes) -> Turntable:
     plugin, rest = pickle.loads(data)
     known = TABLES.beside([load_file(Path(plugin))]) if plugin else TABLES
     protocol, setup, link = pickle.loads(rest)
-    return known[protocol].make(setup, link)
+    spec: TableSpec = known[protocol]
+    return spec.make(setup, link)
 
 
 def _plugin_of(spec: TableSpec) -> str:

@@ -14,6 +14,7 @@ from typing import Any
 
 from drivers.errors import DeviceError
 from drivers.tables.halting import first_look
+from drivers.tables.making_safe import make_safe
 from drivers.types import LinkCounts
 from estimator.calibration.error_model import ErrorModel
 from estimator.calibration.values import Calibration
@@ -30,7 +31,6 @@ from station.run.final_estimate import final_estimate
 from station.run.guard.guard import Guard
 from station.run.manual import ManualSequencer
 from station.run.outcome import MANUAL_VERDICT, Outcome, Verdict, judge
-from station.run.resting import make_safe
 from station.run.sequencer import Sequencer
 from station.run.snapshot import EventKind, Phase, Snapshot
 from station.run.table_watch import TableRow, check_axes, watch_table

@@ -239,11 +239,11 @@ async def kill_once(
     script.write_text(script_of(axes, 18.0 / len(axes)))
     (imu,) = [name for name in table.links if name != "table"]
     options = [word for name, link in table.links.items() for word in ("--link", f"{name}={link}")]
-    words = ["run", "--bench", table.bench, *options, "--device", imu, "--script", script, "-o", recording, "--json"]
-    words += ["--host"] if how == "hosted" else []
-    said = folder / "stderr"
-    with said.open("wb") as stderr:
-        run = subprocess.Popen(command(*words), stdout=subprocess.DEVNULL, stderr=stderr, start_new_session=True)
+    words: list[str | Path] = ["run", "--bench", table.bench, *options, "--device", imu]
+    words += ["--script", script, "-o", recording, "--json", *(["--host"] if how == "hosted" else [])]
+    said = folder / "said"
+    with said.open("wb") as output:
+        run = subprocess.Popen(command(*words), stdout=output, stderr=output, start_new_session=True)
 
     async def until_turning() -> None:
         while not table.turning():
@@ -278,7 +278,7 @@ async def kill_once(
         while alive(pid) and time.monotonic() < killed + 90:
             await asyncio.sleep(0.01)
     log = guard_log_of(recording)
-    kill = Kill(
+    return Kill(
         protocol=protocol,
         after_s=round(after_s, 3),
         rate_dps=round(math.degrees(rate_rps), 2),
@@ -289,9 +289,6 @@ async def kill_once(
         guard_cpu_s=cost[1],
         log=log.read_text().splitlines()[-1] if log.exists() else "",
     )
-    while table.turning():  # for the next one
-        await asyncio.sleep(_LOOK_S)
-    return kill
 
 
 async def energised(table: Table, imu: str) -> list[str]:
@@ -307,8 +304,8 @@ async def energised(table: Table, imu: str) -> list[str]:
 async def campaign(arguments: argparse.Namespace) -> list[Kill]:
     chance, kills = random.Random(arguments.seed), []
     protocols = ["others"] if arguments.table else arguments.protocols.split(",")
-    for number in range(arguments.times):
-        protocol = protocols[number % len(protocols)]
+    while len(kills) < arguments.times:
+        protocol = protocols[len(kills) % len(protocols)]
         with tempfile.TemporaryDirectory() as folder:
             if arguments.table:
                 made = table_of_others(arguments.table, Path(folder), arguments.watchdog)
@@ -316,9 +313,12 @@ async def campaign(arguments: argparse.Namespace) -> list[Kill]:
                 made = twin_table(protocol, Path(folder), arguments.watchdog)
             async with made as table:
                 after_s = chance.uniform(0.0, 12.0)
-                kill = await kill_once(
-                    protocol, table, Path(folder), after_s, how=arguments.kill, guarded=not arguments.without_guard
-                )
+                guarded = not arguments.without_guard
+                try:
+                    kill = await kill_once(protocol, table, Path(folder), after_s, how=arguments.kill, guarded=guarded)
+                except RuntimeError as error:  # nobody was killed, so this shows nothing
+                    print(error, flush=True)
+                    continue
         kills.append(kill)
         print(json.dumps(asdict(kill) | {"good": kill.good}), flush=True)
     return kills

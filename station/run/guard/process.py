@@ -19,10 +19,10 @@ import serial  # noqa: F401  a serial link imports it when it is opened, which w
 from drivers.errors import DeviceError
 from drivers.links.lock import inherited
 from drivers.protocols import Turntable
+from drivers.tables.making_safe import Rest, make_safe
 from drivers.tables.recipe import unpacked_table
 from station.run.event_loop.loops import ScaledLoop
 from station.run.guard.words import ARM, DISMISS, READY, Order
-from station.run.resting import Rest, make_safe
 
 _SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP", "SIGPIPE")
 _GIVE_UP_S, _PAUSE_S = 60.0, 0.5
