@@ -302,7 +302,8 @@ async def energised(table: Table, imu: str) -> list[str]:
 
 
 async def campaign(arguments: argparse.Namespace) -> list[Kill]:
-    chance, kills = random.Random(arguments.seed), []
+    chance = random.Random(arguments.seed)
+    kills: list[Kill] = []
     protocols = ["others"] if arguments.table else arguments.protocols.split(",")
     while len(kills) < arguments.times:
         protocol = protocols[len(kills) % len(protocols)]
