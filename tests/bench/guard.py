@@ -10,7 +10,8 @@ motion is that of the twin's model, not what the station or a controller says.
     python tests/bench/guard.py --times 10 --kill hosted        a session as the operator's screen starts it
     python tests/bench/guard.py --times 10 --table BINARY       against a table of others, which logs its motion
 
-A table has to be at rest within its braking time, from the rate that it had, and one second.
+A table has to be at rest within its braking time, from the rate that it had, and one second; without a guard also the
+time of its watchdog.
 """
 
 from __future__ import annotations
@@ -231,9 +232,19 @@ def cost_of(pid: int) -> tuple[float, float]:
 
 
 async def kill_once(
-    protocol: str, table: Table, folder: Path, after_s: float, *, how: str = "process", guarded: bool = True
+    protocol: str,
+    table: Table,
+    folder: Path,
+    after_s: float,
+    *,
+    how: str = "process",
+    guarded: bool = True,
+    watchdog_s: float = 0.0,
 ) -> Kill:
-    """Start a run, kill it ``after_s`` after the table first turns, as soon as it turns then, and watch the table."""
+    """Start a run, kill it ``after_s`` after the table first turns, as soon as it turns then, and watch the table.
+
+    ``watchdog_s`` is added to the time that the table may take.
+    """
     script, recording = folder / "script.toml", folder / f"{random.randrange(1 << 60)}.h5"
     axes = AXES.get(protocol, "xyz")
     script.write_text(script_of(axes, 18.0 / len(axes)))
@@ -283,7 +294,7 @@ async def kill_once(
         after_s=round(after_s, 3),
         rate_dps=round(math.degrees(rate_rps), 2),
         rest_s=round(rest_s, 3),
-        limit_s=round(rate_rps / _ACCELERATION_RPS2 + _GRACE_S, 3),
+        limit_s=round(rate_rps / _ACCELERATION_RPS2 + _GRACE_S + watchdog_s, 3),
         energised=", ".join(await energised(table, imu)),
         guard_mb=round(cost[0], 1),
         guard_cpu_s=cost[1],
@@ -316,7 +327,15 @@ async def campaign(arguments: argparse.Namespace) -> list[Kill]:
                 after_s = chance.uniform(0.0, 12.0)
                 guarded = not arguments.without_guard
                 try:
-                    kill = await kill_once(protocol, table, Path(folder), after_s, how=arguments.kill, guarded=guarded)
+                    kill = await kill_once(
+                        protocol,
+                        table,
+                        Path(folder),
+                        after_s,
+                        how=arguments.kill,
+                        guarded=guarded,
+                        watchdog_s=0.0 if guarded else arguments.watchdog,
+                    )
                 except RuntimeError as error:  # nobody was killed, so this shows nothing
                     print(error, flush=True)
                     continue
@@ -342,7 +361,7 @@ def main() -> int:
     over_s = max(kill.rest_s - kill.limit_s + _GRACE_S for kill in kills)
     memory = max(kill.guard_mb for kill in kills)
     print(
-        f"{good} of {len(kills)} at rest within braking time + {_GRACE_S:g} s and without power; at the latest "
+        f"{good} of {len(kills)} at rest within braking time (+ watchdog) + {_GRACE_S:g} s and without power; at the latest "
         f"{over_s:.2f} s after the braking time; guard: at most {memory} MB resident, "
         f"{cpu_s:.2f} s of processor time with its start; load {load:.1f}"
     )
