@@ -361,8 +361,8 @@ def main() -> int:
     over_s = max(kill.rest_s - kill.limit_s + _GRACE_S for kill in kills)
     memory = max(kill.guard_mb for kill in kills)
     print(
-        f"{good} of {len(kills)} at rest within braking time (+ watchdog) + {_GRACE_S:g} s and without power; at the latest "
-        f"{over_s:.2f} s after the braking time; guard: at most {memory} MB resident, "
+        f"{good} of {len(kills)} at rest within braking time (+ watchdog) + {_GRACE_S:g} s, without power; "
+        f"at the latest {over_s:.2f} s after the braking time; guard: at most {memory} MB resident, "
         f"{cpu_s:.2f} s of processor time with its start; load {load:.1f}"
     )
     return 0 if good == len(kills) else 1
