@@ -1,17 +1,20 @@
 """The values that cross the seams to hardware, and the types of arrays that drivers, twins and the station share."""
 
 from dataclasses import asdict, dataclass, field
-from typing import Self
+from typing import TYPE_CHECKING, Any, Self
 
-import numpy as np
-from numpy.typing import NDArray
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Stamps = NDArray[np.int64]
-"""Instants in ns."""
-Flags = NDArray[np.bool_]
-Octets = NDArray[np.uint8]
+    Floats = NDArray[np.float64]
+    Ints = NDArray[np.int64]
+    Stamps = NDArray[np.int64]
+    """Instants in ns."""
+    Flags = NDArray[np.bool_]
+    Octets = NDArray[np.uint8]
+else:  # names alone: whoever only talks to a table, as the guard of a run does, does without the 10 MB of numpy
+    Floats = Ints = Stamps = Flags = Octets = Any
 
 _Told = tuple[float, float, float]
 

@@ -6,7 +6,7 @@ import importlib.metadata
 import logging
 import time
 import traceback
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -15,6 +15,7 @@ from typing import Any
 
 from drivers.errors import DeviceError
 from drivers.tables.halting import first_look
+from drivers.tables.making_safe import make_safe
 from drivers.types import LinkCounts
 from estimator.calibration.error_model import ErrorModel
 from estimator.calibration.values import Calibration
@@ -29,6 +30,7 @@ from station.run.event_loop.loops import is_virtual
 from station.run.event_loop.services import leaves, serve
 from station.run.event_loop.signals import heeded_signals
 from station.run.final_estimate import final_estimate
+from station.run.guard.guard import Guard
 from station.run.manual import ManualSequencer
 from station.run.outcome import MANUAL_VERDICT, Outcome, Verdict, judge
 from station.run.sequencer import Sequencer
@@ -126,6 +128,7 @@ class Session:
         self._writer, self._event = self._acquisition.writer, self._acquisition.event
         self._live, self._monitor = self._acquisition.live, self._acquisition.monitor
         self._monitor.planned_s = script.duration_s
+        self._guard = Guard(bench.guarded, path, time_scale, self._tell_of_guard)
         self._ended_early = ""
         self._early_end = EarlyEnd(bench, self._live, time_scale) if options.end_early else None
 
@@ -174,6 +177,7 @@ class Session:
             await asyncio.wait({self._running}, timeout=_STOP_LIMIT_S * self._time_scale)
         if not self._rested:
             await self._rest()
+            self._guard.dismiss()
             self._rested = True
         return await self._conclude()
 
@@ -242,6 +246,7 @@ class Session:
         axes = self._bench.table.gimbals
         monitor, acquisition = self._monitor, self._acquisition
         async with asyncio.TaskGroup() as group:
+            self._guard.start()
             services = [serve(group, acquisition.keep_flushing())]
             for imu in self._open.imus:
                 self._check_serial(imu.config.name, (await acquisition.open(imu)).serial)
@@ -249,6 +254,8 @@ class Session:
             await table.open()  # the last: what is not there is known before the table is touched
             await first_look(table, take_over=self._options.reset_fault)
             self._connected = True  # from here on it is ours to stop
+            await self._guard.arm()
+            services.append(serve(group, self._guard.watch()))
             self._writer.set_attributes(identity_attributes("table_", await self._reopening.identify("table", table)))
             await acquisition.first_samples()
             services.append(serve(group, acquisition.watch_silence()))
@@ -329,37 +336,22 @@ class Session:
         self._monitor.phase = Phase.STOPPING
         if not self._connected:
             return
-        trouble = await self._tried(self._open.table.stop(), None)
-        seen_at_rest = not trouble and not self._untrue
-        if self._untrue:
-            # What was seen of the stop is worth nothing, and an axis that is let go in motion may coast.
-            limits = self._open.table.limits.values()
-            await asyncio.sleep(max(axis.rate_rps / axis.acceleration_rps2 for axis in limits))
-            trouble = "the table was told to stop, but its readings cannot show that it stands: look at it"
-            self._event(EventKind.NOT_AT_REST, trouble)
-        elif trouble:
-            self._event(EventKind.NOT_AT_REST, f"controlled stop not confirmed: {trouble}")
-            aborted = await self._tried(self._open.table.abort(), None)  # as hard as the controller can
-            trouble = f"it did not come to rest by a controlled stop ({trouble})"
-            seen_at_rest = not aborted
-            if aborted:
-                trouble = f"the table was not seen to come to rest ({aborted}): use the emergency stop"
-        off = await self._tried(self._open.table.disable())  # also what heeds nothing else: it may then coast
-        if seen_at_rest:
-            trouble = trouble or (off and f"the table is at rest, but its power may be on ({off})")
-            self._event(EventKind.AT_REST, "table at rest")
-        if trouble:
-            verdict = self._verdict or Verdict(Outcome.FAULT, trouble)
-            self._verdict = replace(verdict, reason="; ".join(dict.fromkeys((verdict.reason, trouble))))
 
-    async def _tried(self, what: Coroutine[Any, Any, object], limit_s: float | None = _STOP_LIMIT_S) -> str:
-        """Do what ends a motion; return in words what went wrong. What watches axes slow down ends by itself."""
-        try:
-            async with asyncio.timeout(limit_s and limit_s * self._time_scale):
-                await what
-        except (DeviceError, TimeoutError) as error:
-            return str(error) or "no answer in time"
-        return ""
+        def unconfirmed(trouble: str) -> None:
+            self._event(EventKind.NOT_AT_REST, f"controlled stop not confirmed: {trouble}")
+
+        rest = await make_safe(
+            self._open.table, time_scale=self._time_scale, unconfirmed=unconfirmed, untrue_readings=bool(self._untrue)
+        )
+        if rest.seen:
+            self._event(EventKind.AT_REST, "table at rest")
+        if rest.trouble:
+            verdict = self._verdict or Verdict(Outcome.FAULT, rest.trouble)
+            self._verdict = replace(verdict, reason="; ".join(dict.fromkeys((verdict.reason, rest.trouble))))
+
+    def _tell_of_guard(self, text: str) -> None:
+        _log.warning("station: %s", text)
+        self._event(EventKind.NOTE, text)
 
     async def _conclude(self) -> Result:
         acquisition = self._acquisition

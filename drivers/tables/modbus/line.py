@@ -125,6 +125,8 @@ class ModbusLine:
         if not connected:
             raise LinkLost(self._device, reason)
         self.counts.opened += 1
+        if isinstance(self._address, SerialPort):  # what another master had begun to send must end first
+            self._quiet_until_s = self._now() + self._address.silence_s
 
     def _trace(self, gate: RtuGate | TcpGate, sending: bool, data: bytes) -> bytes:
         """Count bytes, and let a gate pass what it will; of an answer the client shows all there is with each byte."""
