@@ -9,6 +9,7 @@ import numpy as np
 from estimator.calibration.budget import TYPE_A, Contribution
 from estimator.geometry.model import STATES, Prior
 from estimator.geometry.noise import NoiseFound
+from estimator.observations.coverage import AxisCoverage
 from estimator.observations.health import Excluded
 from estimator.observations.rests import RestNoise
 from estimator.observations.timing import TimeOffset
@@ -90,6 +91,7 @@ class Calibration:
     those of the notes that speak against the sigmas, ``spoilt`` those of them that no sigma can hold: what was measured
     changed in mid-run, or the table's readings contradict each other. ``holds_for`` are the conditions that the states
     are of, ``offsets`` those between the reference and the samples of each source, where they were estimated.
+    ``constancy`` says of each axis that turned over which time a change of what was estimated would have been found.
     """
 
     gyros: tuple[GyroCalibration, ...]
@@ -104,6 +106,7 @@ class Calibration:
     holds_for: str = ""
     offsets: Mapping[str, TimeOffset] = field(default_factory=dict)
     spoilt: tuple[str, ...] = ()
+    constancy: tuple[AxisCoverage, ...] = ()
 
     def to_frame(self) -> Any:
         """Return a pandas.DataFrame with a row a gyro: its device, states and sigmas, in SI. Needs pandas."""
