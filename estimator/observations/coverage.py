@@ -23,7 +23,7 @@ from estimator.types import Floats
 STATES_OF_TURNS = ("k", "sigma_j", "sigma_k")
 GEARING = "gearing"
 _SIDE = 0.25  # share of the turning that must lie on each side of a change
-_FAR = 0.4  # share of a recording that counts as far apart in time; turning spread evenly over it reaches one half
+_FAR = 1 / 3  # share of a recording that counts as far apart in time; turning spread evenly over it reaches one half
 _TURNED_RPS = 10 * REST_RPS
 _TURNED_SHARE = 0.05  # of the fastest axis: what is slower may be its leak into another one
 _GAP_STEPS, _GAP_S = 4.0, 1.0  # a reading tells of the time until the next one, but of no more than both
@@ -71,16 +71,28 @@ def coverage(recording: Recording, sources: Sequence[ImuData]) -> tuple[AxisCove
     An axis is one of the body, of which states may change, and one of the table, of which the gearing may. Where both
     have the same name, or several sources see it, the time that all of them cover counts.
     """
-    sources = [data for data in sources if len(data.t_ns)]
-    if not sources:
+    seen = []
+    for data in sources:
+        if len(instants_ns := data.t_ns[np.isfinite(data.rate_rps).any(axis=1)].astype(np.float64)):
+            seen.append((instants_ns, list(_turnings(recording, data))))
+    return _of_turnings(seen)
+
+
+def planned_coverage(readings: TableReadings) -> tuple[AxisCoverage, ...]:
+    """Return the coverage of a recording in which a table will move like this, with samples at an even rate."""
+    return _of_turnings([(readings.t_ns.astype(np.float64), list(_table_turnings(readings)))])
+
+
+def _of_turnings(seen: Sequence[tuple[Floats, Sequence[_Turning]]]) -> tuple[AxisCoverage, ...]:
+    """Return the coverage from the instants of the samples (n,) of each source, in ns, and what it went through."""
+    if not seen:
         return ()
-    first_ns = min(int(data.t_ns[0]) for data in sources)
-    length_s = (max(int(data.t_ns[-1]) for data in sources) - first_ns) * 1e-9
+    first_ns = min(float(instants_ns[0]) for instants_ns, _ in seen)
+    length_s = (max(float(instants_ns[-1]) for instants_ns, _ in seen) - first_ns) * 1e-9
     spans: dict[str, list[tuple[float, float]]] = {}
     concerns: dict[str, list[str]] = {}
-    for data in sources:
-        instants_ns = np.asarray(data.t_ns[np.isfinite(data.rate_rps).any(axis=1)], dtype=np.float64)
-        for turning in _turnings(recording, data):
+    for instants_ns, turnings in seen:
+        for turning in turnings:
             if not len(turning.rate_rps):
                 continue
             samples = np.searchsorted(instants_ns, turning.end_ns) - np.searchsorted(instants_ns, turning.start_ns)
@@ -193,15 +205,19 @@ def _turnings(recording: Recording, data: ImuData) -> Iterator[_Turning]:
         rate = np.nan_to_num(data.rate_rps - np.nanmedian(data.rate_rps, axis=0))
         yield _means(data.t_ns.astype(np.float64), rate @ np.linalg.pinv(data.array.p).T)
     elif isinstance(reference, TableReadings):
-        t_ns = reference.t_ns.astype(np.float64)
-        yield _means(t_ns, body_rate(reference.angle_rad, reference.rate_rps, reference.gimbals))
-        own = np.zeros((len(t_ns), 3))
-        for axis, column in zip(reference.gimbals, reference.rate_rps.T, strict=True):
-            own[:, AXES.index(axis)] = column
-        yield _means(t_ns, own, gearing=True)
+        yield from _table_turnings(reference)
     else:
         rates = rates_from_attitude(reference) if isinstance(reference, AttitudeReadings) else reference
         yield _means(rates.t_ns.astype(np.float64), rates.rate_rps)
+
+
+def _table_turnings(readings: TableReadings) -> Iterator[_Turning]:
+    t_ns = readings.t_ns.astype(np.float64)
+    yield _means(t_ns, body_rate(readings.angle_rad, readings.rate_rps, readings.gimbals))
+    own = np.zeros((len(t_ns), 3))
+    for axis, column in zip(readings.gimbals, readings.rate_rps.T, strict=True):
+        own[:, AXES.index(axis)] = column
+    yield _means(t_ns, own, gearing=True)
 
 
 def _means(t_ns: Floats, rate_rps: Floats, *, gearing: bool = False) -> _Turning:
