@@ -73,14 +73,13 @@ def calibrate(
         seen = [*reading_doubts(recording.reference), *stuck_doubts(recording)]
         spoilt, doubts = [*seen, *spoilt], [*seen, *doubts]
     constancy = coverage(recording, [data for _, data in sources])
-    notes += coverage_notes(constancy)
     order = [name for data in recording.sources.values() for name in data.array.names]
     return Calibration(
         tuple(sorted(gyros, key=lambda gyro: order.index(gyro.name))),
         nis,
         sum(one.samples for one in estimates),
         sum(data.lost * len(data.array) for data in recording.sources.values()),
-        (*notes, *_parity_notes(checks), *effect_notes(gyros), *doubts),
+        (*notes, *coverage_notes(constancy), *_parity_notes(checks), *effect_notes(gyros), *doubts),
         defective,
         tuple(checks),
         model.text() if model is not None else "",
