@@ -18,7 +18,7 @@ from estimator.observations.rows import MEAN_S
 from estimator.packaged import sentence
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import AttitudeReadings, Poses, TableReadings, Turns, rates_from_attitude
-from estimator.types import Floats
+from estimator.types import Floats, Stamps
 
 STATES_OF_TURNS = ("k", "sigma_j", "sigma_k")
 GEARING = "gearing"
@@ -73,17 +73,19 @@ def coverage(recording: Recording, sources: Sequence[ImuData]) -> tuple[AxisCove
     """
     seen = []
     for data in sources:
-        if len(instants_ns := data.t_ns[np.isfinite(data.rate_rps).any(axis=1)].astype(np.float64)):
+        known = np.logical_or.reduce([np.isfinite(column) for column in data.rate_rps.T])
+        instants_ns = data.t_ns if known.all() else data.t_ns[known]
+        if len(instants_ns):
             seen.append((instants_ns, list(_turnings(recording, data))))
     return _of_turnings(seen)
 
 
 def planned_coverage(readings: TableReadings) -> tuple[AxisCoverage, ...]:
     """Return the coverage of a recording in which a table will move like this, with samples at an even rate."""
-    return _of_turnings([(readings.t_ns.astype(np.float64), list(_table_turnings(readings)))])
+    return _of_turnings([(readings.t_ns, list(_table_turnings(readings)))])
 
 
-def _of_turnings(seen: Sequence[tuple[Floats, Sequence[_Turning]]]) -> tuple[AxisCoverage, ...]:
+def _of_turnings(seen: Sequence[tuple[Stamps, Sequence[_Turning]]]) -> tuple[AxisCoverage, ...]:
     """Return the coverage from the instants of the samples (n,) of each source, in ns, and what it went through."""
     if not seen:
         return ()
@@ -95,11 +97,12 @@ def _of_turnings(seen: Sequence[tuple[Floats, Sequence[_Turning]]]) -> tuple[Axi
         for turning in turnings:
             if not len(turning.rate_rps):
                 continue
-            samples = np.searchsorted(instants_ns, turning.end_ns) - np.searchsorted(instants_ns, turning.start_ns)
+            # In whole nanoseconds: for others numpy would copy all instants.
+            first, last = (np.searchsorted(instants_ns, t.astype(np.int64)) for t in (turning.start_ns, turning.end_ns))
             peaks = np.abs(turning.rate_rps).max(axis=0)
             least = max(min(_TURNED_RPS, _TURNED_SHARE * float(peaks.max())), REST_RPS)
             for column in np.flatnonzero(peaks > least).tolist():
-                start_ns, end_ns = _middle(turning, turning.rate_rps[:, column] ** 2 * samples)
+                start_ns, end_ns = _middle(turning, turning.rate_rps[:, column] ** 2 * (last - first))
                 spans.setdefault(AXES[column], []).append(((start_ns - first_ns) * 1e-9, (end_ns - first_ns) * 1e-9))
                 concerns.setdefault(AXES[column], []).extend([GEARING] if turning.gearing else STATES_OF_TURNS)
     found = []

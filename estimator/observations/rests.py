@@ -63,8 +63,8 @@ def motion_notes(recording: Recording) -> list[str]:
     reference = recording.reference
     if not isinstance(reference, TableReadings):
         return []
-    turned = (np.abs(reference.rate_rps) > 10 * REST_RPS).any(axis=0)
-    moving = sorted(axis for axis, moved in zip(reference.gimbals, turned, strict=True) if moved)
+    fastest_rps = np.abs(reference.rate_rps).max(axis=0, initial=0.0).tolist()
+    moving = sorted(axis for axis, most in zip(reference.gimbals, fastest_rps, strict=True) if most > 10 * REST_RPS)
     notes = []
     if not moving:
         notes.append(sentence("observations.table_rests"))

@@ -13,7 +13,7 @@ from estimator.effects.conditions import REFERENCE_C
 from estimator.effects.disturbances import TONE
 from estimator.observations.coverage import coverage_notes
 from estimator.planning.planning import ALIKE, EffectForecast
-from station.render.terminal import print_all, print_rendered, rich_table
+from station.render.terminal import Shown, print_all, print_rendered, rich_table
 from station.scripts.axis_profile import profile_lines
 from station.scripts.plan import WARMING_TIME_S, Plan
 from station.scripts.polling import too_steep
@@ -53,9 +53,13 @@ def print_plan(plan: Plan, console: Console, early_late: Plan | None = None) -> 
 
 def print_early_late(asked: Plan, offered: Plan, path: Path, console: Console) -> None:
     """Print the sigmas of a script that turns each axis early and late beside those of the asked one, and its file."""
-    lines = [(beside_table(asked, offered), {}), (proved_words(offered), {"highlight": False})]
-    line = f"script: {path}   (station run --script {path})"
-    print_all(console, [*lines, (escape(line), {"highlight": False, "soft_wrap": True})])
+    file_line = escape(f"script: {path}   (station run --script {path})")
+    shown: list[Shown] = [
+        (beside_table(asked, offered), {}),
+        (proved_words(offered), {"highlight": False}),
+        (file_line, {"highlight": False, "soft_wrap": True}),
+    ]
+    print_all(console, shown)
 
 
 def beside_table(asked: Plan, offered: Plan) -> Table:

@@ -127,7 +127,7 @@ def _half(step: Step, limits: Mapping[str, AxisLimits]) -> Step | None:
     acceleration = min(2 * step.acceleration_rps2, limits[step.axis].acceleration_rps2)
     if half_s < _RAMPS * abs(step.rate_rps) / acceleration:
         return None
-    return replace(_times(step, 1), duration_s=half_s, acceleration_rps2=acceleration)
+    return replace(step, duration_s=half_s, acceleration_rps2=acceleration, label=_times(step, 1).label)
 
 
 def _times(step: Step, sign: int) -> Step:

@@ -276,3 +276,21 @@ def test_a_name_with_quotes_is_written_into_the_script_as_it_is(
     script = write(tmp_path, X_ONLY.replace('"x only"', "'x \"only\" \\ here'"))
     assert planned(capsys, script, "--early-late", "-o", tmp_path / "new.toml")[0] == 0
     assert load_script(tmp_path / "new.toml").name == 'x "only" \\ here, early and late'
+
+
+@pytest.mark.full
+@pytest.mark.timeout(600)
+def test_a_gearing_that_changes_between_turns_fails_with_the_script_that_plan_writes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    reading = '[table_reading]\naxis = "x"\nfrom = "165 s"\nangle = "1 %"\nrate = "1 %"\n'
+    (tmp_path / "hidden.toml").write_text(reading)
+    bench = tmp_path / "bench.toml"
+    bench.write_text(default_bench_text().replace("[twin]\n", '[twin]\nhidden = "hidden.toml"\n', 1))
+    script = tmp_path / "early-late.toml"
+    assert planned(capsys, "--early-late", "-o", script)[0] == 0
+    run = ["run", "--json", "--bench", str(bench)]
+    assert main([*run, "--script", str(script), "-o", str(tmp_path / "late.h5")]) == 1
+    assert "what was measured changed in mid-run" in json.loads(capsys.readouterr().out)["reason"]
+    assert main([*run, "-o", str(tmp_path / "paper.h5")]) == 0
+    assert json.loads(capsys.readouterr().out)["reason"].endswith("; constancy not proved: x, y, z")
