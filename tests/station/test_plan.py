@@ -280,11 +280,11 @@ def test_a_name_with_quotes_is_written_into_the_script_as_it_is(
 
 @pytest.mark.full
 @pytest.mark.timeout(600)
-def test_a_gearing_that_changes_between_turns_fails_with_the_script_that_plan_writes(
+def test_a_scale_factor_that_steps_between_turns_fails_with_the_script_that_plan_writes(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    reading = '[table_reading]\naxis = "x"\nfrom = "165 s"\nangle = "1 %"\nrate = "1 %"\n'
-    (tmp_path / "hidden.toml").write_text(reading)
+    step = '[scale_step]\nsize = ["8000 ppm", "0 ppm", "0 ppm", "0 ppm"]\nat = "142.6 s"\n'
+    (tmp_path / "hidden.toml").write_text(step)
     bench = tmp_path / "bench.toml"
     bench.write_text(default_bench_text().replace("[twin]\n", '[twin]\nhidden = "hidden.toml"\n', 1))
     script = tmp_path / "early-late.toml"
