@@ -1,5 +1,6 @@
 """Results kept in the recording they were drawn from, the group /calibration, and read back from there."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from estimator.calibration.values import Calibration
 from estimator.errors import MISSHAPEN, RecordingError
 from estimator.geometry.model import STATES
 from estimator.geometry.noise import NoiseFound, NoiseModel
+from estimator.observations.coverage import coverage_object, coverage_of
 from estimator.observations.health import Excluded
 from estimator.packaged import sentence
 from estimator.recordings.reading import read_array
@@ -73,6 +75,7 @@ def write_calibration(path: Path, calibration: Calibration, attributes: dict[str
             **{key: getattr(calibration, key) for key in ("nis_mean", "samples", "lost")},
             **{key: list(getattr(calibration, key)) for key in ("notes", "doubts")},
             "holds_for": calibration.holds_for,
+            "constancy": json.dumps([coverage_object(axis) for axis in calibration.constancy]),
             **named,
             **(attributes or {}),
         },
@@ -140,6 +143,7 @@ def _read(path: Path, file: Any, group: Any) -> Calibration:
         doubts=tuple(_texts(group.attrs.get("doubts", ()))),
         holds_for=str(plain(group.attrs.get("holds_for", ""))),
         arrays=arrays,
+        constancy=tuple(map(coverage_of, json.loads(str(plain(group.attrs.get("constancy", "[]")))))),
     )
 
 

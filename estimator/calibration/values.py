@@ -11,6 +11,7 @@ from estimator.calibration.compensation import Compensation, CompensationError
 from estimator.calibration.gyro import GyroCalibration
 from estimator.geometry.array import SensorArray
 from estimator.geometry.model import STATES, Prior
+from estimator.observations.coverage import AxisCoverage
 from estimator.observations.health import Excluded
 from estimator.observations.timing import TimeOffset
 from estimator.types import Floats
@@ -43,6 +44,7 @@ class Calibration:
     those of the notes that speak against the sigmas, ``spoilt`` those of them that no sigma can hold: what was measured
     changed in mid-run, or the table's readings contradict each other. ``holds_for`` are the conditions that the states
     are of, ``offsets`` those between the reference and the samples of each source, where they were estimated.
+    ``constancy`` says of each axis that turned over which time a change of what was estimated would have been found.
     """
 
     gyros: tuple[GyroCalibration, ...]
@@ -57,6 +59,7 @@ class Calibration:
     holds_for: str = ""
     offsets: Mapping[str, TimeOffset] = field(default_factory=dict)
     spoilt: tuple[str, ...] = ()
+    constancy: tuple[AxisCoverage, ...] = ()
     arrays: Mapping[str, SensorArray] = field(default_factory=dict)
     """Nominal axes of the gyros by source."""
 

@@ -15,6 +15,7 @@ from estimator.estimation.parity import parity
 from estimator.estimation.source_estimate import DeviceEstimate, SourceEstimate, Sources, estimate_laid, estimate_white
 from estimator.geometry.model import decode
 from estimator.observations.conditions_seen import holds_for
+from estimator.observations.coverage import coverage, coverage_notes
 from estimator.observations.defects.reading_doubts import reading_doubts
 from estimator.observations.defects.stuck import stuck_doubts
 from estimator.observations.foreign import at_rest, factor_notes, foreign_motion_notes, sparse_doubts
@@ -72,13 +73,14 @@ def calibrate(
     if isinstance(recording.reference, TableReadings):
         seen = [*reading_doubts(recording.reference), *stuck_doubts(recording)]
         spoilt, doubts = [*seen, *spoilt], [*seen, *doubts]
+    constancy = coverage(recording, [data for _, data in sources])
     order = [name for data in recording.sources.values() for name in data.array.names]
     return Calibration(
         tuple(sorted(gyros, key=lambda gyro: order.index(gyro.name))),
         nis,
         sum(one.samples for one in estimates),
         sum(data.lost * len(data.array) for data in recording.sources.values()),
-        (*notes, *_parity_notes(checks), *effect_notes(gyros), *doubts),
+        (*notes, *coverage_notes(constancy), *_parity_notes(checks), *effect_notes(gyros), *doubts),
         defective,
         tuple(checks),
         model.text() if model is not None else "",
@@ -87,6 +89,7 @@ def calibrate(
         {one.source: one.offset for one in estimates if one.offset is not None},
         tuple(spoilt),
         {name: data.array for name, data in recording.sources.items()},
+        constancy=constancy,
     )
 
 

@@ -15,6 +15,7 @@ from drivers.types import Floats
 from estimator.calibration.gyro import GyroCalibration
 from estimator.calibration.values import Calibration, GyroParity
 from estimator.estimation.repeatability import Repeatability
+from estimator.observations.coverage import coverage_object
 from estimator.observations.rests import RestNoise
 from station.errors import EXIT_USAGE
 from station.render.terminal import print_rendered, stdout
@@ -123,6 +124,7 @@ def result_object(verdict: Verdict, recording: str, calibration: Calibration | N
         "nis_mean": json_object(found.nis_mean),
         **named(found, ("samples", "lost", "holds_for")),
         "doubts": list(found.doubts),
+        "constancy": [coverage_object(axis) for axis in found.constancy],
         "excluded": {e.name: e.reason for e in found.excluded},
         "parity": _parity_object(found.parity),
     }

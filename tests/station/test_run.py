@@ -98,6 +98,14 @@ def test_the_paper_script_passes_on_the_built_in_twins_and_finds_the_truth(
     code, result = run_json(capsys, "-o", tmp_path / "run.h5", "--seed", "1")
     assert code == 0
     assert result["outcome"] == "PASS"
+    assert result["reason"].endswith("within limits; constancy not proved: x, y, z")
+    assert [(axis["axis"], axis["proved"]) for axis in result["constancy"]] == [
+        ("x", False),
+        ("y", False),
+        ("z", False),
+    ]
+    assert result["constancy"][1]["covered_s"] == pytest.approx([163, 199], abs=2)
+    assert result["constancy"][1]["concerns"] == ["k", "sigma_j", "sigma_k", "gearing"]
     assert [gyro["name"] for gyro in result["gyros"]] == ["gyro1", "gyro2", "gyro3", "gyro4"]
     errors = [(g[key] - t) / g["sd"][key] for g in result["gyros"] for key, t in zip(KEYS, TABLE_1, strict=True)]
     assert np.abs(errors).max() < 4
@@ -106,7 +114,8 @@ def test_the_paper_script_passes_on_the_built_in_twins_and_finds_the_truth(
     with h5py.File(tmp_path / "run.h5") as file:
         assert file["calibration"].attrs["live_batch_difference_sigma"] < 1e-6
         (note,) = file["calibration"].attrs["notes"]
-        assert note.startswith("turned only once: x, y, z")
+        assert note.startswith("constancy not proved for x, y and z")
+        assert json.loads(file["calibration"].attrs["constancy"]) == result["constancy"]
         for said, kept in (
             (result["links"]["table"], {key.removeprefix("table_"): n for key, n in file.attrs.items()}),
             (result["links"]["array"], file["imu/gyro1"].attrs),
