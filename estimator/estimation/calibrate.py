@@ -88,7 +88,7 @@ def calibrate(
         holds_for(recording),
         {one.source: one.offset for one in estimates if one.offset is not None},
         tuple(spoilt),
-        {name: data.array for name, data in recording.sources.items()},
+        arrays={name: data.array for name, data in recording.sources.items()},
         constancy=constancy,
     )
 

@@ -10,7 +10,7 @@ import pytest
 
 from estimator.calibration.budget import UNSEEN, Contribution
 from estimator.calibration.gyro import GyroCalibration
-from estimator.calibration.values import Calibration, GyroCalibration
+from estimator.calibration.values import Calibration
 from estimator.observations.coverage import AxisCoverage
 from estimator.observations.health import Excluded
 from station.bench.bench import Limits
