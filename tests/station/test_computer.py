@@ -21,7 +21,6 @@ from station.computer.look import look_at_computer
 from station.computer.serial_ports import look_at_serial_port
 from station.computer.timekeeping import ClockWatch, look_at_load, look_at_power_saving, look_at_usb_suspend
 
-
 as_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root makes device files and becomes another user")
 
 
