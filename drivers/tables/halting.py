@@ -140,14 +140,20 @@ async def bring_to_rest(
             axis.tells += 1
         heedless = [axis for axis in told if axis.heedless and not failures]
         if heedless or loop.time() > seen_s + _WAIT * timeout_s:
-            said = "; ".join(axis.text(loop.time()) for axis in heedless or waiting)
-            if not failures:
-                if all(axis.contradicts_itself for axis in heedless or waiting):
-                    raise DeviceRefused(device, f"told to stop, {said}: its readings do not tell whether it stands")
-                raise DeviceRefused(device, f"told to stop, {said}: it keeps turning, cut its power")
-            kind = BadReply if isinstance(failures[0], BadReply) else LinkLost
-            raise kind(device, f"{failures[0].message}; {said}: look at the table")
+            raise _not_at_rest(device, heedless or waiting, failures)
         await asyncio.sleep(_LOOK_S)
+
+
+def _not_at_rest(device: str, axes: Sequence[_Axis], failures: Sequence[DeviceError]) -> DeviceError:
+    """Return the error that says what was seen last of axes that may still turn, and what to do."""
+    now_s = asyncio.get_running_loop().time()
+    said = "; ".join(axis.text(now_s) for axis in axes)
+    if failures:
+        kind = BadReply if isinstance(failures[0], BadReply) else LinkLost
+        return kind(device, f"{failures[0].message}; {said}: look at the table")
+    if all(axis.contradicts_itself for axis in axes):
+        return DeviceRefused(device, f"told to stop, {said}: its readings do not tell whether it stands")
+    return DeviceRefused(device, f"told to stop, {said}: it keeps turning, cut its power")
 
 
 async def first_look(table: Turntable, *, take_over: bool) -> None:

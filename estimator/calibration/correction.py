@@ -38,8 +38,7 @@ def less_added(of: Compensation, rate_rps: Floats, t_s: Floats, *sensed: Floats 
     _check(of, temperature_c, accel_mps2)
     conditions = _conditions(t_s, np.zeros((len(t_s), 3)), temperature_c, accel_mps2)
     left = np.array(rate_rps, dtype=np.float64)
-    lag = of.held("bandwidth")
-    if lag is not None:
+    for lag in (effect.values for effect in of.effects if effect.acts is Acts.LAG):
         left += lag[:, 0] * _slope(left, t_s)
     return left + (of.bias_rps - _effects(of, Acts.ADDED, conditions))
 

@@ -67,8 +67,7 @@ def calibrate(
         notes += [*device.notes, *_gyro_notes(recording, its_gyros)]
         doubts += [*device.doubts, *device.spoilt]
     spoilt = [one for device in devices for one in device.spoilt]
-    squares, dof = sum(one.squares for one in estimates), sum(one.dof for one in estimates)
-    nis = squares / dof if dof and innovations else float("nan")
+    nis = _nis(estimates) if innovations else float("nan")
     doubts += _nis_doubts(nis, estimates)
     if isinstance(recording.reference, TableReadings):
         seen = [*reading_doubts(recording.reference), *stuck_doubts(recording)]
@@ -91,6 +90,12 @@ def calibrate(
         arrays={name: data.array for name, data in recording.sources.items()},
         constancy=constancy,
     )
+
+
+def _nis(estimates: Sequence[SourceEstimate]) -> float:
+    """Return the mean NIS a degree of freedom, NaN without any."""
+    squares, dof = sum(one.squares for one in estimates), sum(one.dof for one in estimates)
+    return squares / dof if dof else float("nan")
 
 
 def _gyro_notes(recording: Recording, gyros: Sequence[tuple[SourceEstimate, GyroCalibration]]) -> list[str]:

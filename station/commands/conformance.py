@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from drivers.errors import DeviceError, LinkLost
+from drivers.imus.described.imu import SPEC as DESCRIBED
 from drivers.imus.registry import IMUS, USUAL_IMU
 from drivers.plugins import PluginError, load_file, records_of
 from drivers.protocols import ImuSource, Turntable
@@ -334,7 +335,7 @@ def command_conformance(arguments: argparse.Namespace) -> int:
             raise UsageError(
                 f"{described} describes {gyros} gyros: on a bench it takes three or more, in all directions"
             )
-        found.append(IMUS["described"])
+        found.append(DESCRIBED)
     if not found:
         if modules:
             raise UsageError(f"{name} has no ImuSpec and no TableSpec: give the record a name, as SPEC = ImuSpec(...)")

@@ -139,6 +139,15 @@ class Sequencer:
         await self._resumed.wait()
         self._on_step(_PAUSE, round(began_s * 1e9), round(asyncio.get_running_loop().time() * 1e9))
 
+    def _overdue(self, step: Move | Rotate, angle_rad: float, target_rad: float) -> DeviceRefused:
+        """Return the error of a step whose axis has not told in time that it has arrived."""
+        at, to = math.degrees(angle_rad), math.degrees(target_rad)
+        if abs(at - to) < math.degrees(ON_TARGET_RAD):
+            text = sentence("run.never_arrived", axis=step.axis, step=step.label, at_deg=at, to_deg=to)
+        else:
+            text = sentence("run.overdue", axis=step.axis, step=step.label, at_deg=at, to_deg=to)
+        return DeviceRefused("table", text)
+
     async def _drive(self, step: Move | Rotate, due_s: float) -> None:
         axis = step.axis
         target = step.angle_rad if isinstance(step, Move) else self._target_rad[axis] + step.turn_rad
@@ -151,8 +160,7 @@ class Sequencer:
         while not (await self._table.status(axis)).target_reached:
             if loop.time() > due_s + (self._sent_s - self._step_began_s) + OVERDUE_S:  # a slow line takes long to tell
                 at, to = math.degrees((await self._table.read(axis)).angle_rad), math.degrees(target)
-                name = "never_arrived" if abs(at - to) < math.degrees(ON_TARGET_RAD) else "overdue"
-                raise DeviceRefused("table", sentence(f"run.{name}", axis=axis, step=step.label, at_deg=at, to_deg=to))
+                raise self._overdue(step, (await self._table.read(axis)).angle_rad, target)
             await asyncio.sleep(WATCH_S)
         await asyncio.sleep(max(due_s - loop.time(), 0.0))
         angle = (await self._table.read(axis)).angle_rad

@@ -20,6 +20,7 @@ from drivers.types import LinkCounts
 from estimator.calibration.error_model import ErrorModel
 from estimator.calibration.values import Calibration
 from estimator.errors import EstimatorError, RecordingError
+from estimator.recordings.recording import IDENTITY
 from estimator.recordings.writing import TEXT_BYTES, RecordingWriter, write_attributes
 from station.errors import UsageError, sentence
 from station.opening import OpenBench
@@ -152,7 +153,8 @@ class Session:
     def _unended(self) -> Result:
         """Close the recording of a run whose way out failed or was interrupted too often; return what is known."""
         verdict = self._verdict or Verdict(Outcome.ABORTED, "cancelled")
-        look = sentence("run.unended" if self._rested or not self._connected else "run.unended_in_motion")
+        safe = self._rested or not self._connected
+        look = sentence("run.unended") if safe else sentence("run.unended_in_motion")
         verdict = replace(verdict, reason=f"{verdict.reason}; {look}")
         with suppress(Exception):  # one of these may be what failed
             self._writer.close()
@@ -441,7 +443,7 @@ def _attributes(bench: OpenBench, script: Script, options: RunOptions) -> dict[s
     told = {"operator": options.operator, "device_serial": options.device_serial}
     attributes |= {key: value for key, value in told.items() if value}
     loop = asyncio.get_running_loop()
-    if not is_virtual(loop):  # a simulated clock has no place in the day
-        zero_utc_s = time.time() - loop.time() / options.time_scale
-        attributes |= {"clock_zero_utc_s": zero_utc_s, "time_scale": options.time_scale}
-    return attributes
+    if is_virtual(loop):  # a simulated clock has no place in the day, and two runs of one seed are one run
+        return attributes | {IDENTITY: hashlib.sha256(repr(attributes).encode()).hexdigest()}
+    zero_utc_s = time.time() - loop.time() / options.time_scale
+    return attributes | {"clock_zero_utc_s": zero_utc_s, "time_scale": options.time_scale}

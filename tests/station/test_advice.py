@@ -15,7 +15,8 @@ from station.cli import main, make_parser
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("drivers", "estimator", "sims", "station")
 _NOUN = r"\b(?:the|a|an|this|that|another|one|no|each|its|of|second|calibration|rate)\s+(?:\w+\s+)?"
-_ADVICE = re.compile(rf"(?P<noun>(?i:{_NOUN}))?(?<![\w./-])`?station (?P<command>[a-z]+)\b(?P<rest>[^`\n]*)")
+_VERBS = r"(?!was\b|is\b|has\b|can\b|does\b|had\b)"
+_ADVICE = re.compile(rf"(?P<noun>(?i:{_NOUN}))?(?<![\w./-])`?station {_VERBS}(?P<command>[a-z]+)\b(?P<rest>[^`\n]*)")
 
 
 def _texts() -> Iterator[tuple[str, str]]:

@@ -141,6 +141,7 @@ def test_the_same_bench_and_seed_give_the_same_bytes_and_another_seed_others(
 
     first, second, other = contents("a.h5", 5), contents("b.h5", 5), contents("c.h5", 6)
     assert first == second
+    assert (tmp_path / "a.h5").read_bytes() == (tmp_path / "b.h5").read_bytes()
     assert first["imu/gyro1/rate_rps"] != other["imu/gyro1/rate_rps"]
     assert "PASS" in capsys.readouterr().out
 
@@ -210,7 +211,7 @@ def test_an_existing_recording_is_never_overwritten(tmp_path: Path, capsys: pyte
     path = tmp_path / "r.h5"
     path.write_bytes(b"precious")
     assert main(["run", "-o", str(path)]) == 2
-    assert "cannot create" in capsys.readouterr().err
+    assert "is there already, and is never written over: give another name" in capsys.readouterr().err
     assert path.read_bytes() == b"precious"
 
 
