@@ -126,7 +126,7 @@ def ended(
         else:
             with asyncio.Runner(loop_factory=VirtualLoop) as runner:
                 outcome, reason = runner.run(main())
-        return Ended(name, seed, outcome, reason, *_found(Path(folder) / "run.h5", bench, case.offset_ms))
+        return Ended(name, seed, outcome, reason, *found_states(Path(folder) / "run.h5", bench, case.offset_ms))
 
 
 def _between_processes(path: Path, bench: Bench, script: Script, folder: Path) -> tuple[str, str]:
@@ -140,7 +140,8 @@ def _between_processes(path: Path, bench: Bench, script: Script, folder: Path) -
     return said["outcome"], said["reason"]
 
 
-def _found(path: Path, bench: Bench, planted_ms: float) -> tuple[float, tuple[float, ...], float, float]:
+def found_states(path: Path, bench: Bench, planted_ms: float) -> tuple[float, tuple[float, ...], float, float]:
+    """Return mean NIS, errors of all states over their sigmas, the offset less what was planted and its sigma (ms)."""
     truths = bench.twin.truths.again()
     found = [truth_of(truths, imu) for imu in bench.imus if imu.used]
     true = np.vstack([np.column_stack([t.k, t.b_rps, t.sigma_j_rad, t.sigma_k_rad]) for t in found])
