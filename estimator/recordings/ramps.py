@@ -4,8 +4,13 @@ An axis that is told to move follows a trapezoid of rate. Between two readings a
 where a corner lies. So each ramp is fitted as what it is: a rate that is constant, linear between corners, constant
 again, and the angle that this sums up to, which knows the corners much better than the rate readings do. Nobody has
 to know what was commanded: a drive rounds accelerations, and recordings of others hold no commands.
+
+An axis that is sent back without a rest brakes, stands for as long as the next command takes, and speeds up again: one
+change of rate with more corners. The fewest corners that the readings agree with are taken.
 """
 
+import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +37,8 @@ _ROUNDS, _STEPS = 4, 8
 _TAIL = 3.0  # a few readings are far off, as a rate that is a mean over a corner
 _INWARD = 0.02  # of a ramp
 _FITS = 3.0  # sigmas rms; what fits worse is no ramp
+_MOST_CORNERS = 8  # of one change of rate: brake, stand, creep to the target, stand, speed up again
+_NEARLY_STANDS = 0.1  # of how much a rate changes: a corner at less may be at zero
 Readings = tuple[Floats, Floats, Floats, Floats, float]
 """Instants in s, angles, rates, half widths in s (n,); the time before their instants in s that rates are means of."""
 
@@ -75,16 +82,61 @@ def fitted(readings: Readings, first: int, last: int) -> Ramp | None:
 
     Beyond them the rate is steady. Readings count by their half widths, and by how far they lie off.
     """
-    t_s, angle_rad, rate_rps, _, window_s = readings
+    t_s, angle_rad, rate_rps, _, _ = readings
     if first + 1 < _FEWEST or len(t_s) - last < _FEWEST:
         return None
     start = _start(t_s, angle_rad, rate_rps, first, last)
     if start is None:
         return None
+    free = np.zeros(len(start), dtype=np.bool_)
+    starts = itertools.chain([(start, free)], _with_more_corners(start, readings, first, last))
+    found = (_fitted_from(one, stands, readings, first, last) for one, stands in starts)
+    return next((ramp for ramp in found if ramp is not None), None)
+
+
+def _with_more_corners(start: Floats, readings: Readings, first: int, last: int) -> Iterator[tuple[Floats, Flags]]:
+    """Yield what a change of rate may start from that has more corners, the fewest first.
+
+    With each come flags of the parameters that are the rate of an axis that stands: corners that may be at zero are
+    taken for that at first.
+    """
+    t_s, angle_rad, rate_rps, _, _ = readings
+    least = len(start) // 2 - 1
+    before, after = start[least], start[2 * least - 1]
+    # What angles say between two readings is of a shorter time than a rate that is a mean.
+    low, high = max(first - 1, 0), min(last + 1, len(t_s) - 1)
+    between_s = 0.5 * (t_s[low:high] + t_s[low + 1 : high + 1])
+    rates = np.diff(angle_rad[low : high + 1]) / np.diff(t_s[low : high + 1])
+    rates[0], rates[-1] = before, after
+    corners = [0, len(rates) - 1]
+    while len(corners) < min(_MOST_CORNERS + 2, len(rates) // 2):
+        off = np.abs(rates - np.interp(between_s, between_s[corners], rates[corners]))
+        corners = sorted({*corners, int(np.argmax(off))})
+        inner = corners[1:-1]
+        if len(inner) <= least:
+            continue
+        at_rps = rates[inner]
+        at_rps[[0, -1]] = before, after
+        nothing = np.zeros(len(inner), dtype=np.bool_)
+        stands = np.abs(at_rps) <= _NEARLY_STANDS * np.ptp(rate_rps[first : last + 1])
+        stands[[0, -1]] = False
+        for held in (stands, nothing) if stands.any() else (nothing,):
+            begun = np.where(held, 0.0, at_rps)
+            angle = np.interp(between_s[inner[0]], t_s, angle_rad)
+            yield np.concatenate([between_s[inner], begun, [angle, 1.0]]), np.concatenate([nothing, held, [False] * 2])
+
+
+def _fitted_from(start: Floats, stands: Flags, readings: Readings, first: int, last: int) -> Ramp | None:
+    """Return the ramp with as many corners as ``start``, found from there; None if it does not fit.
+
+    ``stands`` flags the parameters that are the rate of an axis that stands.
+    """
+    t_s, _, _, _, window_s = readings
     k = len(start) // 2 - 1
     # A corner is somewhere here, even if no reading lies within the ramp; the rest is only kept from being singular.
     prior = np.full(len(start), 1e-6)
     prior[:k], prior[-1] = 1 / (t_s[last] - t_s[first]), 1 / _SCALE_SD
+    prior[stands] = 1 / _LEAST_SD
     p, sd = start, np.array([_ANGLE_SD_RAD, _RATE_SD_RPS])
     most = sd
     for step in range(_ROUNDS * _STEPS):

@@ -14,6 +14,7 @@ _SIGMAS = 5.0  # of what is found and of what is stated, by which a scale must b
 _UNSTATED = 1e-4  # standard uncertainty of rates of which none is stated: units of registers are rounded
 _STILL_RAD, _STILL_SHARE = float(np.radians(0.02)), 0.01  # by which angles and rates differ while one stands still
 _FEWEST_STILL = 5
+_STEADY_SHARE = 0.01  # by which a mean rate may change for its scale to be judged
 
 
 def reading_doubts(readings: TableReadings) -> tuple[str, ...]:
@@ -39,10 +40,24 @@ def reading_doubts(readings: TableReadings) -> tuple[str, ...]:
         steady = (
             near & well[1:] & well[:-1] & (beyond <= 0.0) & (np.abs(np.diff(rate)) < 0.1 * most) & (most > _TURNING_RPS)
         )
+        steady &= _change(readings.t_ns, rate, readings.rate_window_ns) <= _STEADY_SHARE * most
         stated = readings.uncertainty.rate if readings.uncertainty else _UNSTATED
         coarse = _quantum(rate) / max(float(most.max(initial=0.0)), _TURNING_RPS)
         doubts += _scale_doubts(axis, turned[steady], summed[steady], max(_SIGMAS * stated, coarse))
     return tuple(doubts)
+
+
+def _change(t_ns: Stamps, rate: Floats, window_ns: int) -> Floats:
+    """Return by how much the rate (n + 1,) changes within a window before and after each interval (n,).
+
+    A rate that is a mean over a window is wrong about corners of ramps. Nothing is returned for rates at an instant.
+    """
+    if not window_ns:
+        return np.zeros(len(t_ns) - 1)
+    before = np.searchsorted(t_ns, t_ns[:-1] - window_ns)
+    after = np.minimum(np.searchsorted(t_ns, t_ns[1:] + window_ns), len(t_ns) - 1)
+    ways = (rate[before], rate[:-1], rate[1:], rate[after])
+    return np.asarray(np.max(ways, axis=0) - np.min(ways, axis=0))
 
 
 def _still_doubts(axis: str, t_ns: Stamps, turned: Floats, summed: Floats, rate: Floats) -> list[str]:
