@@ -19,8 +19,8 @@ from estimator.types import Flags, Floats
 
 WINDOW_S = 3.0
 """How much of the steady rate before and after a ramp tells of it."""
-LONGEST_S = 10.0
-"""A change of rate that lasts longer is no ramp; its corners matter little."""
+LONGEST_S = 20.0
+"""A change of rate that lasts longer, as two ramps of a slow reversal, is no ramp; its corners matter little."""
 
 HOLD_S = 0.4
 """So long before a change of rate is seen a ramp may have begun."""
@@ -37,7 +37,10 @@ _ROUNDS, _STEPS = 4, 8
 _TAIL = 3.0  # a few readings are far off, as a rate that is a mean over a corner
 _INWARD = 0.02  # of a ramp
 _FITS = 3.0  # sigmas rms; what fits worse is no ramp
+_HOPELESS = 100.0  # sigmas rms after the first round: not worth another
 _MOST_CORNERS = 8  # of one change of rate: brake, stand, creep to the target, stand, speed up again
+_HIDDEN = 2.0  # times the largest change between two readings
+_TRIES = 4  # numbers of corners
 _NEARLY_STANDS = 0.1  # of how much a rate changes: a corner at less may be at zero
 Readings = tuple[Floats, Floats, Floats, Floats, float]
 """Instants in s, angles, rates, half widths in s (n,); the time before their instants in s that rates are means of."""
@@ -108,13 +111,17 @@ def _with_more_corners(start: Floats, readings: Readings, first: int, last: int)
     between_s = 0.5 * (t_s[low:high] + t_s[low + 1 : high + 1])
     rates = np.diff(angle_rad[low : high + 1]) / np.diff(t_s[low : high + 1])
     rates[0], rates[-1] = before, after
-    corners = [0, len(rates) - 1]
-    while len(corners) < min(_MOST_CORNERS + 2, len(rates) // 2):
+    # Straight lines between the right corners are off by no more than a corner can hide between two readings.
+    hidden_rps = _HIDDEN * float(np.abs(np.diff(rates)).max(initial=0.0))
+    corners, tried = [0, len(rates) - 1], 0
+    while len(corners) < min(_MOST_CORNERS + 2, len(rates) // 2) and tried < _TRIES:
         off = np.abs(rates - np.interp(between_s, between_s[corners], rates[corners]))
         corners = sorted({*corners, int(np.argmax(off))})
         inner = corners[1:-1]
-        if len(inner) <= least:
+        off = np.abs(rates - np.interp(between_s, between_s[corners], rates[corners]))
+        if len(inner) <= least or off.max() > hidden_rps:
             continue
+        tried += 1
         at_rps = rates[inner]
         at_rps[[0, -1]] = before, after
         nothing = np.zeros(len(inner), dtype=np.bool_)
@@ -141,6 +148,8 @@ def _fitted_from(start: Floats, stands: Flags, readings: Readings, first: int, l
     most = sd
     for step in range(_ROUNDS * _STEPS):
         residual, jacobian, _ = _weighed(p, readings, sd, _TAIL if step >= _STEPS else np.inf)
+        if step == _STEPS and np.mean(residual**2) > _HOPELESS**2:
+            return None
         rows = np.vstack([jacobian, np.diag(prior)])  # their products may be singular in floating point
         if step and step % _STEPS == 0:
             # What angles and rates are known to is seen in how they scatter, less what the fit took of that.

@@ -157,7 +157,7 @@ class MotionGuard:
         turned_rad = math.copysign(1.0, course.way_rad) * way.turned_rad
         rates_rps = [math.copysign(1.0, course.way_rad) * rate for rate in way.rates_rps]
         slow_rps = _STANDS * least_rps - _RATE_RPS
-        rates_stand = bool(rates_rps) and max(rates_rps) < slow_rps
+        rates_stand = bool(rates_rps) and slow_rps > 0.0 and max(rates_rps) < slow_rps
         least_rad = _STANDS * least_rps * way.took_s - way.doubt_rad(least_rps)
         if turned_rad < least_rad and least_rad > 0.0:
             if rates_rps and max(map(abs, rates_rps)) > _RATE_RPS:
