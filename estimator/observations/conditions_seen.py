@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from estimator.observations.attitude import rates_from_attitude
 from estimator.recordings.recording import Recording
-from estimator.recordings.reference import AttitudeReadings, Poses, TableReadings, Turns, rates_from_attitude
+from estimator.recordings.reference import AttitudeReadings, Poses, TableReadings, Turns
 from estimator.types import Floats
 
 _STILL_DPS = 0.5

@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 
 from estimator.geometry.kinematics import AXES, body_rate
+from estimator.observations.attitude import rates_from_attitude
 from estimator.observations.rests import REST_RPS
 from estimator.observations.rows import MEAN_S
 from estimator.packaged import sentence
 from estimator.recordings.recording import ImuData, Recording
-from estimator.recordings.reference import AttitudeReadings, Poses, TableReadings, Turns, rates_from_attitude
+from estimator.recordings.reference import AttitudeReadings, Poses, TableReadings, Turns
 from estimator.types import Floats, Stamps
 
 STATES_OF_TURNS = ("k", "sigma_j", "sigma_k")

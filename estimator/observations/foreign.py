@@ -5,12 +5,13 @@ from typing import TypeGuard
 import numpy as np
 
 from estimator.geometry.kinematics import axis_text
+from estimator.observations.attitude import rates_from_attitude
 from estimator.observations.rests import REST_RPS
 from estimator.observations.rows import MEAN_S
 from estimator.observations.turned import Turned
 from estimator.packaged import sentence
 from estimator.recordings.recording import Recording
-from estimator.recordings.reference import AttitudeReadings, RateReadings, Reference, rates_from_attitude
+from estimator.recordings.reference import AttitudeReadings, RateReadings, Reference
 
 CLUSTER_S = 5.0
 """Length over which residuals against a foreign reference may hang together without the sigma being wrong."""

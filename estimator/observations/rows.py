@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from estimator.observations.attitude import rates_from_attitude
 from estimator.observations.blocks import Blocks, BlockSums
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import (
@@ -13,7 +14,6 @@ from estimator.recordings.reference import (
     RateReadings,
     TableReadings,
     Turns,
-    rates_from_attitude,
 )
 from estimator.types import Floats, Stamps, least_steps
 

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.geometry.kinematics import AXES, Site, into_body
-from estimator.recordings.reference import AttitudeReadings, RateReadings, Reference, TableReadings, rates_from_attitude
+from estimator.observations.attitude import rates_from_attitude
+from estimator.recordings.reference import AttitudeReadings, RateReadings, Reference, TableReadings
 from estimator.types import Floats
 
 REST_RPS = 2e-3

@@ -15,12 +15,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimator.types import Flags, Floats
+from estimator.types import Flags, Floats, Stamps
 
 WINDOW_S = 3.0
 """How much of the steady rate before and after a ramp tells of it."""
 LONGEST_S = 20.0
 """A change of rate that lasts longer, as two ramps of a slow reversal, is no ramp; its corners matter little."""
+
+PIECE_S = 10.0
+"""Where rates are means it is taken in pieces of at most this length."""
+MOST_CORNERS = 8
+"""Of one change of rate: an axis brakes, stands, creeps to its target, stands, speeds up again."""
 
 HOLD_S = 0.4
 """So long before a change of rate is seen a ramp may have begun."""
@@ -38,9 +43,9 @@ _TAIL = 3.0  # a few readings are far off, as a rate that is a mean over a corne
 _INWARD = 0.02  # of a ramp
 _FITS = 3.0  # sigmas rms; what fits worse is no ramp
 _HOPELESS = 100.0  # sigmas rms after the first round: not worth another
-_MOST_CORNERS = 8  # of one change of rate: brake, stand, creep to the target, stand, speed up again
 _HIDDEN = 2.0  # times the largest change between two readings
 _TRIES = 4  # numbers of corners
+_BEYOND_S = 1e-3
 _NEARLY_STANDS = 0.1  # of how much a rate changes: a corner at less may be at zero
 Readings = tuple[Floats, Floats, Floats, Floats, float]
 """Instants in s, angles, rates, half widths in s (n,); the time before their instants in s that rates are means of."""
@@ -60,6 +65,14 @@ class Ramp:
     sd_s: float
 
 
+def centred(at_ns: Stamps, t_ns: Stamps, rate_rps: Floats, window_ns: int) -> Floats:
+    """Return rates (n, gimbals) at instants (n,) by means (k, gimbals) over windows that end at instants (k,)."""
+    if not window_ns or not len(t_ns):
+        return rate_rps  # of these instants
+    at_s, known_s = (at_ns - t_ns[0] + window_ns // 2) * 1e-9, (t_ns - t_ns[0]) * 1e-9
+    return np.column_stack([np.interp(at_s, known_s, column) for column in rate_rps.T])
+
+
 def changing(t_s: Floats, rate_rps: Floats) -> Flags:
     """Return for each interval (n - 1,) between readings (n,), (n, axes) whether a rate may change by a ramp in it."""
     change = np.abs(np.diff(rate_rps, axis=0))
@@ -75,6 +88,19 @@ def ends(changes: Flags) -> tuple[int, bool]:
     return len(changes), False
 
 
+def piece_of(t_s: Floats, angle_rad: Floats) -> int:
+    """Return after how many of these readings (n,) to cut a change of rate: within its longest straight part.
+
+    Only the second half of them is looked at, so that pieces do not become ever shorter.
+    """
+    found = list(corners_of(*between_readings(t_s, angle_rad), MOST_CORNERS))
+    corners = np.array(found[-1][0] if found else [0, len(t_s) - 1])
+    middles, lengths = 0.5 * (t_s[corners[:-1]] + t_s[corners[1:]]), np.diff(t_s[corners])
+    lengths[middles < 0.5 * t_s[-1]] = 0.0
+    cut_s = float(middles[np.argmax(lengths)]) if lengths.any() else float(t_s[-1])
+    return max(int(np.searchsorted(t_s, cut_s)), 1)
+
+
 def is_ramp(rate_rps: Floats) -> bool:
     """Return whether rates (n, axes) differ enough for a ramp."""
     return bool((np.ptp(rate_rps, axis=0) > _LEAST_RPS).any())
@@ -83,67 +109,94 @@ def is_ramp(rate_rps: Floats) -> bool:
 def fitted(readings: Readings, first: int, last: int) -> Ramp | None:
     """Return the ramp between the readings ``first`` and ``last``, None if that is not what it is.
 
-    Beyond them the rate is steady. Readings count by their half widths, and by how far they lie off.
+    Beyond them the rate is steady. Where fewer than three readings are beyond them, the rate goes on changing as it did
+    there; that is taken for a ramp only if rates are means: others are right between corners as they are.
+    Readings count by their half widths, and by how far they lie off.
     """
-    t_s, angle_rad, rate_rps, _, _ = readings
-    if first + 1 < _FEWEST or len(t_s) - last < _FEWEST:
-        return None
-    start = _start(t_s, angle_rad, rate_rps, first, last)
-    if start is None:
-        return None
-    free = np.zeros(len(start), dtype=np.bool_)
-    starts = itertools.chain([(start, free)], _with_more_corners(start, readings, first, last))
-    found = (_fitted_from(one, stands, readings, first, last) for one, stands in starts)
+    t_s, angle_rad, rate_rps, _, window_s = readings
+    cut = first + 1 < _FEWEST, len(t_s) - last < _FEWEST
+    if any(cut):
+        starts = _polylines(readings, first, last, cut, 1) if window_s else iter(())
+    else:
+        start = _start(t_s, angle_rad, rate_rps, first, last)
+        if start is None:
+            return None
+        free = np.zeros(len(start), dtype=np.bool_)
+        starts = itertools.chain([(start, free)], _polylines(readings, first, last, cut, len(start) // 2 - 1))
+    found = (_fitted_from(one, held, readings, first, last) for one, held in starts)
     return next((ramp for ramp in found if ramp is not None), None)
 
 
-def _with_more_corners(start: Floats, readings: Readings, first: int, last: int) -> Iterator[tuple[Floats, Flags]]:
-    """Yield what a change of rate may start from that has more corners, the fewest first.
+def corners_of(t_s: Floats, rate_rps: Floats, most: int) -> Iterator[tuple[list[int], float]]:
+    """Yield more and more readings that straight lines between them come nearest to all, and how far they are off.
 
-    With each come flags of the parameters that are the rate of an axis that stands: corners that may be at zero are
-    taken for that at first.
+    The first and the last reading are always among them, ``most`` at last.
     """
-    t_s, angle_rad, rate_rps, _, _ = readings
-    least = len(start) // 2 - 1
-    before, after = start[least], start[2 * least - 1]
+    corners = [0, len(t_s) - 1]
+    while len(corners) < min(most, len(t_s) // 2):
+        off = np.abs(rate_rps - np.interp(t_s, t_s[corners], rate_rps[corners]))
+        corners = sorted({*corners, int(np.argmax(off))})
+        yield corners, float(np.abs(rate_rps - np.interp(t_s, t_s[corners], rate_rps[corners])).max())
+
+
+def between_readings(t_s: Floats, angle_rad: Floats) -> tuple[Floats, Floats]:
+    """Return instants in the middle between readings (n,), and the mean rates there (n - 1,) that angles tell."""
+    return 0.5 * (t_s[:-1] + t_s[1:]), np.diff(angle_rad) / np.diff(t_s)
+
+
+def _polylines(
+    readings: Readings, first: int, last: int, cut: tuple[bool, bool], least: int
+) -> Iterator[tuple[Floats, Flags]]:
+    """Yield what a change of rate with more than ``least`` corners may start from, the fewest first.
+
+    With each come flags of the parameters that are held: the ends of a change that is ``cut`` off there, and the rates
+    of corners that may be at zero, which are taken for that of an axis that stands at first.
+    """
+    t_s, angle_rad, rate_rps, _, window_s = readings
     # What angles say between two readings is of a shorter time than a rate that is a mean.
     low, high = max(first - 1, 0), min(last + 1, len(t_s) - 1)
-    between_s = 0.5 * (t_s[low:high] + t_s[low + 1 : high + 1])
-    rates = np.diff(angle_rad[low : high + 1]) / np.diff(t_s[low : high + 1])
-    rates[0], rates[-1] = before, after
+    between_s, rates = between_readings(t_s[low : high + 1], angle_rad[low : high + 1])
+    kept = slice(None if cut[0] else 1, None if cut[1] else -1)
+    for end, is_cut, steady in ((0, cut[0], rate_rps[: first + 1]), (-1, cut[1], rate_rps[last:])):
+        rates[end] = rates[end] if is_cut else float(np.median(steady))
     # Straight lines between the right corners are off by no more than a corner can hide between two readings.
     hidden_rps = _HIDDEN * float(np.abs(np.diff(rates)).max(initial=0.0))
-    corners, tried = [0, len(rates) - 1], 0
-    while len(corners) < min(_MOST_CORNERS + 2, len(rates) // 2) and tried < _TRIES:
-        off = np.abs(rates - np.interp(between_s, between_s[corners], rates[corners]))
-        corners = sorted({*corners, int(np.argmax(off))})
-        inner = corners[1:-1]
-        off = np.abs(rates - np.interp(between_s, between_s[corners], rates[corners]))
-        if len(inner) <= least or off.max() > hidden_rps:
+    tried = 0
+    for corners, off_rps in corners_of(between_s, rates, MOST_CORNERS + 2):
+        inner = corners[kept]
+        if len(inner) <= least or off_rps > hidden_rps or tried == _TRIES:
             continue
         tried += 1
-        at_rps = rates[inner]
-        at_rps[[0, -1]] = before, after
-        nothing = np.zeros(len(inner), dtype=np.bool_)
+        at_s, at_rps = between_s[inner], rates[inner]
+        ends = np.zeros(len(inner), dtype=np.bool_)
         stands = np.abs(at_rps) <= _NEARLY_STANDS * np.ptp(rate_rps[first : last + 1])
         stands[[0, -1]] = False
-        for held in (stands, nothing) if stands.any() else (nothing,):
-            begun = np.where(held, 0.0, at_rps)
-            angle = np.interp(between_s[inner[0]], t_s, angle_rad)
-            yield np.concatenate([between_s[inner], begun, [angle, 1.0]]), np.concatenate([nothing, held, [False] * 2])
+        # Beyond an end that is cut off there are no readings, nor means over what was before it.
+        slopes = np.diff(at_rps) / np.diff(at_s)
+        for end, is_cut, beyond_s in ((0, cut[0], t_s[0] - window_s - _BEYOND_S), (-1, cut[1], t_s[-1] + _BEYOND_S)):
+            if is_cut:
+                at_rps[end] += slopes[end] * (beyond_s - at_s[end])
+                at_s[end], ends[end] = beyond_s, True
+            else:
+                at_rps[end] = rates[end]
+        angle = angle_rad[0] - at_rps[0] * (t_s[0] - at_s[0]) - 0.5 * slopes[0] * (t_s[0] - at_s[0]) ** 2
+        angle = angle if cut[0] else np.interp(at_s[0], t_s, angle_rad)
+        for zero in (stands, np.zeros_like(stands)) if stands.any() else (stands,):
+            start = np.concatenate([at_s, np.where(zero, 0.0, at_rps), [angle, 1.0]])
+            yield start, np.concatenate([ends, zero, [False] * 2])
 
 
-def _fitted_from(start: Floats, stands: Flags, readings: Readings, first: int, last: int) -> Ramp | None:
+def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, last: int) -> Ramp | None:
     """Return the ramp with as many corners as ``start``, found from there; None if it does not fit.
 
-    ``stands`` flags the parameters that are the rate of an axis that stands.
+    ``held`` flags the parameters that are known.
     """
     t_s, _, _, _, window_s = readings
     k = len(start) // 2 - 1
     # A corner is somewhere here, even if no reading lies within the ramp; the rest is only kept from being singular.
     prior = np.full(len(start), 1e-6)
     prior[:k], prior[-1] = 1 / (t_s[last] - t_s[first]), 1 / _SCALE_SD
-    prior[stands] = 1 / _LEAST_SD
+    prior[held] = 1 / _LEAST_SD
     p, sd = start, np.array([_ANGLE_SD_RAD, _RATE_SD_RPS])
     most = sd
     for step in range(_ROUNDS * _STEPS):
@@ -169,7 +222,7 @@ def _fitted_from(start: Floats, stands: Flags, readings: Readings, first: int, l
     residual, _, doubt = _weighed(p, readings, sd, _TAIL)
     # A reading at a corner tells nothing of a shorter ramp, whatever its slopes say of a longer one.
     shorter = p.copy()
-    shorter[[0, k - 1]] += _INWARD * (p[k - 1] - p[0]) * np.array([1, -1])
+    shorter[[0, k - 1]] += _INWARD * (p[k - 1] - p[0]) * np.array([1, -1]) * ~held[[0, k - 1]]
     slopes = _model(shorter, t_s, window_s)[2] / doubt[:, None]
     factor = np.linalg.qr(np.vstack([slopes, np.diag(prior)]), mode="r")
     variance = np.sum(np.linalg.inv(factor) ** 2, axis=1)[:k] * max(float(np.mean(residual**2)), 1.0)

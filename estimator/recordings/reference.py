@@ -9,7 +9,20 @@ import numpy as np
 from estimator.errors import RecordingError
 from estimator.geometry.kinematics import Site, body_rate, check_gimbals
 from estimator.recordings.growing_rows import GrowingRows, drift_of, integrated
-from estimator.recordings.ramps import HOLD_S, LEAST_RPS2, LONGEST_S, WINDOW_S, Ramp, changing, ends, fitted, is_ramp
+from estimator.recordings.ramps import (
+    HOLD_S,
+    LEAST_RPS2,
+    LONGEST_S,
+    PIECE_S,
+    WINDOW_S,
+    Ramp,
+    centred,
+    changing,
+    ends,
+    fitted,
+    is_ramp,
+    piece_of,
+)
 from estimator.types import Flags, Floats, Stamps
 
 GAP_NS = 150_000_000
@@ -101,14 +114,6 @@ class Poses:
 
 
 Reference = TableReadings | RateReadings | AttitudeReadings | Turns | Poses
-
-
-def centred(at_ns: Stamps, t_ns: Stamps, rate_rps: Floats, window_ns: int) -> Floats:
-    """Return rates (n, gimbals) at instants (n,) by means (k, gimbals) over windows that end at instants (k,)."""
-    if not window_ns or not len(t_ns):
-        return rate_rps  # of these instants
-    at_s, known_s = (at_ns - t_ns[0] + window_ns // 2) * 1e-9, (t_ns - t_ns[0]) * 1e-9
-    return np.column_stack([np.interp(at_s, known_s, column) for column in rate_rps.T])
 
 
 class BodyRates:
@@ -214,8 +219,15 @@ class BodyRates:
             count, seen = ends(changes[start:])
             stop = start + count
             longest = int(np.searchsorted(times, times[start] + round(LONGEST_S * 1e9), side="right"))
-            if stop > longest:  # no ramp
-                self._append(taken, longest, [])
+            if stop > longest:  # no ramp, or one after the other without a steady rate between
+                if not self._window_ns:
+                    self._append(taken, longest, [])
+                    continue
+                until = int(np.searchsorted(times, times[start] + round(PIECE_S * 1e9), side="right"))
+                t_s = (times[start:until] - times[start]) * 1e-9
+                angle, rate = (self._read[name][start:until] for name in ("angle", "rate"))
+                piece = start + piece_of(t_s, angle[:, np.argmax(np.ptp(rate, axis=0))])
+                self._append(taken, piece, self._ramps(start, piece, until))
             elif not is_ramp(self._read["rate"][max(start - 1, 0) : stop]) and (seen or everything):
                 self._append(taken, stop, [])
             elif everything or (seen and times[-1] >= times[stop - 1] + round(WINDOW_S * 1e9) + hold_ns):
@@ -224,26 +236,36 @@ class BodyRates:
                 following = min(stop + int(np.argmax(after) if after.any() else len(after)), len(times) - 1)
                 # Of the beginning of the next ramp a mean may know nothing yet.
                 stop = max(stop, int(np.searchsorted(times, times[following] - self._window_ns)))
-                self._append(taken, stop, self._ramps(start, stop) if len(self._rows) else [])
+                self._append(taken, stop, self._ramps(start, stop))
             else:
                 return
 
-    def _ramps(self, start: int, stop: int) -> list[tuple[int, Stamps, Ramp]]:
-        """Return the ramps between the readings before ``start`` and before ``stop``: column, corners, ramp."""
+    def _ramps(self, start: int, stop: int, until: int | None = None) -> list[tuple[int, Stamps, Ramp]]:
+        """Return the ramps between the readings before ``start`` and before ``stop``: column, corners, ramp.
+
+        The readings before ``until`` are used, by default those of the steady rate that follows.
+        """
+        if not len(self._rows):
+            return []
         times, changes = self._read["t_ns"], self._read["change"]
         window_ns = round(WINDOW_S * 1e9)
         low = int(np.searchsorted(times, times[start - 1] - window_ns)) if start else 0
-        high = int(np.searchsorted(times, times[stop - 1] + window_ns, side="right"))
-        earlier, later = np.flatnonzero(changes[low + 1 : start]), np.flatnonzero(changes[stop:high])
+        earlier = np.flatnonzero(changes[low + 1 : start])
         low += int(earlier[-1]) + 1 if len(earlier) else 0
-        high = stop + int(later[0]) if len(later) else high
         low = min(low, self._taken)
+        if until is None:
+            until = stop
+            high = int(np.searchsorted(times, times[stop - 1] + window_ns, side="right"))
+            later = np.flatnonzero(changes[stop:high])
+            high = stop + int(later[0]) if len(later) else high
+        else:
+            high = until
         part = slice(low, high)
         t_s = (times[part] - times[low]) * 1e-9
         found = []
         for column in range(len(self._gimbals)):
             angle, rate = self._read["angle"][part, column], self._read["rate"][part, column]
-            own = np.flatnonzero(changing(t_s, rate[:, None])[max(start - 1 - low, 0) : stop - 1 - low])
+            own = np.flatnonzero(changing(t_s, rate[:, None])[max(start - 1 - low, 0) : until - 1 - low])
             if not len(own):
                 continue
             first, last = max(start - 1 - low, 0) + int(own[0]), max(start - 1 - low, 0) + int(own[-1]) + 1
@@ -426,21 +448,3 @@ class BodyRates:
         corner_s = self._rows["corner_s"][start:stop]
         doubt_s = np.where(np.isfinite(corner_s), corner_s, doubt_s * np.sqrt(share / 3))
         return np.asarray((change / step_s * doubt_s <= _SURE_RPS).all(axis=1))
-
-
-def rates_from_attitude(readings: AttitudeReadings) -> RateReadings:
-    """Return mean body rates (k - 1, 3) between successive attitudes, stamped in the middle.
-
-    NaN beside a lost attitude, and over a gap of more than three usual steps: what happened there is not known.
-    """
-    q = readings.attitude_wxyz
-    w0, v0, w1, v1 = q[:-1, :1], q[:-1, 1:], q[1:, :1], q[1:, 1:]
-    scalar = w0 * w1 + np.sum(v0 * v1, axis=1, keepdims=True)
-    vector = w0 * v1 - w1 * v0 - np.cross(v0, v1)
-    sign = np.where(scalar < 0, -1.0, 1.0)  # q and -q are one attitude: take the short way
-    length = np.linalg.norm(vector, axis=1, keepdims=True)
-    angle = 2 * np.arctan2(length, sign * scalar)
-    turn = sign * vector * np.where(length > 1e-12, angle / np.where(length > 1e-12, length, 1.0), 2.0)
-    step_s = np.diff(readings.t_ns)[:, None] * 1e-9
-    step_s = np.where(step_s > 3 * np.median(step_s), np.nan, step_s)
-    return RateReadings((readings.t_ns[:-1] + np.diff(readings.t_ns) // 2), turn / step_s)

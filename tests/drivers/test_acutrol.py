@@ -365,6 +365,21 @@ def test_a_rate_demand_of_long_ago_does_not_move_the_table() -> None:
     virtually(main)
 
 
+def test_enabling_brings_an_axis_to_rest_that_was_enabled_and_turns() -> None:
+    async def main() -> None:
+        async with rig("acutrol") as made:
+            await made.table.enable()
+            await made.table.jog("x", 30 * DEG, 30 * DEG)
+            await asyncio.sleep(2.0)
+            assert not made.model.at_rest()
+            await made.table.enable()
+            await asyncio.sleep(2.0)
+            assert made.model.at_rest()
+            assert (await made.table.status("x")).enabled
+
+    virtually(main)
+
+
 def test_an_axis_that_does_not_get_to_its_target_is_told() -> None:
     async def main() -> None:
         async with lone_axis(counts_per_turn=100) as (table, _):  # a step of its encoder is 3.6 deg

@@ -9,8 +9,9 @@ import pytest
 
 from estimator.estimation.calibrate import calibrate
 from estimator.geometry.array import triad
+from estimator.observations.attitude import rates_from_attitude
 from estimator.recordings.recording import ImuData, Recording
-from estimator.recordings.reference import AttitudeReadings, rates_from_attitude
+from estimator.recordings.reference import AttitudeReadings
 
 
 def attitudes(axis: np.ndarray, rate_rps: float, count: int = 200, step_ns: int = 5_000_000) -> AttitudeReadings:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from reversals import Case as Reversal, Motion, ended as reversed_run
 from timing import CASES, ended
 
 from drivers.types import AxisState
@@ -47,3 +48,12 @@ def test_rates_are_known_through_ramps_of_a_controller_that_tells_mean_rates(ram
     wrong_rps = live.rates.at(t_ns)[:, 2] - motion.rates(t_s)
     assert np.abs(wrong_rps).max() < 5e-4 * np.radians(ramp_dps2)  # 0.5 ms; NaN where it is not known
     np.testing.assert_allclose(BodyRates.of(live.readings(None), None).at(t_ns), live.rates.at(t_ns), atol=1e-12)
+
+
+@pytest.mark.parametrize(("table", "acceleration_dps2"), [("galil", 10.0), ("acutrol", 50.0)])
+def test_an_axis_that_is_sent_back_without_a_rest_is_measured_true(table: str, acceleration_dps2: float) -> None:
+    # At 10 deg/s2 this Galil, whose accelerations go in steps, ramps for so long that its rate is never steady.
+    run = reversed_run(Reversal(table, Motion(50.0, acceleration_dps2, turns=2)), axes="z")
+    assert run.outcome != "FAULT", run.reason
+    assert 0.9 <= run.nis <= 1.1
+    assert max(map(abs, run.errors)) < 5

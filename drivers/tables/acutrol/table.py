@@ -98,16 +98,17 @@ class AcutrolTable(LineTable):
         return Identity(f"{parts[0]} {parts[1]}", parts[2], parts[3])
 
     async def enable(self) -> None:
-        """Close every interlock and hold in rate mode at zero; DeviceFault if an axis is in fault."""
+        """Close every open interlock and hold every axis in rate mode at zero; DeviceFault if an axis is in fault.
+
+        The interlock of an axis that is enabled already stays closed: opening it would cut the power of one that turns.
+        Such an axis is braked with the acceleration that it is allowed.
+        """
         await self._tell(":utility:lockout on")
         for name, axis in self._axes.items():
-            if (await self._sound(name)).enabled:
-                continue
-            number = axis.own.address
-            for line in (":interlock:open", ":interlock:reset", ":interlock:close"):
-                await self._tell(f"{line} {number}")
-            await self._enter(name, "rate")
-            await self._tell(f":demand:rate {number},0")
+            if not (await self._sound(name)).enabled:
+                for line in (":interlock:open", ":interlock:reset", ":interlock:close"):
+                    await self._tell(f"{line} {axis.own.address}")
+            await self._turn(name, 0.0, math.degrees(axis.own.limits.acceleration_rps2))
             status = await self.status(name)
             if status.fault or not status.enabled:
                 raise DeviceFault(self._device, status.fault or f"axis {name} stays {status.text}")
