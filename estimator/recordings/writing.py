@@ -9,6 +9,7 @@ import os
 import secrets
 import shutil
 import sys
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, astuple, fields
@@ -54,6 +55,7 @@ class RecordingWriter:
         """Whether it has been closed with all that was taken."""
         self.journal: Journal | None = None
         self._unwritten: list[Entry] = []
+        self._noting = threading.Lock()  # ``write_journal`` takes in one thread what others note
         with ExitStack() as undone:
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
@@ -128,7 +130,8 @@ class RecordingWriter:
             return
         if not is_sound((kind, group, values)):  # what is written can be read again
             raise RecordingError(sentence("recordings.not_held", group=group, names=", ".join(map(str, values))))
-        self._unwritten.append((kind, group, values))
+        with self._noting:
+            self._unwritten.append((kind, group, values))
 
     def append_text(
         self, group: str, t_ns: Mapping[str, int], field_name: str, text: str, **more: NDArray[Any]
@@ -140,7 +143,8 @@ class RecordingWriter:
 
     def write_journal(self) -> None:
         """Hand to the operating system what the journal lacks, in whatever thread; RecordingError if that fails."""
-        entries, self._unwritten = self._unwritten, []
+        with self._noting:
+            entries, self._unwritten = self._unwritten, []
         if self.journal is None or not entries:
             return
         attributes = [entry for entry in entries if entry[0] == ATTRIBUTES]
@@ -238,9 +242,9 @@ def _joined(blocks: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[A
     return {name: np.concatenate([block[name] for block in blocks if name in block]) for name in names}
 
 
-def write_recording(path: Path, recording: Recording) -> None:
+def write_recording(path: Path | str, recording: Recording) -> None:
     """Write a whole recording, for instance an imported one; RecordingError if the file exists."""
-    writer = RecordingWriter(path, recording.attributes)
+    writer = RecordingWriter(Path(path), recording.attributes)
     try:
         if recording.site is not None:
             writer.set_attributes({f"site_{key}": value for key, value in asdict(recording.site).items()})
