@@ -44,6 +44,17 @@ def inherited(files: Sequence[int], what: str) -> Iterator[None]:
         yield
 
 
+def check_own(path: str, file: int) -> None:
+    """Check that an open file is a regular one of this user, and has this name and no other; OSError if not.
+
+    Where others can write to the folder, what has the name may be a link to some other file of this user.
+    """
+    named = os.lstat(path)
+    _check_is_own(path, named)
+    if not os.path.samestat(named, os.fstat(file)):
+        raise OSError(f"{path} was exchanged meanwhile: try again")
+
+
 async def _names(link: str, default_port: int | None) -> list[str]:
     """Return what a link leads to: a device, or each address of its host, where all of this machine are one."""
     url = urlsplit(link)
@@ -78,7 +89,7 @@ def _lock(stack: ExitStack, device: str, link: str, name: str, what: str) -> int
         file = _open_own(path)
         stack.callback(os.close, file)
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        _check_own(path, file)
+        check_own(path, file)
         _sign(stack, file, what)
         for other in _other_files(folder, stem):
             _check_unlocked(other)
@@ -95,10 +106,7 @@ class _InUse(BlockingIOError):
 
 
 def _open_own(path: str) -> int:
-    """Open this user's lock file, which is made if it is missing; OSError for anything else that has its name.
-
-    Others can write to the folder: what has the name may be a link to a file of this user.
-    """
+    """Open this user's lock file, which is made if it is missing; OSError for anything else that has its name."""
     flags = os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     try:
         file = os.open(path, flags | os.O_CREAT | os.O_EXCL, 0o644)
@@ -107,14 +115,6 @@ def _open_own(path: str) -> int:
         return os.open(path, flags)
     os.fchmod(file, 0o644)  # whatever the umask: others are to see whether it is locked
     return file
-
-
-def _check_own(path: str, file: int) -> None:
-    """Check that an open file is the only one of this name and has no other name; OSError if not."""
-    named = os.lstat(path)
-    _check_is_own(path, named)
-    if not os.path.samestat(named, os.fstat(file)):
-        raise OSError(f"{path} was exchanged meanwhile: try again")
 
 
 def _check_is_own(path: str, found: os.stat_result) -> None:
@@ -130,7 +130,7 @@ def _check_is_own(path: str, found: os.stat_result) -> None:
     else:
         return
     who = "" if found.st_uid == os.geteuid() else f"have {_user(found.st_uid)} or root "
-    raise OSError(f"{path} {wrong}, and no station made it: {who}remove it, and ask how it came there")
+    raise OSError(f"{path} {wrong}, and this program did not make it: {who}remove it, and ask how it came there")
 
 
 def _other_files(folder: str, stem: str) -> Iterator[str]:
