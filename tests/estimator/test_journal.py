@@ -184,7 +184,9 @@ def dead(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What a run left that died after 12 blocks, with 6 of them flushed."""
     folder = tmp_path_factory.mktemp("dead")
     writer = begin(folder / "run")
-    take(writer, *range(6))
+    take(writer, *range(2))
+    writer.note_source("imu", {"lost": 2})  # in the journal alone, as counts of a run are until it ends
+    take(writer, *range(2, 6))
     writer.flush()
     take(writer, *range(6, 12))
     left_by(folder / "run", folder / "left")
@@ -205,6 +207,7 @@ def boundaries(journal: bytes) -> list[int]:
 @given(cut=st.floats(0, 1), torn=st.binary(max_size=40), recording_cut=st.floats(0, 1))
 @example(cut=0.0, torn=b"", recording_cut=1.0)
 @example(cut=1.0, torn=b"", recording_cut=0.0)
+@example(cut=0.5, torn=b"", recording_cut=1.0)
 def test_a_power_cut_at_any_byte_leaves_every_whole_record(
     dead: Path, tmp_path_factory: pytest.TempPathFactory, cut: float, torn: bytes, recording_cut: float
 ) -> None:
@@ -220,6 +223,8 @@ def test_a_power_cut_at_any_byte_leaves_every_whole_record(
     flushed = 30 if path.stat().st_size == (dead / "run.h5").stat().st_size else 0
     if records >= 2:
         assert rows_of(path) == max(5 * (records - 1), flushed)
+        assert read_recording(path).sources["imu"].lost == (2 if records >= 4 else 0)
+        assert not journal.exists()
     else:  # nothing of it can be used: the recording is what it is, or is said not to be one
         with suppress(RecordingError):
             read_recording(path)
