@@ -30,8 +30,8 @@ SCRIPT = Script(
 DEATHS_S = (3.0, 15.0, 24.0, 33.0, 40.5)
 
 
-def bench_in(folder: Path) -> Bench:
-    (folder / "bench.toml").write_text(default_bench_text())
+def bench_in(folder: Path, seed: int = 0) -> Bench:
+    (folder / "bench.toml").write_text(default_bench_text().replace("seed = 0", f"seed = {seed}"))
     return load_bench(folder / "bench.toml")
 
 
@@ -102,7 +102,7 @@ def test_a_journal_beside_the_recording_of_another_run_of_the_same_script_is_lef
                 session.stop()
 
         other = tmp_path / "other.h5"
-        async with open_bench(bench_in(tmp_path)) as opened:
+        async with open_bench(bench_in(tmp_path, seed=1)) as opened:
             session = Session(opened, SCRIPT, other, on_progress=keep)
             await session.run()
 

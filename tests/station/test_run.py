@@ -141,6 +141,7 @@ def test_the_same_bench_and_seed_give_the_same_bytes_and_another_seed_others(
 
     first, second, other = contents("a.h5", 5), contents("b.h5", 5), contents("c.h5", 6)
     assert first == second
+    assert (tmp_path / "a.h5").read_bytes() == (tmp_path / "b.h5").read_bytes()
     assert first["imu/gyro1/rate_rps"] != other["imu/gyro1/rate_rps"]
     assert "PASS" in capsys.readouterr().out
 
