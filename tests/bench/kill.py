@@ -274,6 +274,8 @@ def kill_once(
         os.truncate(torn, (chance or random).randrange(torn.stat().st_size))
     had_journal = journal_of(path).exists()
     opened, outcome, rates, live_s, told_lost = _opened(path)
+    if opened and outcome != "ABORTED":
+        raise RuntimeError(f"the run had ended by itself: {outcome}")
     found = [
         compared(sent, np.rint(there / RAW_RPS).astype(np.int64), killed_at, reach_s)
         for sent, there in zip(listener.sent().values(), rates, strict=False)
