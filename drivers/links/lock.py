@@ -1,11 +1,14 @@
 """One master a table: whoever holds a link on this machine is told by name to who comes second.
 
-Locks of files (flock) end with their process, however it ends. The files stay: only a lock says that a link is in use.
+Every user has a lock file of their own for each link, in a folder that all users share: nobody writes into a file of
+somebody else. Whoever takes a link locks their own file first, then looks whether another user's is locked, so two who
+come at once may both be refused, and never both have it. Locks of files (flock) end with their process, however it
+ends. The files stay: only a lock says that a link is in use.
 """
 
 import asyncio
-import getpass
 import os
+import re
 import socket
 import stat
 import sys
@@ -16,6 +19,8 @@ from urllib.parse import quote, urlsplit
 from drivers.errors import DeviceRefused
 
 _SHARED = ("/run/lock", "/var/lock", "/tmp")
+_HOLDER_BYTES = 500
+_HOLDER = re.compile(r"(\d{1,10}) (.*)", re.DOTALL)
 
 
 @asynccontextmanager
@@ -37,6 +42,17 @@ def inherited(files: Sequence[int], what: str) -> Iterator[None]:
         for file in files:
             _sign(stack, file, what)
         yield
+
+
+def check_own(path: str, file: int) -> None:
+    """Check that an open file is a regular one of this user, and has this name and no other; OSError if not.
+
+    Where others can write to the folder, what has the name may be a link to some other file of this user.
+    """
+    named = os.lstat(path)
+    _check_is_own(path, named)
+    if not os.path.samestat(named, os.fstat(file)):
+        raise OSError(f"{path} was exchanged meanwhile: try again")
 
 
 async def _names(link: str, default_port: int | None) -> list[str]:
@@ -61,37 +77,124 @@ def _is_ours(family: int, address: object) -> bool:
 
 
 def _lock(stack: ExitStack, device: str, link: str, name: str, what: str) -> int:
-    """Lock the file of a name until the stack is closed; return its descriptor."""
+    """Lock this user's file of a name until the stack is closed; return its descriptor.
+
+    DeviceRefused if it is locked already or cannot be, or if another user's is.
+    """
     import fcntl
 
-    path = os.path.join(_folder(), f"turntable-station-{quote(name, safe='')}.lock")
+    folder, stem = _folder(), f"turntable-station-{quote(name, safe='')}"
+    path = os.path.join(folder, f"{stem}.{os.geteuid()}.lock")
     try:
-        try:
-            file = os.open(path, os.O_RDWR)  # no O_CREAT, which systems may refuse for another user's file there
-        except FileNotFoundError:
-            file = os.open(path, os.O_RDWR | os.O_CREAT)
-            os.fchmod(file, 0o666)  # whatever the umask: others are to lock it, too
+        file = _open_own(path)
         stack.callback(os.close, file)
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        holder = os.pread(file, 500, 0).decode("utf-8", "replace") or "another program"
+        check_own(path, file)
+        _sign(stack, file, what)
+        for other in _other_files(folder, stem):
+            _check_unlocked(other)
+    except BlockingIOError as error:
+        holder = error.args[0] if isinstance(error, _InUse) else _holder(file)
         raise DeviceRefused(device, f"{link} is in use by {holder}: a table has one master; end that first") from None
     except OSError as error:
         raise DeviceRefused(device, f"{link} cannot be locked against a second master: {error}") from None
-    _sign(stack, file, what)
     return file
 
 
+class _InUse(BlockingIOError):
+    """A link is held by another user; its argument says by whom."""
+
+
+def _open_own(path: str) -> int:
+    """Open this user's lock file, which is made if it is missing; OSError for anything else that has its name."""
+    flags = os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    try:
+        file = os.open(path, flags | os.O_CREAT | os.O_EXCL, 0o644)
+    except FileExistsError:
+        _check_is_own(path, os.lstat(path))  # also before it is opened: opening a device may do something
+        return os.open(path, flags)
+    os.fchmod(file, 0o644)  # whatever the umask: others are to see whether it is locked
+    return file
+
+
+def _check_is_own(path: str, found: os.stat_result) -> None:
+    """Check that what has a name is a file of this user without another name; OSError that says what to do."""
+    if stat.S_ISLNK(found.st_mode):
+        wrong = "is a symbolic link"
+    elif not stat.S_ISREG(found.st_mode):
+        wrong = "is not a regular file"
+    elif found.st_uid != os.geteuid():
+        wrong = f"belongs to {_user(found.st_uid)}"
+    elif found.st_nlink != 1:
+        wrong = "has another name as well (hard link)"
+    else:
+        return
+    who = "" if found.st_uid == os.geteuid() else f"have {_user(found.st_uid)} or root "
+    raise OSError(f"{path} {wrong}, and this program did not make it: {who}remove it, and ask how it came there")
+
+
+def _other_files(folder: str, stem: str) -> Iterator[str]:
+    """Yield the lock files of other users for a link: regular files, each of the user whose number is in its name."""
+    named = re.compile(rf"{re.escape(stem)}\.(\d{{1,10}})\.lock")
+    for entry in sorted(os.listdir(folder)):
+        match = named.fullmatch(entry)
+        if match is None or int(match[1]) == os.geteuid():
+            continue
+        path = os.path.join(folder, entry)
+        with suppress(FileNotFoundError):
+            found = os.lstat(path)
+            if stat.S_ISREG(found.st_mode) and found.st_uid == int(match[1]):
+                yield path
+
+
+def _check_unlocked(path: str) -> None:
+    """Check that another user's file is not locked; nothing is written to it. _InUse, or OSError if that is unknown."""
+    import fcntl
+
+    try:
+        file = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    except FileNotFoundError:
+        return
+    try:
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise _InUse(_holder(file)) from None
+    finally:
+        os.close(file)
+
+
+def _holder(file: int) -> str:
+    """Return in words who holds a locked file: the user is the file's owner, the rest is what its holder wrote."""
+    text = os.pread(file, _HOLDER_BYTES, 0).decode("utf-8", "replace")
+    said = _HOLDER.fullmatch("".join(letter if letter.isprintable() else "?" for letter in text))
+    user = _user(os.fstat(file).st_uid)
+    return f"process {said[1]} of {user} ({said[2]})" if said else f"a program of {user}"
+
+
+def _user(uid: int) -> str:
+    import pwd
+
+    try:
+        return pwd.getpwuid(uid).pw_name
+    except KeyError:
+        return f"the user with the number {uid}"
+
+
 def _sign(stack: ExitStack, file: int, what: str) -> None:
-    """Write into a locked file who holds it; when the stack is closed, it is empty and unlocked."""
+    """Write into a locked file of this user who holds it; when the stack is closed, it is empty and unlocked."""
     import fcntl
 
     stack.callback(fcntl.flock, file, fcntl.LOCK_UN)  # also for children that were forked meanwhile
     stack.callback(os.ftruncate, file, 0)
     os.ftruncate(file, 0)
-    os.pwrite(file, f"process {os.getpid()} of {getpass.getuser()} ({what})".encode(), 0)
+    os.pwrite(file, f"{os.getpid()} {what}".encode()[:_HOLDER_BYTES], 0)
 
 
 def _folder() -> str:
-    """Return the folder that all users of this machine may write to, the same for each."""
-    return next((name for name in _SHARED if os.path.isdir(name) and os.stat(name).st_mode & stat.S_IWOTH), _SHARED[-1])
+    """Return the folder that all users of this machine may write to, each their own files; the same for each user."""
+    for name in _SHARED:
+        with suppress(OSError):
+            mode = os.stat(name).st_mode
+            if stat.S_ISDIR(mode) and mode & stat.S_IWOTH and mode & stat.S_ISVTX:
+                return name
+    return _SHARED[-1]

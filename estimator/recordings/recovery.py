@@ -2,6 +2,7 @@
 
 import logging
 import os
+import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -17,7 +18,7 @@ from estimator.packaged import sentence
 from estimator.recordings.journal import ARRIVED, ATTRIBUTES, ROWS, Entry, journal_of, lock, read_journal, sync
 from estimator.recordings.recording import FORMAT, IDENTITY
 from estimator.recordings.safe_open import probe
-from estimator.recordings.writing import RecordingWriter, plain
+from estimator.recordings.writing import RecordingWriter, plain, write_attributes
 
 _log = logging.getLogger(__name__)
 
@@ -34,9 +35,10 @@ def recover(path: Path) -> None:
     """Fold the journal beside a recording into it, if a run left one; told in the log, and in the file.
 
     A new file takes the recording's place when all is in it, so whoever is killed meanwhile changes nothing. What the
-    recording held is kept beside it, unless all of that is in the new file. The recording stays, and the log says why,
-    if the journal is of another run, if nothing can be made of it, or if it is damaged and has no more rows. A journal
-    is removed if all that it holds is in the recording.
+    recording held is kept beside it, unless all of that is in the new file. A recording with more samples than its
+    journal keeps its rows, and takes counts that only the journal has. It stays as it is, and the log says why, if the
+    journal is of another run, if nothing can be made of it, or if it is damaged and has no more samples. A journal is
+    removed if all its samples are in the recording.
 
     Raises RecordingError if the run has not ended, or nothing can be written there.
     """
@@ -72,6 +74,10 @@ def _fold(path: Path, journal: Path, file: BinaryIO) -> str:
             told = f"{path}: its run did not end; all that its journal holds was in it already"
         elif readable and found.damaged and not _is_longer(part, path):
             raise ValueError(sentence("recordings.no_more", path=path.name))
+        elif readable and _is_longer(path, part) and not _is_longer(part, path):
+            told = f"{path}: its run did not end; it holds more samples than its journal"
+            found.add_to_copy(path, part, told)
+            part.replace(path)
         else:
             if path.exists() and not (readable and _holds(part, path, names_only=True)):
                 kept = _free_name(path.with_name(f"{path.name}.before"))
@@ -240,6 +246,23 @@ class _Found:
             raise OSError("it could not be closed whole")
         sync(part)
         return told
+
+    def add_to_copy(self, path: Path, part: Path, told: str) -> None:
+        """Make ``part`` a copy of a recording with the attributes of its sources that only the journal has.
+
+        Counts of a run that goes on are such. ``told`` is kept as how it was recovered.
+        """
+        part.unlink()
+        with path.open("rb") as recording, part.open("xb") as copy:
+            shutil.copyfileobj(recording, copy)
+        with h5py.File(path, "r") as file:
+            sources = {name: source.attrs for name, source in file.get("imu", {}).items()}
+            lacking = {
+                name: {key: value for key, value in self._attributes.get(f"imu/{name}", {}).items() if key not in own}
+                for name, own in sources.items()
+            }
+        write_attributes(part, {_RECOVERED: told}, *lacking.items())
+        sync(part)
 
     def _write_rows(self, writer: RecordingWriter, file: BinaryIO) -> None:
         timed: dict[str, Mapping[str, Any]] = {}

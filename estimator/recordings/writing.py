@@ -48,7 +48,8 @@ class RecordingWriter:
     def __init__(self, path: Path, attributes: Mapping[str, Any], *, journal: bool = False) -> None:
         """Create the file; RecordingError if it exists or cannot be created.
 
-        With a journal both carry the same random number, so that no other journal is taken for its own.
+        With a journal both carry the same number, so that no other journal is taken for its own: the ``IDENTITY`` in
+        the attributes, or a random one.
         """
         self.path = path
         self.whole = False
@@ -78,7 +79,7 @@ class RecordingWriter:
         self._datasets: dict[str, Any] = {}
         self._lengths: dict[str, int] = {}
         self._file.attrs.update({"format": FORMAT, "format_version": FORMAT_VERSION})
-        identity = {IDENTITY: secrets.token_hex(16)} if journal else {}
+        identity = {IDENTITY: secrets.token_hex(16)} if journal and IDENTITY not in attributes else {}
         self.set_attributes(identity | dict(attributes))
         self.flush()
         self.write_journal()

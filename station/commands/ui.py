@@ -58,14 +58,14 @@ def _show(arguments: argparse.Namespace) -> int:
 
 def _keep(text: str) -> str:
     """Keep what is known of a defect in a file; return where, in words, and what to do now."""
+    from station.atomic_write import write_whole
     from station.screen.memory import state_folder
 
     path = state_folder() / "screen-defect.txt"
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
+        write_whole(path, text, replace=True)
         where = f", with {path}"
-    except OSError:
+    except UsageError:
         where = ""
     return f"{where}. A session that runs goes on: station ui --attach"
 

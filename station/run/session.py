@@ -443,7 +443,11 @@ def _attributes(bench: OpenBench, script: Script, options: RunOptions) -> dict[s
     told = {"operator": options.operator, "device_serial": options.device_serial}
     attributes |= {key: value for key, value in told.items() if value}
     loop = asyncio.get_running_loop()
-    if is_virtual(loop):  # a simulated clock has no place in the day, and two runs of one seed are one run
-        return attributes | {IDENTITY: hashlib.sha256(repr(attributes).encode()).hexdigest()}
-    zero_utc_s = time.time() - loop.time() / options.time_scale
-    return attributes | {"clock_zero_utc_s": zero_utc_s, "time_scale": options.time_scale}
+    if is_virtual(loop):  # runs that begin alike are alike, to the last byte; a simulated clock has no place in the day
+        model = options.model.text() if options.model is not None else ""
+        begun = repr((attributes, script, model, options.reset_fault, options.end_early))
+        attributes[IDENTITY] = hashlib.sha256(begun.encode()).hexdigest()[:32]
+    else:
+        zero_utc_s = time.time() - loop.time() / options.time_scale
+        attributes |= {"clock_zero_utc_s": zero_utc_s, "time_scale": options.time_scale}
+    return attributes

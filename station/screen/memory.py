@@ -2,6 +2,7 @@
 
 import json
 import os
+import stat
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -34,6 +35,14 @@ def state_folder() -> Path:
     """Return the folder for what programs remember (XDG base directories)."""
     given = os.environ.get("XDG_STATE_HOME", "")
     return (Path(given) if given.startswith("/") else Path.home() / ".local" / "state") / _FOLDER
+
+
+def is_of_this_user_alone(folder: Path) -> bool:
+    """Return whether nobody but this user and root can change what is in a folder; OSError if it cannot be seen."""
+    if os.name != "posix":
+        return True
+    found = folder.lstat()
+    return stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid() and not found.st_mode & 0o022
 
 
 def whole(path: str) -> str:

@@ -1,29 +1,37 @@
-"""Power cuts in the write log of a run: what the disk may then hold is recovered, with every sample that was due.
+"""Cuts at any moment of a run, up to its end: what is left is recovered, with every sample that was due.
 
-`strace` records each write, fdatasync and unlink of a run against twins in another process. At random moments of the
-log the disk is what a cut may leave: all that was synchronised before is sure; of what was written later each write
-survives or not, by itself, and some are torn. With --kill all is there that was written, as after kill -9. The samples
-due are those that had arrived 20 ms before the cut, or before the last sync that ended before it, by the recording of
-the whole run.
+`strace` records each write, fdatasync and unlink of a run against twins in another process: by default of the paper's
+script of 360 s. At random moments of that log, uniform in time over the whole run, the disk is what a cut may leave:
 
-    python tests/bench/cuts.py --times 200
+- power: all that was synchronised before is sure; of what was written later each write survives or not, by itself, and
+  some are torn. The samples due are those that had arrived 20 ms before the last sync that ended before the cut.
+- torn: all that was written is there, as after kill -9, but the journal, the HDF5 file, or each of them is cut at a
+  random byte. The samples due are those that had arrived 20 ms before the cut, or before the last record of a torn
+  journal that is whole was written, and all that the HDF5 file itself shows if it can be read.
+
+It ends with 1 if a recording was not opened though samples were due, if one that was due is lost, or if one is wrong.
+
+    python tests/bench/cuts.py --times 200 --scale 10
 """
 
 from __future__ import annotations
 
 import argparse
+import logging
+import os
 import random
 import re
 import shutil
 import subprocess
+import sys
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 from support import TwinProcess, command
 
 from estimator.errors import RecordingError
@@ -31,10 +39,6 @@ from estimator.recordings.journal import journal_of
 from estimator.recordings.recovery import recover
 from estimator.recordings.safe_open import probe
 
-SCRIPT = '[[step]]\nkind = "rest"\nduration = "1 s"\n' + "".join(
-    f'[[step]]\nkind = "rotate"\naxis = "{axis}"\nrate = "40 deg/s"\nacceleration = "40 deg/s2"\nduration = "3 s"\n'
-    for axis in "xyz"
-)
 REACH_S, SECTOR = 0.02, 512
 CALLS = "openat,write,pwrite64,ftruncate,fsync,fdatasync,unlink,unlinkat"
 LINE = re.compile(r"(?P<at>[\d.]+) (?P<call>\w+)\((?P<what>.*)\) += (?P<gave>-?\d+)\S*.* <(?P<took>[\d.]+)>$")
@@ -79,12 +83,13 @@ def calls_of(log: Path, names: set[str]) -> Iterator[Call]:
             yield Call(began, done, "sync" if "sync" in kind else "unlink", name)
 
 
-def log_of(folder: Path) -> tuple[list[Call], Path]:
+def log_of(folder: Path, scale: float, script: Path | None) -> tuple[list[Call], Path]:
     """Make a run under strace; return its calls in order, and its recording."""
-    path, script = folder / "run.h5", folder / "script.toml"
-    script.write_text(SCRIPT)
-    with TwinProcess() as twin:
-        run = command("run", *twin.options("table", "array"), "--script", script, "-o", path, "--json")
+    path = folder / "run.h5"
+    speed = ["--scale", str(scale)] if scale != 1 else []
+    steps = ["--script", str(script)] if script else []
+    with TwinProcess(*speed) as twin:
+        run = command("run", *twin.options("table", "array"), *speed, *steps, "-o", path, "--json")
         traced = [
             "strace",
             "-ff",
@@ -141,60 +146,150 @@ def left(calls: list[Call], cut_s: float, chance: random.Random, *, power: bool)
     return files
 
 
-def samples(path: Path) -> dict[tuple[str, int], Any]:
-    """Return the rates of every sample by its source and arrival."""
+Samples = dict[str, tuple[NDArray[np.int64], NDArray[np.uint64]]]
+"""Of each source: arrivals (n,), and a number made of arrival and rates (n,)."""
+
+
+def samples(path: Path) -> Samples:
+    """Return the samples of a recording."""
+    found: Samples = {}
     with h5py.File(path) as file:
-        sources = [(name, source) for name, source in file.get("imu", {}).items() if "rate_rps" in source]
-        return {
-            (name, int(at)): rate.tobytes()
-            for name, source in sources
-            for at, rate in zip(source["arrival_ns"][()], source["rate_rps"][()], strict=False)
-        }
+        for name, source in file.get("imu", {}).items():
+            if "rate_rps" in source:
+                n = min(len(source["arrival_ns"]), len(source["rate_rps"]))
+                arrival_ns, bits = source["arrival_ns"][:n], source["rate_rps"][:n].view(np.uint64)
+                odd = np.uint64(0x9E3779B97F4A7C15) * (2 * np.arange(bits.shape[1], dtype=np.uint64) + np.uint64(1))
+                found[name] = arrival_ns, arrival_ns.view(np.uint64) ^ (bits * odd).sum(axis=1)
+    return found
+
+
+def readable(path: Path) -> Samples:
+    """Return the samples that an HDF5 file shows by itself; none if it cannot be read."""
+    try:
+        probe(path)
+        return samples(path)
+    except (RecordingError, OSError, KeyError):
+        return {}
+
+
+@dataclass(slots=True)
+class Found:
+    """What the cuts of one kind cost."""
+
+    cuts: int = 0
+    enough: int = 0
+    """Cuts after which samples were left in the HDF5 file if it can be read, or in whole records of the journal."""
+    unread: int = 0
+    """Of these, those whose recording was not opened."""
+    due: int = 0
+    lost: int = 0
+    wrong: int = 0
+
+    def missed(self) -> bool:
+        return bool(self.unread or self.lost or self.wrong) or not self.enough
+
+
+class Cuts:
+    """Cuts into the log of one run."""
+
+    def __init__(self, folder: Path, calls: list[Call], whole: Path, chance: random.Random) -> None:
+        self._folder, self._calls, self._whole, self._chance = folder, calls, whole, chance
+        with h5py.File(whole) as file:
+            self._zero_s, self._scale = float(file.attrs["clock_zero_utc_s"]), float(file.attrs.get("time_scale", 1.0))
+        self._all = samples(whole)
+        self._journal = journal_of(whole).name
+        self._syncs = [call for call in calls if call.kind == "sync" and call.name == self._journal]
+        self._number = 0
+
+    def cut(self, kind: str, found: Found) -> None:
+        """Cut once at a random moment, open what is left, and add to what was found."""
+        cut_s = self._chance.uniform(self._calls[0].done_s, self._calls[-1].done_s)
+        files = left(self._calls, cut_s, self._chance, power=kind == "power")
+        into = self._folder / f"cut-{self._number}"
+        self._number += 1
+        into.mkdir()
+        torn = {"torn journal": {self._journal}, "torn HDF5": {self._whole.name}}.get(kind, set())
+        if kind == "both torn":
+            torn = {self._journal, self._whole.name}
+        for name, held in files.items():
+            if name in torn:
+                del held[self._chance.randrange(len(held) + 1) :]
+            (into / name).write_bytes(held)
+        path = into / self._whole.name
+        if kind == "power":
+            until_s = max((call.began_s for call in self._syncs if call.done_s <= cut_s), default=0.0)
+        elif self._journal in torn:
+            until_s = self._written_s(len(files.get(self._journal, b"")))
+        else:
+            until_s = cut_s if self._journal in files else 0.0
+        due = self._arrived(until_s)
+        for name, (at_ns, _) in (readable(path) if kind != "power" else {}).items():
+            due[name] = np.union1d(due[name], at_ns)
+        there: Samples = {}
+        found.cuts += 1
+        found.enough += any(map(len, due.values()))
+        try:
+            recover(path)
+            probe(path)
+            there = samples(path)
+        except Exception as error:
+            if any(map(len, due.values())) or not isinstance(error, (RecordingError, OSError)):
+                found.unread += 1
+                print(f"{kind}, cut at {cut_s - self._calls[0].done_s:.3f} s: {type(error).__name__}: {error}")
+        for name, at_ns in due.items():
+            found.due += len(at_ns)
+            found.lost += int((~np.isin(at_ns, there[name][0] if name in there else ())).sum())
+        for name, (at_ns, values) in there.items():
+            sent_ns, sent = self._all[name]
+            found.wrong += int((np.isin(at_ns, sent_ns) & ~np.isin(values, sent)).sum())
+        shutil.rmtree(into)
+
+    def _written_s(self, size: int) -> float:
+        """Return when the last record of the journal was written that is whole in its first ``size`` bytes."""
+        writes = [call for call in self._calls if call.kind == "write" and call.name == self._journal]
+        return max((call.began_s for call in writes if call.offset + len(call.data) <= size), default=0.0)
+
+    def _arrived(self, until_s: float) -> dict[str, NDArray[np.int64]]:
+        """Return the samples of the whole run that had arrived 20 ms before an instant, by the clock of the host."""
+        last_ns = (until_s - REACH_S - self._zero_s) * self._scale * 1e9
+        return {name: at_ns[at_ns < last_ns] for name, (at_ns, _) in self._all.items()}
+
+
+KINDS = ("power", "torn journal", "torn HDF5", "both torn")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--times", type=int, default=200)
+    parser.add_argument("--times", type=int, default=200, help="cuts in all, of the kinds by turns")
     parser.add_argument("--seed", type=int, default=None)
-    parser.add_argument("--kill", action="store_true", help="cuts as of kill -9: nothing written is lost")
+    parser.add_argument("--scale", type=float, default=1.0, help="how fast the clocks of run and twins go, 1 to 10")
+    parser.add_argument("--script", type=Path, default=None, help="default: the paper's of 360 s")
+    parser.add_argument("--kinds", default=",".join(KINDS))
     arguments = parser.parse_args()
     chance = random.Random(arguments.seed)
+    logging.getLogger("estimator").addHandler(logging.NullHandler())
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        calls, whole = log_of(folder)
-        with h5py.File(whole) as file:
-            zero_s = float(file.attrs["clock_zero_utc_s"])
-        all_of_it = samples(whole)
+        calls, whole = log_of(folder, arguments.scale, arguments.script)
         syncs = [c for c in calls if c.kind == "sync" and c.name == journal_of(whole).name]
         took_ms = np.percentile([(call.done_s - call.began_s) * 1e3 for call in syncs], (50, 99, 100))
-        print(f"{len(calls)} calls; {len(syncs)} synchronise: {took_ms.round(1)} ms (median, 99 %, longest)")
-        due, lost, wrong, unread = np.zeros(2, dtype=int), np.zeros(2, dtype=int), 0, 0
+        print(
+            f"{len(calls)} calls in {calls[-1].done_s - calls[0].done_s:.1f} s; {len(syncs)} synchronise the journal: "
+        )
+        print(f"{took_ms.round(1)} ms (median, 99 %, longest); load average {os.getloadavg()[0]:.1f}", flush=True)
+        cuts = Cuts(folder, calls, whole, chance)
+        found = {kind: Found() for kind in arguments.kinds.split(",")}
         for number in range(arguments.times):
-            cut_s = calls[chance.randrange(len(calls))].done_s
-            into = folder / f"cut-{number}"
-            into.mkdir()
-            for file_name, held in left(calls, cut_s, chance, power=not arguments.kill).items():
-                (into / file_name).write_bytes(held)
-            sure_s = max((c.began_s for c in syncs if c.done_s <= cut_s), default=0.0)
-            there: dict[tuple[str, int], Any] = {}
-            try:
-                recover(into / whole.name)
-                probe(into / whole.name)
-                there = samples(into / whole.name)
-            except Exception as error:
-                if sure_s > 0 or not isinstance(error, RecordingError):
-                    unread += 1
-                    print(f"cut at {cut_s}: {type(error).__name__}: {error}")
-            for i, until_s in enumerate((cut_s, sure_s)):
-                own = [key for key in all_of_it if zero_s + key[1] * 1e-9 < until_s - REACH_S]
-                due[i] += len(own)
-                lost[i] += sum(key not in there for key in own)
-            wrong += sum(all_of_it.get(key, rate) != rate for key, rate in there.items())
-            shutil.rmtree(into)
-    print(
-        f"{arguments.times} cuts: {unread} files not read; samples lost that had arrived {REACH_S * 1e3:.0f} ms before "
-        f"the cut {lost[0]} of {due[0]}, the last sync before it {lost[1]} of {due[1]}; {wrong} samples wrong"
-    )
+            kind = list(found)[number % len(found)]
+            cuts.cut(kind, found[kind])
+            if number % 20 == 19:
+                print(f"{number + 1} cuts, load average {os.getloadavg()[0]:.1f}", flush=True)
+    for kind, figures in found.items():
+        print(
+            f"{kind}: {figures.cuts} cuts, {figures.unread} of {figures.enough} unread though enough was left; "
+            f"{figures.lost} of {figures.due} samples due are lost; {figures.wrong} wrong"
+        )
+    sys.exit(any(figures.missed() for figures in found.values()))
 
 
 if __name__ == "__main__":

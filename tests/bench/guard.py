@@ -240,12 +240,13 @@ async def kill_once(
     how: str = "process",
     guarded: bool = True,
     watchdog_s: float = 0.0,
+    recording: Path | None = None,
 ) -> Kill:
     """Start a run, kill it ``after_s`` after the table first turns, as soon as it turns then, and watch the table.
 
     ``watchdog_s`` is added to the time that the table may take.
     """
-    script, recording = folder / "script.toml", folder / f"{random.randrange(1 << 60)}.h5"
+    script, recording = folder / "script.toml", recording or folder / f"{random.randrange(1 << 60)}.h5"
     axes = AXES.get(protocol, "xyz")
     script.write_text(script_of(axes, 18.0 / len(axes)))
     (imu,) = [name for name in table.links if name != "table"]

@@ -12,6 +12,7 @@ import zlib
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import h5py
 import msgpack
@@ -135,12 +136,57 @@ def test_samples_that_have_no_time_yet_are_recovered_with_what_their_arrival_tel
     writer.close()
 
 
+def test_columns_that_a_device_adds_in_a_group_of_its_own_are_recovered(tmp_path: Path) -> None:
+    writer = begin(tmp_path / "run")
+    take(writer, 0)
+    writer.set_attributes({"model": "oven", "limits_c": [-40.0, 85.0]}, "chamber/air")
+    air = {"t_ns": T_NS[:3], "temperature_c": np.array([20.0, 21.0, 22.0]), "door open": np.array([False, True, False])}
+    writer.append_rows("chamber/air", air)
+    writer.write_journal()
+    path = left_by(tmp_path / "run", tmp_path / "left")
+    assert rows_of(path) == 5
+    with h5py.File(path) as file:
+        group = file["chamber/air"]
+        assert group.attrs["model"] == "oven"
+        np.testing.assert_array_equal(group.attrs["limits_c"], [-40.0, 85.0])
+        for name, values in air.items():
+            np.testing.assert_array_equal(group[name], values)
+    writer.close()
+
+
+@pytest.mark.parametrize(
+    ("group", "columns"),
+    [
+        ("chamber/../../x", {"t_ns": T_NS[:1]}),
+        ("a/b/c/d/e", {"t_ns": T_NS[:1]}),
+        ("chamber", {"a/b": np.zeros(1)}),
+        ("chamber", {"": np.zeros(1)}),
+        ("chamber", {"text": np.array(["no bytes"])}),
+        ("chamber", {"object": np.array([None])}),
+        ("chamber", {"t_ns": np.zeros((1, 2))}),
+        ("chamber", {"list": [1.0]}),
+    ],
+)
+def test_what_could_not_be_recovered_is_refused_when_it_is_written(
+    tmp_path: Path, group: str, columns: dict[str, Any]
+) -> None:
+    writer = begin(tmp_path / "run")
+    take(writer, 0)
+    with pytest.raises(RecordingError, match="a recording cannot hold"):
+        writer.append_rows(group, columns)
+    take(writer, 1)
+    assert rows_of(left_by(tmp_path / "run", tmp_path / "left")) == 10
+    writer.close()
+
+
 @pytest.fixture(scope="module")
 def dead(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What a run left that died after 12 blocks, with 6 of them flushed."""
     folder = tmp_path_factory.mktemp("dead")
     writer = begin(folder / "run")
-    take(writer, *range(6))
+    take(writer, *range(2))
+    writer.note_source("imu", {"lost": 2})  # in the journal alone, as counts of a run are until it ends
+    take(writer, *range(2, 6))
     writer.flush()
     take(writer, *range(6, 12))
     left_by(folder / "run", folder / "left")
@@ -161,6 +207,7 @@ def boundaries(journal: bytes) -> list[int]:
 @given(cut=st.floats(0, 1), torn=st.binary(max_size=40), recording_cut=st.floats(0, 1))
 @example(cut=0.0, torn=b"", recording_cut=1.0)
 @example(cut=1.0, torn=b"", recording_cut=0.0)
+@example(cut=0.5, torn=b"", recording_cut=1.0)
 def test_a_power_cut_at_any_byte_leaves_every_whole_record(
     dead: Path, tmp_path_factory: pytest.TempPathFactory, cut: float, torn: bytes, recording_cut: float
 ) -> None:
@@ -176,6 +223,8 @@ def test_a_power_cut_at_any_byte_leaves_every_whole_record(
     flushed = 30 if path.stat().st_size == (dead / "run.h5").stat().st_size else 0
     if records >= 2:
         assert rows_of(path) == max(5 * (records - 1), flushed)
+        assert read_recording(path).sources["imu"].lost == (2 if records >= 4 else 0)
+        assert not journal.exists()
     else:  # nothing of it can be used: the recording is what it is, or is said not to be one
         with suppress(RecordingError):
             read_recording(path)
@@ -227,6 +276,201 @@ HOSTILE = {
         msgpack.packb([[1, "imu/a", {"t_ns": array("<i8", [1, n], bytes(8 * n))}] for n in (1, 2, 3)])
     ),
 }  # fmt: skip
+
+
+ENTRIES: dict[str, Any] = {
+    "a column is a text": [1, "imu/imu", {"t_ns": "now", "rate_rps": "fast"}],
+    "a column is a number": [1, "imu/imu", {"t_ns": 1, "rate_rps": 2.0}],
+    "a column is a list": [1, "imu/imu", {"t_ns": [1], "rate_rps": [[1.0, 2.0, 3.0]]}],
+    "a column is nothing": [1, "imu/imu", {"t_ns": None}],
+    "a column without dimensions": [1, "imu/imu", {"t_ns": array("<i8", [], bytes(8))}],
+    "a column of no rows": [1, "imu/imu", {"t_ns": array("<i8", [0], b""), "rate_rps": array("<f8", [0, 3], b"")}],
+    "arrivals are texts": [2, "imu/imu", {"arrival_ns": "now", "rate_rps": "fast"}],
+    "arrivals without rates": [2, "imu/imu", {"arrival_ns": array("<i8", [1], bytes(8))}],
+    "arrivals in floating point": [
+        2,
+        "imu/imu",
+        {"arrival_ns": array("<f8", [1], bytes(8)), "rate_rps": array("<f8", [1, 3], bytes(24))},
+    ],
+    "a group that is not known": [1, "!/*/?/~/#", {"x": array("<i8", [1], bytes(8))}],
+    "a kind that is not known": [9, "imu/imu", {"x": 1}],
+    "a group where a dataset is": [1, "imu/imu/t_ns", {"x": array("<i8", [1], bytes(8))}],
+    "attributes of a dataset": [0, "imu/imu/t_ns", {"x": 1}],
+    "a source that nobody declared": [1, "imu/ghost", {"t_ns": array("<i8", [1], bytes(8))}],
+    "an attribute of maps": [0, "imu/imu", {"prior": {"k": 1}}],
+    "an attribute of nothing": [0, "imu/imu", {"lost": None}],
+    "an attribute with a zero in it": [0, "imu/imu", {"device": "a\0b"}],
+    "a key that is no text": [0, "imu/imu", {5: 6}],
+    "a year that no calendar has": [0, "/", {"clock_zero_utc_s": 1e300}],
+    "a beginning that is a text": [0, "/", {"time_scale": "slow"}],
+    "no entry": 5,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("entry", ENTRIES.values(), ids=ENTRIES)
+@pytest.mark.parametrize("torn", [False, True], ids=["recording as it was", "recording torn"])
+def test_a_record_with_what_no_recording_holds_costs_itself_alone(
+    dead: Path, tmp_path: Path, entry: Any, torn: bool
+) -> None:
+    path = shutil.copytree(dead, tmp_path / "x") / "run.h5"
+    journal = path.with_name("run.h5.journal")
+    raw = journal.read_bytes()
+    at = boundaries(raw)[7]
+    journal.write_bytes(raw[:at] + record(msgpack.packb([entry])) + raw[at:])
+    if torn:
+        os.truncate(path, 1000)
+    assert rows_of(path) == 60
+
+
+BYTES = st.binary(max_size=40)
+ARRAYS = st.builds(
+    array,
+    st.sampled_from(["<i8", "<f8", "|b1", "|S4", "<f4", "|u1", "O", "<U3", "?"]),
+    st.lists(st.integers(-1, 3), max_size=3),
+    st.one_of(BYTES, st.sampled_from([bytes(8), bytes(16), bytes(24)])),
+)
+LEAVES = st.one_of(
+    st.none(), st.booleans(), st.integers(-(2**63), 2**64 - 1), st.floats(), st.text(max_size=8), BYTES, ARRAYS,
+    st.builds(msgpack.ExtType, st.integers(0, 9), BYTES),
+)  # fmt: skip
+NAMES = st.one_of(
+    st.sampled_from(["t_ns", "rate_rps", "arrival_ns", "angle_rad", "recording_id", "p", "names", "outcome", "prior"]),
+    st.text(max_size=5),
+)
+VALUES = st.recursive(
+    LEAVES, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(NAMES, inner, max_size=3), max_leaves=6
+)
+GROUPS = st.one_of(
+    st.sampled_from(["/", "imu/imu", "imu", "table", "imu/imu/t_ns", "a/b", "../x", "", "imu/x"]), st.text(max_size=5)
+)
+PLAUSIBLE = st.lists(st.tuples(st.integers(-1, 4), GROUPS, st.dictionaries(NAMES, VALUES, max_size=4)), max_size=3)
+MUTATED = given(payload=st.one_of(PLAUSIBLE, VALUES), at=st.integers(0, 13), only=st.booleans(), replaced=st.booleans())
+
+
+def check_made(folder: Path, payload: Any, *, at: int, only: bool, replaced: bool) -> None:
+    """Put a record that anybody may have made into a journal, at a place or alone; nothing but RecordingError, and
+    nothing that the recording held is lost.
+    """
+    path = folder / "run.h5"
+    before, journal = path.read_bytes(), path.with_name("run.h5.journal")
+    raw = journal.read_bytes()
+    ends = [0, *boundaries(raw)]
+    made = record(msgpack.packb(payload, unicode_errors="surrogatepass"))
+    after = ends[min(at + replaced, len(ends) - 1)]
+    journal.write_bytes(made if only else raw[: ends[at]] + made + raw[after:])
+    with suppress(RecordingError):
+        read_recording(path)
+    kept = [file.read_bytes() for file in folder.iterdir() if ".before" in file.name or file == path]
+    with h5py.File(path) as file:
+        held = file["imu/imu/rate_rps"][()] if "imu/imu/rate_rps" in file else RATE[:0]
+    assert before in kept or np.array_equal(held[:30], RATE[:30])
+    assert not list(folder.glob(".*.part"))
+
+
+@settings(max_examples=60, suppress_health_check=list(HealthCheck), deadline=None)
+@MUTATED
+@example(payload=[[1, "imu/imu", {"t_ns": "now", "rate_rps": "fast"}]], at=5, only=False, replaced=True)
+def test_no_journal_that_anybody_makes_ends_the_reader_or_destroys_a_recording(
+    dead: Path, tmp_path_factory: pytest.TempPathFactory, payload: Any, at: int, only: bool, replaced: bool
+) -> None:
+    folder = shutil.copytree(dead, tmp_path_factory.mktemp("made") / "x")
+    check_made(folder, payload, at=at, only=only, replaced=replaced)
+
+
+@pytest.mark.full
+@settings(max_examples=5000, suppress_health_check=list(HealthCheck), deadline=None)
+@MUTATED
+def test_nor_do_thousands_of_them(
+    dead: Path, tmp_path_factory: pytest.TempPathFactory, payload: Any, at: int, only: bool, replaced: bool
+) -> None:
+    folder = shutil.copytree(dead, tmp_path_factory.mktemp("made") / "x")
+    check_made(folder, payload, at=at, only=only, replaced=replaced)
+    shutil.rmtree(folder)
+
+
+def relabelled(path: Path, identity: str | None) -> None:
+    """Give the recording at a path another number, or none as before there were any."""
+    with h5py.File(path, "r+") as file:
+        del file.attrs["recording_id"]
+        if identity is not None:
+            file.attrs["recording_id"] = identity
+
+
+def without_identity(journal: Path) -> None:
+    """Take the number out of a journal, as it was before there were any."""
+    raw = journal.read_bytes()
+    first = boundaries(raw)[0]
+    entries = msgpack.unpackb(raw[12:first])
+    del entries[0][2]["recording_id"]
+    journal.write_bytes(record(msgpack.packb(entries)) + raw[first:])
+
+
+def test_a_journal_of_another_run_is_named_and_nothing_is_touched(
+    dead: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = shutil.copytree(dead, tmp_path / "x") / "run.h5"
+    relabelled(path, "0" * 32)
+    before = {file.name: file.read_bytes() for file in path.parent.iterdir()}
+    assert rows_of(path) == 30
+    assert "it is of another run than run.h5" in caplog.text
+    assert {file.name: file.read_bytes() for file in path.parent.iterdir()} == before
+
+
+@pytest.mark.parametrize("which", ["both", "the journal", "the recording"])
+def test_files_from_before_there_were_numbers_are_recovered(dead: Path, tmp_path: Path, which: str) -> None:
+    path = shutil.copytree(dead, tmp_path / "x") / "run.h5"
+    if which != "the journal":
+        relabelled(path, None)
+    if which != "the recording":
+        without_identity(path.with_name("run.h5.journal"))
+    assert rows_of(path) == 60
+
+
+def test_files_without_numbers_are_of_two_runs_if_these_began_otherwise(dead: Path, tmp_path: Path) -> None:
+    path = shutil.copytree(dead, tmp_path / "x") / "run.h5"
+    relabelled(path, None)
+    without_identity(path.with_name("run.h5.journal"))
+    with h5py.File(path, "r+") as file:
+        file.attrs["clock_zero_utc_s"] = 1.8e9
+    assert rows_of(path) == 30
+    assert path.with_name("run.h5.journal").exists()
+
+
+def test_results_that_are_in_the_recording_alone_are_kept(dead: Path, tmp_path: Path) -> None:
+    path = shutil.copytree(dead, tmp_path / "x") / "run.h5"
+    with h5py.File(path, "r+") as file:
+        file["calibration/states"] = np.arange(4.0)
+    before = path.read_bytes()
+    assert rows_of(path) == 60
+    assert path.with_name("run.h5.before").read_bytes() == before
+
+
+def test_a_whole_recording_beside_a_damaged_journal_of_its_run_stays(dead: Path, tmp_path: Path) -> None:
+    path = shutil.copytree(dead, tmp_path / "x") / "run.h5"
+    journal = path.with_name("run.h5.journal")
+    raw = bytearray(journal.read_bytes())
+    assert rows_of(path) == 60  # whole from now on
+    raw[boundaries(raw)[4] + 30] ^= 0xFF
+    journal.write_bytes(raw)
+    before = path.read_bytes()
+    assert rows_of(path) == 60
+    assert path.read_bytes() == before
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="folders cannot be locked")
+def test_a_stranger_who_locks_the_folder_does_not_keep_the_reader_waiting_for_ever(
+    dead: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import fcntl
+
+    path = shutil.copytree(dead, tmp_path / "x") / "run.h5"
+    monkeypatch.setattr("estimator.recordings.recovery._PATIENCE_S", 0.05)
+    folder = os.open(path.parent, os.O_RDONLY)
+    fcntl.flock(folder, fcntl.LOCK_EX)
+    with pytest.raises(RecordingError, match="another program holds the folder"):
+        read_recording(path)
+    os.close(folder)
+    assert rows_of(path) == 60
 
 
 @pytest.mark.parametrize("raw", HOSTILE.values(), ids=HOSTILE)

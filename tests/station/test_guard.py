@@ -6,7 +6,7 @@ import asyncio
 import os
 import signal
 import socket
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,6 +41,24 @@ def test_a_table_whose_station_is_killed_in_motion_is_stopped_and_switched_off(
     assert "the table is at rest, its power off" in kill.log
     assert kill.guard_mb < 30
     assert kill.guard_cpu_s < 1.5  # all of it for its start
+
+
+@pytest.mark.parametrize("link", [os.symlink, os.link], ids=["symbolic", "hard"])
+def test_a_guard_does_not_write_through_a_link_that_another_user_made(
+    link: Callable[[Path, Path], None], tmp_path: Path
+) -> None:
+    precious = tmp_path / "precious"
+    precious.write_text("calibrations of a year")
+    link(precious, guard_log_of(tmp_path / "run.h5"))
+
+    async def main() -> bench.Kill:
+        async with bench.twin_table("modbus", tmp_path, 0.0) as table:
+            return await bench.kill_once("modbus", table, tmp_path, 0.0, recording=tmp_path / "run.h5")
+
+    with asyncio.Runner(loop_factory=ScaledLoop) as runner:
+        kill = runner.run(main())
+    assert kill.good, kill
+    assert precious.read_text() == "calibrations of a year"
 
 
 @pytest.mark.full

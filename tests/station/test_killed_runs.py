@@ -13,7 +13,6 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from support import changed
 
 from estimator.recordings.journal import journal_of
 from estimator.recordings.reading import read_recording
@@ -32,7 +31,7 @@ DEATHS_S = (3.0, 15.0, 24.0, 33.0, 40.5)
 
 
 def bench_in(folder: Path, seed: int = 0) -> Bench:
-    (folder / "bench.toml").write_text(changed(default_bench_text(), ("\nseed = 0\n", f"\nseed = {seed}\n")))
+    (folder / "bench.toml").write_text(default_bench_text().replace("seed = 0", f"seed = {seed}"))
     return load_bench(folder / "bench.toml")
 
 

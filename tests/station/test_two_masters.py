@@ -9,6 +9,8 @@ import os
 import socket
 import subprocess
 import sys
+import tempfile
+from collections.abc import Iterator
 from contextlib import AsyncExitStack
 from pathlib import Path
 
@@ -75,6 +77,114 @@ def test_a_link_is_one_by_whatever_name_and_free_once_its_holder_is_killed(tmp_p
 
     assert "this test" in asyncio.run(by_device())
     assert asyncio.run(taken("serial:///dev/null")) == ""
+
+
+needs_root = pytest.mark.skipif(os.name != "posix" or os.geteuid() != 0, reason="only root can become another user")
+STRANGER = 54321
+"""Number of another user, of whom nothing else is known."""
+HELD_BY_A_STRANGER = f"""
+import asyncio, concurrent.futures.thread, encodings.idna, fcntl, os, pwd, sys  # while the files can be read
+from drivers.links.lock import held
+async def hold():
+    os.setgroups([])
+    os.setgid({STRANGER})
+    os.setuid({STRANGER})
+    async with held("table", sys.argv[1], 502, "bench of \x1b[31mothers"):
+        print("held", flush=True)
+        await asyncio.to_thread(sys.stdin.readline)
+asyncio.run(hold())
+"""
+
+
+def lock_folder() -> Path:
+    """Return the folder where locks are: the first that all users may write to."""
+    return next(
+        path for path in map(Path, ("/run/lock", "/var/lock", "/tmp")) if path.stat().st_mode & 0o1002 == 0o1002
+    )
+
+
+@pytest.fixture
+def link_and_lock() -> Iterator[tuple[str, Path]]:
+    """Return a link that nobody uses, and the file that a station locks for it, which is not there now."""
+    with socket.create_server(("127.0.0.1", 0)) as table:
+        port = table.getsockname()[1]
+    mine = f"this%3A{port}"
+    for path in lock_folder().glob(f"*{mine}*"):
+        path.unlink()
+    assert asyncio.run(taken(f"tcp://127.0.0.1:{port}")) == ""
+    (lock,) = lock_folder().glob(f"*{mine}*")
+    lock.unlink()
+    yield f"tcp://127.0.0.1:{port}", lock
+    for path in lock_folder().glob(f"*{mine}*"):
+        path.unlink()
+
+
+def as_stranger(*words: str | Path) -> None:
+    """Run a command as another user, or as this one if only root could do that."""
+    other = {"user": STRANGER, "group": STRANGER, "extra_groups": []} if os.geteuid() == 0 else {}
+    subprocess.run(list(map(str, words)), check=True, **other)  # type: ignore[call-overload]
+
+
+PLANTED = {
+    "a symbolic link": lambda of, at: as_stranger("ln", "-s", of, at),
+    "a symbolic link to nothing": lambda of, at: as_stranger("ln", "-s", of.with_name("missing"), at),
+    "a hard link": os.link,
+    "a folder": lambda of, at: as_stranger("mkdir", at),
+    "a pipe": lambda of, at: as_stranger("mkfifo", at),
+    "a file of another user": lambda of, at: as_stranger("cp", "/dev/null", at),
+}
+
+
+@pytest.mark.parametrize("what", PLANTED)
+def test_what_another_user_puts_in_the_place_of_a_lock_costs_no_file_of_the_operator(
+    what: str, link_and_lock: tuple[str, Path]
+) -> None:
+    link, lock = link_and_lock
+    if "of another user" in what and os.geteuid() != 0:
+        pytest.skip("only root can become another user")
+    with tempfile.TemporaryDirectory(dir=lock.parent) as folder:  # on one disk with the lock, as hard links must be
+        precious = Path(folder) / "precious"
+        precious.write_text("calibrations of a year")
+        PLANTED[what](precious, lock)
+        reason = asyncio.run(taken(link))
+        assert precious.read_text() == "calibrations of a year"
+        assert os.listdir(folder) == ["precious"]
+        if lock.is_dir():
+            lock.rmdir()
+        else:
+            lock.unlink()
+    assert str(lock) in reason
+    assert "remove it" in reason
+    assert asyncio.run(taken(link)) == ""
+
+
+@needs_root
+def test_two_users_are_not_master_of_one_table_and_the_second_is_told_the_first(
+    link_and_lock: tuple[str, Path],
+) -> None:
+    link, _ = link_and_lock
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, "-c", HELD_BY_A_STRANGER, link], **pipes) as other:  # type: ignore[call-overload]
+        assert other.stdout is not None
+        assert other.stdout.readline() == b"held\n"
+        reason = asyncio.run(taken(link))
+        assert f"in use by process {other.pid} of the user with the number {STRANGER} (bench of ?[31mothers)" in reason
+        other.kill()
+    assert asyncio.run(taken(link)) == ""
+
+    async def held_here() -> subprocess.CompletedProcess[str]:
+        async with held("table", link, 502, "bench of root"):
+            return await asyncio.to_thread(
+                subprocess.run,
+                [sys.executable, "-c", HELD_BY_A_STRANGER, link],
+                capture_output=True,
+                text=True,
+                check=False,
+            )
+
+    refused = asyncio.run(held_here())
+    assert f"in use by process {os.getpid()} of root (bench of root)" in refused.stderr
+    assert "held" not in refused.stdout
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -17,7 +17,7 @@ from typing import Any
 import serial  # noqa: F401  a serial link imports it when it is opened, which would be late
 
 from drivers.errors import DeviceError
-from drivers.links.lock import inherited
+from drivers.links.lock import check_own, inherited
 from drivers.protocols import Turntable
 from drivers.tables.making_safe import Rest, make_safe
 from drivers.tables.recipe import unpacked_table
@@ -128,7 +128,9 @@ class _Log:
         flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
         self._file = -1
         with suppress(OSError):
-            self._file = os.open(order.log, flags, 0o666)
+            file = os.open(order.log, flags, 0o666)
+            check_own(order.log, file)  # others may be able to write to the folder
+            self._file = file
 
     def __call__(self, text: str) -> None:
         now = time.time()

@@ -19,7 +19,7 @@ from typing import Any
 from drivers.packaged import packaged_text
 from estimator.errors import MISSHAPEN
 from station.screen.archive.entries import Entry, File
-from station.screen.memory import state_folder
+from station.screen.memory import is_of_this_user_alone, state_folder
 
 _VERSION = 1  # of what an entry holds: an older index is left to older stations
 _PATIENCE_S = 1.0  # for another station, which writes for some milliseconds
@@ -69,6 +69,8 @@ def _done(folder: Path, sql: str, rows: Sequence[Sequence[Any]] | None = None) -
     path = index_file(folder)
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if not is_of_this_user_alone(path.parent):
+            return None  # SQLite follows links, and writes into what they lead to
         with closing(sqlite3.connect(path, timeout=_PATIENCE_S)) as index, index:
             index.text_factory = bytes
             index.executescript(packaged_text("station.screen.archive", "index.sql"))

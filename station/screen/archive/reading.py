@@ -35,8 +35,12 @@ def accept(path: Path, attributes: Mapping[str, str]) -> str:
     """
     path = path.resolve()  # a link to a recording stays one
     copy = path.with_name(f".{path.name}.{os.getpid()}.part")
+    made = False
     try:
-        shutil.copy2(path, copy)
+        with path.open("rb") as recording, copy.open("xb") as file:  # a link that stands there is not followed
+            made = True
+            shutil.copyfileobj(recording, file)
+        shutil.copystat(path, copy)
         write_attributes(copy, attributes)
         with copy.open("rb+") as file:
             os.fsync(file.fileno())
@@ -45,7 +49,8 @@ def accept(path: Path, attributes: Mapping[str, str]) -> str:
         said = error.strerror if isinstance(error, OSError) else str(error).rpartition("cannot be written: ")[2]
         return f"it cannot be written, and is as it was ({said})"
     finally:
-        copy.unlink(missing_ok=True)
+        if made:
+            copy.unlink(missing_ok=True)
     return ""
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import resource
 import sys
 from collections.abc import Iterator
@@ -17,6 +18,7 @@ from textual.widgets import OptionList
 
 from estimator.tracing.investigation import Errors, Finding, GyroErrors, Investigation
 from station.exports.investigation_file import write_investigation
+from station.screen.archive import reading
 from station.screen.archive.archive import Archive
 from station.screen.choices import Choices
 from station.views.investigation import investigation_view
@@ -48,6 +50,17 @@ def test_a_recording_is_as_it_was_where_acceptance_cannot_be_written(small_files
     assert "it cannot be written, and is as it was" in asyncio.run(accept(path))
     assert path.read_bytes() == before
     assert not list(small_files.glob(".*.part"))
+
+
+def test_acceptance_is_not_written_through_a_link_that_another_user_made(recordings: Path, tmp_path: Path) -> None:
+    precious = tmp_path / "precious"
+    precious.write_text("calibrations of a year")
+    path = recordings / "first.h5"
+    path.with_name(f".first.h5.{os.getpid()}.part").symlink_to(precious)
+    before = path.read_bytes()
+    assert "File exists" in reading.accept(path, ACCEPTED)
+    assert precious.read_text() == "calibrations of a year"
+    assert path.read_bytes() == before
 
 
 def test_acceptance_is_written_into_the_recording(recordings: Path) -> None:

@@ -69,6 +69,18 @@ def test_the_index_is_this_users_and_not_in_the_folder(whole: Path, place: Path)
     assert index_file(whole).parent.stat().st_mode & 0o077 == 0
 
 
+def test_no_index_is_kept_where_others_could_plant_one(whole: Path, tmp_path: Path) -> None:
+    before, index = told(whole), index_file(whole)
+    precious = tmp_path / "precious"
+    precious.touch()
+    index.unlink()
+    index.symlink_to(precious)
+    index.parent.chmod(0o777)
+    assert told(whole) == before
+    assert precious.read_bytes() == b""
+    index.parent.chmod(0o700)
+
+
 @pytest.mark.parametrize("seeds", [range(2), pytest.param(range(2, 100), marks=pytest.mark.full)], ids=["few", "many"])
 def test_an_index_that_is_harmed_anywhere_changes_no_figure(whole: Path, seeds: range) -> None:
     before, index = told(whole), index_file(whole)
