@@ -2,11 +2,12 @@
 
 import argparse
 import json
+import math
 import os
 import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,18 +17,19 @@ import numpy as np
 from estimator.calibration.calibration_file import write_calibration
 from estimator.calibration.error_model import ErrorModel
 from estimator.calibration.values import Calibration
-from estimator.errors import RecordingError
+from estimator.errors import EstimatorError, RecordingError
 from estimator.estimation.calibrate import calibrate
 from estimator.estimation.repeatability import Repeatability, repeatability, same_device
-from estimator.recordings.reading import read_recording
+from estimator.recordings.reading import read_attributes, read_recording
 from station.bench.bench import Limits, load_bench, read_excluded, read_limits
 from station.campaigns.campaigns import run_all
 from station.errors import UsageError
 from station.render import printing
 from station.render.terminal import print_rendered, stdout
-from station.run.outcome import MANUAL_VERDICT, Outcome, Verdict, judge
+from station.run.outcome import Outcome, Verdict, ended_of, judge_recorded
 
 _IN_FULL = 5  # more recordings than this are printed a line each: a person compares them
+_ESTIMATED = (Outcome.PASS, Outcome.ESTIMATED)  # of their runs there was an estimate
 _KEPT = ("device", "devices", "script", "seed", "clock_zero_utc_s", "outcome", "reason")
 
 _Rules = tuple[Limits, frozenset[str] | None]  # limits, and effects that are ruled out
@@ -38,10 +40,11 @@ class Estimated:
     """What one recording says, without its samples.
 
     ``attributes`` are those of the recording that tell which device was measured, how and when. ``seen`` is the
-    largest sigma of all states as a share of what the data sheet promises.
+    largest sigma of all states as a share of what the data sheet promises. ``calibration`` is None, and ``seen`` NaN,
+    of a run that ended before there was enough to estimate from.
     """
 
-    calibration: Calibration
+    calibration: Calibration | None
     verdict: Verdict
     attributes: Mapping[str, Any]
     seen: float
@@ -88,20 +91,40 @@ def estimate(name: str, *, limits: _Rules | None, write: bool, model: ErrorModel
 
     Raises EstimatorError or UsageError for a recording that cannot be used, or not be written into.
     """
-    recording = read_recording(Path(name))
+    try:
+        recording = read_recording(Path(name))
+    except EstimatorError as error:
+        return _without_estimate(read_attributes(Path(name)), error)
     text, plugins = str(recording.attributes.get("bench", "")), recording.attributes.get("plugins", ())
     least, excluded = limits or (read_limits(text), read_excluded(text, plugins))
-    calibration = calibrate(recording, model=model, excluded=excluded)
-    verdict = MANUAL_VERDICT if recording.attributes.get("outcome") == Outcome.MANUAL else judge(calibration, least)
+    ended = ended_of(recording.attributes)
+    try:
+        calibration = calibrate(recording, model=model, excluded=excluded)
+    except EstimatorError as error:
+        if model is not None:
+            raise
+        return _without_estimate(recording.attributes, error)
+    attributes = {key: recording.attributes[key] for key in _KEPT if key in recording.attributes}
+    verdict = judge_recorded(calibration, least, ended, own_rules=limits is None and model is None)
     if write:
         try:
             write_calibration(Path(name), calibration)
         except OSError as error:
             raise RecordingError(f"{name} cannot be written into: {error}") from None
-    attributes = {key: recording.attributes[key] for key in _KEPT if key in recording.attributes}
     promised = {name: np.sqrt(data.prior.variances()) for name, data in recording.sources.items()}
     seen = max(float((gyro.sd / promised[gyro.source]).max()) for gyro in calibration.gyros)
     return Estimated(calibration, verdict, attributes, seen)
+
+
+def _without_estimate(attributes: Mapping[str, Any], error: EstimatorError) -> Estimated:
+    """Return how the run of a recording ended that cannot be estimated; raise the error if that does not explain it."""
+    ended = ended_of(attributes)
+    if ended is None or ended.outcome in _ESTIMATED:
+        raise error
+    if ended.outcome is not Outcome.MANUAL:
+        ended = replace(ended, reason=f"{ended.reason}; it cannot be estimated: {error}")
+    kept = {key: attributes[key] for key in _KEPT if key in attributes}
+    return Estimated(None, judge_recorded(None, None, ended), kept, math.nan)
 
 
 def _print_json(ends: Sequence[tuple[str, Estimated | str]]) -> int:

@@ -20,6 +20,7 @@ from drivers.types import LinkCounts
 from estimator.calibration.error_model import ErrorModel
 from estimator.calibration.values import Calibration
 from estimator.errors import EstimatorError, RecordingError
+from estimator.estimation.live.source import model_sha256
 from estimator.recordings.writing import TEXT_BYTES, RecordingWriter, write_attributes
 from station.errors import UsageError, sentence
 from station.opening import OpenBench
@@ -439,6 +440,7 @@ def _attributes(bench: OpenBench, script: Script, options: RunOptions) -> dict[s
         attributes["site_latitude_rad"] = config.site.latitude_rad
         attributes["site_heading_rad"] = config.site.heading_rad
     told = {"operator": options.operator, "device_serial": options.device_serial}
+    told["model_sha256"] = model_sha256(options.model)
     attributes |= {key: value for key, value in told.items() if value}
     loop = asyncio.get_running_loop()
     if not is_virtual(loop):  # a simulated clock has no place in the day
