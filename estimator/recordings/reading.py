@@ -60,6 +60,16 @@ def read_attributes(path: Path | str) -> dict[str, Any]:
     return _opened(path, _attributes)
 
 
+def file_format(path: Path | str) -> str:
+    """Return what an HDF5 file says that it is: ``FORMAT`` for a recording; empty if it says nothing.
+
+    Raises RecordingError for a file that cannot be read.
+    """
+    path = Path(path)
+    probe(path)
+    return _opened(path, lambda _, file: str(plain(file.attrs.get("format", ""))))
+
+
 def _opened(path: Path, read: Callable[[Path, Any], T]) -> T:
     """Return what is read from a file; RecordingError for whatever is wrong with it."""
     try:

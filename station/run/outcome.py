@@ -99,7 +99,9 @@ def judge_recorded(
 def _until_then(judged: Verdict) -> str:
     """Return in words what the data of a run come to that did not get to its end."""
     if judged.outcome is Outcome.FAIL:
-        return f"what was measured until then is not within limits: {judged.reason}"
+        first = judged.broken[0].broken if judged.broken else judged.reason
+        more = f", and {len(judged.broken) - 1} more limits not kept" if len(judged.broken) > 1 else ""
+        return f"what was measured until then is not within limits: {first}{more}"
     if judged.outcome is Outcome.ESTIMATED:
         return "what was measured until then was estimated; there are no limits to judge by"
     return "what was measured until then is within limits, but it is not the whole script"

@@ -26,6 +26,7 @@ class Entry:
     """One recording of a folder. ``wrong`` says why it cannot be read, and then nothing else is known of it.
 
     ``foreign``: it is no recording at all, but some other HDF5 file. ``figures``: ``gyros`` as JSON, see there.
+    ``nis_mean``: mean NIS of its calibration, None if there is none.
     """
 
     file: str
@@ -35,6 +36,7 @@ class Entry:
     texts: Mapping[str, str] = field(default_factory=dict)
     devices: tuple[str, ...] = ()
     figures: bytes = b"[]"
+    nis_mean: float | None = None
 
     @cached_property
     def path(self) -> Path:
@@ -65,11 +67,7 @@ class Entry:
     @property
     def series(self) -> tuple[object, ...] | None:
         """What comparable runs have in common; None for what is compared with none."""
-        ended = self.texts.get("outcome") in ("MANUAL", "ABORTED", "FAULT")
-        if not self.serial or not self.gyros or ended:
-            return None
-        gyros = tuple((gyro.source, gyro.name) for gyro in self.gyros)
-        return (self.serial, self.texts.get("station"), self.texts.get("script"), gyros)
+        return series_of(self.texts, [(gyro.source, gyro.name) for gyro in self.gyros])
 
     @property
     def failed(self) -> bool:
@@ -112,6 +110,29 @@ class Whole:
     broken: Sequence[tuple[tuple[str, ...], str, tuple[object, ...]]] = ()
     because: Sequence[str] = ()
     attributes: Mapping[str, Any] = field(default_factory=dict)
+
+
+def series_of(texts: Mapping[str, str], gyros: Sequence[tuple[str, str]]) -> tuple[object, ...] | None:
+    """Return what comparable runs have in common: serial number, bench, script, sources and names of the gyros.
+
+    ``texts`` are attributes of the recording. None for what is compared with none: a device without a serial number, no
+    calibration, and a run that was driven by hand or did not come to its end.
+    """
+    serial = texts.get("device_serial", "")
+    if not serial or not gyros or texts.get("outcome") in ("MANUAL", "ABORTED", "FAULT"):
+        return None
+    return (serial, texts.get("station"), texts.get("script"), tuple(gyros))
+
+
+def last_comparable(run: Entry, entries: Iterable[Entry]) -> Entry | None:
+    """Return the newest run before this one that it may be compared with: of its series, and not failed."""
+    earlier = [
+        other
+        for runs in comparable(entries)
+        for other in runs
+        if other.series == run.series and not other.failed and other.when_utc_s < run.when_utc_s
+    ]
+    return max(earlier, key=lambda other: other.when_utc_s, default=None)
 
 
 def comparable(entries: Iterable[Entry], whatever: int = 0) -> list[list[Entry]]:

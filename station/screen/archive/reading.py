@@ -1,6 +1,7 @@
 """What a process beside the screen does with recordings: a damaged HDF5 file can hang or kill it, not the screen."""
 
 import json
+import math
 import os
 import shutil
 from collections.abc import Iterable, Mapping
@@ -86,7 +87,9 @@ def _entry(unread: Entry, file: Any) -> Entry:
         raise ValueError(f"it began {began_utc_s} s after 1970")
     devices = [str(plain(source.attrs.get("device", ""))) for source in file.get("imu", {}).values()]
     rows: Iterable[Any] = ()
+    nis_mean = None
     if (group := file.get("calibration")) is not None:
+        nis_mean = float(plain(group.attrs.get("nis_mean", math.nan)))
         figures = (group[key][()].astype(float).reshape(-1, len(STATES)).tolist() for key in ("states", "sd"))
         rows = zip(
             *([str(plain(name)) for name in group[key][()]] for key in ("name", "source")), *figures, strict=True
@@ -97,6 +100,7 @@ def _entry(unread: Entry, file: Any) -> Entry:
         texts={name: str(plain(file.attrs.get(name, ""))) for name in _TEXTS},
         devices=tuple(filter(None, dict.fromkeys(devices))) or (str(plain(file.attrs.get("device", ""))),),
         figures=json.dumps(list(rows)).encode(),
+        nis_mean=nis_mean if nis_mean is not None and math.isfinite(nis_mean) else None,
     )
 
 

@@ -16,7 +16,7 @@ from textual.widgets import Button, Static
 
 from station.atomic_write import free_path
 from station.render.template import rendered
-from station.screen.archive.entries import INVESTIGATION, Entry, Whole, moves
+from station.screen.archive.entries import INVESTIGATION, Entry, Whole, last_comparable, moves
 from station.screen.base import StationScreen
 from station.screen.charts import Charts
 from station.screen.dialogs import AskDialog, ChooseDialog
@@ -232,9 +232,7 @@ class ResultScreen(StationScreen):
         self._block("verdict", Text("\n").join(filter(None, (templated("verdict.rich", values), moved))))
         shown: dict[str, RenderableType] = {}
         if whole is not None and not whole.entry.wrong:
-            earlier = (other for other in self._same if other.when_utc_s < whole.entry.when_utc_s)
-            last = max(earlier, key=lambda other: other.when_utc_s, default=None)
-            values |= {"entry": whole.entry, "last": last}
+            values |= {"entry": whole.entry, "last": last_comparable(whole.entry, self._same), "moves": self._moves}
             told = ("states", "change", "record") if whole.entry.gyros else ("record",)
             shown = {name: templated(f"{name}.rich", values) for name in told}
             if whole.entry.gyros:
