@@ -196,7 +196,7 @@ def test_a_folder_is_compared_by_the_rule_of_history(folder: Path, capsys: pytes
     assert "Repeatability of SN-1 over 2 runs" in said.out
     assert "1 of 3 recordings compared with no other" in said.out
     assert "skipped 1 file of the station that holds no recording: PASS-investigation.h5" in said.out
-    assert not said.err.replace("calibrating", "").strip(": of123\n")
+    assert "station:" not in said.err
     _, objects = asked(capsys, "calibrate", str(folder))
     assert ["repeatability" in found for found in objects] == [False, True, False]
     assert main(["calibrate", str(folder / "PASS-investigation.h5")]) == 2  # named by itself it is a mistake
@@ -204,7 +204,7 @@ def test_a_folder_is_compared_by_the_rule_of_history(folder: Path, capsys: pytes
 
 def test_one_line_a_recording_and_reasons_after_it(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     main(["calibrate", str(folder)])
-    lines = capsys.readouterr().out.splitlines()
+    lines = capsys.readouterr().out.partition("Repeatability")[0].splitlines()
     table = [line for line in lines if line.startswith("│")]
     assert len(table) == len(list(folder.iterdir()))
     assert all(any(f" {path.name} " in line and outcome_of(path) in line for line in table) for path in folder.iterdir())
