@@ -24,6 +24,7 @@ from estimator.recordings.reading import file_format, read_attributes, read_reco
 from estimator.recordings.recording import FORMAT
 from estimator.untrusted import harmless
 from station.bench.bench import Limits, load_bench, read_excluded, read_limits
+from station.bench.units import Units
 from station.campaigns.campaigns import run_all
 from station.errors import UsageError
 from station.render import printing
@@ -49,7 +50,7 @@ class Estimated:
     """What one recording says, without its samples.
 
     ``attributes`` are those of the recording that tell which device was measured, how and when. ``seen`` is the
-    largest sigma of all states as a share of what the data sheet promises. ``calibration`` is None, and ``seen`` NaN,
+    largest sigma of all states as a share of what the data sheet promises; ``units`` those to show states in. ``calibration`` is None, and ``seen`` NaN,
     of a run that ended before there was enough to estimate from.
     """
 
@@ -57,6 +58,7 @@ class Estimated:
     verdict: Verdict
     attributes: Mapping[str, Any]
     seen: float
+    units: Units = Units()
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +155,7 @@ def estimate(
             raise RecordingError(f"{name} cannot be written into: {error}") from None
     promised = {name: np.sqrt(data.prior.variances()) for name, data in recording.sources.items()}
     seen = max(float((gyro.sd / promised[gyro.source]).max()) for gyro in calibration.gyros)
-    return Estimated(calibration, verdict, attributes, seen)
+    return Estimated(calibration, verdict, attributes, seen, least.units)
 
 
 def _without_estimate(attributes: Mapping[str, Any], error: EstimatorError) -> Estimated:
@@ -193,12 +195,12 @@ def _print(ends: Sequence[End], *, in_lines: bool) -> int:
     else:
         for name, end in judged:
             if end.calibration is not None:
-                printing.print_calibration(end.calibration, end.verdict)
+                printing.print_calibration(end.calibration, end.verdict, end.units)
             printing.print_verdict(end.verdict, Path(name))
     series = _comparable(ends)
     for runs in series:
         if len(runs) > 1:
-            printing.print_repeatability(_repeats(runs), str(runs[0][1].attributes["device_serial"]))
+            printing.print_repeatability(_repeats(runs), str(runs[0][1].attributes["device_serial"]), runs[0][1].units)
     alone = len(judged) - sum(len(runs) for runs in series if len(runs) > 1)
     if alone and len(judged) > 1:
         print(rendered("station.render", "compared.txt", {"alone": alone, "judged": len(judged)}), end="")

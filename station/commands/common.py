@@ -95,7 +95,7 @@ def _run(arguments: argparse.Namespace) -> int:
         if result.ended_early:
             print(f"ended early {result.ended_early}")
         if result.calibration is not None:
-            print_calibration(result.calibration, result.verdict)
+            print_calibration(result.calibration, result.verdict, bench.units)
         print(rendered("station.render", "sources.txt", {"sources": result.sources}), end="")
         print_verdict(result.verdict, result.recording)
         if serial and host is None and result.calibration is not None:

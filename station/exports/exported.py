@@ -19,9 +19,12 @@ from estimator.calibration.values import Calibration
 from estimator.errors import EstimatorError, RecordingError
 from estimator.recordings.reading import read_recording
 from estimator.recordings.recording import Recording
-from station.errors import UsageError, sentence
+from station.bench.bench import read_limits
+from station.bench.units import Units
+from station.errors import BenchError, UsageError, sentence
 from station.render.template import rendered
 from station.run.outcome import Outcome
+from station.views.figures import state_figures
 from station.views.seen import Seen, seen_by
 
 _RAW = ("imu", "table", "reference")
@@ -43,6 +46,7 @@ class Exported:
     seen: Seen
     devices: tuple[str, ...]
     instance: int = 0  # which of an autopilot's gyros they are
+    units: Units = Units()
 
     @property
     def name(self) -> str:
@@ -59,7 +63,7 @@ class Exported:
     @property
     def origin(self) -> list[str]:
         """Who was measured, how, and under what conditions: lines of text for the head of a file."""
-        return rendered("station.exports", "origin.txt", {"exported": self}).splitlines()
+        return rendered("station.exports", "origin.txt", {"exported": self, "state_figures": state_figures(self.units)}).splitlines()
 
 
 def exported_of(path: Path, devices: Sequence[str] = (), instance: int = 0) -> Exported:
@@ -85,7 +89,15 @@ def exported_of(path: Path, devices: Sequence[str] = (), instance: int = 0) -> E
         seen_by(recording.sources[name] for name in {gyro.source: None for gyro in gyros}),
         tuple(device for device in there if device and (not devices or device in devices)),
         instance,
+        _units_of(recording),
     )
+
+
+def _units_of(recording: Recording) -> Units:
+    """Return in which units the bench file that a recording carries has states shown; the usual ones without."""
+    with suppress(BenchError):
+        return read_limits(str(recording.attributes.get("bench", ""))).units
+    return Units()
 
 
 def _read(path: Path) -> Recording:

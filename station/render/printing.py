@@ -17,17 +17,19 @@ from estimator.calibration.values import Calibration, GyroParity
 from estimator.estimation.repeatability import Repeatability
 from estimator.observations.coverage import coverage_object
 from estimator.observations.rests import RestNoise
+from station.bench.units import Units
 from station.errors import EXIT_USAGE
 from station.render.terminal import print_rendered, stdout
 from station.run.outcome import Outcome, Verdict
-from station.views.figures import OUTCOME_STYLES
+from station.views.figures import OUTCOME_STYLES, StateUnit, state_figures
 from station.views.json_values import budget_and_noise, by_state, json_object, named
 
+_MOST_DECIMALS = 9
 _BUDGET_WORDS = packaged_toml("station.views", "budget.toml")["terminal"]
 
 
-def print_calibration(calibration: Calibration, verdict: Verdict) -> None:
-    """Print the states of every gyro with their sigmas, in the units people use, and where the sigmas come from.
+def print_calibration(calibration: Calibration, verdict: Verdict, units: Units) -> None:
+    """Print the states of every gyro with their sigmas, in these units, and where the sigmas come from.
 
     What breaks a limit is red.
     """
@@ -37,11 +39,18 @@ def print_calibration(calibration: Calibration, verdict: Verdict) -> None:
         "calibration": calibration,
         "broken": {(line.row, line.state, line.of_u) for line in verdict.broken},
         "budget": _budget(calibration),
+        "state_figures": fitted_figures(units, calibration),
         "size": _size,
         "noise": np.degrees(np.mean(noises, axis=0)).tolist() if noises else None,
         "rest": _rest([gyro.rest for gyro in calibration.gyros if gyro.rest is not None]),
     }
     print_rendered(stdout(), "station.render", "calibration.rich", values)
+
+
+def fitted_figures(units: Units, calibration: Calibration) -> tuple[StateUnit, ...]:
+    """Return the states in these units, with the digits that the sigmas of a calibration deserve."""
+    sds = zip(*(gyro.sd.tolist() for gyro in calibration.gyros), strict=True)
+    return tuple(figure.fitted(own) for figure, own in zip(state_figures(units), sds, strict=True))
 
 
 def _budget(calibration: Calibration) -> Mapping[str, Floats]:
@@ -69,11 +78,11 @@ def _rest(rests: Sequence[RestNoise]) -> Mapping[str, str] | None:
     }
 
 
-def print_repeatability(repeats: Sequence[Repeatability], device: str) -> None:
+def print_repeatability(repeats: Sequence[Repeatability], device: str, units: Units) -> None:
     """Print how the states of a device scatter over its runs, beside the scatter that their sigmas promise."""
     if not repeats:
         return
-    values = {"repeats": repeats, "device": device, "size": _size}
+    values = {"repeats": repeats, "device": device, "size": _size, "state_figures": state_figures(units)}
     print_rendered(stdout(), "station.render", "repeatability.rich", values)
 
 
@@ -90,7 +99,10 @@ def repeatability_object(repeats: Sequence[Repeatability]) -> list[dict[str, Any
 
 
 def _size(value: float) -> str:
-    return "< 0.01" if value < 0.01 else f"{value:.2g}" if value < 10 else f"{value:.0f}"
+    """Return a size with two digits that count, without an exponent."""
+    if value >= 10 or value == 0 or not math.isfinite(value):
+        return f"{value:.0f}"
+    return f"{value:.{min(1 - math.floor(math.log10(value)), _MOST_DECIMALS)}f}"
 
 
 def print_verdict(verdict: Verdict, recording: Path) -> None:

@@ -26,7 +26,7 @@ class Entry:
     """One recording of a folder. ``wrong`` says why it cannot be read, and then nothing else is known of it.
 
     ``foreign``: it is no recording at all, but some other HDF5 file. ``figures``: ``gyros`` as JSON, see there.
-    ``nis_mean``: mean NIS of its calibration, None if there is none.
+    ``nis_mean``: mean NIS of its calibration, None if there is none. ``units``: those that its bench file chose.
     """
 
     file: str
@@ -37,6 +37,7 @@ class Entry:
     devices: tuple[str, ...] = ()
     figures: bytes = b"[]"
     nis_mean: float | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def path(self) -> Path:

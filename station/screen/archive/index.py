@@ -23,7 +23,7 @@ from station.screen.memory import state_folder
 
 _VERSION = 2  # of what an entry holds: an older index is left to older stations
 _PATIENCE_S = 1.0  # for another station, which writes for some milliseconds
-_TOLD = ("when_utc_s", "wrong", "foreign", "devices", "texts", "nis_mean")
+_TOLD = ("when_utc_s", "wrong", "foreign", "devices", "texts", "nis_mean", "units")
 
 
 def index_file(folder: Path) -> Path:

@@ -4,6 +4,7 @@ import json
 import math
 import os
 import shutil
+import tomllib
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
@@ -100,8 +101,19 @@ def _entry(unread: Entry, file: Any) -> Entry:
         texts={name: str(plain(file.attrs.get(name, ""))) for name in _TEXTS},
         devices=tuple(filter(None, dict.fromkeys(devices))) or (str(plain(file.attrs.get("device", ""))),),
         figures=json.dumps(list(rows)).encode(),
+        units=_units(str(plain(file.attrs.get("bench", "")))),
         nis_mean=nis_mean if nis_mean is not None and math.isfinite(nis_mean) else None,
     )
+
+
+def _units(bench: str) -> dict[str, str]:
+    """Return the section [units] of a bench file's text; most have none, and are not read for it."""
+    if "[units]" not in bench:
+        return {}
+    with suppress(tomllib.TOMLDecodeError):
+        found = tomllib.loads(bench).get("units")
+        return {str(key): str(unit) for key, unit in found.items()} if isinstance(found, dict) else {}
+    return {}
 
 
 def _whole(entry: Entry, file: Any) -> Whole:

@@ -24,6 +24,7 @@ from station.screen.drawings import STATE_CHARTS, Drawing, state_drawing
 from station.screen.figures import templated
 from station.screen.sessions.programs import ask
 from station.screen.tabs.facts import fill_in
+from station.views.figures import told_figures
 
 _MOST_OFFERED = 20
 _LOOKING = "looking for what the model lacks"
@@ -228,6 +229,7 @@ class ResultScreen(StationScreen):
         whole, charts = self._whole, self.query_one(Charts)
         charts.display = bool(whole and whole.curves)
         values: dict[str, Any] = {"whole": whole, "path": self.recording, "busy": self._busy, "said": self._said}
+        values["state_figures"] = told_figures(whole.entry.units if whole is not None else {})
         moved = Text.from_markup(rendered("station.render", "moved.rich", {"moves": self._moves}).strip(), emoji=False)
         self._block("verdict", Text("\n").join(filter(None, (templated("verdict.rich", values), moved))))
         shown: dict[str, RenderableType] = {}
@@ -253,7 +255,7 @@ class ResultScreen(StationScreen):
             return None
         index = STATE_CHARTS.index(name)
         curve = list(whole.curves.values())[self.gyro % len(whole.curves)]
-        return state_drawing(index, curve, whole.sizes[index])
+        return state_drawing(index, curve, whole.sizes[index], figures=told_figures(whole.entry.units))
 
 
 def _investigation(found: Mapping[str, Any]) -> list[RenderableType]:
