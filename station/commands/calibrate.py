@@ -95,7 +95,7 @@ def command_calibrate(arguments: argparse.Namespace) -> int:
     if arguments.json:
         worst = _print_json(ends)
     else:
-        worst = _print(ends, in_lines=len(ends) > _IN_FULL or bool(folders and len(ends) > 1))
+        worst = _print(ends, in_lines=len(ends) > _IN_FULL or bool(folders and len(ends) > 1), details=arguments.details)
     if skipped:
         files = f"{len(skipped)} file{'s' if len(skipped) > 1 else ''}"
         shown = ", ".join(Path(name).name for name in skipped[:_MOST_SKIPPED])
@@ -184,7 +184,7 @@ def _print_json(ends: Sequence[End]) -> int:
     return worst
 
 
-def _print(ends: Sequence[End], *, in_lines: bool) -> int:
+def _print(ends: Sequence[End], *, in_lines: bool, details: bool) -> int:
     judged = [(name, end) for name, end in ends if isinstance(end, Estimated)]
     if in_lines:
         folder = os.path.commonpath([Path(name).absolute().parent for name, _ in ends])
@@ -194,9 +194,7 @@ def _print(ends: Sequence[End], *, in_lines: bool) -> int:
         print(f"{len(ends)} recordings: " + ", ".join(f"{count} {what}" for what, count in counts.items() if count))
     else:
         for name, end in judged:
-            if end.calibration is not None:
-                printing.print_calibration(end.calibration, end.verdict, end.units)
-            printing.print_verdict(end.verdict, Path(name))
+            printing.print_result(end.verdict, end.calibration, Path(name), end.units, details=details)
     series = _comparable(ends)
     for runs in series:
         if len(runs) > 1:

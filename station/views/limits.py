@@ -88,6 +88,11 @@ class LimitLine:
         return found, self.written if in_unit else f"{self.written} ({most})"
 
     @property
+    def excess(self) -> float:
+        """The value over its upper bound; infinite where that is zero, or the value is not known."""
+        return abs(self.value) / self.high if self.high > 0 and math.isfinite(self.value) else math.inf
+
+    @property
     def remedy(self) -> str:
         """What usually helps where it is broken."""
         if self.of_u:
@@ -105,6 +110,11 @@ def _apart(value: float, bound: float) -> tuple[str, str]:
         if texts[0] != texts[1]:
             break
     return texts[0], texts[1]
+
+
+def worst_first(lines: Sequence[LimitLine]) -> list[LimitLine]:
+    """Return limits that are broken: those of no gyro first, which may be behind the others, then by how far."""
+    return sorted(lines, key=lambda line: (line.row is not None, -line.excess))
 
 
 MEAN_NIS, SAMPLES_LOST = "mean NIS", "samples lost"
