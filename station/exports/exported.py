@@ -23,7 +23,7 @@ from station.bench.bench import read_limits
 from station.bench.units import Units
 from station.errors import BenchError, UsageError, sentence
 from station.render.template import rendered
-from station.run.outcome import Outcome
+from station.run.outcome import Outcome, Verdict
 from station.views.figures import state_figures
 from station.views.seen import Seen, seen_by
 
@@ -54,11 +54,23 @@ class Exported:
         return " and ".join(self.devices) or "imu"
 
     @property
+    def verdict(self) -> Verdict | None:
+        """How the run of the recording ended; None for data that no run of the station made."""
+        outcome, _, reason = self.identity.get("outcome", "").partition(" ")
+        return Verdict(Outcome(outcome), reason) if outcome in list(Outcome) else None
+
+    @property
+    def failure(self) -> list[str]:
+        """That the run was no pass, if it was none."""
+        ended = self.verdict
+        if ended is None or ended.outcome in (Outcome.PASS, Outcome.ESTIMATED):
+            return []
+        return [f"the run was no pass: {ended.outcome} {ended.reason}"]
+
+    @property
     def cautions(self) -> list[str]:
         """What speaks against using the calibration: that it was no pass, and what its notes say."""
-        outcome = self.identity.get("outcome", Outcome.PASS)
-        failed = [] if outcome.startswith((Outcome.PASS, Outcome.ESTIMATED)) else [f"the run was no pass: {outcome}"]
-        return [*failed, *self.calibration.notes]
+        return [*self.failure, *self.calibration.notes]
 
     @property
     def origin(self) -> list[str]:

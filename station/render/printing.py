@@ -156,6 +156,13 @@ def next_steps(verdict: Verdict, calibration: Calibration | None, recording: Pat
     return steps
 
 
+def next_after_report(verdict: Verdict | None, recording: Path) -> list[str]:
+    """Return what to do once there is a report, in words: of what passed, take it where it is used."""
+    if verdict is not None and verdict.outcome not in (Outcome.PASS, Outcome.ESTIMATED):
+        return next_steps(verdict, None, recording)
+    return [f"`station export {recording} --all FOLDER` writes it for firmware and tools"]
+
+
 def refuse(reason: str, as_json: bool, outcome: Outcome | None = None, recording: str | None = None) -> int:
     """Say on stderr why there is no result, and as JSON an empty one; return the exit code."""
     print(f"station: {reason}", file=sys.stderr)

@@ -19,8 +19,8 @@ _PIPE_WIDTH = 120
 _ANY_WIDTH = 10_000
 _LINE_WIDTH = 80
 _GLUE = "\ue000"  # a character without a meaning, and no space: rich breaks no line at it
-_FIGURE = re.compile(r"[+-]?\d[\d.]*(?: (?:±|\+-) \d[\d.]*)? (?:%|[a-zA-Z][\w/()]*)")
-"""A figure with its uncertainty and its unit."""
+_WHOLE = re.compile(r"[+-]?\d[\d.]*(?: (?:±|\+-) \d[\d.]*)? (?:%|[a-zA-Z][\w/()]*)|`[^`]{1,60}`")
+"""What is not broken: a figure with its uncertainty and its unit, and what is to be typed."""
 _DIM = "dim"
 Shown: TypeAlias = tuple[RenderableType, dict[str, Any]]
 """A line or a table, and how Console.print is to print it."""
@@ -57,10 +57,12 @@ def print_all(console: Console, shown: Iterable[Shown]) -> None:
 
 
 def _wrapped(line: str, console: Console, *, markup: bool) -> list[Text]:
+    """Return a line as lines that fit, without spaces at their ends."""
     text = Text.from_markup(line, emoji=False) if markup else Text(line)
-    text.plain = _FIGURE.sub(lambda found: found[0].replace(" ", _GLUE), text.plain)
+    text.plain = _WHOLE.sub(lambda found: found[0].replace(" ", _GLUE), text.plain)
     broken = list(text.wrap(console, min(console.width, _LINE_WIDTH))) or [text]
     for part in broken:
+        part.rstrip()
         part.plain = part.plain.replace(_GLUE, " ")
     return broken
 

@@ -121,6 +121,8 @@ def _whole(entry: Entry, file: Any) -> Whole:
     if (group := file.get("calibration")) is not None:
         found = {key: plain(group.attrs[key]) for key in ("samples", "lost", "nis_mean") if key in group.attrs}
         found |= {key: [str(plain(text)) for text in group.attrs.get(key, [])] for key in ("notes", "excluded")}
+        if "noise" in group and "noise_below" in group:
+            found["noise"] = float(group["noise"][:, 0].mean()), float(group["noise_below"][:, 0].mean())
     events = file.get("events")
     if events is not None and "text" in events:
         rows = zip(events["t_ns"][()], events["text"][()], strict=False)
@@ -137,7 +139,7 @@ def _whole(entry: Entry, file: Any) -> Whole:
 def _judged(whole: Whole, bench: str) -> Whole:
     """Return it with the limits of its bench, and with those that are broken, unless its reason names others."""
     from station.bench.bench import read_limits  # with all drivers, which a list of recordings does without
-    from station.views.limits import limit_lines
+    from station.views.limits import limit_lines, worst_first
 
     with suppress(EstimatorError, BenchError):
         limits = read_limits(bench)
@@ -146,8 +148,7 @@ def _judged(whole: Whole, bench: str) -> Whole:
         lines = [line for line in found if not line.within]
         before, named, after = whole.entry.texts["reason"].partition("; ".join(line.broken for line in lines) or "\0")
         if named:  # losses and noise first: they are behind what the states miss
-            lines.sort(key=lambda line: line.row is not None)
-            broken = [(line.cells, line.remedy, (line.row, line.state, line.of_u)) for line in lines]
+            broken = [(line.cells, line.remedy, (line.row, line.state, line.of_u)) for line in worst_first(lines)]
             because = [text.removeprefix("but ") for text in f"{before}{after}".split("; ") if text]
             whole = replace(whole, broken=broken, because=because)
     return whole
