@@ -76,6 +76,11 @@ class StrictTable:
         self._known.append(key)
         return key in self._data
 
+    def text_of(self, key: str) -> str:
+        """Return the text of a key that is not taken yet, as it stands in the file; empty if it is none."""
+        value = self._data.get(key)
+        return " ".join(value.split()) if isinstance(value, str) else ""
+
     def remaining(self) -> tuple[str, ...]:
         """Return the keys that nobody took yet."""
         return tuple(self._data)

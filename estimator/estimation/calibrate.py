@@ -10,6 +10,7 @@ from estimator.calibration.gyro import GyroCalibration
 from estimator.calibration.values import Calibration, GyroParity, unseen_notes
 from estimator.errors import RecordingError
 from estimator.estimation.joint import check_model, effect_notes, estimate_device
+from estimator.estimation.live.source import filter_nis
 from estimator.estimation.noise_evidence import TooShort
 from estimator.estimation.parity import parity
 from estimator.estimation.source_estimate import DeviceEstimate, SourceEstimate, Sources, estimate_laid, estimate_white
@@ -26,7 +27,7 @@ from estimator.recordings.memory import check_estimating
 from estimator.recordings.recording import Recording
 from estimator.recordings.reference import Poses, TableReadings, Turns
 
-_CHANCE = 4.0  # standard deviations of the mean NIS
+_CHANCE = 4.0  # standard deviations of the scatter of block means
 _NEAR = 0.05  # to which the noise is known beside that
 
 
@@ -67,8 +68,8 @@ def calibrate(
         notes += [*device.notes, *_gyro_notes(recording, its_gyros)]
         doubts += [*device.doubts, *device.spoilt]
     spoilt = [one for device in devices for one in device.spoilt]
-    nis = _nis(estimates) if innovations else float("nan")
-    doubts += _nis_doubts(nis, estimates)
+    nis = _mean_nis(recording, model, estimates) if innovations else float("nan")
+    doubts += _scatter_doubts(estimates)
     if isinstance(recording.reference, TableReadings):
         seen = [*reading_doubts(recording.reference), *stuck_doubts(recording)]
         spoilt, doubts = [*seen, *spoilt], [*seen, *doubts]
@@ -90,12 +91,6 @@ def calibrate(
         arrays={name: data.array for name, data in recording.sources.items()},
         constancy=constancy,
     )
-
-
-def _nis(estimates: Sequence[SourceEstimate]) -> float:
-    """Return the mean NIS a degree of freedom, NaN without any."""
-    squares, dof = sum(one.squares for one in estimates), sum(one.dof for one in estimates)
-    return squares / dof if dof else float("nan")
 
 
 def _gyro_notes(recording: Recording, gyros: Sequence[tuple[SourceEstimate, GyroCalibration]]) -> list[str]:
@@ -181,18 +176,36 @@ def _parity(estimates: Sequence[SourceEstimate], gyros: Sequence[GyroCalibration
     return parity([one.data.array for one in estimates], blocks, states, noise, growth_s, sources)
 
 
-def _nis_doubts(nis: float, estimates: Sequence[SourceEstimate]) -> list[str]:
-    """Return, in words, that a mean NIS is not what the noise found makes it, if it is not."""
-    dof = sum(one.dof for one in estimates)
-    if not dof or not np.isfinite(nis):
+def _mean_nis(recording: Recording, model: ErrorModel | None, estimates: Sequence[SourceEstimate]) -> float:
+    """Return the mean NIS, see ``filter_nis``; where no filter can be run, that of block means about the estimate.
+
+    These have the scatter of single samples for a sigma. NaN where there are no blocks either.
+    """
+    nis = filter_nis(recording, model)
+    if nis is not None:
+        return nis
+    squares, dof = _block_squares(estimates)
+    return squares / dof if dof else float("nan")
+
+
+def _block_squares(estimates: Sequence[SourceEstimate]) -> tuple[float, int]:
+    """Return the squares of block means about the estimate, over those of white noise, and their number."""
+    return sum(one.squares for one in estimates), sum(one.dof for one in estimates)
+
+
+def _scatter_doubts(estimates: Sequence[SourceEstimate]) -> list[str]:
+    """Return, in words, that block means scatter otherwise than the noise found makes them, if they do."""
+    squares, dof = _block_squares(estimates)
+    if not dof or not np.isfinite(squares):
         return []
+    scatter = squares / dof
     mean = sum(one.dof * one.expected_nis[0] for one in estimates) / dof
     sd = np.hypot(
         np.sqrt(sum((one.dof * one.expected_nis[1]) ** 2 for one in estimates)) / dof, np.sqrt(2 / dof) * mean
     )
-    if abs(nis - mean) <= _CHANCE * sd + _NEAR * mean:
+    if abs(scatter - mean) <= _CHANCE * sd + _NEAR * mean:
         return []
-    return [sentence("estimation.nis_unlike", nis=nis, expected=mean, sd=sd)]
+    return [sentence("estimation.scatter_unlike", scatter=scatter, expected=mean, sd=sd)]
 
 
 def _parity_notes(checks: list[GyroParity]) -> list[str]:

@@ -129,10 +129,3 @@ def _beyond_chance(squares: Floats, dof: int) -> NDArray[np.bool_]:
     from scipy.stats import chi2  # 0.8 s of import: only where runs are compared
 
     return np.asarray(chi2.sf(squares, dof) < _BY_CHANCE)
-
-
-def same_device(a: Sequence[GyroCalibration], b: Sequence[GyroCalibration]) -> bool:
-    """Return whether two runs are of one device as far as they say: the same gyros along the same axes."""
-    return [g.name for g in a] == [g.name for g in b] and all(
-        np.allclose(x.p, y.p, atol=1e-6) for x, y in zip(a, b, strict=True)
-    )

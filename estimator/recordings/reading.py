@@ -1,8 +1,10 @@
 """A recording read from its HDF5 file."""
 
+import math
+from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import h5py
 import numpy as np
@@ -15,7 +17,7 @@ from estimator.geometry.model import Prior
 from estimator.geometry.noise import NoiseModel
 from estimator.packaged import sentence
 from estimator.recordings.memory import READING, check_memory
-from estimator.recordings.recording import FORMAT, FORMAT_VERSION, LAYOUT, ImuData, Recording, possible
+from estimator.recordings.recording import FORMAT, FORMAT_VERSION, LAYOUT, ImuData, KeptInnovations, Recording, possible
 from estimator.recordings.recovery import recover
 from estimator.recordings.reference import (
     AttitudeReadings,
@@ -30,6 +32,7 @@ from estimator.recordings.safe_open import probe
 from estimator.recordings.writing import plain
 from estimator.types import Floats
 
+T = TypeVar("T")
 _REFERENCES: dict[str, Any] = {"turn_rad": Turns, "up": Poses, "rate_rps": RateReadings}
 """References by the column that only they have, in the order of looking; else they are attitudes."""
 
@@ -43,22 +46,53 @@ def read_recording(path: Path | str, *, trusted: bool = False) -> Recording:
     if not trusted:
         recover(path)
         probe(path)
+    return _opened(path, _read)
+
+
+def read_attributes(path: Path | str) -> dict[str, Any]:
+    """Return the attributes of a recording, also of one that holds too little to be read as a whole.
+
+    Raises RecordingError for a file that is not of the format.
+    """
+    path = Path(path)
+    recover(path)
+    probe(path)
+    return _opened(path, _attributes)
+
+
+def file_format(path: Path | str) -> str:
+    """Return what an HDF5 file says that it is: ``FORMAT`` for a recording; empty if it says nothing.
+
+    Raises RecordingError for a file that cannot be read.
+    """
+    path = Path(path)
+    probe(path)
+    return _opened(path, lambda _, file: str(plain(file.attrs.get("format", ""))))
+
+
+def _opened(path: Path, read: Callable[[Path, Any], T]) -> T:
+    """Return what is read from a file; RecordingError for whatever is wrong with it."""
     try:
         with h5py.File(path, "r") as file:
-            return _read(path, file)
+            return read(path, file)
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {first_line(error)}") from None
     except MISSHAPEN as error:  # a file made by hand can hold anything
         raise RecordingError(f"{path} is not laid out as a recording: {first_line(error)}") from None
 
 
-def _read(path: Path, file: Any) -> Recording:
+def _attributes(path: Path, file: Any) -> dict[str, Any]:
     attributes = {key: plain(value) for key, value in file.attrs.items()}
     if attributes.get("format") != FORMAT:
         raise RecordingError(sentence("recordings.no_recording", path=path, format=FORMAT))
     version = attributes.get("format_version")
     if not isinstance(version, (int, np.integer)) or version > FORMAT_VERSION:
         raise RecordingError(sentence("recordings.newer", path=path, version=version, ours=FORMAT_VERSION))
+    return attributes
+
+
+def _read(path: Path, file: Any) -> Recording:
+    attributes = _attributes(path, file)
     groups = (*file.get("imu", {}).values(), file.get("table", {}))
     columns = [group[key] for group in groups for key in group if "dimensions" in LAYOUT.get(key, {})]
     check_memory(path, sum(8 * int(column.size or 0) for column in columns), READING)
@@ -68,7 +102,21 @@ def _read(path: Path, file: Any) -> Recording:
     sources = {name: _read_source(path, name, group) for name, group in file.get("imu", {}).items()}
     if not sources:
         raise RecordingError(f"{path} holds no IMU samples (group /imu is missing or empty)")
-    return Recording(sources, _read_reference(path, file), site, attributes, path)
+    kept = _read_innovations(file, str(attributes.get("model_sha256", "")))
+    return Recording(sources, _read_reference(path, file), site, attributes, path, kept)
+
+
+def _read_innovations(file: Any, model_sha256: str) -> KeptInnovations | None:
+    """Return what the live filter said block by block, summed over all sources; None if it is kept of none."""
+    groups = [group for group in file.get("innovation", {}).values() if "nis" in group and "dof" in group]
+    if not groups:
+        return None
+    total, dof = 0.0, 0
+    for group in groups:
+        n = min(len(group["nis"]), len(group["dof"]))  # a run cut between two datasets of one flush
+        total += float(np.sum(group["nis"][:n], dtype=np.float64))
+        dof += int(np.sum(group["dof"][:n]))
+    return KeptInnovations(total, dof, model_sha256)
 
 
 def _read_source(path: Path, name: str, group: Any) -> ImuData:
@@ -85,7 +133,16 @@ def _read_source(path: Path, name: str, group: Any) -> ImuData:
     noise = NoiseModel(*(float(v) for v in group.attrs["noise"])) if "noise" in group.attrs else None
     device, lost = str(plain(group.attrs.get("device", ""))), int(group.attrs.get("lost", 0))
     columns["rate_rps"], impossible = possible(columns["rate_rps"])
-    return ImuData(array, lost=lost + impossible, prior=prior, noise=noise, device=device, **cast(Any, columns))
+    rate_hz = float(group.attrs.get("rate_hz", 0.0))
+    return ImuData(
+        array,
+        lost=lost + impossible,
+        prior=prior,
+        noise=noise,
+        device=device,
+        rate_hz=rate_hz if 0 < rate_hz < math.inf else None,
+        **cast(Any, columns),
+    )
 
 
 def read_array(where: str, name: str, group: Any) -> SensorArray:

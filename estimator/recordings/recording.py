@@ -39,7 +39,8 @@ class ImuData:
     """Samples of one source: instants (n,), rates (n, m), and what else it gave; ``lost`` counts what it lost,
     and samples with rates that nothing can have.
 
-    ``prior`` and ``noise`` are the data sheet's; ``device`` names what the source is a part of.
+    ``prior`` and ``noise`` are the data sheet's; ``device`` names what the source is a part of. ``rate_hz`` is how often
+    it was to be sampled, None where that is not stated.
     """
 
     array: SensorArray
@@ -52,6 +53,7 @@ class ImuData:
     prior: Prior = field(default_factory=Prior)
     noise: NoiseModel | None = None
     device: str = ""
+    rate_hz: float | None = None
 
     def to_frame(self) -> Any:
         """Return a pandas.DataFrame over time in s: rates by gyro in rad/s, what else there is. Needs pandas."""
@@ -65,15 +67,28 @@ class ImuData:
         return frame
 
 
+@dataclass(frozen=True, slots=True)
+class KeptInnovations:
+    """What the live filter of a run came to: its normalised innovations squared, summed, and their degrees of freedom.
+
+    ``model_sha256`` is of the text of the error model that the run began with, empty for none.
+    """
+
+    nis_sum: float
+    dof: int
+    model_sha256: str = ""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """One run, or one measurement made elsewhere."""
+    """One run, or one measurement made elsewhere. ``kept_innovations``: of a run of the station."""
 
     sources: Mapping[str, ImuData]
     reference: Reference
     site: Site | None = None
     attributes: Mapping[str, Any] = field(default_factory=dict)
     path: Path | None = None
+    kept_innovations: KeptInnovations | None = None
 
     @property
     def name(self) -> str:

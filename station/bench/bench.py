@@ -3,8 +3,8 @@
 import math
 import re
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import astuple, dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from drivers.imus.registry import IMUS
@@ -17,15 +17,19 @@ from estimator.geometry.kinematics import Site
 from estimator.untrusted import read_text
 from station.bench.imu import ImuConfig, read_imu
 from station.bench.table import TableConfig, read_table
+from station.bench.units import Units
 from station.errors import BenchError, UsageError
-from station.schema.tables import Table
+from station.schema.tables import Table, keys_of
 
 _LONGEST_NAME = 100  # characters of an operator's name or a serial number
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What PASS means, in SI: sizes of the states, their sigmas, mean NIS, share of samples lost."""
+    """What PASS means, in SI: sizes of the states, their sigmas, mean NIS, share of samples lost.
+
+    ``written`` are sizes and sigmas as the bench file has them, by their fields; ``units`` those to compare them in.
+    """
 
     k: float
     b_rps: float
@@ -36,6 +40,8 @@ class Limits:
     nis_low: float
     nis_high: float
     lost: float
+    written: Mapping[str, str] = field(default_factory=dict)
+    units: Units = Units()
 
     @property
     def sizes(self) -> tuple[float, ...]:
@@ -48,10 +54,20 @@ class Limits:
         return self.sd_k, self.sd_b_rps, self.sd_sigma_rad, self.sd_sigma_rad
 
     @property
+    def written_sizes(self) -> tuple[str, ...]:
+        """``sizes`` as they were written, empty where that is not known."""
+        return tuple(self.written.get(key, "") for key in ("k", "b_rps", "sigma_rad", "sigma_rad"))
+
+    @property
+    def written_sds(self) -> tuple[str, ...]:
+        """``sds`` likewise."""
+        return tuple(self.written.get(key, "") for key in ("sd_k", "sd_b_rps", "sd_sigma_rad", "sd_sigma_rad"))
+
+    @property
     def stated(self) -> bool:
         """Whether there is anything to judge by."""
         least = (self.nis_low, 1 - self.lost)
-        return any(map(math.isfinite, astuple(self)[:6])) or math.isfinite(self.nis_high) or any(v > 0 for v in least)
+        return any(map(math.isfinite, (*self.sizes, *self.sds))) or math.isfinite(self.nis_high) or any(v > 0 for v in least)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +111,11 @@ class Bench:
     excluded: frozenset[str] | None = None
     plugins: tuple[str, ...] = ()
     after_run: tuple[str, ...] = ()
+
+    @property
+    def units(self) -> Units:
+        """In which units states are shown."""
+        return self.limits.units
 
     def checked_operator(self, text: str) -> str:
         """Return an operator's name as it is to be kept; UsageError with the pattern if it does not match."""
@@ -148,7 +169,7 @@ def read_bench(
         site=Site(**own["site"].read_all("bench.site")) if own["site"] else None,
         table=read_table(own["table"], folder, tables),
         imus=_distinct([read_imu(table, folder, imus) for table in own["imu"]]),
-        limits=Limits(**own["limits"].read_all("bench.limits")),
+        limits=_limits(own["limits"], own["units"]),
         twin=TwinConfig(truths=own["twin"], **own["twin"].read("bench.twin", folder)),
         station=place["name"] or name,
         operator_pattern=place["operator_pattern"],
@@ -192,7 +213,14 @@ def _distinct(imus: Sequence[ImuConfig]) -> tuple[ImuConfig, ...]:
 
 def read_limits(text: str) -> Limits:
     """Return the limits of a bench file's text, for instance the one that a recording carries."""
-    return Limits(**_recorded(text, "limits").read_all("bench.limits"))
+    return _limits(_recorded(text, "limits"), _recorded(text, "units"))
+
+
+def _limits(table: Table, units: Table) -> Limits:
+    """Return the limits of the section with this name, to be compared in the units of another."""
+    texts = {key.field or key.name: text for key in keys_of("bench.limits") if (text := table.text_of(key.name))}
+    shown = Units(**units.read_all("bench.units"))
+    return Limits(**table.read_all("bench.limits"), written=texts, units=shown)
 
 
 def read_excluded(text: str, plugins: Sequence[str] = ()) -> frozenset[str] | None:

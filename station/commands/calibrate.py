@@ -2,34 +2,46 @@
 
 import argparse
 import json
+import math
 import os
 import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from estimator.calibration.calibration_file import write_calibration
 from estimator.calibration.error_model import ErrorModel
 from estimator.calibration.values import Calibration
-from estimator.errors import RecordingError
+from estimator.errors import EstimatorError, RecordingError
 from estimator.estimation.calibrate import calibrate
-from estimator.estimation.repeatability import Repeatability, repeatability, same_device
-from estimator.recordings.reading import read_recording
+from estimator.estimation.repeatability import Repeatability, repeatability
+from estimator.recordings.reading import file_format, read_attributes, read_recording
+from estimator.recordings.recording import FORMAT
+from estimator.untrusted import harmless
 from station.bench.bench import Limits, load_bench, read_excluded, read_limits
+from station.bench.units import Units
 from station.campaigns.campaigns import run_all
 from station.errors import UsageError
 from station.render import printing
+from station.render.template import rendered
 from station.render.terminal import print_rendered, stdout
-from station.run.outcome import MANUAL_VERDICT, Outcome, Verdict, judge
+from station.run.outcome import Outcome, Verdict, ended_of, judge_recorded
+from station.screen.archive.entries import series_of
 
 _IN_FULL = 5  # more recordings than this are printed a line each: a person compares them
-_KEPT = ("device", "devices", "script", "seed", "clock_zero_utc_s", "outcome", "reason")
+_ESTIMATED = (Outcome.PASS, Outcome.ESTIMATED)  # of their runs there was an estimate
+_KEPT = ("device", "devices", "device_serial", "station", "script", "seed", "clock_zero_utc_s", "outcome", "reason")
+_OURS = "turntable-"
+"""What the formats of the station's own files begin with."""
 
+End: TypeAlias = "tuple[str, Estimated | str]"
+"""Name of a recording, and what it came to, or why it came to nothing."""
+_MOST_SKIPPED = 3  # named
 _Rules = tuple[Limits, frozenset[str] | None]  # limits, and effects that are ruled out
 
 
@@ -38,13 +50,22 @@ class Estimated:
     """What one recording says, without its samples.
 
     ``attributes`` are those of the recording that tell which device was measured, how and when. ``seen`` is the
-    largest sigma of all states as a share of what the data sheet promises.
+    largest sigma of all states as a share of what the data sheet promises; ``units`` those to show states in. ``calibration`` is None, and ``seen`` NaN,
+    of a run that ended before there was enough to estimate from.
     """
 
-    calibration: Calibration
+    calibration: Calibration | None
     verdict: Verdict
     attributes: Mapping[str, Any]
     seen: float
+    units: Units = Units()
+
+
+@dataclass(frozen=True, slots=True)
+class OtherFile:
+    """A file of the station that is no recording, such as an investigation; ``reason`` says so."""
+
+    reason: str
 
 
 def command_calibrate(arguments: argparse.Namespace) -> int:
@@ -61,8 +82,27 @@ def command_calibrate(arguments: argparse.Namespace) -> int:
         quiet=arguments.json or len(names) == 1,
     )
     reasons = iter(failure.reason for failure in failures)  # in the order of the recordings, as the gaps are
-    ends = [(name, next(reasons) if found is None else found) for name, found in zip(names, results, strict=True)]
-    return _print_json(ends) if arguments.json else _print(ends)
+    folders = [argument for argument in arguments.recordings if Path(argument).is_dir()]
+    ends: list[End] = []
+    skipped: list[str] = []
+    for name, found in zip(names, results, strict=True):
+        if not isinstance(found, OtherFile):
+            ends.append((name, next(reasons) if found is None else found))
+        elif name in arguments.recordings:
+            ends.append((name, found.reason))
+        else:
+            skipped.append(name)
+    if arguments.json:
+        worst = _print_json(ends)
+    else:
+        worst = _print(ends, in_lines=len(ends) > _IN_FULL or bool(folders and len(ends) > 1), details=arguments.details)
+    if skipped:
+        files = f"{len(skipped)} file{'s' if len(skipped) > 1 else ''}"
+        shown = ", ".join(Path(name).name for name in skipped[:_MOST_SKIPPED])
+        more = f" and {len(skipped) - _MOST_SKIPPED} more" if len(skipped) > _MOST_SKIPPED else ""
+        told = f"skipped {files} of the station that hold{'' if len(skipped) > 1 else 's'} no recording: {shown}{more}"
+        print(harmless(told), file=sys.stderr if arguments.json else sys.stdout)
+    return worst
 
 
 def recordings_of(arguments: Sequence[str]) -> list[str]:
@@ -81,47 +121,72 @@ def recordings_of(arguments: Sequence[str]) -> list[str]:
     return list(found.values())
 
 
-def estimate(name: str, *, limits: _Rules | None, write: bool, model: ErrorModel | None = None) -> Estimated:
+def estimate(
+    name: str, *, limits: _Rules | None, write: bool, model: ErrorModel | None = None
+) -> Estimated | OtherFile:
     """Estimate the gyros of one recording and judge them, by the rules of its own bench file unless some are given.
 
-    ``model``: effects to estimate beside the states.
+    ``model``: effects to estimate beside the states. A file of the station that is no recording is told as such.
 
     Raises EstimatorError or UsageError for a recording that cannot be used, or not be written into.
     """
-    recording = read_recording(Path(name))
+    try:
+        recording = read_recording(Path(name))
+    except EstimatorError as error:
+        found = file_format(Path(name))
+        if found.startswith(_OURS) and found != FORMAT:
+            return OtherFile(str(error))
+        return _without_estimate(read_attributes(Path(name)), error)
     text, plugins = str(recording.attributes.get("bench", "")), recording.attributes.get("plugins", ())
     least, excluded = limits or (read_limits(text), read_excluded(text, plugins))
-    calibration = calibrate(recording, model=model, excluded=excluded)
-    verdict = MANUAL_VERDICT if recording.attributes.get("outcome") == Outcome.MANUAL else judge(calibration, least)
+    ended = ended_of(recording.attributes)
+    try:
+        calibration = calibrate(recording, model=model, excluded=excluded)
+    except EstimatorError as error:
+        if model is not None:
+            raise
+        return _without_estimate(recording.attributes, error)
+    attributes = {key: recording.attributes[key] for key in _KEPT if key in recording.attributes}
+    verdict = judge_recorded(calibration, least, ended, own_rules=limits is None and model is None)
     if write:
         try:
             write_calibration(Path(name), calibration)
         except OSError as error:
             raise RecordingError(f"{name} cannot be written into: {error}") from None
-    attributes = {key: recording.attributes[key] for key in _KEPT if key in recording.attributes}
     promised = {name: np.sqrt(data.prior.variances()) for name, data in recording.sources.items()}
     seen = max(float((gyro.sd / promised[gyro.source]).max()) for gyro in calibration.gyros)
-    return Estimated(calibration, verdict, attributes, seen)
+    return Estimated(calibration, verdict, attributes, seen, least.units)
 
 
-def _print_json(ends: Sequence[tuple[str, Estimated | str]]) -> int:
+def _without_estimate(attributes: Mapping[str, Any], error: EstimatorError) -> Estimated:
+    """Return how the run of a recording ended that cannot be estimated; raise the error if that does not explain it."""
+    ended = ended_of(attributes)
+    if ended is None or ended.outcome in _ESTIMATED:
+        raise error
+    if ended.outcome is not Outcome.MANUAL:
+        ended = replace(ended, reason=f"{ended.reason}; it cannot be estimated: {error}")
+    kept = {key: attributes[key] for key in _KEPT if key in attributes}
+    return Estimated(None, judge_recorded(None, None, ended), kept, math.nan)
+
+
+def _print_json(ends: Sequence[End]) -> int:
     worst = 0
-    devices = {runs[-1][0]: runs for runs in _devices(ends) if len(runs) > 1}
+    series = {runs[-1][0]: runs for runs in _comparable(ends) if len(runs) > 1}
     for name, end in ends:
         if isinstance(end, str):
             worst = max(worst, printing.refuse(end, True, recording=name))
         else:
             result = printing.result_object(end.verdict, name, end.calibration)
-            if name in devices:  # the last run of a device carries how it repeats
-                result["repeatability"] = printing.repeatability_object(_repeats(devices[name]))
+            if name in series:  # the last run of a device carries how it repeats
+                result["repeatability"] = printing.repeatability_object(_repeats(series[name]))
             print(json.dumps(result))
             worst = max(worst, end.verdict.outcome.exit_code)
     return worst
 
 
-def _print(ends: Sequence[tuple[str, Estimated | str]]) -> int:
+def _print(ends: Sequence[End], *, in_lines: bool, details: bool) -> int:
     judged = [(name, end) for name, end in ends if isinstance(end, Estimated)]
-    if len(ends) > _IN_FULL:
+    if in_lines:
         folder = os.path.commonpath([Path(name).absolute().parent for name, _ in ends])
         _print_overview(judged, folder)
         counts = Counter(str(end.verdict.outcome) for _, end in judged)
@@ -129,15 +194,14 @@ def _print(ends: Sequence[tuple[str, Estimated | str]]) -> int:
         print(f"{len(ends)} recordings: " + ", ".join(f"{count} {what}" for what, count in counts.items() if count))
     else:
         for name, end in judged:
-            printing.print_calibration(end.calibration, end.verdict)
-            printing.print_verdict(end.verdict, Path(name))
-    devices = _devices(ends)
-    for runs in devices:
+            printing.print_result(end.verdict, end.calibration, Path(name), end.units, details=details)
+    series = _comparable(ends)
+    for runs in series:
         if len(runs) > 1:
-            printing.print_repeatability(_repeats(runs), runs[0][1].calibration.gyros[0].device)
-    if len(devices) > 1:
-        kinds = "; ".join(", ".join(g.name for g in runs[0][1].calibration.gyros) for runs in devices)
-        print(f"note: {len(devices)} different devices or arrays ({kinds}): runs are compared within each only")
+            printing.print_repeatability(_repeats(runs), str(runs[0][1].attributes["device_serial"]), runs[0][1].units)
+    alone = len(judged) - sum(len(runs) for runs in series if len(runs) > 1)
+    if alone and len(judged) > 1:
+        print(rendered("station.render", "compared.txt", {"alone": alone, "judged": len(judged)}), end="")
     worst = max((end.verdict.outcome.exit_code for _, end in judged), default=0)
     sys.stdout.flush()  # what failed comes last, wherever the two streams lead
     failed = [(name, reason) for name, reason in ends if isinstance(reason, str)]
@@ -145,33 +209,48 @@ def _print(ends: Sequence[tuple[str, Estimated | str]]) -> int:
     return max([worst, *(printing.refuse(reason, False) for reason in named)])
 
 
-def _devices(ends: Sequence[tuple[str, Estimated | str]]) -> list[list[tuple[str, Estimated]]]:
-    """Return the estimated recordings by device: the same name if it has one, the same gyros along the same axes."""
-    groups: list[list[tuple[str, Estimated]]] = []
+def _comparable(ends: Sequence[End]) -> list[list[tuple[str, Estimated]]]:
+    """Return the runs that may be compared with each other, by the rule of ``station history``; none that failed."""
+    groups: dict[tuple[object, ...], list[tuple[str, Estimated]]] = {}
     for name, end in ends:
-        if isinstance(end, str):
+        if isinstance(end, str) or end.calibration is None or end.verdict.outcome is Outcome.FAIL:
             continue
-        gyros = end.calibration.gyros
-        for group in groups:
-            other = group[0][1].calibration.gyros
-            if other[0].device == gyros[0].device and same_device(other, gyros):
-                group.append((name, end))
-                break
-        else:
-            groups.append([(name, end)])
-    return groups
+        texts = {key: str(end.attributes.get(key, "")) for key in ("device_serial", "station", "script")}
+        gyros = [(gyro.source, gyro.name) for gyro in end.calibration.gyros]
+        series = series_of({**texts, "outcome": str(end.verdict.outcome)}, gyros)
+        if series is not None:
+            groups.setdefault(series, []).append((name, end))
+    return list(groups.values())
 
 
 def _repeats(runs: Sequence[tuple[str, Estimated]]) -> list[Repeatability]:
-    return repeatability([end.calibration.gyros for _, end in runs])
+    return repeatability([end.calibration.gyros for _, end in runs if end.calibration is not None])
 
 
 def _print_overview(judged: Sequence[tuple[str, Estimated]], folder: str) -> None:
-    """Print one line a recording: what it is of, how it was judged, how well it shows its states, how true it is."""
+    """Print one line a recording, then reasons, those of several recordings once.
+
+    A line says what it is of, how it was judged, how well it shows its states, how true it is.
+    """
     lines = []
+    reasons: dict[str, list[str]] = {}
     for name, end in judged:
         carried = [str(device).partition(" (")[0] for device in end.attributes.get("devices", ())]
-        sources = dict.fromkeys(gyro.source for gyro in end.calibration.gyros)
-        device = str(end.attributes.get("device", "")) or ", ".join(carried or sources)
-        lines.append((os.path.relpath(name, folder), device, str(end.attributes.get("script", "")), end))
-    print_rendered(stdout(), "station.render", "overview.rich", {"lines": lines, "folder": folder})
+        sources = dict.fromkeys(gyro.source for gyro in end.calibration.gyros) if end.calibration is not None else ()
+        known = (str(end.attributes.get(key, "")) for key in ("device_serial", "device"))
+        device = next(filter(None, known), ", ".join(carried or sources))
+        file = os.path.relpath(name, folder)
+        lines.append((file, device, str(end.attributes.get("script", "")), end))
+        for reason in _reasons(end.verdict):
+            reasons.setdefault(reason, []).append(file)
+    values = {"lines": lines, "folder": folder, "reasons": reasons}
+    print_rendered(stdout(), "station.render", "overview.rich", values)
+
+
+def _reasons(verdict: Verdict) -> list[str]:
+    """Return why a recording ended as it did, each reason by itself; of limits that are broken how many, and one."""
+    if verdict.broken:
+        first, *others = (line.broken for line in verdict.broken)
+        return [*verdict.because, f"{first}, and {len(others)} more limits not kept" if others else first]
+    told = verdict.reason.replace("; but ", "; ").split("; ")
+    return told[1:] if verdict.outcome is Outcome.PASS else told

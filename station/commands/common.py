@@ -24,9 +24,8 @@ from station.errors import EXIT_USAGE, UsageError, sentence
 from station.opening import needs_only_memory, open_bench, serve_twins, with_links
 from station.remote.after_run import tell_program
 from station.remote.hosting import Host, introduction
-from station.render.printing import print_calibration, print_verdict, refuse, result_object
+from station.render.printing import print_result, refuse, result_object
 from station.render.progress import RunProgress
-from station.render.template import rendered
 from station.render.terminal import print_rendered, stdout
 from station.run.early_end import check_early_end
 from station.run.event_loop.detached_output import lasting_streams
@@ -94,10 +93,8 @@ def _run(arguments: argparse.Namespace) -> int:
     else:
         if result.ended_early:
             print(f"ended early {result.ended_early}")
-        if result.calibration is not None:
-            print_calibration(result.calibration, result.verdict)
-        print(rendered("station.render", "sources.txt", {"sources": result.sources}), end="")
-        print_verdict(result.verdict, result.recording)
+        found = result.verdict, result.calibration, result.recording
+        print_result(*found, bench.units, details=arguments.details, sources=result.sources)
         if serial and host is None and result.calibration is not None:
             from station.screen.archive.archive import moved
 

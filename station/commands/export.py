@@ -3,6 +3,7 @@
 import argparse
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from drivers.plugins import load_files
@@ -13,8 +14,9 @@ from station.errors import EXIT_USAGE, UsageError, sentence
 from station.exports.exported import Exported, exported_of
 from station.exports.formats import FORMATS, Format
 from station.exports.written import Written
+from station.render import printing
 from station.render.terminal import print_rendered, stdout
-from station.run.outcome import Outcome
+from station.run.outcome import Outcome, Verdict
 
 _STDOUT = "-"
 
@@ -42,11 +44,31 @@ def command_export(arguments: argparse.Namespace) -> int:
             text.encode() if isinstance(text, str) else text
         )  # whatever the locale: these files are UTF-8
         sys.stdout.buffer.flush()
+    else:
+        _print_result(exported, details=arguments.details)
+        print(f"{arguments.format}: {arguments.output}")
     for line in written.not_held:
         print(f"not in {arguments.format}: {line}", file=sys.stderr)
-    for line in exported.cautions:
-        print(f"note: {line}", file=sys.stderr)
+    _print_cautions(exported, details=arguments.details)
     return Outcome.PASS.exit_code
+
+
+def _print_result(exported: Exported, *, details: bool) -> None:
+    """Print what is exported: how its run ended, and its states."""
+    ended = exported.verdict
+    if ended is not None:
+        printing.print_verdict(ended, details=details)
+    shown = replace(exported.calibration, gyros=exported.gyros)
+    printing.print_calibration(shown, ended or Verdict(Outcome.ESTIMATED, ""), exported.units, details=details)
+
+
+def _print_cautions(exported: Exported, *, details: bool) -> None:
+    """Say on stderr what speaks against using the calibration; without ``details`` of its notes only how many."""
+    notes = len(exported.calibration.notes)
+    for line in exported.cautions if details else exported.failure:
+        print(f"note: {line}", file=sys.stderr)
+    if notes and not details:
+        print(f"{notes} note{'s' if notes > 1 else ''} of the calibration: --details", file=sys.stderr)
 
 
 def refused(reason: str, arguments: argparse.Namespace) -> dict[str, str | None]:
@@ -77,12 +99,12 @@ def _export_all(arguments: argparse.Namespace, folder: Path) -> int:
     if arguments.json:
         print(json.dumps({"files": files, "refused": refused, "notes": exported.cautions}))
     else:
+        _print_result(exported, details=arguments.details)
         for name, file in files.items():
             print(f"{name}: {file}")
     for name, reason in refused.items():
         print(f"not written: {name}: {reason}", file=sys.stderr)
-    for line in exported.cautions:
-        print(f"note: {line}", file=sys.stderr)
+    _print_cautions(exported, details=arguments.details)
     return Outcome.PASS.exit_code if files else EXIT_USAGE
 
 

@@ -26,7 +26,7 @@ from station.render.terminal import print_rendered, stdout
 from station.screen.archive.archive import Archive
 from station.screen.archive.entries import Entry, comparable, moves
 from station.screen.archive.validity import validity_on
-from station.views.figures import OUTCOME_STYLES
+from station.views.figures import OUTCOME_STYLES, told_figures
 from station.views.json_values import by_state, json_object
 
 _MOST_ROWS = 50  # for a person
@@ -76,7 +76,12 @@ def command_history(arguments: argparse.Namespace) -> int:
         print(harmless(rendered("station.render", "history.csv", {**found, "states": STATES})), end="")
     else:
         name = "gauge.rich" if arguments.gauge else "history.rich"
-        print_rendered(stdout(), "station.render", name, {**found, "serial": arguments.serial, "states": STATES})
+        print_rendered(
+            stdout(),
+            "station.render",
+            name,
+            {**found, "serial": arguments.serial, "states": STATES, "figures_in": told_figures},
+        )
     return 0
 
 
@@ -133,7 +138,7 @@ def _chart(runs: Sequence[Entry]) -> dict[str, Any]:
     chart = control_chart([[gyro.values for gyro in run.gyros] for run in runs], counted)
     told = {"bench": runs[0].texts["station"], "script": runs[0].texts["script"], "counted": counted}
     names = {"gyros": [gyro.full_name for gyro in runs[0].gyros], "files": [run.path.name for run in runs]}
-    return {**told, **names, "when": [run.when for run in runs], **json_object(chart)}
+    return {**told, **names, "when": [run.when for run in runs], "units": runs[-1].units, **json_object(chart)}
 
 
 def _study(runs: Sequence[Entry]) -> dict[str, Any]:
@@ -154,11 +159,12 @@ def _study(runs: Sequence[Entry]) -> dict[str, Any]:
     of = {"operators": operators, "benches": benches, "devices": len({run.serial for run in runs})}
     counts = {"runs": len(runs), "failed": sum(run.failed for run in runs), "repeated": len(repeated)}
     names = {"script": runs[0].texts.get("script", ""), "gyros": [gyro.full_name for gyro in runs[0].gyros]}
-    return {**names, **of, **counts, "study": study}
+    return {**names, **of, **counts, "units": runs[-1].units, "study": study}
 
 
 def _row(entry: Entry, folder: Path, moved: Sequence[dict[str, Any]]) -> dict[str, Any]:
     told = {name: entry.texts.get(key, "") for key, name in _TEXTS.items()}
     told |= {"file": os.path.relpath(entry.path, folder), "wrong": entry.wrong, "device": entry.device}
+    told |= {"nis_mean": entry.nis_mean}
     gyros = [{"name": g.full_name, **by_state(g.values), "sd": by_state(g.sds)} for g in entry.gyros]
     return {"when": entry.when, **told, "when_utc_s": entry.when_utc_s, "moved": moved, "gyros": gyros}

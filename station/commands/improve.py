@@ -22,6 +22,7 @@ from estimator.planning.planning import UNSEEN, weighing
 from station.atomic_write import check_new_file, free_path, write_whole
 from station.bench.bench import Bench
 from station.bench.imu import ImuConfig
+from station.bench.units import Units
 from station.errors import UsageError
 from station.render.template import rendered
 from station.render.terminal import print_rendered, stdout
@@ -32,7 +33,7 @@ from station.scripts.planned import planned_motion
 from station.scripts.script import Move, Rest, Rotate, Script, check
 from station.scripts.script_family import ways_of
 from station.scripts.script_search import LONGEST_S, Found, Needs, Search, sds_of
-from station.views.figures import STATE_UNITS
+from station.views.figures import STATE_FIGURES, state_figures
 from station.views.json_values import by_state
 
 NAMES = {"k": (0,), "b": (1,), "sigma": (2, 3), "sigma_j": (2,), "sigma_k": (3,)}
@@ -89,7 +90,7 @@ def improve(arguments: argparse.Namespace, bench: Bench, script: Script) -> int:
     if arguments.json:
         print(json.dumps(improved_object(improved, path)))
     else:
-        _print(improved, path)
+        _print(improved, path, bench.units)
     return Outcome.PASS.exit_code
 
 
@@ -204,7 +205,7 @@ def _why_not(search: Search, bench: Bench, wanted: Wanted, gyros: tuple[tuple[st
             longest = search.longest()
             missed = sds_of(search.predict(longest)) > wanted.sd
             table_sd = make_plan(longest, bench, effects=()).table_sd
-        names = [f"{gyros[row][1]} {STATE_UNITS[state][0]}" for row, state in np.argwhere(missed)]
+        names = [f"{gyros[row][1]} {STATE_FIGURES[state].name}" for row, state in np.argwhere(missed)]
         values |= {"missed": names, "table_sd": table_sd, "longest_h": LONGEST_S / 3600}
     return rendered("station.commands", "unreachable.txt", values).rstrip()
 
@@ -259,12 +260,13 @@ def _with_sequencer_s(script: Script) -> float:
     return script.duration_s + _AFTER_MOVE_S * sum(not isinstance(step, Rest) for step in script.steps)
 
 
-def _print(improved: Improved, path: Path) -> None:
+def _print(improved: Improved, path: Path, units: Units) -> None:
     script = improved.found.script
     values = {
         "improved": improved,
         "with_sequencer_s": _with_sequencer_s(script),
         "steps": list(zip(script.steps, script.durations_s(), strict=True)),
         "path": path,
+        "state_figures": state_figures(units),
     }
     print_rendered(stdout(), "station.render", "improved.rich", values)

@@ -4,9 +4,14 @@ import argparse
 import json
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from station.atomic_write import check_new_file, free_path, write_whole
 from station.errors import EXIT_USAGE, UsageError
+
+if TYPE_CHECKING:
+    from station.report.recorded import Recorded
+    from station.report.standing import Standing
 
 
 def command_report(arguments: argparse.Namespace) -> int:
@@ -14,6 +19,10 @@ def command_report(arguments: argparse.Namespace) -> int:
     html, pdf, dcc = _outputs(arguments)
     keys = [Path(name) for name in (arguments.sign, arguments.certificate) if name]
     # numpy, h5py and matplotlib are slow to import: what is wrong with the arguments was said before.
+    from rich.markup import escape
+
+    from station.render.printing import next_after_report
+    from station.render.terminal import print_all, stdout
     from station.report.dcc import check_facts, make_dcc, read_key, sign
     from station.report.document import make_report
     from station.report.formal import read_formal
@@ -55,15 +64,36 @@ def command_report(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps({**said, "html": str(html), "pdf": made[0], "dcc": made[1]}))
     else:
+        _print_result(recorded, standing, details=arguments.details)
         print(f"{said['title']} No. {said['number']}")
+        if standing.warning:
+            print_all(stdout(), [(escape(standing.warning), {"highlight": False})])
         print(f"report: {html}")
         for what, path in zip(("PDF", "digital calibration certificate"), made, strict=True):
             if path:
                 print(f"{what}: {path}")
+        for step in next_after_report(standing.verdict, recorded.path):
+            print(f"next: {step}")
     if problem:
         print(f"station: {problem}; the report is kept in {html}", file=sys.stderr)
         return EXIT_USAGE
     return 0
+
+
+def _print_result(recorded: "Recorded", standing: "Standing", *, details: bool) -> None:
+    """Print what the report says first: the verdict and the states."""
+    from station.bench.units import Units
+    from station.render.printing import print_calibration, print_verdict
+    from station.report.standing import limits_of
+    from station.run.outcome import Outcome, Verdict
+
+    limits = limits_of(recorded)
+    if standing.verdict is not None:
+        print_verdict(standing.verdict, details=details)
+    if recorded.calibration is not None:
+        verdict = standing.verdict or Verdict(Outcome.ESTIMATED, "")
+        units = limits.units if limits is not None else Units()
+        print_calibration(recorded.calibration, verdict, units, details=details)
 
 
 def refused(reason: str, arguments: argparse.Namespace) -> dict[str, str | None]:

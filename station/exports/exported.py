@@ -19,9 +19,12 @@ from estimator.calibration.values import Calibration
 from estimator.errors import EstimatorError, RecordingError
 from estimator.recordings.reading import read_recording
 from estimator.recordings.recording import Recording
-from station.errors import UsageError, sentence
+from station.bench.bench import read_limits
+from station.bench.units import Units
+from station.errors import BenchError, UsageError, sentence
 from station.render.template import rendered
-from station.run.outcome import Outcome
+from station.run.outcome import Outcome, Verdict
+from station.views.figures import state_figures
 from station.views.seen import Seen, seen_by
 
 _RAW = ("imu", "table", "reference")
@@ -43,6 +46,7 @@ class Exported:
     seen: Seen
     devices: tuple[str, ...]
     instance: int = 0  # which of an autopilot's gyros they are
+    units: Units = Units()
 
     @property
     def name(self) -> str:
@@ -50,16 +54,28 @@ class Exported:
         return " and ".join(self.devices) or "imu"
 
     @property
+    def verdict(self) -> Verdict | None:
+        """How the run of the recording ended; None for data that no run of the station made."""
+        outcome, _, reason = self.identity.get("outcome", "").partition(" ")
+        return Verdict(Outcome(outcome), reason) if outcome in list(Outcome) else None
+
+    @property
+    def failure(self) -> list[str]:
+        """That the run was no pass, if it was none."""
+        ended = self.verdict
+        if ended is None or ended.outcome in (Outcome.PASS, Outcome.ESTIMATED):
+            return []
+        return [f"the run was no pass: {ended.outcome} {ended.reason}"]
+
+    @property
     def cautions(self) -> list[str]:
         """What speaks against using the calibration: that it was no pass, and what its notes say."""
-        outcome = self.identity.get("outcome", Outcome.PASS)
-        failed = [] if outcome.startswith((Outcome.PASS, Outcome.ESTIMATED)) else [f"the run was no pass: {outcome}"]
-        return [*failed, *self.calibration.notes]
+        return [*self.failure, *self.calibration.notes]
 
     @property
     def origin(self) -> list[str]:
         """Who was measured, how, and under what conditions: lines of text for the head of a file."""
-        return rendered("station.exports", "origin.txt", {"exported": self}).splitlines()
+        return rendered("station.exports", "origin.txt", {"exported": self, "state_figures": state_figures(self.units)}).splitlines()
 
 
 def exported_of(path: Path, devices: Sequence[str] = (), instance: int = 0) -> Exported:
@@ -85,7 +101,15 @@ def exported_of(path: Path, devices: Sequence[str] = (), instance: int = 0) -> E
         seen_by(recording.sources[name] for name in {gyro.source: None for gyro in gyros}),
         tuple(device for device in there if device and (not devices or device in devices)),
         instance,
+        _units_of(recording),
     )
+
+
+def _units_of(recording: Recording) -> Units:
+    """Return in which units the bench file that a recording carries has states shown; the usual ones without."""
+    with suppress(BenchError):
+        return read_limits(str(recording.attributes.get("bench", ""))).units
+    return Units()
 
 
 def _read(path: Path) -> Recording:

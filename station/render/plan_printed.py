@@ -9,6 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from drivers.types import Floats
+from drivers.units import split_quantity
 from estimator.effects.conditions import REFERENCE_C
 from estimator.effects.disturbances import TONE
 from estimator.observations.coverage import coverage_notes
@@ -17,7 +18,7 @@ from station.render.terminal import Shown, print_all, print_rendered, rich_table
 from station.scripts.axis_profile import profile_lines
 from station.scripts.plan import WARMING_TIME_S, Plan
 from station.scripts.polling import too_steep
-from station.views.figures import STATE_UNITS, shown_unit
+from station.views.figures import shown_unit, state_figures
 
 MARKED = 1.0
 """Shifts of the states below so many of their sigmas are not worth a word."""
@@ -31,8 +32,10 @@ def print_plan(plan: Plan, console: Console, early_late: Plan | None = None) -> 
     found = plan.forecast
     values = {
         "plan": plan,
+        "state_figures": state_figures(plan.bench.units),
         "profile": profile_lines(plan.motion, console.width),
         "size": _number,
+        "required_words": required_words(plan),
         "is_required": bool(np.isfinite(plan.required).any()),
         "combination": combination,
         "not_proved": coverage_notes(plan.constancy),
@@ -51,6 +54,18 @@ def print_plan(plan: Plan, console: Console, early_late: Plan | None = None) -> 
     print_rendered(console, "station.render", "plan.rich", values)
 
 
+def required_words(plan: Plan) -> list[str]:
+    """Return the sigmas that the bench requires, in the units of the states; as they were written if in these."""
+    limits, found = plan.bench.limits, []
+    for figure, sd, written in zip(state_figures(limits.units), limits.sds, limits.written_sds, strict=True):
+        said = split_quantity(written)
+        if said is not None and said[1] == figure.unit:
+            found.append(written.removesuffix(said[1]).rstrip())
+        else:
+            found.append(f"{sd * figure.factor:.4g}" if math.isfinite(sd) else "-")
+    return found
+
+
 def print_early_late(asked: Plan, offered: Plan, path: Path, console: Console) -> None:
     """Print the sigmas of a script that turns each axis early and late beside those of the asked one, and its file."""
     file_line = escape(f"script: {path}   (station run --script {path})")
@@ -65,16 +80,17 @@ def print_early_late(asked: Plan, offered: Plan, path: Path, console: Console) -
 def beside_table(asked: Plan, offered: Plan) -> Table:
     """Return the predicted sigmas of a script that turns each axis early and late, beside those of the asked one."""
     heads = ["gyro"]
-    for name, unit, _ in STATE_UNITS:
-        heads += [f"{name}\n{unit}", "\nasked"]
+    figures = state_figures(asked.bench.units)
+    for figure in figures:
+        heads += [f"{figure.name}\n{figure.unit}", "\nasked"]
     sigmas = rich_table(
         f"Predicted sigmas with each axis early and late, in {offered.script.duration_s:.4g} s", heads, "lrdrdrdrd"
     )
     several = len({gyro.source for gyro in offered.forecast.gyros}) > 1
     for gyro, own, others in zip(offered.forecast.gyros, offered.sd, asked.sd, strict=True):
         cells = [escape(f"{gyro.source} {gyro.name}" if several else gyro.name)]
-        for state, (_, _, factor) in enumerate(STATE_UNITS):
-            cells += [_number(float(own[state] * factor)), _number(float(others[state] * factor))]
+        for state, figure in enumerate(figures):
+            cells += [_number(float(own[state] * figure.factor)), _number(float(others[state] * figure.factor))]
         sigmas.add_row(*cells)
     return sigmas
 

@@ -15,19 +15,48 @@ from drivers.types import Floats
 from estimator.calibration.gyro import GyroCalibration
 from estimator.calibration.values import Calibration, GyroParity
 from estimator.estimation.repeatability import Repeatability
-from estimator.observations.coverage import coverage_object
+from estimator.observations.coverage import coverage_object, not_proved
 from estimator.observations.rests import RestNoise
+from station.bench.units import Units
 from station.errors import EXIT_USAGE
 from station.render.terminal import print_rendered, stdout
 from station.run.outcome import Outcome, Verdict
-from station.views.figures import OUTCOME_STYLES
+from station.views.figures import OUTCOME_STYLES, StateUnit, state_figures
 from station.views.json_values import budget_and_noise, by_state, json_object, named
+from station.views.limits import worst_first
 
+_MOST_DECIMALS = 9
+MOST_BROKEN = 4
+"""Limits that are broken of which a person sees without asking for details: the worst."""
 _BUDGET_WORDS = packaged_toml("station.views", "budget.toml")["terminal"]
 
 
-def print_calibration(calibration: Calibration, verdict: Verdict) -> None:
-    """Print the states of every gyro with their sigmas, in the units people use, and where the sigmas come from.
+def print_result(
+    verdict: Verdict,
+    calibration: Calibration | None,
+    recording: Path,
+    units: Units,
+    *,
+    details: bool,
+    sources: Sequence[Any] = (),
+) -> None:
+    """Print what a run or a recording came to: the verdict, the states in these units, and what to do next.
+
+    With ``details`` also every limit that is broken, where the sigmas come from, the noise, notes, and what was had of
+    each of the ``sources``.
+    """
+    print_verdict(verdict, details=details)
+    if calibration is not None:
+        print_calibration(calibration, verdict, units, details=details)
+    if details:
+        print_rendered(stdout(), "station.render", "sources.rich", {"sources": sources})
+    more = not details and (calibration is not None or bool(sources))
+    closing = {"next": next_steps(verdict, calibration, recording), "recording": recording, "more": more}
+    print_rendered(stdout(), "station.render", "closing.rich", closing)
+
+
+def print_calibration(calibration: Calibration, verdict: Verdict, units: Units, *, details: bool) -> None:
+    """Print the states of every gyro with their sigmas, in these units; with ``details`` where the sigmas come from.
 
     What breaks a limit is red.
     """
@@ -37,11 +66,20 @@ def print_calibration(calibration: Calibration, verdict: Verdict) -> None:
         "calibration": calibration,
         "broken": {(line.row, line.state, line.of_u) for line in verdict.broken},
         "budget": _budget(calibration),
+        "state_figures": fitted_figures(units, calibration),
         "size": _size,
         "noise": np.degrees(np.mean(noises, axis=0)).tolist() if noises else None,
         "rest": _rest([gyro.rest for gyro in calibration.gyros if gyro.rest is not None]),
     }
     print_rendered(stdout(), "station.render", "calibration.rich", values)
+    if details:
+        print_rendered(stdout(), "station.render", "details.rich", values)
+
+
+def fitted_figures(units: Units, calibration: Calibration) -> tuple[StateUnit, ...]:
+    """Return the states in these units, with the digits that the sigmas of a calibration deserve."""
+    sds = zip(*(gyro.sd.tolist() for gyro in calibration.gyros), strict=True)
+    return tuple(figure.fitted(own) for figure, own in zip(state_figures(units), sds, strict=True))
 
 
 def _budget(calibration: Calibration) -> Mapping[str, Floats]:
@@ -69,11 +107,11 @@ def _rest(rests: Sequence[RestNoise]) -> Mapping[str, str] | None:
     }
 
 
-def print_repeatability(repeats: Sequence[Repeatability], device: str) -> None:
+def print_repeatability(repeats: Sequence[Repeatability], device: str, units: Units) -> None:
     """Print how the states of a device scatter over its runs, beside the scatter that their sigmas promise."""
     if not repeats:
         return
-    values = {"repeats": repeats, "device": device, "size": _size}
+    values = {"repeats": repeats, "device": device, "size": _size, "state_figures": state_figures(units)}
     print_rendered(stdout(), "station.render", "repeatability.rich", values)
 
 
@@ -90,13 +128,39 @@ def repeatability_object(repeats: Sequence[Repeatability]) -> list[dict[str, Any
 
 
 def _size(value: float) -> str:
-    return "< 0.01" if value < 0.01 else f"{value:.2g}" if value < 10 else f"{value:.0f}"
+    """Return a size with two digits that count, without an exponent."""
+    if value >= 10 or value == 0 or not math.isfinite(value):
+        return f"{value:.0f}"
+    return f"{value:.{min(1 - math.floor(math.log10(value)), _MOST_DECIMALS)}f}"
 
 
-def print_verdict(verdict: Verdict, recording: Path) -> None:
-    """Print how it ended, why, and where the recording is; causes before what is broken, which is a table."""
-    values = {"verdict": verdict, "style": OUTCOME_STYLES[verdict.outcome], "recording": recording}
+def print_verdict(verdict: Verdict, *, details: bool) -> None:
+    """Print how it ended, and why; causes before what is broken, which is a table: without ``details`` of the worst."""
+    broken = list(verdict.broken) if details else worst_first(verdict.broken)[:MOST_BROKEN]
+    values = {"verdict": verdict, "style": OUTCOME_STYLES[verdict.outcome], "broken": broken}
     print_rendered(stdout(), "station.render", "verdict.rich", values)
+
+
+def next_steps(verdict: Verdict, calibration: Calibration | None, recording: Path) -> list[str]:
+    """Return what to do about a verdict, in words."""
+    if verdict.outcome in (Outcome.ABORTED, Outcome.FAULT):
+        return ["`station check` asks every device; then run it again"]
+    if verdict.outcome is Outcome.MANUAL:
+        return ["nothing was judged; `station run` follows a script and calibrates"]
+    remedies = list(dict.fromkeys(line.remedy for line in verdict.broken if line.remedy))
+    if verdict.outcome is Outcome.FAIL:
+        return remedies or [f"`station investigate {recording}` looks for what the model lacks"]
+    steps = [f"`station report {recording}` writes certificate or report"]
+    if calibration is not None and not_proved(calibration.constancy):
+        steps.append("`station plan --early-late` writes a script that proves constancy")
+    return steps
+
+
+def next_after_report(verdict: Verdict | None, recording: Path) -> list[str]:
+    """Return what to do once there is a report, in words: of what passed, take it where it is used."""
+    if verdict is not None and verdict.outcome not in (Outcome.PASS, Outcome.ESTIMATED):
+        return next_steps(verdict, None, recording)
+    return [f"`station export {recording} --all FOLDER` writes it for firmware and tools"]
 
 
 def refuse(reason: str, as_json: bool, outcome: Outcome | None = None, recording: str | None = None) -> int:

@@ -14,9 +14,15 @@ def rendered(package: str, name: str, values: Mapping[str, Any]) -> str:
     """Return the text of a template in the folder templates of a package.
 
     In .html and in .rich every text is escaped but markupsafe.Markup; None is nothing; a name that is not given raises
-    jinja2.UndefinedError. Every template has the functions of ``station.views`` that say values in everyday units.
+    jinja2.UndefinedError. Every template has the functions of ``station.views`` that say values in everyday units, and
+    ``state_figures``: the states in the units that are usual in the field, unless a value of that name is given.
     """
-    return _environment(package, name.endswith(".rich")).get_template(name).render(values)
+    from station.views.figures import STATE_FIGURES
+
+    figures = values.get("state_figures", STATE_FIGURES)
+    units = [(figure.name, figure.unit, figure.factor) for figure in figures]
+    shown = {**values, "state_figures": figures, "state_units": units}
+    return _environment(package, name.endswith(".rich")).get_template(name).render(shown)
 
 
 @cache
@@ -25,8 +31,6 @@ def _environment(package: str, rich: bool) -> "Environment":
 
     from station.views.figures import (
         OUTCOME_STYLES,
-        STATE_FIGURES,
-        STATE_UNITS,
         dph,
         human,
         number,
@@ -47,7 +51,6 @@ def _environment(package: str, rich: bool) -> "Environment":
     shared = (dph, human, number, percent, probability, math.degrees, math.isfinite)
     environment.globals |= {function.__name__: function for function in shared}
     environment.globals |= {"outcome_styles": OUTCOME_STYLES, "inf": math.inf}
-    environment.globals |= {"state_figures": STATE_FIGURES, "state_units": STATE_UNITS}
     constructed = "estimator.effects.constructed"  # with numpy: not before a text names an effect
     words = environment.globals["words"] = lambda called: import_module(constructed).readable(called)
     environment.filters["words"] = words

@@ -1,5 +1,6 @@
 """What a person sees in the terminal, from templates: lines with the markup of rich, and tables."""
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, TypeAlias
 
@@ -9,13 +10,17 @@ from rich.markup import escape
 from rich.measure import Measurement
 from rich.segment import Segment
 from rich.table import Column, Table
-from rich.text import TextType
+from rich.text import Text, TextType
 
 from estimator.untrusted import harmless
 from station.render.template import rendered
 
 _PIPE_WIDTH = 120
 _ANY_WIDTH = 10_000
+_LINE_WIDTH = 80
+_GLUE = "\ue000"  # a character without a meaning, and no space: rich breaks no line at it
+_WHOLE = re.compile(r"[+-]?\d[\d.]*(?: (?:±|\+-) \d[\d.]*)? (?:%|[a-zA-Z][\w/()]*)|`[^`]{1,60}`")
+"""What is not broken: a figure with its uncertainty and its unit, and what is to be typed."""
 _DIM = "dim"
 Shown: TypeAlias = tuple[RenderableType, dict[str, Any]]
 """A line or a table, and how Console.print is to print it."""
@@ -42,9 +47,24 @@ def print_rendered(console: Console, package: str, name: str, values: Mapping[st
 
 
 def print_all(console: Console, shown: Iterable[Shown]) -> None:
-    """Print lines and tables."""
+    """Print lines and tables; lines are broken at 80 columns, but between no figure and its unit."""
     for what, how in shown:
-        console.print(what, **how)
+        if isinstance(what, str) and not how.keys() & {"soft_wrap", "no_wrap"}:
+            for line in _wrapped(what, console, markup=how.get("markup", True)):
+                console.print(line, **{key: value for key, value in how.items() if key != "markup"})
+        else:
+            console.print(what, **how)
+
+
+def _wrapped(line: str, console: Console, *, markup: bool) -> list[Text]:
+    """Return a line as lines that fit, without spaces at their ends."""
+    text = Text.from_markup(line, emoji=False) if markup else Text(line)
+    text.plain = _WHOLE.sub(lambda found: found[0].replace(" ", _GLUE), text.plain)
+    broken = list(text.wrap(console, min(console.width, _LINE_WIDTH))) or [text]
+    for part in broken:
+        part.rstrip()
+        part.plain = part.plain.replace(_GLUE, " ")
+    return broken
 
 
 def shown_of(package: str, name: str, values: Mapping[str, Any]) -> list[Shown]:

@@ -11,6 +11,7 @@ from drivers.packaged import packaged_toml
 from estimator.calibration.budget import TYPE_A
 from estimator.recordings.reference import TableReadings
 from estimator.untrusted import harmless
+from station.bench.units import Units
 from station.errors import UsageError
 from station.exports.exported import RAW_RULE, file_sha256, raw_sha256
 from station.render.investigation_printed import verdict_lines
@@ -20,7 +21,7 @@ from station.report import figures, pictures, traced as residual
 from station.report.chapters import correction, front, results, unseen
 from station.report.formal import Formal, logo_of
 from station.report.recorded import Recorded, laid_out, read_recorded
-from station.report.standing import Standing, number_of, standing_of
+from station.report.standing import Standing, limits_of, number_of, standing_of
 from station.report.traced import Traced
 from station.views.seen import seen_by
 
@@ -80,6 +81,7 @@ def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Re
         "logo": logo_of(formal.laboratory_logo) if formal.laboratory_logo else "",
         "before": before,
         "found": recorded.calibration,
+        "states": figures.states_in(limits.units if (limits := limits_of(recorded)) is not None else Units()),
         "standing": standing,
         "unseen": not_seen,
         "traced": traced,

@@ -10,7 +10,8 @@ from markupsafe import Markup
 
 from drivers.packaged import packaged_toml
 from estimator.calibration.error_model import Size
-from station.views.figures import STATE_UNITS, human
+from station.bench.units import Units
+from station.views.figures import human, state_figures
 
 COVERAGE = 2.0
 """Coverage factor of expanded uncertainties: about 95 % of a normal distribution."""
@@ -50,10 +51,12 @@ ARW = Unit("°/s/√Hz", _DEG)
 WALK = Unit("°/h/√h", _DEG * 3600 * 60)
 
 SYMBOLS = tuple(map(Markup, ("<var>k</var>", "<var>b</var>", "<var>σ</var><sub>j</sub>", "<var>σ</var><sub>k</sub>")))
-STATES = tuple(
-    (symbol, Unit(typographic(unit), factor)) for symbol, (_, unit, factor) in zip(SYMBOLS, STATE_UNITS, strict=True)
-)
-"""Symbol and unit of each state, in the order of every vector of states."""
+
+
+def states_in(units: Units) -> tuple[tuple[Markup, Unit], ...]:
+    """Return symbol and unit of each state, in the order of every vector of states."""
+    shown = state_figures(units)
+    return tuple((symbol, Unit(typographic(one.unit), one.factor)) for symbol, one in zip(SYMBOLS, shown, strict=True))
 
 
 def figure(value: float, unit: Unit, text: str, source: str | None = None, times: float | None = None) -> Markup:

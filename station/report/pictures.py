@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from drivers.types import Floats
@@ -18,7 +19,7 @@ from estimator.effects.constructed import readable as words
 from estimator.tracing.investigation import Investigation, ResidualView
 from station.errors import UsageError
 from station.render.template import rendered
-from station.report.figures import ARW, DEG_PER_H, DEG_PER_S, STATES
+from station.report.figures import ARW, DEG_PER_H, DEG_PER_S, Unit
 from station.report.recorded import Course, Recorded
 from station.views.investigation import Spectra, judged_spectra, judged_views
 
@@ -69,23 +70,33 @@ def rates_picture(names: Sequence[str], t_s: Floats, rate_rps: Floats, what: str
         return _done(figure, "rates", what=what, span_s=t_s[-1] - t_s[0], largest=largest)
 
 
-def convergence_pictures(recorded: Recorded) -> list[Picture]:
-    """Return how the states of each gyro and their sigmas went, a panel a state; grey lines where steps begin."""
+def convergence_pictures(recorded: Recorded, states: Sequence[tuple[Markup, Unit]]) -> list[Picture]:
+    """Return how the states of each gyro and their sigmas went, a panel a state; grey lines where steps begin.
+
+    ``states``: symbol and unit of each.
+    """
     turns_s = [(step.start_ns - recorded.start_ns) * 1e-9 for step in recorded.steps]
     return [
-        _convergence_picture(recorded.label(source, name), course, i, recorded.start_ns, turns_s)
+        _convergence_picture(recorded.label(source, name), course, i, recorded.start_ns, turns_s, states)
         for source, course in recorded.courses.items()
         for i, name in enumerate(recorded.recording.sources[source].array.names)
         if len(course.t_ns)
     ]
 
 
-def _convergence_picture(gyro: str, course: Course, channel: int, start_ns: int, turns_s: Sequence[float]) -> Picture:
+def _convergence_picture(
+    gyro: str,
+    course: Course,
+    channel: int,
+    start_ns: int,
+    turns_s: Sequence[float],
+    states: Sequence[tuple[Markup, Unit]],
+) -> Picture:
     t_s = np.asarray((course.t_ns - start_ns) * 1e-9, dtype=np.float64)
     each = slice((len(t_s) - 1) % _every(t_s), None, _every(t_s))  # the last among them
     with _drawn((WIDTH_IN, 0.95), 1, 4, left=0.42, bottom=0.2, top=0.2) as (figure, panels):
         for s, (panel, symbol) in enumerate(zip(panels[0], _SYMBOLS, strict=True)):
-            unit = STATES[s][1]
+            unit = states[s][1]
             value, sd = course.states[each, channel, s] * unit.factor, course.sd[each, channel, s] * unit.factor
             for at in turns_s:
                 panel.axvline(at, color="#c8c8c8", lw=0.4, zorder=0)
@@ -96,7 +107,7 @@ def _convergence_picture(gyro: str, course: Course, channel: int, start_ns: int,
             panel.set_title(f"{symbol}, {unit.name}")
             panel.margins(x=0)
         last = course.states[-1, channel], course.sd[-1, channel]
-        return _done(figure, "convergence", gyro=gyro, units=STATES, last=last)
+        return _done(figure, "convergence", gyro=gyro, units=states, last=last)
 
 
 def nis_picture(recorded: Recorded) -> Picture | None:

@@ -13,7 +13,7 @@ from station.bench.bench import Limits, read_limits
 from station.bench.table import TWIN
 from station.report.formal import Formal, read_formal
 from station.report.recorded import Recorded
-from station.run.outcome import Outcome, Verdict, judge
+from station.run.outcome import Outcome, Verdict, ended_of, judge
 from station.views.limits import LimitLine, limit_lines
 
 
@@ -93,7 +93,7 @@ def _guarded(line: LimitLine, found: Calibration, false_accept: float | None) ->
 
 
 def _kind_of(recorded: Recorded, limits: Limits | None, lines: tuple[LimitLine, ...]) -> tuple[Kind, Verdict | None]:
-    ended = _ended(recorded)
+    ended = ended_of(recorded.recording.attributes)
     if ended is not None and ended.outcome in (Outcome.MANUAL, Outcome.ABORTED, Outcome.FAULT):
         return Kind[ended.outcome.name], ended
     if recorded.calibration is None:
@@ -137,9 +137,3 @@ def number_of(recorded: Recorded, hashes: tuple[str, ...]) -> str:
     digest = hashlib.sha256("".join(hashes).encode()).hexdigest()[:10].upper()
     begun = recorded.begun_utc
     return f"{begun:%Y%m%d}-{digest}" if begun else digest
-
-
-def _ended(recorded: Recorded) -> Verdict | None:
-    """Return how the run ended; None for data that no run of the station made."""
-    text = recorded.text("outcome")
-    return Verdict(Outcome(text), recorded.text("reason")) if text in list(Outcome) else None

@@ -15,13 +15,14 @@ from drivers.types import Floats, Identity, ImuBlock, LinkCounts, SourceCounts
 from estimator.calibration.error_model import ErrorModel
 from estimator.errors import EstimatorError
 from estimator.estimation.live.sample_columns import SampleColumns
+from estimator.estimation.live.source import LiveSource
 from estimator.observations.timing import TimeOffset
 from estimator.recordings.writing import RecordingWriter
 from station.errors import sentence
 from station.opening import OpenBench, OpenImu
 from station.opening.reopening import Reopening
 from station.run.event_loop.loops import is_virtual
-from station.run.live import LiveEstimate, LiveSource
+from station.run.live import LiveEstimate
 from station.run.monitor import Beside, Monitor
 from station.run.snapshot import EventKind
 from station.run.table_watch import TableRow

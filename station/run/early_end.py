@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from estimator.calibration.budget import table_budget
+from estimator.estimation.live.source import RECENT_S, LiveSource
 from estimator.estimation.noise_evidence import TooShort, joint_estimate, run_of_blocks
 from estimator.geometry.model import decode
 from estimator.observations.blocks import Blocks
@@ -16,7 +17,7 @@ from station.bench.bench import Bench
 from station.bench.imu import ImuConfig
 from station.errors import UsageError, sentence
 from station.opening import OpenBench
-from station.run.live import RECENT_S, LiveEstimate, LiveSource
+from station.run.live import LiveEstimate
 
 _LOOK_EVERY_S = 1.0
 _CONFIRM_EVERY_S = 5.0  # an estimate under coloured noise takes a host a third of a second

@@ -31,8 +31,8 @@ def final_estimate(
     EstimatorError if the samples do not suffice.
     """
     recording = read_recording(path, trusted=True)
-    found = calibrate(recording, innovations=False, model=model, excluded=excluded)
-    calibration = replace(found, nis_mean=live.nis_mean, notes=(*found.notes, *live.notes))
+    found = calibrate(recording, model=model, excluded=excluded)
+    calibration = replace(found, notes=(*found.notes, *live.notes))
     agreement = _agreement(recording, live)
     fuller = {name: replace(reports[name], offset=calibration.offsets.get(name)) for name in live.sources}
     write_attributes(path, {}, *((name, report.attributes()) for name, report in fuller.items()))

@@ -1,8 +1,9 @@
 """How a run ended, and whether its calibration is within limits."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import Any
 
 from estimator.calibration.budget import UNSEEN
 from estimator.calibration.values import Calibration
@@ -40,6 +41,7 @@ class Verdict:
     because: tuple[str, ...] = ()
 
 
+_UNFINISHED = (Outcome.ABORTED, Outcome.FAULT)
 MANUAL_VERDICT = Verdict(Outcome.MANUAL, "driven by hand: nothing was judged")
 _UNSEEN_HINT = sentence("run.unseen")
 
@@ -62,6 +64,47 @@ def judge(calibration: Calibration, limits: Limits | None, causes: Sequence[str]
         return Verdict(Outcome.FAIL, "; ".join([*because, *broken, *hints]), tuple(lines), (*because, *hints))
     good = "every state, its sigma, the innovations and the losses are within limits"
     return Verdict(Outcome.PASS, "; but ".join(["; ".join([good, *unproved]), *calibration.doubts]))
+
+
+def ended_of(attributes: Mapping[str, Any]) -> Verdict | None:
+    """Return how the run of a recording ended, from its attributes; None for data that no run of the station made."""
+    text = str(attributes.get("outcome", ""))
+    return Verdict(Outcome(text), str(attributes.get("reason", ""))) if text in list(Outcome) else None
+
+
+def judge_recorded(
+    calibration: Calibration | None, limits: Limits | None, ended: Verdict | None, *, own_rules: bool = True
+) -> Verdict:
+    """Judge the calibration of a recording whose run ``ended`` so (None: no run made it).
+
+    A run that was driven by hand, aborted or ended by a fault keeps that outcome; what its data alone come to is told
+    in the reason. So does a run that failed, unless it is judged by other than its ``own_rules``: limits of another
+    bench, or an error model. Then the reason says how it ended. ``calibration`` is None if it came to none.
+    """
+    if ended is not None and ended.outcome is Outcome.MANUAL:
+        return MANUAL_VERDICT
+    if calibration is None:
+        assert ended is not None, "without a run and an estimate there is nothing to judge"
+        return ended
+    judged = judge(calibration, limits)
+    if ended is not None and ended.outcome in _UNFINISHED:
+        return Verdict(ended.outcome, f"{ended.reason}; {_until_then(judged)}")
+    if ended is None or ended.outcome is not Outcome.FAIL or judged.outcome is Outcome.FAIL:
+        return judged
+    if own_rules:
+        return Verdict(Outcome.FAIL, f"the run ended so: {ended.reason}")
+    return replace(judged, reason=f"{judged.reason}; the run itself ended FAIL: {ended.reason}")
+
+
+def _until_then(judged: Verdict) -> str:
+    """Return in words what the data of a run come to that did not get to its end."""
+    if judged.outcome is Outcome.FAIL:
+        first = judged.broken[0].broken if judged.broken else judged.reason
+        more = f", and {len(judged.broken) - 1} more limits not kept" if len(judged.broken) > 1 else ""
+        return f"what was measured until then is not within limits: {first}{more}"
+    if judged.outcome is Outcome.ESTIMATED:
+        return "what was measured until then was estimated; there are no limits to judge by"
+    return "what was measured until then is within limits, but it is not the whole script"
 
 
 def _mostly_unseen(calibration: Calibration, line: LimitLine) -> bool:

@@ -20,6 +20,7 @@ from drivers.types import LinkCounts
 from estimator.calibration.error_model import ErrorModel
 from estimator.calibration.values import Calibration
 from estimator.errors import EstimatorError, RecordingError
+from estimator.estimation.live.source import model_sha256
 from estimator.recordings.recording import IDENTITY
 from estimator.recordings.writing import TEXT_BYTES, RecordingWriter, write_attributes
 from station.errors import UsageError, sentence
@@ -435,19 +436,15 @@ def _attributes(bench: OpenBench, script: Script, options: RunOptions) -> dict[s
         "outcome": str(Outcome.ABORTED),
         "reason": _UNFINISHED,
     }
-    if config.plugins:
-        attributes["plugins"] = list(config.plugins)
     if config.site is not None:
         attributes["site_latitude_rad"] = config.site.latitude_rad
         attributes["site_heading_rad"] = config.site.heading_rad
-    told = {"operator": options.operator, "device_serial": options.device_serial}
+    told: dict[str, Any] = {"operator": options.operator, "device_serial": options.device_serial}
+    told |= {"plugins": list(config.plugins), "model_sha256": model_sha256(options.model)}
     attributes |= {key: value for key, value in told.items() if value}
     loop = asyncio.get_running_loop()
     if is_virtual(loop):  # runs that begin alike are alike, to the last byte; a simulated clock has no place in the day
-        model = options.model.text() if options.model is not None else ""
-        begun = repr((attributes, script, model, options.reset_fault, options.end_early))
-        attributes[IDENTITY] = hashlib.sha256(begun.encode()).hexdigest()[:32]
-    else:
-        zero_utc_s = time.time() - loop.time() / options.time_scale
-        attributes |= {"clock_zero_utc_s": zero_utc_s, "time_scale": options.time_scale}
-    return attributes
+        begun = repr((attributes, script, options.reset_fault, options.end_early))
+        return attributes | {IDENTITY: hashlib.sha256(begun.encode()).hexdigest()[:32]}
+    zero_utc_s = time.time() - loop.time() / options.time_scale
+    return attributes | {"clock_zero_utc_s": zero_utc_s, "time_scale": options.time_scale}

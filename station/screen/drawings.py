@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from station.run.snapshot import GyroSnapshot, Snapshot
 from station.screen.sessions.live_run import LiveRun, Trend
-from station.views.figures import STATE_FIGURES, number
+from station.views.figures import STATE_FIGURES, StateUnit, number, told_figures
 
 STATE_CHARTS = tuple(state.name for state in STATE_FIGURES)
 DIALS = ("axes",)
@@ -54,7 +54,8 @@ def run_drawing(name: str, run: LiveRun, gyro: GyroSnapshot) -> Drawing:
     if name in STATE_CHARTS:
         index = STATE_CHARTS.index(name)
         limit = limits.get(_LIMITS[index])
-        found = state_drawing(index, run.trends.get(gyro.name) or Trend(), math.inf if limit is None else limit)
+        trend, figures = run.trends.get(gyro.name) or Trend(), told_figures(limits.get("units"))
+        found = state_drawing(index, trend, math.inf if limit is None else limit, figures=figures)
     else:
         found = _seen(name, run, gyro, [float(limits[key]) for key in ("nis_low", "nis_high") if limits.get(key)])
     return found._replace(marks=marks, span=(0.0, run.seen[-1].elapsed_s))
@@ -110,14 +111,18 @@ def _arc(radius: float, begin_rad: float, end_rad: float, style: str) -> Curve:
     return Curve([-radius * math.sin(a) for a in angles], [radius * math.cos(a) for a in angles], style)
 
 
-def state_drawing(index: int, trend: Trend, limit: float, over: str = "s") -> Drawing:
+def state_drawing(
+    index: int, trend: Trend, limit: float, over: str = "s", figures: Sequence[StateUnit] = STATE_FIGURES
+) -> Drawing:
     """Return how a state of a gyro narrowed, between one sigma below and above it; ``limit`` in SI.
+
+    ``figures`` are the states in the units of the bench.
 
     Over days it is that of one calibration after the other, points with bars. Nothing is shown before the motion that
     shows the state. The range of values is that of the last fifth of the time, so that a band which narrows is seen to;
     a limit is drawn where it is near, and else said.
     """
-    state, days = STATE_FIGURES[index], over != "s"
+    state, days = figures[index], over != "s"
     words = [(f"{state.name} ({state.unit})", "")]
     rows = list(zip(trend.times_s, trend.values, trend.sds, strict=True))
     scaled = [(t, value[index] * state.factor, sd[index] * state.factor) for t, value, sd in rows]

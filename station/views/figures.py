@@ -1,11 +1,17 @@
 """Figures as people read them: states in everyday units, durations as a clock has them, a dash for the unknown."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any, Self
 
 from drivers.packaged import packaged_toml
+from drivers.units import unit_size
+from station.bench.units import Units
 
 UNKNOWN = "-"
+_MOST_DIGITS = 6
 _STYLES = packaged_toml("station.views", "styles.toml")
 OUTCOME_STYLES: dict[str, str] = _STYLES["outcomes"]
 """Colours of outcomes; the word always stands there too."""
@@ -27,10 +33,19 @@ class StateUnit:
         """Return a value in SI as digits in the unit."""
         return number(value * self.factor, self.digits, signed=signed)
 
+    def fitted(self, sds: Iterable[float]) -> Self:
+        """Return the same unit with so many digits that the smallest of some sigmas, in SI, has two that count."""
+        known = [sd * self.factor for sd in sds if 0 < sd < math.inf]
+        if not known:
+            return self
+        digits = min(max(1 - math.floor(math.log10(min(known))), 0), _MOST_DIGITS)
+        return replace(self, digits=digits, width=self.width + digits - self.digits)
 
-def _units(kind: str) -> dict[str, tuple[str, float]]:
-    """Return by effect's SI unit, or by state, what people read in its place, and the factor."""
-    return {key: (shown, times * math.degrees(1) ** power) for key, (shown, times, power, *_) in _TABLES[kind].items()}
+
+def _effect_units() -> dict[str, tuple[str, float]]:
+    """Return by effect's SI unit what people read in its place, and the factor."""
+    shown = _TABLES["effects"].items()
+    return {key: (unit, times * math.degrees(1) ** power) for key, (unit, times, power) in shown}
 
 
 def shown_unit(si: str) -> tuple[str, float]:
@@ -42,13 +57,30 @@ def shown_unit(si: str) -> tuple[str, float]:
 
 
 _TABLES = packaged_toml("station.views", "units.toml")
-_EFFECTS = _units("effects")
-STATE_FIGURES = tuple(
-    StateUnit(state, *shown, *_TABLES["states"][state][3:]) for state, shown in _units("states").items()
-)
-"""The four states in order, in the units of the printed calibration."""
-STATE_UNITS = tuple((state, *shown) for state, shown in _units("sigmas").items())
-"""Name, unit and factor from SI of each state, for their sigmas."""
+_EFFECTS = _effect_units()
+
+
+@cache
+def state_figures(units: Units) -> tuple[StateUnit, ...]:
+    """Return the four states in order, in the units that a bench file chose, for values, sigmas and limits alike."""
+    found = []
+    for state, key in _TABLES["states"].items():
+        unit = getattr(units, key)
+        digits, width = _TABLES["digits"][unit]
+        found.append(StateUnit(state, unit, 1 / unit_size(unit)[0], digits, width))
+    return tuple(found)
+
+
+def told_figures(told: Any) -> tuple[StateUnit, ...]:
+    """Return the states in the units that a session or a file tells, as JSON; in the usual ones where it tells none."""
+    try:
+        return state_figures(Units(**told)) if told else STATE_FIGURES
+    except (TypeError, KeyError):  # of another version of the station
+        return STATE_FIGURES
+
+
+STATE_FIGURES = state_figures(Units())
+"""The four states in order, in the units that are usual in the field: where no bench file is at hand."""
 
 
 def number(value: float | None, digits: int, *, signed: bool = False) -> str:

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.units import split_quantity
 from estimator.calibration.values import Calibration
 from station.bench.bench import Limits
 from station.errors import sentence
-from station.views.figures import STATE_FIGURES, STATE_UNITS
+from station.views.figures import StateUnit, state_figures
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,7 +18,8 @@ class LimitLine:
     """One limit: what it is of, the value found, the bounds, SI.
 
     Of a gyro (``row`` in the calibration) it is of ``state`` 0 to 3 or, ``of_u``, of that state's standard
-    uncertainty. ``note`` says why a gyro has no estimate. What is accepted ends a ``guard`` band before the limits.
+    uncertainty, shown in ``unit``. ``written`` is the bound as the bench file has it, empty where that is not known.
+    ``note`` says why a gyro has no estimate. What is accepted ends a ``guard`` band before the limits.
     """
 
     gyro: str
@@ -30,6 +32,8 @@ class LimitLine:
     of_u: bool = False
     note: str = ""
     guard: float = 0.0
+    unit: StateUnit | None = None
+    written: str = ""
 
     @property
     def stated(self) -> bool:
@@ -46,15 +50,13 @@ class LimitLine:
         """How the limit is broken, in words."""
         if self.note:
             return f"{self.gyro} is not estimated: {self.note}"
-        if self.state is not None:
-            name, unit, factor = STATE_UNITS[self.state]
-            if not self.of_u:
-                unit, factor = STATE_FIGURES[self.state].unit, STATE_FIGURES[self.state].factor
-            what = f"{self.gyro} sigma of {name}" if self.of_u else f"{self.gyro} {name}"
-            found, most = _apart(abs(self.value) * factor, self.high * factor)
-            return f"{what} {found} {unit} > {most} {unit}"
+        if self.unit is not None:
+            what = f"{self.gyro} sigma of {self.what}" if self.of_u else f"{self.gyro} {self.what}"
+            found, most = self._shown(self.high, self.unit.unit, self.unit.factor)
+            return f"{what} {found} > {most}"
         if self.what == SAMPLES_LOST:
-            return f"{self.value:.2%} of the samples lost > {self.high:.2%}"
+            found, most = self._shown(self.high, "%", 100.0)
+            return f"{found} of the samples lost > {most}"
         return sentence("run.nis", nis=self.value, low=self.low, high=self.high)
 
     @property
@@ -63,16 +65,32 @@ class LimitLine:
         if self.note or not math.isfinite(self.value):
             return f"{self.gyro} {self.what}", self.note or "not known", "", ""
         unit, factor, what = "", 1.0, self.what
-        if self.state is not None:
-            unit, factor = f" {STATE_FIGURES[self.state].unit}", STATE_FIGURES[self.state].factor
+        if self.unit is not None:
+            unit, factor = self.unit.unit, self.unit.factor
             what = f"{self.gyro} {'± of ' * self.of_u}{self.what}"
         elif what == SAMPLES_LOST:
-            unit, factor = " %", 100.0
+            unit, factor = "%", 100.0
         bound = self.low if what == MEAN_NIS and self.value < self.low else self.high
-        found, most = _apart(abs(self.value) * factor, bound * factor)
+        found, most = self._shown(bound, unit, factor)
         ratio = abs(self.value) / bound if bound else math.inf
         by = f"{ratio:.0f} times" if ratio > 2 else f"{abs(ratio - 1) * 100:.2g} %"
-        return what, found + unit, most + unit, by if math.isfinite(ratio) else ""
+        return what, found, most, by if math.isfinite(ratio) else ""
+
+    def _shown(self, bound: float, unit: str, factor: float) -> tuple[str, str]:
+        """Return the value in a unit, and a bound as it was written, in that unit too where it was in another.
+
+        Both have as many digits as it takes to tell them apart.
+        """
+        found, most = (f"{text} {unit}".rstrip() for text in _apart(abs(self.value) * factor, bound * factor))
+        if not self.written:
+            return found, most
+        in_unit = (split_quantity(self.written) or (0.0, ""))[1] == unit
+        return found, self.written if in_unit else f"{self.written} ({most})"
+
+    @property
+    def excess(self) -> float:
+        """The value over its upper bound; infinite where that is zero, or the value is not known."""
+        return abs(self.value) / self.high if self.high > 0 and math.isfinite(self.value) else math.inf
 
     @property
     def remedy(self) -> str:
@@ -94,6 +112,11 @@ def _apart(value: float, bound: float) -> tuple[str, str]:
     return texts[0], texts[1]
 
 
+def worst_first(lines: Sequence[LimitLine]) -> list[LimitLine]:
+    """Return limits that are broken: those of no gyro first, which may be behind the others, then by how far."""
+    return sorted(lines, key=lambda line: (line.row is not None, -line.excess))
+
+
 MEAN_NIS, SAMPLES_LOST = "mean NIS", "samples lost"
 
 
@@ -105,12 +128,16 @@ def limit_lines(found: Calibration, limits: Limits, labels: Sequence[str] | None
     lines = [LimitLine(e.name, "estimate", math.nan, 0.0, 1.0, note=e.reason) for e in found.excluded]
     for row, gyro in enumerate(found.gyros):
         label = labels[row] if labels else gyro.name
-        for s, (state, size, doubt) in enumerate(zip(STATE_FIGURES, limits.sizes, limits.sds, strict=True)):
-            lines.append(LimitLine(label, state.name, float(gyro.states[s]), -size, size, row, s))
-            lines.append(LimitLine(label, state.name, float(gyro.sd[s]), 0.0, doubt, row, s, of_u=True))
+        for s, unit in enumerate(state_figures(limits.units)):
+            size, sd = limits.sizes[s], limits.sds[s]
+            of_size, of_sd = limits.written_sizes[s], limits.written_sds[s]
+            value, found_sd = float(gyro.states[s]), float(gyro.sd[s])
+            lines.append(LimitLine(label, unit.name, value, -size, size, row, s, unit=unit, written=of_size))
+            lines.append(LimitLine(label, unit.name, found_sd, 0.0, sd, row, s, of_u=True, unit=unit, written=of_sd))
     if math.isfinite(found.nis_mean):
         lines.append(LimitLine("all", MEAN_NIS, found.nis_mean, limits.nis_low, limits.nis_high))
     if limits.lost < 1:
         share = found.lost / max(found.samples + found.lost, 1)
-        lines.append(LimitLine("all", SAMPLES_LOST, share, 0.0, limits.lost))
+        written = limits.written.get("lost", "")
+        lines.append(LimitLine("all", SAMPLES_LOST, share, 0.0, limits.lost, written=written))
     return [line for line in lines if line.stated]

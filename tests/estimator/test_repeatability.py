@@ -11,7 +11,7 @@ from support import TABLE_1, direct_recording, station
 
 from estimator.calibration.gyro import GyroCalibration
 from estimator.estimation.calibrate import calibrate
-from estimator.estimation.repeatability import between_runs, repeatability, same_device
+from estimator.estimation.repeatability import between_runs, repeatability
 from estimator.geometry.array import triad
 from estimator.recordings.writing import write_recording
 
@@ -62,4 +62,3 @@ def test_the_command_compares_runs_of_one_array_and_says_so_of_another(tmp_path:
     assert "2 different devices or arrays (gyro1, gyro2, gyro3, gyro4; x, y, z)" in shown.stdout
     lines = [json.loads(line) for line in station("calibrate", "--json", tmp_path).stdout.splitlines()]
     assert [("repeatability" in line) for line in lines] == [False, True, False]
-    assert not same_device(run(0), calibrate(other).gyros)

@@ -15,6 +15,7 @@ from drivers.types import ImuBlock
 from estimator.calibration.error_model import ErrorModel, KnownEffect, Size
 from estimator.effects.catalogue import catalogue
 from estimator.estimation.live.sample_columns import SampleColumns, white_solution
+from estimator.estimation.live.source import LiveSource
 from estimator.geometry.array import tetrahedron
 from estimator.recordings.reference import TableReadings
 from estimator.recordings.writing import write_recording
@@ -22,7 +23,7 @@ from sims.physics.hidden import Hidden
 from station.bench.bench import default_bench_text
 from station.cli import main
 from station.opening import DeviceTruth, simulate
-from station.run.live import LiveEstimate, LiveSource
+from station.run.live import LiveEstimate
 from station.run.table_watch import TableRow
 from station.scripts.loop_scripts import exploration_script
 from station.scripts.script import Script, load_script, paper_script

@@ -268,7 +268,7 @@ def test_a_broken_limit_is_named_and_makes_it_a_report(copy: Path, tmp_path: Pat
     text = reported(copy, tmp_path)
     assert title_of(text) == "Calibration report: not within limits"
     rows = [words_of(row) for row in parsed(text).iter("tr")]
-    assert sum(bool(re.search(r"k ppm [\d.]+ ± 3000 FAIL [\d.]+ ≤ 90000 PASS", row)) for row in rows) == 4
+    assert sum(bool(re.search(r"k ppm [\d.]+ ± 3000 FAIL [\d.]+ ≤ 9 % PASS", row)) for row in rows) == 4
     assert any(re.search(r"mean NIS .* PASS", row) for row in rows)
     standing = standing_of(read_recorded(copy))
     assert standing.verdict is not None

@@ -1,19 +1,19 @@
 """What was found: states with their uncertainties, the comparison with the limits, the budget."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from markupsafe import Markup
 
 from drivers.packaged import packaged_toml
+from drivers.units import split_quantity
 from estimator.calibration.values import Calibration
-from station.report.figures import ONE, PERCENT, STATES, Unit, figure, plain
+from station.report.figures import ONE, PERCENT, SYMBOLS, Unit, figure, plain, stated, typographic
 from station.report.recorded import Recorded
 from station.report.standing import Standing
 from station.report.traced import Traced
 from station.views.limits import MEAN_NIS, SAMPLES_LOST, LimitLine
 
-_NEXT_TO_NOTHING = 0.01  # ppm, deg/h, urad
 SOURCES = packaged_toml("station.views", "budget.toml")["report"]
 """What lines of the budget are called."""
 
@@ -30,11 +30,22 @@ def moved_by(recorded: Recorded, found: Calibration, traced: Traced) -> float:
 
 def quantity(line: LimitLine) -> tuple[str, Unit, str | None]:
     """Return what a limit is of, its unit, and where the recording has the value."""
-    if line.state is not None:
-        return *STATES[line.state], f"calibration/{'sd' if line.of_u else 'states'}[{line.row},{line.state}]"
+    if line.state is not None and line.unit is not None:
+        unit = Unit(typographic(line.unit.unit), line.unit.factor)
+        return SYMBOLS[line.state], unit, f"calibration/{'sd' if line.of_u else 'states'}[{line.row},{line.state}]"
     if line.what == SAMPLES_LOST:
         return line.what, PERCENT, None
     return line.what, ONE, "calibration@nis_mean" if line.what == MEAN_NIS else None
+
+
+def written(line: LimitLine) -> Markup:
+    """Return the upper bound of a limit as the bench file has it: without its unit if it is that of the column."""
+    _, unit, _ = quantity(line)
+    said = split_quantity(line.written)
+    if said is None:
+        return stated(line.high, unit)
+    text = line.written.removesuffix(said[1]).rstrip() if typographic(said[1]) == unit.name else line.written
+    return figure(line.high, unit, typographic(text))
 
 
 def limits_by_gyro(standing: Standing) -> Mapping[str, list[tuple[LimitLine | None, LimitLine | None]]]:
@@ -48,11 +59,8 @@ def limits_by_gyro(standing: Standing) -> Mapping[str, list[tuple[LimitLine | No
     return gyros
 
 
-def shares(u: Iterable[float], source: str, next_to_nothing: float = _NEXT_TO_NOTHING) -> list[Markup]:
-    """Return standard uncertainties state by state; what is next to nothing is said to be so. ``source``: %d, state."""
+def shares(u: Iterable[float], source: str, states: Sequence[tuple[Markup, Unit]]) -> list[Markup]:
+    """Return standard uncertainties state by state, in the units of these. ``source``: %d, state."""
     return [
-        figure(value, unit, "< 0.01", source % s)
-        if value * unit.factor < next_to_nothing
-        else plain(float(value), unit, 2, source % s)
-        for s, (value, (_, unit)) in enumerate(zip(u, STATES, strict=True))
+        plain(float(value), unit, 2, source % s) for s, (value, (_, unit)) in enumerate(zip(u, states, strict=True))
     ]

@@ -26,6 +26,7 @@ class Entry:
     """One recording of a folder. ``wrong`` says why it cannot be read, and then nothing else is known of it.
 
     ``foreign``: it is no recording at all, but some other HDF5 file. ``figures``: ``gyros`` as JSON, see there.
+    ``nis_mean``: mean NIS of its calibration, None if there is none. ``units``: those that its bench file chose.
     """
 
     file: str
@@ -35,6 +36,8 @@ class Entry:
     texts: Mapping[str, str] = field(default_factory=dict)
     devices: tuple[str, ...] = ()
     figures: bytes = b"[]"
+    nis_mean: float | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def path(self) -> Path:
@@ -65,11 +68,7 @@ class Entry:
     @property
     def series(self) -> tuple[object, ...] | None:
         """What comparable runs have in common; None for what is compared with none."""
-        ended = self.texts.get("outcome") in ("MANUAL", "ABORTED", "FAULT")
-        if not self.serial or not self.gyros or ended:
-            return None
-        gyros = tuple((gyro.source, gyro.name) for gyro in self.gyros)
-        return (self.serial, self.texts.get("station"), self.texts.get("script"), gyros)
+        return series_of(self.texts, [(gyro.source, gyro.name) for gyro in self.gyros])
 
     @property
     def failed(self) -> bool:
@@ -95,7 +94,8 @@ class Whole:
 
     ``sizes`` are the limits of the four states in SI, infinite where there is none; ``curves`` the live estimates by
     gyro, ``investigation`` the newest that is kept beside it, as JSON. ``samples`` and ``lost`` are None without a
-    calibration. ``broken`` are the limits that are: their cells, what helps, and of which row, state, and whether of
+    calibration, ``noise`` then the mean angle random walk in rad/s/rtHz and what 95 % of the expectation of the bias
+    instability lies below in rad/s, None if no noise was found. ``broken`` are the limits that are: their cells, what helps, and of which row, state, and whether of
     its sigma they are; ``because`` is what may be behind that. ``attributes`` are those of the file.
     """
 
@@ -104,6 +104,7 @@ class Whole:
     samples: int | None = None
     lost: int | None = None
     nis_mean: float = math.nan
+    noise: tuple[float, float] | None = None
     notes: Sequence[str] = ()
     excluded: Sequence[str] = ()
     events: Sequence[tuple[float, str]] = ()
@@ -112,6 +113,29 @@ class Whole:
     broken: Sequence[tuple[tuple[str, ...], str, tuple[object, ...]]] = ()
     because: Sequence[str] = ()
     attributes: Mapping[str, Any] = field(default_factory=dict)
+
+
+def series_of(texts: Mapping[str, str], gyros: Sequence[tuple[str, str]]) -> tuple[object, ...] | None:
+    """Return what comparable runs have in common: serial number, bench, script, sources and names of the gyros.
+
+    ``texts`` are attributes of the recording. None for what is compared with none: a device without a serial number, no
+    calibration, and a run that was driven by hand or did not come to its end.
+    """
+    serial = texts.get("device_serial", "")
+    if not serial or not gyros or texts.get("outcome") in ("MANUAL", "ABORTED", "FAULT"):
+        return None
+    return (serial, texts.get("station"), texts.get("script"), tuple(gyros))
+
+
+def last_comparable(run: Entry, entries: Iterable[Entry]) -> Entry | None:
+    """Return the newest run before this one that it may be compared with: of its series, and not failed."""
+    earlier = [
+        other
+        for runs in comparable(entries)
+        for other in runs
+        if other.series == run.series and not other.failed and other.when_utc_s < run.when_utc_s
+    ]
+    return max(earlier, key=lambda other: other.when_utc_s, default=None)
 
 
 def comparable(entries: Iterable[Entry], whatever: int = 0) -> list[list[Entry]]:

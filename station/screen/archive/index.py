@@ -21,9 +21,9 @@ from estimator.errors import MISSHAPEN
 from station.screen.archive.entries import Entry, File
 from station.screen.memory import is_of_this_user_alone, state_folder
 
-_VERSION = 1  # of what an entry holds: an older index is left to older stations
+_VERSION = 2  # of what an entry holds: an older index is left to older stations
 _PATIENCE_S = 1.0  # for another station, which writes for some milliseconds
-_TOLD = ("when_utc_s", "wrong", "foreign", "devices", "texts")
+_TOLD = ("when_utc_s", "wrong", "foreign", "devices", "texts", "nis_mean", "units")
 
 
 def index_file(folder: Path) -> Path:

@@ -1,8 +1,10 @@
 """What a process beside the screen does with recordings: a damaged HDF5 file can hang or kill it, not the screen."""
 
 import json
+import math
 import os
 import shutil
+import tomllib
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
@@ -91,7 +93,9 @@ def _entry(unread: Entry, file: Any) -> Entry:
         raise ValueError(f"it began {began_utc_s} s after 1970")
     devices = [str(plain(source.attrs.get("device", ""))) for source in file.get("imu", {}).values()]
     rows: Iterable[Any] = ()
+    nis_mean = None
     if (group := file.get("calibration")) is not None:
+        nis_mean = float(plain(group.attrs.get("nis_mean", math.nan)))
         figures = (group[key][()].astype(float).reshape(-1, len(STATES)).tolist() for key in ("states", "sd"))
         rows = zip(
             *([str(plain(name)) for name in group[key][()]] for key in ("name", "source")), *figures, strict=True
@@ -102,7 +106,19 @@ def _entry(unread: Entry, file: Any) -> Entry:
         texts={name: str(plain(file.attrs.get(name, ""))) for name in _TEXTS},
         devices=tuple(filter(None, dict.fromkeys(devices))) or (str(plain(file.attrs.get("device", ""))),),
         figures=json.dumps(list(rows)).encode(),
+        units=_units(str(plain(file.attrs.get("bench", "")))),
+        nis_mean=nis_mean if nis_mean is not None and math.isfinite(nis_mean) else None,
     )
+
+
+def _units(bench: str) -> dict[str, str]:
+    """Return the section [units] of a bench file's text; most have none, and are not read for it."""
+    if "[units]" not in bench:
+        return {}
+    with suppress(tomllib.TOMLDecodeError):
+        found = tomllib.loads(bench).get("units")
+        return {str(key): str(unit) for key, unit in found.items()} if isinstance(found, dict) else {}
+    return {}
 
 
 def _whole(entry: Entry, file: Any) -> Whole:
@@ -110,6 +126,8 @@ def _whole(entry: Entry, file: Any) -> Whole:
     if (group := file.get("calibration")) is not None:
         found = {key: plain(group.attrs[key]) for key in ("samples", "lost", "nis_mean") if key in group.attrs}
         found |= {key: [str(plain(text)) for text in group.attrs.get(key, [])] for key in ("notes", "excluded")}
+        if "noise" in group and "noise_below" in group:
+            found["noise"] = float(group["noise"][:, 0].mean()), float(group["noise_below"][:, 0].mean())
     events = file.get("events")
     if events is not None and "text" in events:
         rows = zip(events["t_ns"][()], events["text"][()], strict=False)
@@ -126,7 +144,7 @@ def _whole(entry: Entry, file: Any) -> Whole:
 def _judged(whole: Whole, bench: str) -> Whole:
     """Return it with the limits of its bench, and with those that are broken, unless its reason names others."""
     from station.bench.bench import read_limits  # with all drivers, which a list of recordings does without
-    from station.views.limits import limit_lines
+    from station.views.limits import limit_lines, worst_first
 
     with suppress(EstimatorError, BenchError):
         limits = read_limits(bench)
@@ -135,8 +153,7 @@ def _judged(whole: Whole, bench: str) -> Whole:
         lines = [line for line in found if not line.within]
         before, named, after = whole.entry.texts["reason"].partition("; ".join(line.broken for line in lines) or "\0")
         if named:  # losses and noise first: they are behind what the states miss
-            lines.sort(key=lambda line: line.row is not None)
-            broken = [(line.cells, line.remedy, (line.row, line.state, line.of_u)) for line in lines]
+            broken = [(line.cells, line.remedy, (line.row, line.state, line.of_u)) for line in worst_first(lines)]
             because = [text.removeprefix("but ") for text in f"{before}{after}".split("; ") if text]
             whole = replace(whole, broken=broken, because=because)
     return whole

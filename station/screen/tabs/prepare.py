@@ -22,6 +22,7 @@ from station.screen.sessions.link import sessions_on
 from station.screen.sessions.live_run import LiveRun
 from station.screen.sessions.programs import Answer, ask
 from station.screen.tabs.prospects import Prospect, look_ahead, matches
+from station.views.figures import state_figures
 
 _FIELDS = (
     ("bench", "Bench file", "built-in twins"),
@@ -270,6 +271,8 @@ class PrepareScreen(StationScreen):
         self.query_one("#start", Button).disabled = bool(obstacles)
         values = {"obstacles": obstacles, "prospect": self._prospect or Prospect(), "plan": self._plan}
         values |= {"check": self._check, "checking": self._checking, "tray": self.station.mounted}
+        if self._prospect is not None and self._prospect.limits is not None:
+            values["state_figures"] = state_figures(self._prospect.limits.units)
         for name in _BLOCKS:
             self.query_one(f"#{name}", Static).update(templated(f"{name}.rich", values))
         self.query_one(Charts).draw()

@@ -16,7 +16,7 @@ from textual.widgets import Button, Static
 
 from station.atomic_write import free_path
 from station.render.template import rendered
-from station.screen.archive.entries import INVESTIGATION, Entry, Whole, moves
+from station.screen.archive.entries import INVESTIGATION, Entry, Whole, last_comparable, moves
 from station.screen.base import StationScreen
 from station.screen.charts import Charts
 from station.screen.dialogs import AskDialog, ChooseDialog
@@ -24,6 +24,7 @@ from station.screen.drawings import STATE_CHARTS, Drawing, state_drawing
 from station.screen.figures import templated
 from station.screen.sessions.programs import ask
 from station.screen.tabs.facts import fill_in
+from station.views.figures import told_figures
 
 _MOST_OFFERED = 20
 _LOOKING = "looking for what the model lacks"
@@ -228,13 +229,12 @@ class ResultScreen(StationScreen):
         whole, charts = self._whole, self.query_one(Charts)
         charts.display = bool(whole and whole.curves)
         values: dict[str, Any] = {"whole": whole, "path": self.recording, "busy": self._busy, "said": self._said}
+        values["state_figures"] = told_figures(whole.entry.units if whole is not None else {})
         moved = Text.from_markup(rendered("station.render", "moved.rich", {"moves": self._moves}).strip(), emoji=False)
         self._block("verdict", Text("\n").join(filter(None, (templated("verdict.rich", values), moved))))
         shown: dict[str, RenderableType] = {}
         if whole is not None and not whole.entry.wrong:
-            earlier = (other for other in self._same if other.when_utc_s < whole.entry.when_utc_s)
-            last = max(earlier, key=lambda other: other.when_utc_s, default=None)
-            values |= {"entry": whole.entry, "last": last}
+            values |= {"entry": whole.entry, "last": last_comparable(whole.entry, self._same), "moves": self._moves}
             told = ("states", "change", "record") if whole.entry.gyros else ("record",)
             shown = {name: templated(f"{name}.rich", values) for name in told}
             if whole.entry.gyros:
@@ -255,7 +255,7 @@ class ResultScreen(StationScreen):
             return None
         index = STATE_CHARTS.index(name)
         curve = list(whole.curves.values())[self.gyro % len(whole.curves)]
-        return state_drawing(index, curve, whole.sizes[index])
+        return state_drawing(index, curve, whole.sizes[index], figures=told_figures(whole.entry.units))
 
 
 def _investigation(found: Mapping[str, Any]) -> list[RenderableType]:

@@ -177,7 +177,7 @@ def test_control_charts_leave_failed_runs_out_of_their_limits(
 
 def test_charts_of_a_device_name_the_run_that_is_outside(series: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shown = history(capsys, series, "--serial", "SN-0042")
-    (line,) = [line for line in shown.splitlines() if line.startswith("!") and "b (deg/s) of gyro1" in line]
+    (line,) = [line for line in shown.splitlines() if line.startswith("!") and "b (deg/h) of gyro1" in line]
     assert "2026-12-02" in line
 
 

@@ -1,0 +1,12 @@
+"""The units in which the states of gyros are shown, as a bench file chooses them."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Units:
+    """One unit for each state, for its value, its sigma and its limits; ``misalignment`` is that of both angles."""
+
+    scale_factor_error: str = "ppm"
+    bias: str = "deg/h"
+    misalignment: str = "urad"
