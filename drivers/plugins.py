@@ -1,9 +1,11 @@
 """What comes in kinds, by name: built in, by the entry points of installed packages, or out of Python files."""
 
 import os
+import stat
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from functools import lru_cache
 from hashlib import sha256
 from importlib import import_module
@@ -24,15 +26,31 @@ class PluginError(ValueError):
 
 
 def load_files(paths: Iterable[Path] = ()) -> list[ModuleType]:
-    """Import the files that ``GIVEN`` names and these, each once; PluginError if that fails."""
+    """Import the files that ``GIVEN`` names and these, each once; PluginError if that fails.
+
+    The operator has named those of ``GIVEN``. These others a bench file names, or they stand beside it: they must be
+    files that nobody but the operator and the administrator can change.
+    """
     given = [Path(file) for file in os.environ.get(GIVEN, "").split(os.pathsep) if file]
     if here := [str(path) for path in given if not path.is_absolute()]:  # the working folder decides nothing
         raise PluginError(f"{GIVEN} has {', '.join(here)}: give the whole path")
-    return [load_file(path) for path in dict.fromkeys(path.resolve() for path in (*given, *paths))]
+    named = dict.fromkeys(path.resolve() for path in given)
+    found = [path for path in dict.fromkeys(path.resolve() for path in paths) if path not in named]
+    for path in found:
+        if reason := _changed_by_others(path):
+            raise PluginError(
+                f"plug-in {path} is not loaded: {reason}, and it is code that would run as you. Copy it to a folder "
+                "that only you may write to; or, if you have looked at it and trust who may change it, name it: "
+                f"--plugin {path}"
+            )
+    return [load_file(path) for path in (*named, *found)]
 
 
 def load_file(path: Path) -> ModuleType:
     """Import a Python file, anew each time; PluginError if that fails."""
+    with suppress(OSError):  # what is not there is told below
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise PluginError(f"plug-in {path}: it is a pipe, a folder or a device, not a Python file")
     name = f"station_plugin_{path.stem}_{sha256(str(path.absolute()).encode()).hexdigest()[:8]}"
 
     def run() -> ModuleType:
@@ -44,6 +62,53 @@ def load_file(path: Path) -> ModuleType:
         return module
 
     return _guarded(f"plug-in {path}", str(path.absolute()), run)
+
+
+def _changed_by_others(path: Path) -> str:
+    """Return how another user than this one and root could change a file, empty if none could.
+
+    A folder with the sticky bit, such as /tmp, lets nobody replace files of others. A group of the user alone, which
+    many systems make for each user, is the user.
+    """
+    if os.name != "posix":
+        return ""
+    try:
+        seen = [(what, place.stat()) for what, place in (("it", path), ("its folder", path.parent))]
+    except OSError:
+        return ""  # what is not there is told by who loads it
+    for what, state in seen:
+        if state.st_uid not in (0, os.geteuid()):
+            return f"{what} belongs to {_user(state.st_uid)}"
+        if stat.S_ISDIR(state.st_mode) and state.st_mode & stat.S_ISVTX:
+            continue
+        if state.st_mode & stat.S_IWOTH:
+            return f"every user of this computer may write to {what}"
+        if state.st_mode & stat.S_IWGRP and not _private(state.st_gid, state.st_uid):
+            return f"a group of users may write to {what}"
+    return ""
+
+
+def _user(uid: int) -> str:
+    import pwd
+
+    try:
+        return f"the user {pwd.getpwuid(uid).pw_name}"
+    except KeyError:
+        return f"the user with the number {uid}"
+
+
+def _private(gid: int, uid: int) -> bool:
+    """Return whether a group has no member but this user."""
+    import grp
+    import pwd
+
+    try:
+        user = pwd.getpwuid(uid)
+        group = grp.getgrgid(gid)
+    except KeyError:
+        return False
+    alone = user.pw_gid == gid and set(group.gr_mem) <= {user.pw_name}
+    return alone and group.gr_name == user.pw_name
 
 
 def origin_of(module: ModuleType) -> str:

@@ -132,3 +132,11 @@ class EarlySource(Protocol):
 
         Once called it is to be called every few milliseconds.
         """
+
+
+@runtime_checkable
+class TellsOrders(Protocol):
+    """A table whose drives can be asked what they were told last, whoever that was."""
+
+    async def orders(self, axis: str) -> Mapping[str, float]:
+        """Return the registers, by name, in which a drive keeps what it was told."""

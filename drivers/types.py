@@ -1,17 +1,20 @@
 """The values that cross the seams to hardware, and the types of arrays that drivers, twins and the station share."""
 
 from dataclasses import asdict, dataclass, field
-from typing import Self
+from typing import TYPE_CHECKING, Any, Self
 
-import numpy as np
-from numpy.typing import NDArray
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Stamps = NDArray[np.int64]
-"""Instants in ns."""
-Flags = NDArray[np.bool_]
-Octets = NDArray[np.uint8]
+    Floats = NDArray[np.float64]
+    Ints = NDArray[np.int64]
+    Stamps = NDArray[np.int64]
+    """Instants in ns."""
+    Flags = NDArray[np.bool_]
+    Octets = NDArray[np.uint8]
+else:  # names alone: whoever only talks to a table, as the guard of a run does, does without the 10 MB of numpy
+    Floats = Ints = Stamps = Flags = Octets = Any
 
 _Told = tuple[float, float, float]
 
@@ -47,12 +50,14 @@ class AxisLimits:
     """What an axis may be asked for. ``travel_rad``: the angles from home that it stays between, None for all.
 
     ``acceleration_step_rps2``: the controller takes multiples of it only, and the one below what it is given.
+    ``resolution_rad``: the angle by which readings differ at least, 0 where that is not known.
     """
 
     rate_rps: float
     acceleration_rps2: float
     travel_rad: tuple[float, float] | None = None
     acceleration_step_rps2: float = 0.0
+    resolution_rad: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

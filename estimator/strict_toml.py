@@ -52,9 +52,12 @@ class StrictTable:
         return cls(data, (), text, file, error)
 
     @classmethod
-    def load(cls, path: Path, error: type[Exception]) -> Self:
-        """Read a file; the given error if it cannot be read or is no TOML."""
-        return cls.parse(read_text(path, error), str(path), error)
+    def load(cls, path: Path, error: type[Exception], wanted: str = "a TOML file") -> Self:
+        """Read a file; the given error if it cannot be read or is no TOML.
+
+        ``wanted`` is what the error asks for if a recording is given.
+        """
+        return cls.parse(read_text(path, error, wanted), str(path), error)
 
     def again(self) -> Self:
         """Return this table as it is now, for somebody else to take from."""

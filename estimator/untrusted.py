@@ -1,13 +1,16 @@
 """What strangers made: files read up to a size, texts made harmless."""
 
+import json
 import os
 import stat
 from pathlib import Path
+from typing import Any
 
 MOST_TEXT_BYTES = 1 << 20
 """Of a file that people write."""
 MOST_DATA_BYTES = 1 << 29
 """Of a file of foreign data, of which several copies are held while it is read."""
+_HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 _HARMFUL = dict.fromkeys(
     {*range(32), *range(0x7F, 0xA0), 0x61C, 0x200E, 0x200F, *range(0x202A, 0x202F), *range(0x2066, 0x206A)}.union(
@@ -26,10 +29,31 @@ def harmless(text: str) -> str:
     return text.replace("\r\n", "\n").translate(_HARMFUL)
 
 
-def read_bytes(path: Path, error: type[Exception], most_bytes: int = MOST_DATA_BYTES, name: str = "") -> bytes:
+def read_json(text: str) -> Any:
+    """Return what a JSON text holds, its texts harmless: JSON can spell any character with six harmless ones.
+
+    ValueError or RecursionError if it is none.
+    """
+    return _cleaned(json.loads(text))
+
+
+def _cleaned(value: Any) -> Any:
+    if isinstance(value, str):
+        return harmless(value)
+    if isinstance(value, list):
+        return [_cleaned(item) for item in value]
+    if isinstance(value, dict):
+        return {harmless(key): _cleaned(item) for key, item in value.items()}
+    return value
+
+
+def read_bytes(
+    path: Path, error: type[Exception], most_bytes: int = MOST_DATA_BYTES, name: str = "", wanted: str = ""
+) -> bytes:
     """Return a file's content; the error given if it is none, cannot be read, or is larger than anybody would make.
 
-    ``name`` is what errors call it; by default its path.
+    ``name`` is what errors call it; by default its path. ``wanted`` says which file a person should give in place of a
+    recording, for instance "a bench file (.toml)"; without it a recording is read like any other file.
     """
     name = name or str(path)
     try:
@@ -39,14 +63,16 @@ def read_bytes(path: Path, error: type[Exception], most_bytes: int = MOST_DATA_B
             content = file.read(most_bytes + 1)
     except (OSError, ValueError) as reason:  # a name with a null character is a ValueError
         raise error(f"{name} cannot be read: {getattr(reason, 'strerror', None) or reason}") from None
+    if wanted and content.startswith(_HDF5_SIGNATURE):
+        raise error(f"{name} is a recording, not {wanted}")
     if len(content) > most_bytes:
         raise error(f"{name} has more than {most_bytes >> 20} MB: that is no such file, or split it")
     return content
 
 
-def read_text(path: Path, error: type[Exception]) -> str:
+def read_text(path: Path, error: type[Exception], wanted: str = "a text file") -> str:
     """Return a text file in UTF-8, with or without byte order mark; lines end with a line feed. As ``read_bytes``."""
-    content = read_bytes(path, error, MOST_TEXT_BYTES)
+    content = read_bytes(path, error, MOST_TEXT_BYTES, wanted=wanted)
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as reason:

@@ -19,6 +19,17 @@ def check_new_file(path: Path, option: str) -> None:
     _check_folder(path, option)
 
 
+def check_new_recording(path: Path) -> None:
+    """Check, before anything is opened, that no file of that name is there; UsageError if one is.
+
+    The folder may be missing: it is made with the recording.
+    """
+    if path.is_dir():
+        raise UsageError(f"--output {path} is a folder: name a file in it, for instance {path / 'run.h5'}")
+    if path.exists():
+        raise UsageError(f"--output {path} is there already, and is never written over: give another name")
+
+
 def check_picture(path: Path) -> None:
     """See that a picture can be drawn and saved there, before any long work; UsageError if not."""
     if path.suffix.lower() not in _PICTURES:

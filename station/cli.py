@@ -2,6 +2,7 @@
 
 import argparse
 import codecs
+import difflib
 import importlib
 import io
 import json
@@ -19,6 +20,7 @@ from estimator.errors import EstimatorError
 from estimator.untrusted import harmless
 from station.bench.plugins import use_effects
 from station.campaigns import ONE_BLAS_THREAD
+from station.computer.facilities import missing_facility
 from station.errors import EXIT_ABORTED, EXIT_FAULT, EXIT_USAGE, UsageError, sentence
 from station.exports import GROUP as EXPORTS
 
@@ -45,6 +47,14 @@ class _Forms:
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         self.exit(EXIT_USAGE, f"station: {message}\ntry: {self.prog} --help\n")
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """Check a choice; name the nearest one where it is mistyped."""
+        if isinstance(action, argparse._SubParsersAction) and value not in action.choices:
+            near = difflib.get_close_matches(value, action.choices, n=1)
+            suggestion = f": did you mean {near[0]!r}?" if near else f": the commands are {', '.join(action.choices)}"
+            raise argparse.ArgumentError(None, f"there is no command {value!r}{suggestion}")
+        super()._check_value(action, value)
 
 
 class _Station(_Parser):
@@ -85,9 +95,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments.parser, arguments.typed = parser, typed  # what a shell completes; what a browser's screen is begun with
     # Before any command imports numpy. Matrices here are small: threads of the linear algebra library gain nothing,
     # and on a busy machine they wait for each other for seconds.
+    if missing := missing_facility():
+        print(f"station: {missing}", file=sys.stderr)
+        return EXIT_USAGE
     os.environ.update(ONE_BLAS_THREAD)
     os.environ["PYTHONSAFEPATH"] = "1"  # no process that is started, of a pool or a screen, imports from its folder
     command = "ui" if getattr(arguments, "ui", False) else arguments.command
+    try:
+        return _carry_out(command, arguments)
+    except BrokenPipeError:  # whoever read stdout is gone
+        sys.stderr.close()
+        return EXIT_USAGE
+
+
+def _carry_out(command: str, arguments: argparse.Namespace) -> int:
+    """Call the function of a command and return its exit code; an error of the station's own is printed."""
     module = None
     try:
         # The libraries behind the commands cost a second: --help does without.
@@ -104,9 +126,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("station: stopped by Ctrl-C", file=sys.stderr)
         return EXIT_ABORTED
-    except BrokenPipeError:
-        sys.stderr.close()
-        return EXIT_USAGE
 
 
 def _spell_out() -> None:

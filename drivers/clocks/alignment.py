@@ -112,6 +112,8 @@ class HostFit:
         self._buckets: deque[_Bucket] = deque(maxlen=_BUCKETS)
         self._above_mean: float | None = None  # how far the line runs from the mean, where it follows that
         self._fitted: _Line | None = None
+        self._known_jitter_s = math.nan  # by the buckets and the line of the last fit
+        self._alignment: Alignment | None = None
 
     @property
     def known(self) -> bool:
@@ -120,15 +122,19 @@ class HostFit:
 
     @property
     def alignment(self) -> Alignment | None:
-        """The line in use with its uncertainty; None before three seconds of arrivals."""
-        if self._fitted is None or self._origin_ns is None:
-            return None
+        """The line in use with its uncertainty; None before three seconds of arrivals.
+
+        One frozen value, put in place whole by ``add``: any thread may read it while another adds.
+        """
+        return self._alignment
+
+    def _aligned(self, fitted: _Line) -> Alignment:
         return Alignment(
-            offset_s=self._origin_ns * 1e-9 + self._line(self._seen_s),
+            offset_s=(self._origin_ns or 0) * 1e-9 + self._line(self._seen_s),
             drift_ppm=self._slope * 1e6,
-            sd_offset_s=self._fitted.sd_at(self._seen_s),
-            sd_drift_ppm=self._fitted.sd_slope * 1e6,
-            jitter_rms_s=self._jitter_s,
+            sd_offset_s=fitted.sd_at(self._seen_s),
+            sd_drift_ppm=fitted.sd_slope * 1e6,
+            jitter_rms_s=self._known_jitter_s,
         )
 
     @property
@@ -163,6 +169,8 @@ class HostFit:
             if len(self._buckets) >= _FEWEST:
                 self._fit(newest_s)
         self._seen_s = newest_s
+        if self._fitted is not None:
+            self._alignment = self._aligned(self._fitted)
 
     @property
     def drift(self) -> float:
@@ -228,6 +236,7 @@ class HostFit:
         settle_s = _SETTLE_S if len(self._buckets) > _AT_FIRST else _SETTLE_AT_FIRST_S
         slew = abs(self._line(now_s) - wanted) / settle_s
         self._aim(now_s, wanted, self._fitted.slope, min(max(slew, _SLEW), _SLEW_AT_MOST))
+        self._known_jitter_s = self._jitter_s
 
 
 def _line_through(points: list[tuple[float, float]], most_drift: float, known_to: float = 0.0) -> _Line:

@@ -9,8 +9,8 @@ import os
 import socket
 import stat
 import sys
-from collections.abc import AsyncIterator
-from contextlib import ExitStack, asynccontextmanager, suppress
+from collections.abc import AsyncIterator, Iterator, Sequence
+from contextlib import ExitStack, asynccontextmanager, contextmanager, suppress
 from urllib.parse import quote, urlsplit
 
 from drivers.errors import DeviceRefused
@@ -19,14 +19,23 @@ _SHARED = ("/run/lock", "/var/lock", "/tmp")
 
 
 @asynccontextmanager
-async def held(device: str, link: str, default_port: int | None, what: str) -> AsyncIterator[None]:
+async def held(device: str, link: str, default_port: int | None, what: str) -> AsyncIterator[tuple[int, ...]]:
     """Hold a link while this lasts; DeviceRefused, which names the holder, if another program or user does.
 
-    ``what`` is said of this program to whoever comes second. Systems without flock hold nothing.
+    ``what`` is said of this program to whoever comes second. Yields the descriptors of the locked files, none on
+    systems without flock, which hold nothing. A process that is given these keeps the lock if this one dies.
     """
     with ExitStack() as stack:
-        for name in await _names(link, default_port) if sys.platform != "win32" else ():
-            _lock(stack, device, link, name, what)
+        names = await _names(link, default_port) if sys.platform != "win32" else ()
+        yield tuple([_lock(stack, device, link, name, what) for name in names])
+
+
+@contextmanager
+def inherited(files: Sequence[int], what: str) -> Iterator[None]:
+    """Hold on, while this lasts, to what a process held that has died; ``files`` are its descriptors (``held``)."""
+    with ExitStack() as stack:
+        for file in files:
+            _sign(stack, file, what)
         yield
 
 
@@ -51,7 +60,8 @@ def _is_ours(family: int, address: object) -> bool:
     return False
 
 
-def _lock(stack: ExitStack, device: str, link: str, name: str, what: str) -> None:
+def _lock(stack: ExitStack, device: str, link: str, name: str, what: str) -> int:
+    """Lock the file of a name until the stack is closed; return its descriptor."""
     import fcntl
 
     path = os.path.join(_folder(), f"turntable-station-{quote(name, safe='')}.lock")
@@ -68,8 +78,17 @@ def _lock(stack: ExitStack, device: str, link: str, name: str, what: str) -> Non
         raise DeviceRefused(device, f"{link} is in use by {holder}: a table has one master; end that first") from None
     except OSError as error:
         raise DeviceRefused(device, f"{link} cannot be locked against a second master: {error}") from None
+    _sign(stack, file, what)
+    return file
+
+
+def _sign(stack: ExitStack, file: int, what: str) -> None:
+    """Write into a locked file who holds it; when the stack is closed, it is empty and unlocked."""
+    import fcntl
+
     stack.callback(fcntl.flock, file, fcntl.LOCK_UN)  # also for children that were forked meanwhile
     stack.callback(os.ftruncate, file, 0)
+    os.ftruncate(file, 0)
     os.pwrite(file, f"process {os.getpid()} of {getpass.getuser()} ({what})".encode(), 0)
 
 

@@ -78,7 +78,7 @@ class SerialLink:
         try:
             self._reader.write(data)
         except OSError as error:
-            timeout = type(error).__name__ == "SerialTimeoutException"
+            timeout = isinstance(error, _StuckError) or type(error).__name__ == "SerialTimeoutException"
             reason = "takes no more bytes: is its handshake or its cable stuck?" if timeout else "is gone"
             self._inbox.fail(f"serial port {self._url} {reason}")
 
@@ -88,6 +88,10 @@ class SerialLink:
         if reader is not None:
             reader.end()
             self._inbox.end("the link was closed")
+
+
+class _StuckError(OSError):
+    """A port has not taken all bytes in time."""
 
 
 class _Reader:
@@ -107,7 +111,23 @@ class _Reader:
         self._thread.start()
 
     def write(self, data: bytes) -> None:
-        self._port.write(data)
+        """Send bytes; OSError, a _StuckError of it if some are left after 0.2 s.
+
+        pyserial also raises for a host that stalled after all had been written.
+        """
+        if not self._waits_on_descriptor:
+            self._port.write(data)
+            return
+        descriptor, ends_s = self._port.fileno(), time.monotonic() + _WRITE_LIMIT_S
+        left = data
+        while left:
+            late = time.monotonic() >= ends_s
+            with suppress(BlockingIOError):
+                left = left[os.write(descriptor, left) :]
+            if left and late:
+                raise _StuckError
+            if left:
+                select.select([], [descriptor], [], max(ends_s - time.monotonic(), 0.0))
 
     def end(self) -> None:
         """Let the thread close the port; a port of this machine is closed on return, others soon after."""

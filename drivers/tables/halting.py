@@ -38,6 +38,7 @@ class _Axis:
         self.name = name
         self.stands = self.turns = False
         self.tells = self.astray = 0
+        self._first: AxisState | None = None
         self._last: AxisState | None = None
         self._rates_rps: deque[float] = deque(maxlen=_IN_A_ROW)
         self._first_rps = self._slowest_rps = self.news_s = math.inf
@@ -54,6 +55,7 @@ class _Axis:
         still = self._last is not None and not self.turns
         rate_rps = abs(state.rate_rps)
         if self._last is None:
+            self._first = state
             self._first_rps = self._slowest_rps = rate_rps
         else:
             self._rates_rps.append(rate_rps)
@@ -66,9 +68,21 @@ class _Axis:
             self._rates_rps.clear()
         return slows or self.stands
 
+    @property
+    def contradicts_itself(self) -> bool:
+        """Whether it reports a rate, and a position that has not changed since it was told."""
+        if self._first is None or self._last is None:
+            return False
+        return (
+            abs(self._last.rate_rps) > AT_REST_RPS and abs(self._last.angle_rad - self._first.angle_rad) <= _STILL_RAD
+        )
+
     def text(self, now_s: float) -> str:
         if self._last is None:
             return f"axis {self.name} was not seen any more"
+        if self.contradicts_itself:
+            rate_dps, angle_deg = math.degrees(self._last.rate_rps), math.degrees(self._last.angle_rad)
+            return f"axis {self.name} reports {rate_dps:.2f} deg/s, and a position that stays at {angle_deg:.2f} deg"
         rate_dps, ago_s = math.degrees(self._last.rate_rps), now_s - self._last.rate_t_ns * 1e-9
         return f"axis {self.name} turned at {rate_dps:.2f} deg/s when last seen, {ago_s:.1f} s ago"
 
@@ -128,6 +142,8 @@ async def bring_to_rest(
         if heedless or loop.time() > seen_s + _WAIT * timeout_s:
             said = "; ".join(axis.text(loop.time()) for axis in heedless or waiting)
             if not failures:
+                if all(axis.contradicts_itself for axis in heedless or waiting):
+                    raise DeviceRefused(device, f"told to stop, {said}: its readings do not tell whether it stands")
                 raise DeviceRefused(device, f"told to stop, {said}: it keeps turning, cut its power")
             kind = BadReply if isinstance(failures[0], BadReply) else LinkLost
             raise kind(device, f"{failures[0].message}; {said}: look at the table")

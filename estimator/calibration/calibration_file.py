@@ -1,5 +1,6 @@
 """Results kept in the recording they were drawn from, the group /calibration, and read back from there."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +10,15 @@ from numpy.typing import NDArray
 
 from estimator.calibration.budget import Contribution
 from estimator.calibration.error_model import ErrorModel
-from estimator.calibration.values import Calibration, EffectValue, GyroCalibration
+from estimator.calibration.gyro import EffectValue, GyroCalibration
+from estimator.calibration.values import Calibration
 from estimator.errors import MISSHAPEN, RecordingError
 from estimator.geometry.model import STATES
 from estimator.geometry.noise import NoiseFound, NoiseModel
+from estimator.observations.coverage import coverage_object, coverage_of
 from estimator.observations.health import Excluded
 from estimator.packaged import sentence
+from estimator.recordings.reading import read_array
 from estimator.recordings.recovery import recover
 from estimator.recordings.safe_open import probe
 from estimator.recordings.writing import plain, write_results
@@ -71,13 +75,14 @@ def write_calibration(path: Path, calibration: Calibration, attributes: dict[str
             **{key: getattr(calibration, key) for key in ("nis_mean", "samples", "lost")},
             **{key: list(getattr(calibration, key)) for key in ("notes", "doubts")},
             "holds_for": calibration.holds_for,
+            "constancy": json.dumps([coverage_object(axis) for axis in calibration.constancy]),
             **named,
             **(attributes or {}),
         },
     )
 
 
-def read_calibration(path: Path, *, trusted: bool = False) -> Calibration:
+def read_calibration(path: Path | str, *, trusted: bool = False) -> Calibration:
     """Return the calibration in the group /calibration of a recording.
 
     Not kept in files, and so not here: correlations within a line of the budget (its covariance is diagonal), the
@@ -87,6 +92,7 @@ def read_calibration(path: Path, *, trusted: bool = False) -> Calibration:
     Raises RecordingError if the file cannot be read, holds no calibration or a damaged one; ModelError if the error
     model in it is of another version.
     """
+    path = Path(path)
     if not trusted:
         recover(path)
         probe(path)
@@ -107,6 +113,7 @@ def _read(path: Path, file: Any, group: Any) -> Calibration:
     n = len(names)
     model = str(plain(group.attrs.get("model", "")))
     effects = _effects(group, model, n, str(path))
+    arrays = {source: read_array(f"{path}: /imu/{source}", source, file[f"imu/{source}"]) for source in set(sources)}
     gyros = tuple(
         GyroCalibration(
             name,
@@ -114,7 +121,7 @@ def _read(path: Path, file: Any, group: Any) -> Calibration:
             _floats(group, "states", (n, 4))[i],
             _floats(group, "covariance", (n, 4, 4))[i],
             float(_floats(group, "noise_rps", (n,))[i]),
-            _sense_axis(file, source, name),
+            arrays[source].p[arrays[source].names.index(name)],
             str(plain(file[f"imu/{source}"].attrs.get("device", ""))),
             _budget(group, i),
             _noise(group, i),
@@ -135,6 +142,8 @@ def _read(path: Path, file: Any, group: Any) -> Calibration:
         model=model,
         doubts=tuple(_texts(group.attrs.get("doubts", ()))),
         holds_for=str(plain(group.attrs.get("holds_for", ""))),
+        arrays=arrays,
+        constancy=tuple(map(coverage_of, json.loads(str(plain(group.attrs.get("constancy", "[]")))))),
     )
 
 
@@ -143,15 +152,6 @@ def _floats(group: Any, key: str, shape: tuple[int, ...]) -> Floats:
     if values.shape != shape:
         raise ValueError(f"{key} has shape {values.shape}")
     return values
-
-
-def _sense_axis(file: Any, source: str, name: str) -> Floats:
-    held = file[f"imu/{source}"]
-    axes = np.atleast_2d(np.asarray(held.attrs["p"] if "p" in held.attrs else held["p"][()], dtype=np.float64))
-    labels = _texts(held.attrs.get("names", ()))
-    # Without names the channels are called by their source, and numbered if there are several.
-    row = labels.index(name) if labels else int(name.removeprefix(source) or 1) - 1
-    return np.asarray(axes[row])
 
 
 def _budget(group: Any, gyro: int) -> tuple[Contribution, ...]:

@@ -16,7 +16,7 @@ from typing import Self
 import numpy as np
 
 from estimator.calibration.error_model import ErrorModel, KnownEffect
-from estimator.calibration.values import GyroCalibration
+from estimator.calibration.gyro import GyroCalibration
 from estimator.effects.conditions import REFERENCE_C
 from estimator.effects.effect import Acts
 from estimator.effects.law import settled

@@ -22,7 +22,7 @@ from estimator.errors import MISSHAPEN, EstimatorError
 from estimator.packaged import sentence
 from estimator.recordings.safe_open import probe
 from estimator.types import Floats
-from estimator.untrusted import harmless, read_text
+from estimator.untrusted import read_json, read_text
 
 FORMAT = "turntable-error-model"
 FORMAT_VERSION = 1
@@ -156,7 +156,7 @@ class ErrorModel:
     def parse(cls, text: str, where: str) -> Self:
         """Return the model that a text holds; ModelError, with what is wrong, if there is none."""
         try:
-            whole = json.loads(harmless(text))
+            whole = read_json(text)
         except (ValueError, RecursionError):
             raise ModelError(f"{where} is no error model: {_GIVE}") from None
         if not isinstance(whole, dict) or whole.get("format") != FORMAT:
@@ -173,8 +173,9 @@ class ErrorModel:
         return cls(effects, left_out)
 
     @classmethod
-    def read(cls, path: Path) -> Self:
+    def read(cls, path: Path | str) -> Self:
         """Return the model in a file: JSON, or what an investigation wrote (HDF5). ModelError if it holds none."""
+        path = Path(path)
         try:
             if not path.is_file():
                 raise ModelError(f"{path} is not a file: {_GIVE}")

@@ -6,11 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from estimator.calibration.budget import TYPE_A, Contribution
+from estimator.calibration.applied import applied
+from estimator.calibration.compensation import Compensation, CompensationError
+from estimator.calibration.gyro import GyroCalibration
+from estimator.geometry.array import SensorArray
 from estimator.geometry.model import STATES, Prior
-from estimator.geometry.noise import NoiseFound
+from estimator.observations.coverage import AxisCoverage
 from estimator.observations.health import Excluded
-from estimator.observations.rests import RestNoise
 from estimator.observations.timing import TimeOffset
 from estimator.types import Floats
 
@@ -30,55 +32,7 @@ class GyroParity:
     worst_t_s: float
     suspect: bool
     told_apart: bool
-
-
-@dataclass(frozen=True, slots=True)
-class EffectValue:
-    """One parameter of an effect of the error model: what was found on a gyro, and what the model expected.
-
-    SI: value and standard deviation in ``unit``; ``expected_sd`` is that of the model. ``shared``: of all gyros.
-    """
-
-    effect: str
-    parameter: str
-    value: float
-    sd: float
-    unit: str
-    expected_sd: float
-    shared: bool
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class GyroCalibration:
-    """States of one gyro [k, b_rps, sigma_j_rad, sigma_k_rad], their covariance, the noise of one sample.
-
-    ``covariance`` holds everything; ``budget`` is what it is the sum of: type A, from the scatter of the data, and
-    type B, from the table's stated uncertainty. ``noise`` is what the data say of the noise, where they do, and
-    ``rest`` what the rests of the table alone say of it. ``effects`` are those of the error model, if one was given.
-    """
-
-    name: str
-    source: str
-    states: Floats
-    covariance: Floats
-    noise_rps: float
-    p: Floats
-    device: str
-    budget: tuple[Contribution, ...] = ()
-    noise: NoiseFound | None = None
-    rest: RestNoise | None = None
-    effects: tuple[EffectValue, ...] = ()
-
-    @property
-    def sd(self) -> Floats:
-        """Standard deviations of the states (4,)."""
-        return np.sqrt(np.diag(self.covariance))
-
-    @property
-    def type_a(self) -> Floats:
-        """What the data leave open of the states (4, 4), whatever may be wrong with the reference; all if not known."""
-        own = [line.covariance for line in self.budget if line.name in TYPE_A]
-        return np.asarray(np.sum(own, axis=0)) if own else self.covariance
+    source: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,6 +44,7 @@ class Calibration:
     those of the notes that speak against the sigmas, ``spoilt`` those of them that no sigma can hold: what was measured
     changed in mid-run, or the table's readings contradict each other. ``holds_for`` are the conditions that the states
     are of, ``offsets`` those between the reference and the samples of each source, where they were estimated.
+    ``constancy`` says of each axis that turned over which time a change of what was estimated would have been found.
     """
 
     gyros: tuple[GyroCalibration, ...]
@@ -104,6 +59,62 @@ class Calibration:
     holds_for: str = ""
     offsets: Mapping[str, TimeOffset] = field(default_factory=dict)
     spoilt: tuple[str, ...] = ()
+    constancy: tuple[AxisCoverage, ...] = ()
+    arrays: Mapping[str, SensorArray] = field(default_factory=dict)
+    """Nominal axes of the gyros by source."""
+
+    def apply(
+        self,
+        outputs_rps: Any,
+        *,
+        device: str | None = None,
+        t_s: Floats | None = None,
+        temperature_c: Floats | None = None,
+        accel_mps2: Floats | None = None,
+    ) -> Any:
+        """Return the rate of the body for samples of the calibrated gyros, in rad/s about the body axes x, y, z.
+
+        ``outputs_rps`` (N, n) in rad/s has a column for each gyro, in the order of ``gyros``. A pandas.DataFrame has
+        columns of their names, in any order beside others; the answer is then a DataFrame (x_rps, y_rps, z_rps) with
+        its index, else an array (N, 3). ``device`` selects the gyros of one device under test.
+
+        Effects of the error model are undone, too. Those of the temperature need ``temperature_c`` (N,), those of
+        acceleration ``accel_mps2`` (N, 3), the specific force in body axes, and those with memory the instants ``t_s``
+        (N,). Rates are NaN where an effect of the rate cannot be undone.
+
+        Raises CompensationError if gyros do not span space, or if columns, temperatures or others are missing.
+        """
+        gyros = tuple(gyro for gyro in self.gyros if device in (None, gyro.device))
+        if not gyros:
+            devices = ", ".join(dict.fromkeys(gyro.device for gyro in self.gyros)) or "none"
+            raise CompensationError(f"no calibrated device is called {device!r}; there are {devices}")
+        compensation = Compensation.of(gyros, self.arrays, self.model)
+        return applied(compensation, outputs_rps, t_s=t_s, temperature_c=temperature_c, accel_mps2=accel_mps2)
+
+    def to_xarray(self) -> Any:
+        """Return an xarray.Dataset over gyro and state, in SI units. Needs xarray.
+
+        ``value`` and ``sd`` (gyro, state), ``covariance`` (gyro, state, other_state), ``noise_rps`` (gyro).
+        """
+        from xarray import Dataset
+
+        dimensions = ("gyro", "state")
+        return Dataset(
+            {
+                "value": (dimensions, np.array([gyro.states for gyro in self.gyros])),
+                "sd": (dimensions, np.array([gyro.sd for gyro in self.gyros])),
+                "covariance": ((*dimensions, "other_state"), np.array([gyro.covariance for gyro in self.gyros])),
+                "noise_rps": (("gyro",), np.array([gyro.noise_rps for gyro in self.gyros])),
+            },
+            {
+                "gyro": [gyro.name for gyro in self.gyros],
+                "device": ("gyro", [gyro.device for gyro in self.gyros]),
+                "state": list(STATES),
+                "other_state": list(STATES),
+                "unit": ("state", ["1", "rad/s", "rad", "rad"]),
+            },
+            {"nis_mean": self.nis_mean, "samples": self.samples, "lost": self.lost, "holds_for": self.holds_for},
+        )
 
     def to_frame(self) -> Any:
         """Return a pandas.DataFrame with a row a gyro: its device, states and sigmas, in SI. Needs pandas."""

@@ -6,7 +6,8 @@ import numpy as np
 
 from estimator.calibration.budget import Contribution, table_budget
 from estimator.calibration.error_model import ErrorModel
-from estimator.calibration.values import Calibration, GyroCalibration, GyroParity, unseen_notes
+from estimator.calibration.gyro import GyroCalibration
+from estimator.calibration.values import Calibration, GyroParity, unseen_notes
 from estimator.errors import RecordingError
 from estimator.estimation.joint import check_model, effect_notes, estimate_device
 from estimator.estimation.noise_evidence import TooShort
@@ -14,6 +15,7 @@ from estimator.estimation.parity import parity
 from estimator.estimation.source_estimate import DeviceEstimate, SourceEstimate, Sources, estimate_laid, estimate_white
 from estimator.geometry.model import decode
 from estimator.observations.conditions_seen import holds_for
+from estimator.observations.coverage import coverage, coverage_notes
 from estimator.observations.defects.reading_doubts import reading_doubts
 from estimator.observations.defects.stuck import stuck_doubts
 from estimator.observations.foreign import at_rest, factor_notes, foreign_motion_notes, sparse_doubts
@@ -71,13 +73,14 @@ def calibrate(
     if isinstance(recording.reference, TableReadings):
         seen = [*reading_doubts(recording.reference), *stuck_doubts(recording)]
         spoilt, doubts = [*seen, *spoilt], [*seen, *doubts]
+    constancy = coverage(recording, [data for _, data in sources])
     order = [name for data in recording.sources.values() for name in data.array.names]
     return Calibration(
         tuple(sorted(gyros, key=lambda gyro: order.index(gyro.name))),
         nis,
         sum(one.samples for one in estimates),
         sum(data.lost * len(data.array) for data in recording.sources.values()),
-        (*notes, *_parity_notes(checks), *effect_notes(gyros), *doubts),
+        (*notes, *coverage_notes(constancy), *_parity_notes(checks), *effect_notes(gyros), *doubts),
         defective,
         tuple(checks),
         model.text() if model is not None else "",
@@ -85,6 +88,8 @@ def calibrate(
         holds_for(recording),
         {one.source: one.offset for one in estimates if one.offset is not None},
         tuple(spoilt),
+        arrays={name: data.array for name, data in recording.sources.items()},
+        constancy=constancy,
     )
 
 
@@ -167,7 +172,8 @@ def _parity(estimates: Sequence[SourceEstimate], gyros: Sequence[GyroCalibration
         return []
     noise = [gyro.noise.mean for gyro in gyros if gyro.noise is not None]
     states, growth_s = np.array([gyro.states for gyro in gyros]), max(one.growth_s for one in estimates)
-    return parity([one.data.array for one in estimates], blocks, states, noise, growth_s)
+    sources = [gyro.source for gyro in gyros]
+    return parity([one.data.array for one in estimates], blocks, states, noise, growth_s, sources)
 
 
 def _nis_doubts(nis: float, estimates: Sequence[SourceEstimate]) -> list[str]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from estimator.calibration.budget import UNSEEN, Contribution
 from estimator.calibration.error_model import ErrorModel, KnownEffect, ModelError
-from estimator.calibration.values import EffectValue, GyroCalibration
+from estimator.calibration.gyro import EffectValue, GyroCalibration
 from estimator.effects.catalogue import records
 from estimator.effects.constructed import readable
 from estimator.effects.dynamics import LATENCY

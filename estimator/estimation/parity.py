@@ -25,11 +25,12 @@ def parity(
     states: Floats,
     noise: Sequence[NoiseModel],
     growth_s: float = 0.0,
+    sources: Sequence[str] = (),
 ) -> list[GyroParity]:
     """Return the parity check of the gyros of one device, none for fewer than four.
 
     ``arrays`` and ``blocks`` are those of its sources, ``states`` (n, 4) and ``noise`` (n) those of all its gyros;
-    ``growth_s`` says how the noise grows with the rate (``runs.measured``).
+    ``growth_s`` says how the noise grows with the rate (``runs.measured``); ``sources`` (n) names the source of each.
     """
     names = [name for array in arrays for name in array.names]
     if len(names) < 4 or not all(len(b.index) for b in blocks):
@@ -58,14 +59,14 @@ def parity(
     grown = np.hypot(1, growth_s * np.linalg.norm(chosen[0].w_rps, axis=1))
     residual = (rest / sigma) @ null.T * (np.sqrt(held_s / length_s) / grown)[:, None]
     checks, sizes = [], np.linalg.norm(null, axis=0)
-    for name, column, size in zip(names, null.T, sizes, strict=True):
+    for name, source, column, size in zip(names, sources or [""] * len(names), null.T, sizes, strict=True):
         if size < 1e-6:
             continue
         fault = np.abs(residual @ column) / size
         worst = int(np.argmax(fault))
         found = float(np.sqrt(np.mean(fault**2))), float(fault[worst]), float((common[worst] + 0.5) * length_s)
         alike = np.abs(column @ null) >= 0.999 * size * sizes  # itself, and those that it cannot be told from
-        checks.append(GyroParity(name, *found, bool(fault[worst] > _SUSPECT), bool(alike.sum() == 1)))
+        checks.append(GyroParity(name, *found, bool(fault[worst] > _SUSPECT), bool(alike.sum() == 1), source))
     return checks
 
 

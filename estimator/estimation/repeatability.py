@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.calibration.values import GyroCalibration
+from estimator.calibration.gyro import GyroCalibration
 from estimator.types import Floats
 
 _BY_CHANCE = 0.001

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimator.calibration.budget import Contribution
-from estimator.calibration.values import EffectValue
+from estimator.calibration.gyro import EffectValue
 from estimator.estimation.gram import gram_of, solve
 from estimator.geometry.noise import NoiseFound, NoiseModel
 from estimator.observations.blocks import Blocks

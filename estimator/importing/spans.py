@@ -1,6 +1,5 @@
 """Files and sections of them of which something is stated; a stated turn is checked before it counts."""
 
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -10,13 +9,14 @@ from typing import Any, TypeVar
 import numpy as np
 
 from estimator.errors import MISSHAPEN, RecordingError
+from estimator.importing.expressions import SEARCH_LIMIT_S, groups_of
 from estimator.importing.log import Log
 from estimator.importing.mapping.mapping import Mapping, beside
 from estimator.importing.mapping.reference import Rests, StatedTurns, Turn, turn_about
 from estimator.importing.table import Table
 from estimator.packaged import sentence
 from estimator.types import Floats
-from estimator.untrusted import read_text
+from estimator.untrusted import read_json, read_text
 
 T = TypeVar("T")
 
@@ -63,11 +63,17 @@ def _turn_of_file(mapping: Mapping, reference: StatedTurns, path: Path) -> Turn:
     if reference.turn is not None:
         return reference.turn
     assert reference.pattern is not None
-    found = reference.pattern.search(path.name)
-    if not found:
+    try:
+        found = groups_of(reference.pattern, path.name)
+    except TimeoutError:
+        raise RecordingError(
+            f"{path.name}: file_name in [reference] of {mapping.name} does not come to an end with this name within "
+            f"{SEARCH_LIMIT_S:g} s: write it without a repetition within a repetition, as (a+)+"
+        ) from None
+    if found is None:
         raise RecordingError(f"{path.name}: its name does not match file_name in [reference] of {mapping.name}")
     try:
-        return turn_about(found["axis"] or "", float(found["angle_deg"]))
+        return turn_about(found["axis"] or "", float(found["angle_deg"] or ""))
     except (ValueError, TypeError) as error:
         raise RecordingError(f"{path.name}: its name states no turn: {error}") from None
 
@@ -135,7 +141,7 @@ def _listed(path: Path, table: Table) -> list[tuple[str, int, int]]:
     if not path.is_file():
         raise RecordingError(f"{table.name}: its section list {path.name} is not beside it")
     try:
-        values: Any = json.loads(read_text(path, RecordingError))
+        values: Any = read_json(read_text(path, RecordingError))
         limits = {str(name): (int(value["start"]), int(value["end"])) for name, value in values.items()}
     except MISSHAPEN:
         raise RecordingError(f'{path.name} is no section list: write {{"name": {{"start": 0, "end": 100}}}}') from None

@@ -63,18 +63,13 @@ def motion_notes(recording: Recording) -> list[str]:
     reference = recording.reference
     if not isinstance(reference, TableReadings):
         return []
-    turning = np.abs(reference.rate_rps) > 10 * REST_RPS
-    starts = dict(
-        zip(reference.gimbals, (turning[1:] & ~turning[:-1]).sum(axis=0) + turning[:1].sum(axis=0), strict=True)
-    )
-    moving = sorted(axis for axis, count in starts.items() if count)
+    fastest_rps = np.abs(reference.rate_rps).max(axis=0, initial=0.0).tolist()
+    moving = sorted(axis for axis, most in zip(reference.gimbals, fastest_rps, strict=True) if most > 10 * REST_RPS)
     notes = []
     if not moving:
         notes.append(sentence("observations.table_rests"))
     elif len(moving) < 3:
         notes.append(sentence("observations.table_one_axis", axes=" and ".join(moving)))
-    if once := [axis for axis in moving if starts[axis] == 1]:
-        notes.append(sentence("observations.turned_once", axes=", ".join(once)))
     if moving and not rest_spans(reference):
         notes.append(sentence("observations.no_rest", length_s=REST_S))
     return notes

@@ -5,6 +5,7 @@ Records one after another, each a mark, length and CRC-32 of what follows, and t
 its check and costs itself alone. The format is documented in docs/pages/reference/recording.md.
 """
 
+import math
 import os
 import re
 import struct
@@ -18,6 +19,8 @@ from typing import Any, BinaryIO
 import msgpack
 import numpy as np
 
+from estimator.recordings.recording import LAYOUT
+
 try:
     import fcntl
 except ImportError:  # Windows: nothing tells there whether a run still goes on
@@ -28,10 +31,20 @@ ATTRIBUTES, ROWS, ARRIVED = range(3)
 
 Entry = tuple[int, str, Mapping[str, Any]]
 
+_NAME = r"(?!\.{1,2}(?:/|$))[^/\0]{1,200}"
+_GROUP = re.compile(rf"/|{_NAME}(?:/{_NAME}){{0,3}}")
+_COLUMN = re.compile(_NAME)
+_MOST_ROW_BYTES = 1 << 16
+_MOST_ATTRIBUTE_BYTES = 64_000
+_MOST_TEXT_BYTES = 1 << 22
+"""Of one attribute: HDF5 keeps numbers, and references to texts, in 64 KiB beside its name."""
 _MARK = b"\x93TTJ"
 _HEAD = struct.Struct("<4sII")
 _MOST_BYTES = 1 << 26  # of a record
-_MOST_FAILED = 32  # records that are looked at in vain; what is torn is one or two
+_MOST_SEARCHED_BYTES = 1 << 30
+"""Read in vain while looking for whole records: false marks must not keep a reader busy for hours."""
+_LEAST_BLOCK_BYTES, _MOST_BLOCK_BYTES = 1 << 12, 1 << 20
+"""Read at once while looking for a mark."""
 _ARRAY = 1
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | getattr(os, "O_BINARY", 0)
 _TYPE = re.compile(r"[<|>]([iuf][1248]|b1|S[1-9]\d{0,3})")
@@ -79,12 +92,12 @@ class Journal:
             self._file = -1
 
 
-def lock(file: BinaryIO | int, *, alone: bool, wait: bool = False) -> bool:
+def lock(file: BinaryIO | int, *, alone: bool) -> bool:
     """Lock a file, against all others or only against who wants it alone; return whether that could be done."""
     if fcntl is None:
         return True
     try:
-        fcntl.flock(file, (fcntl.LOCK_EX if alone else fcntl.LOCK_SH) | (0 if wait else fcntl.LOCK_NB))
+        fcntl.flock(file, (fcntl.LOCK_EX if alone else fcntl.LOCK_SH) | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
     except OSError:
@@ -102,13 +115,63 @@ def sync(path: Path) -> None:
             os.close(descriptor)
 
 
+def is_sound(entry: Entry) -> bool:
+    """Return whether a recording can hold an entry: the one rule for what is written and for what is read.
+
+    Groups are paths of up to four names, so a device may add one of its own with columns of its own. Rows are arrays
+    of numbers, truth values or bytes, with at most 64 KiB a row. Columns that ``LAYOUT`` describes have its dimensions
+    and type. Samples without a time have the columns ``arrival_ns`` (n,) and ``rate_rps`` (n, m).
+    """
+    kind, group, values = entry
+    if not _GROUP.fullmatch(group) or not all(isinstance(name, str) and _COLUMN.fullmatch(name) for name in values):
+        return False
+    if kind == ATTRIBUTES:
+        return all(map(_is_attribute, values.values()))
+    if kind not in (ROWS, ARRIVED) or group == "/" or not values:
+        return False
+    if not all(_is_column(name, column) for name, column in values.items()):
+        return False
+    if kind == ROWS:
+        return True
+    if values.keys() != {"arrival_ns", "rate_rps"} or len(values["arrival_ns"]) != len(values["rate_rps"]):
+        return False
+    return bool(values["arrival_ns"].ndim == 1 and values["arrival_ns"].dtype.kind == "i")
+
+
+def _is_column(name: str, column: Any) -> bool:
+    """Return whether an array can be rows of a dataset of this name."""
+    if not isinstance(column, np.ndarray) or not 1 <= column.ndim <= 3 or not _TYPE.fullmatch(column.dtype.str):
+        return False
+    if column.dtype.itemsize * math.prod(column.shape[1:]) > _MOST_ROW_BYTES:
+        return False
+    described = LAYOUT.get(name, {})
+    if "dimensions" not in described:
+        return True
+    kinds = "iu" if described["type"] == "int64" else "iuf"
+    return column.dtype.kind in kinds and described["dimensions"] in (0, column.ndim)
+
+
+def _is_attribute(value: Any) -> bool:
+    """Return whether HDF5 can keep a value as an attribute: a text, a number, or several of the same."""
+    if isinstance(value, np.ndarray):
+        return bool(_TYPE.fullmatch(value.dtype.str)) and value.nbytes <= _MOST_ATTRIBUTE_BYTES
+    items = list(value) if isinstance(value, (list, tuple)) else [value]
+    if all(isinstance(item, str) for item in items):
+        text = "".join(items)
+        room = 16 * len(items) <= _MOST_ATTRIBUTE_BYTES and len(text.encode(errors="replace")) <= _MOST_TEXT_BYTES
+        return room and "\0" not in text
+    room = 16 * len(items) <= _MOST_ATTRIBUTE_BYTES
+    return room and all(isinstance(item, (int, float, np.number, np.bool_)) for item in items)
+
+
 def read_journal(file: BinaryIO) -> Iterator[Entry | None]:
     """Yield the entries of every whole record, and None for each place where something was passed over.
 
-    ValueError for a record that is whole and is none of ours.
+    Passed over is what is torn or damaged, what is no record of ours, and an entry that no recording can hold
+    (``is_sound``). Where damage takes too long to search, the rest is passed over.
     """
-    at, failed, size = 0, 0, file.seek(0, os.SEEK_END)
-    while at + _HEAD.size <= size and failed < _MOST_FAILED:
+    at, searched, size = 0, 0, file.seek(0, os.SEEK_END)
+    while at + _HEAD.size <= size and searched < _MOST_SEARCHED_BYTES:
         file.seek(at)
         mark, length, check = _HEAD.unpack(file.read(_HEAD.size))
         payload = file.read(length) if mark == _MARK and length <= min(_MOST_BYTES, size - at) else b""
@@ -116,34 +179,44 @@ def read_journal(file: BinaryIO) -> Iterator[Entry | None]:
             at += _HEAD.size + length
             yield from _entries(payload)
             continue
-        failed += mark == _MARK
         yield None
-        at = _next_mark(file, at + 1)
+        after, scanned = _next_mark(file, at + 1)
+        searched += len(payload) + scanned
+        at = after
 
 
-def _next_mark(file: BinaryIO, at: int) -> int:
-    """Return where the next mark is, or the end."""
+def _next_mark(file: BinaryIO, at: int) -> tuple[int, int]:
+    """Return where the next mark is, or the end, and how many bytes were read to find it."""
+    scanned, block_bytes = 0, _LEAST_BLOCK_BYTES
     while True:
         file.seek(at)
-        block = file.read(1 << 20)
-        if (found := block.find(_MARK)) >= 0:
-            return at + found
+        block = file.read(block_bytes)
+        scanned += len(block)
+        found = block.find(_MARK)
+        if found >= 0:
+            return at + found, scanned
         if len(block) < len(_MARK):
-            return at + len(block)
+            return at + len(block), scanned
         at += len(block) - len(_MARK) + 1
+        block_bytes = min(4 * block_bytes, _MOST_BLOCK_BYTES)
 
 
-def _entries(payload: bytes) -> list[Entry]:
-    entries = msgpack.unpackb(payload, ext_hook=_unpacked)
+def _entries(payload: bytes) -> list[Entry | None]:
+    """Return the entries of a whole record; None for each that is none of ours, or that no recording can hold."""
+    try:
+        entries = msgpack.unpackb(payload, ext_hook=_unpacked, strict_map_key=False)
+    except Exception:  # of bytes that anybody may have made; msgpack raises ValueError, TypeError and more
+        return [None]
     if not isinstance(entries, list):
-        raise ValueError("no list of entries")
-    for entry in entries:
-        match entry:
-            case [int(), str(), dict()]:
-                pass
-            case _:
-                raise ValueError("an entry that is none")
-    return entries
+        return [None]
+    return [entry if _is_entry(entry) and is_sound(entry) else None for entry in entries]
+
+
+def _is_entry(entry: Any) -> bool:
+    match entry:
+        case [int(), str(), dict()]:
+            return True
+    return False
 
 
 def _packed(value: Any) -> msgpack.ExtType:
@@ -152,7 +225,13 @@ def _packed(value: Any) -> msgpack.ExtType:
 
 
 def _unpacked(code: int, data: bytes) -> Any:
-    kind, shape, raw = msgpack.unpackb(data)
-    if code != _ARRAY or not isinstance(kind, str) or not _TYPE.fullmatch(kind) or (shape and 0 in shape[1:]):
-        raise ValueError("an array of no type that a recording has")
-    return np.frombuffer(raw, kind).reshape(shape)
+    """Return an array, or None, which no recording can hold, for what is none."""
+    if code != _ARRAY:
+        return None
+    try:
+        kind, shape, raw = msgpack.unpackb(data)
+        if not _TYPE.fullmatch(kind) or 0 in shape[1:] or min(shape, default=0) < 0:
+            return None
+        return np.frombuffer(raw, kind).reshape(shape)
+    except (ValueError, TypeError, ArithmeticError):
+        return None

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.errors import MISSHAPEN, GeometryError, RecordingError, first_line
-from estimator.geometry.array import sensor_array
+from estimator.geometry.array import SensorArray, sensor_array
 from estimator.geometry.kinematics import Site, check_gimbals
 from estimator.geometry.model import Prior
 from estimator.geometry.noise import NoiseModel
@@ -34,11 +34,12 @@ _REFERENCES: dict[str, Any] = {"turn_rad": Turns, "up": Poses, "rate_rps": RateR
 """References by the column that only they have, in the order of looking; else they are attitudes."""
 
 
-def read_recording(path: Path, *, trusted: bool = False) -> Recording:
+def read_recording(path: Path | str, *, trusted: bool = False) -> Recording:
     """Read a recording, made whole from its journal if its run died; ``trusted``: this process has just closed it.
 
     Raises RecordingError, with what is missing or wrong, for a file that is not of the format.
     """
+    path = Path(path)
     if not trusted:
         recover(path)
         probe(path)
@@ -76,16 +77,8 @@ def _read_source(path: Path, name: str, group: Any) -> ImuData:
     columns = {key: _column(where, group, key) for key in present}
     n = min(map(len, columns.values()))  # a run cut between two datasets of one flush
     columns = {key: values[:n] for key, values in columns.items()}
-    axes = {key: _axes(group, key) for key in "pjk"}
-    if axes["p"] is None:
-        raise RecordingError(f"{where} has no sense axes p")
     m = columns["rate_rps"].shape[1]
-    counted = [name] if m == 1 else [f"{name}{i + 1}" for i in range(m)]
-    labels = [str(plain(x)) for x in group.attrs.get("names", counted)]
-    try:
-        array = sensor_array(axes["p"], axes["j"], axes["k"], names=labels, part_of_array=True)
-    except GeometryError as error:
-        raise RecordingError(f"{where}: {error}") from None
+    array = read_array(where, name, group)
     if len(array) != m:
         raise RecordingError(f"{where} has {m} channels but {len(array)} sense axes")
     prior = Prior(*(float(v) for v in group.attrs["prior"])) if "prior" in group.attrs else Prior()
@@ -93,6 +86,23 @@ def _read_source(path: Path, name: str, group: Any) -> ImuData:
     device, lost = str(plain(group.attrs.get("device", ""))), int(group.attrs.get("lost", 0))
     columns["rate_rps"], impossible = possible(columns["rate_rps"])
     return ImuData(array, lost=lost + impossible, prior=prior, noise=noise, device=device, **cast(Any, columns))
+
+
+def read_array(where: str, name: str, group: Any) -> SensorArray:
+    """Return the array of a source from its group; without names its gyros are called by the source, and numbered.
+
+    RecordingError, which says ``where``, if there are no axes or impossible ones.
+    """
+    axes = {key: _axes(group, key) for key in "pjk"}
+    if axes["p"] is None:
+        raise RecordingError(f"{where} has no sense axes p")
+    n = len(axes["p"])
+    counted = [name] if n == 1 else [f"{name}{i + 1}" for i in range(n)]
+    labels = [str(plain(x)) for x in group.attrs.get("names", counted)]
+    try:
+        return sensor_array(axes["p"], axes["j"], axes["k"], names=labels, part_of_array=True)
+    except GeometryError as error:
+        raise RecordingError(f"{where}: {error}") from None
 
 
 def _axes(group: Any, key: str) -> Floats | None:

@@ -17,6 +17,8 @@ from estimator.types import Floats, Stamps
 
 FORMAT = "turntable-recording"
 FORMAT_VERSION = 1
+IDENTITY = "recording_id"
+"""Attribute of a run's recording and of its journal: a random number, so that neither is taken for another's."""
 LAYOUT = packaged_toml("estimator.recordings", "layout.toml")
 """What each column of a recording is, in memory as in its file."""
 

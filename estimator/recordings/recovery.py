@@ -2,34 +2,41 @@
 
 import logging
 import os
-import re
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, BinaryIO
 
+import h5py
 import numpy as np
 
 from estimator.errors import RecordingError, first_line
-from estimator.recordings.journal import ARRIVED, ATTRIBUTES, ROWS, journal_of, lock, read_journal, sync
-from estimator.recordings.recording import LAYOUT
-from estimator.recordings.writing import RecordingWriter
+from estimator.packaged import sentence
+from estimator.recordings.journal import ARRIVED, ATTRIBUTES, ROWS, Entry, journal_of, lock, read_journal, sync
+from estimator.recordings.recording import FORMAT, IDENTITY
+from estimator.recordings.safe_open import probe
+from estimator.recordings.writing import RecordingWriter, plain
 
 _log = logging.getLogger(__name__)
 
-_GROUP = re.compile(r"/|table|steps|events|imu/(?!\.{1,2}$)[^/\0]{1,200}")
-_COLUMNS = {*LAYOUT, "label", "text", "kind"}
-_MOST_NAMES = 2000  # of groups and of attributes
-_AT_ONCE = 4000  # entries of rows that are written together
+_MOST_NAMES = 2000  # of groups, columns and attributes
+_ENTRY_BYTES, _PENDING_BYTES = 1000, 1 << 24  # of an entry beside its rows; of rows that are written together
+_ROWS_AT_ONCE = 65536
+_PATIENCE_S = 60.0  # for another process that recovers in the same folder
+_RECOVERED = "recovered"
+_RESULTS = frozenset({"outcome", "reason"})
+"""Attributes of the file that change when a run ends: they do not tell one run from another."""
 
 
 def recover(path: Path) -> None:
     """Fold the journal beside a recording into it, if a run left one; told in the log, and in the file.
 
-    A new file takes the recording's place when all is in it, so whoever is killed meanwhile changes nothing. Where the
-    journal is damaged, or the recording is the larger, that is kept beside it. A journal of which nothing can be made
-    is told of and left.
+    A new file takes the recording's place when all is in it, so whoever is killed meanwhile changes nothing. What the
+    recording held is kept beside it, unless all of that is in the new file. The recording stays, and the log says why,
+    if the journal is of another run, if nothing can be made of it, or if it is damaged and has no more rows. A journal
+    is removed if all that it holds is in the recording.
 
     Raises RecordingError if the run has not ended, or nothing can be written there.
     """
@@ -41,23 +48,36 @@ def recover(path: Path) -> None:
             raise RecordingError(f"{path} is being written: its run has not ended")
         try:
             _log.warning(_fold(path, journal, file))
-        except (ValueError, TypeError, LookupError, ArithmeticError, RuntimeError) as error:
-            _log.warning(f"{journal} is not used: it is damaged, or no journal ({first_line(error)})")
+        except RecordingError:
+            raise
+        except Exception as error:  # a journal is a file that anybody may have made
+            _log.warning(f"{journal} is not used: {first_line(error)}")
 
 
 def _fold(path: Path, journal: Path, file: BinaryIO) -> str:
+    """Put what the journal holds in the place of the recording; return in words what was done.
+
+    ValueError for a journal that is not used; RecordingError if nothing can be written.
+    """
     found = _Found(file)
+    readable = path.exists() and _is_readable(path)
+    if readable and not found.is_of(path):
+        raise ValueError(sentence("recordings.other_run", path=path.name))
     part = path.with_name(f".{path.name}.recovery.part")
     try:
         part.unlink(missing_ok=True)  # of a recovery that was killed itself
         told = f"{path}: its run did not end; {found.write(part, file)}"
-        told += "; part of the journal is damaged and left out" * found.damaged
-        if path.exists() and (found.damaged or path.stat().st_size > part.stat().st_size):
-            kept = path.with_name(f"{path.name}.before")
-            told += f"; what it held before is kept as {kept.name}"
-            if not kept.exists():
+        told += "; part of the journal is damaged, or of a kind that is not known, and left out" * found.damaged
+        if readable and _holds(path, part):
+            told = f"{path}: its run did not end; all that its journal holds was in it already"
+        elif readable and found.damaged and not _is_longer(part, path):
+            raise ValueError(sentence("recordings.no_more", path=path.name))
+        else:
+            if path.exists() and not (readable and _holds(part, path, names_only=True)):
+                kept = _free_name(path.with_name(f"{path.name}.before"))
+                told += f"; what it held before is kept as {kept.name}"
                 path.replace(kept)
-        part.replace(path)
+            part.replace(path)
         sync(path.parent)
         journal.unlink()
     except (OSError, RecordingError) as error:
@@ -71,33 +91,134 @@ def _fold(path: Path, journal: Path, file: BinaryIO) -> str:
     return told
 
 
+def _is_readable(path: Path) -> bool:
+    """Return whether a process of its own could read all of a recording."""
+    try:
+        probe(path)
+        with h5py.File(path, "r") as file:
+            return plain(file.attrs.get("format")) == FORMAT
+    except (RecordingError, OSError):
+        return False
+
+
+def _holds(path: Path, other: Path, *, names_only: bool = False) -> bool:
+    """Return whether a recording begins with all rows of another, and has all of its attributes.
+
+    ``names_only``: attributes may have changed.
+    """
+    with h5py.File(path, "r") as file, h5py.File(other, "r") as part:
+        names = ["/"]
+        part.visit(names.append)
+        for name in names:
+            item, own = part[name], file.get(name)
+            if type(own) is not type(item) and name != "/":
+                return False
+            if isinstance(item, h5py.Dataset):
+                if not _begins_with(own, item):
+                    return False
+                continue  # its attribute is the unit
+            for key, value in item.attrs.items():
+                if key != _RECOVERED and (key not in own.attrs or not (names_only or _same(own.attrs[key], value))):
+                    return False
+    return True
+
+
+def _begins_with(rows: h5py.Dataset, others: h5py.Dataset) -> bool:
+    """Return whether the first rows of a dataset are those of another, to the last bit."""
+    if not others.shape or not rows.shape:
+        return bool(rows.shape == others.shape and np.array_equal(rows[()], others[()]))
+    if rows.dtype != others.dtype or rows.shape[1:] != others.shape[1:] or len(rows) < len(others):
+        return False
+    return all(
+        rows[at : min(at + _ROWS_AT_ONCE, len(others))].tobytes() == others[at : at + _ROWS_AT_ONCE].tobytes()
+        for at in range(0, len(others), _ROWS_AT_ONCE)
+    )
+
+
+def _is_longer(path: Path, other: Path) -> bool:
+    """Return whether a recording has samples that another has not, by their number."""
+    with h5py.File(path, "r") as file, h5py.File(other, "r") as before:
+        counts = {name: len(source["t_ns"]) for name, source in file.get("imu", {}).items() if "t_ns" in source}
+        return any(len(before.get(f"imu/{name}/t_ns", ())) < count for name, count in counts.items())
+
+
+def _free_name(path: Path) -> Path:
+    """Return a path, or one with a number at its end, that nothing has yet."""
+    number, free = 1, path
+    while os.path.lexists(free):
+        number += 1
+        free = path.with_name(f"{path.name}-{number}")
+    return free
+
+
 class _Found:
     """What a journal holds; ``damaged`` if something in its midst was passed over."""
 
     def __init__(self, file: BinaryIO) -> None:
         """Look through it; ValueError if it is none, or nothing was taken."""
         self.samples, self.damaged, self._last_ns = 0, False, 0
-        torn = taken = False
         self._attributes: dict[str, dict[str, Any]] = {}
+        self._first: dict[str, Any] = {}
+        self._shapes: dict[str, tuple[str, tuple[int, ...]]] = {}
+        passed_over = has_arrived = False
         for entry in read_journal(file):
-            self.damaged, torn = self.damaged or (torn and entry is not None), torn or entry is None
-            if entry is None:
+            if entry is None or not self._take(entry):
+                passed_over = True
                 continue
-            kind, group, values = entry
-            if not _GROUP.fullmatch(group) or (kind != ATTRIBUTES and not values.keys() <= _COLUMNS):
-                raise ValueError("a name that no recording has")
-            if kind == ATTRIBUTES:
-                self._attributes.setdefault(group, {}).update(values)
-                if len(self._attributes) + sum(map(len, self._attributes.values())) > _MOST_NAMES:
-                    raise ValueError("more names than a recording has")
-            elif kind == ROWS and group not in self._attributes and group not in ("steps", "events"):
-                raise ValueError(f"{group} is not declared")
-            elif kind == ROWS and "rate_rps" in values and group != "table":
-                self.samples += len(values["rate_rps"])
-                self._last_ns = max(self._last_ns, int(values["t_ns"][-1]))
-            taken = taken or kind == ARRIVED
-        if "/" not in self._attributes or not (taken or self.samples):
-            raise ValueError("it holds no samples")
+            self.damaged = self.damaged or passed_over
+            has_arrived = has_arrived or entry[0] == ARRIVED
+            if len(self._shapes) + sum(1 + len(own) for own in self._attributes.values()) > _MOST_NAMES:
+                raise ValueError("it is damaged: it has more names than a recording")
+        if "/" not in self._attributes or not (has_arrived or self.samples):
+            raise ValueError("it is damaged, or no journal: it holds no samples")
+
+    def _take(self, entry: Entry) -> bool:
+        """Keep attributes, count samples; return whether the entry goes with those before it."""
+        kind, group, values = entry
+        if kind == ATTRIBUTES:
+            if group in self._shapes:
+                return False
+            if group == "/":
+                self._first = self._first or dict(values)
+            self._attributes.setdefault(group, {}).update(values)
+        elif not self._fits(group, values):
+            return False
+        elif kind == ROWS and group.startswith("imu/") and {"rate_rps", "t_ns"} <= values.keys():
+            self._count(values)
+        return True
+
+    def _fits(self, group: str, values: Mapping[str, Any]) -> bool:
+        """Return whether rows have the types and shapes of those before them, and their source has been declared."""
+        if group.startswith("imu/") and group not in self._attributes:
+            return False
+        parts = group.split("/")
+        if any("/".join(parts[:end]) in self._shapes for end in range(1, len(parts) + 1)):
+            return False  # a group where there is a dataset
+        shapes = {}
+        for name, rows in values.items():
+            shape = ("S" if rows.dtype.kind == "S" else rows.dtype.str, rows.shape[1:])
+            if self._shapes.get(f"{group}/{name}", shape) != shape:
+                return False
+            shapes[f"{group}/{name}"] = shape
+        self._shapes |= shapes
+        return True
+
+    def _count(self, values: Mapping[str, Any]) -> None:
+        self.samples += len(values["rate_rps"])
+        self._last_ns = max(self._last_ns, *map(int, values["t_ns"][-1:]), 0)
+
+    def is_of(self, path: Path) -> bool:
+        """Return whether a recording is of this journal's run: both have the same number.
+
+        Older files have none: they are of one run if they agree in what both say of its beginning.
+        """
+        root = self._attributes["/"]
+        with h5py.File(path, "r") as file:
+            about = dict(file.attrs.items())
+        if IDENTITY in root and IDENTITY in about:
+            return _same(root[IDENTITY], about[IDENTITY])
+        begun = {name: value for name, value in self._first.items() if name not in _RESULTS and name in about}
+        return all(_same(about[name], value) or not _same(root[name], value) for name, value in begun.items())
 
     def write(self, part: Path, file: BinaryIO) -> str:
         """Write a recording of all of it, and see that the disk has it; return in words what it is."""
@@ -108,10 +229,10 @@ class _Found:
                 writer.set_attributes(attributes, group)
             self._write_rows(writer, file)
             told = f"{self.samples} samples recovered from its journal, the last at {self._last_ns * 1e-9:.3f} s"
-            if "clock_zero_utc_s" in root:
+            with suppress(ValueError, TypeError, LookupError, ArithmeticError, OSError):  # no such time of day
                 at_utc_s = float(root["clock_zero_utc_s"]) + self._last_ns * 1e-9 / float(root.get("time_scale", 1.0))
                 told += f" ({datetime.fromtimestamp(at_utc_s, UTC):%Y-%m-%d %H:%M:%S} UTC)"
-            writer.set_attributes({"recovered": told})
+            writer.set_attributes({_RECOVERED: told})
             writer.flush()
         finally:
             writer.close()
@@ -123,21 +244,33 @@ class _Found:
     def _write_rows(self, writer: RecordingWriter, file: BinaryIO) -> None:
         timed: dict[str, Mapping[str, Any]] = {}
         waiting: dict[str, list[Mapping[str, Any]]] = {}
-        for number, (kind, group, values) in enumerate(filter(None, read_journal(file))):
+        pending_bytes = 0
+        for kind, group, values in filter(None, read_journal(file)):
+            if kind == ATTRIBUTES or not self._fits(group, values):
+                continue
             if kind == ARRIVED:
-                waiting.setdefault(group, []).append(values)
-            elif kind == ROWS:
-                writer.append_rows(group, values)
-                if group in waiting:
-                    timed[group], last_ns = values, values["arrival_ns"][-1]
-                    waiting[group] = [block for block in waiting[group] if block["arrival_ns"][-1] >= last_ns]
-            if number % _AT_ONCE == 0:
+                if len(values["arrival_ns"]):
+                    waiting.setdefault(group, []).append(values)
+                continue
+            writer.append_rows(group, values)
+            if group in waiting and len(values.get("t_ns", ())) and len(values.get("arrival_ns", ())):
+                timed[group], last_ns = values, values["arrival_ns"][-1]
+                waiting[group] = [block for block in waiting[group] if block["arrival_ns"][-1] >= last_ns]
+            pending_bytes += _ENTRY_BYTES + sum(rows.nbytes for rows in values.values())
+            if pending_bytes > _PENDING_BYTES:
                 writer.flush()
+                pending_bytes = 0
         for group, blocks in waiting.items():
             if rows := _by_arrival(blocks, timed.get(group)):
                 self.samples += len(rows["t_ns"])
                 self._last_ns = max(self._last_ns, int(rows["t_ns"][-1]))
                 writer.append_rows(group, rows)
+
+
+def _same(a: Any, b: Any) -> bool:
+    """Return whether two attributes say the same, as they are in a file or in a journal."""
+    a, b = (np.asarray([plain(item) for item in np.ravel(value)]) for value in (a, b))
+    return bool(np.array_equal(a.astype(str), b.astype(str)))
 
 
 def _by_arrival(blocks: Sequence[Mapping[str, Any]], timed: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -169,14 +302,21 @@ def _by_arrival(blocks: Sequence[Mapping[str, Any]], timed: Mapping[str, Any] | 
 
 @contextmanager
 def _alone_in(folder: Path) -> Iterator[None]:
-    """Wait until no other process recovers in a folder."""
+    """Wait until no other process recovers in a folder; RecordingError if that takes too long.
+
+    Whoever can read a folder can lock it, in one that is shared also a stranger.
+    """
     try:
         descriptor = os.open(folder, os.O_RDONLY)
     except OSError:  # Windows opens no folders
         yield
         return
     try:
-        lock(descriptor, alone=True, wait=True)
+        give_up_s = time.monotonic() + _PATIENCE_S
+        while not lock(descriptor, alone=True):
+            if time.monotonic() > give_up_s:
+                raise RecordingError(sentence("recordings.not_alone", folder=folder))
+            time.sleep(0.02)
         yield
     finally:
         os.close(descriptor)

@@ -6,8 +6,10 @@ library bounds), which is what survives a process that dies between two flushes.
 
 import math
 import os
+import secrets
 import shutil
 import sys
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, astuple, fields
@@ -22,8 +24,8 @@ from estimator.errors import RecordingError, first_line
 from estimator.geometry.array import SensorArray
 from estimator.geometry.model import Prior
 from estimator.packaged import sentence
-from estimator.recordings.journal import ARRIVED, ATTRIBUTES, ROWS, Entry, Journal, journal_of, sync
-from estimator.recordings.recording import FORMAT, FORMAT_VERSION, LAYOUT, ImuData, Recording
+from estimator.recordings.journal import ARRIVED, ATTRIBUTES, ROWS, Entry, Journal, is_sound, journal_of, sync
+from estimator.recordings.recording import FORMAT, FORMAT_VERSION, IDENTITY, LAYOUT, ImuData, Recording
 from estimator.recordings.reference import Reference, TableReadings, TableUncertainty
 from estimator.recordings.reserved_space import Ballast
 from estimator.untrusted import harmless
@@ -44,12 +46,16 @@ class RecordingWriter:
     """
 
     def __init__(self, path: Path, attributes: Mapping[str, Any], *, journal: bool = False) -> None:
-        """Create the file; RecordingError if it exists or cannot be created."""
+        """Create the file; RecordingError if it exists or cannot be created.
+
+        With a journal both carry the same random number, so that no other journal is taken for its own.
+        """
         self.path = path
         self.whole = False
         """Whether it has been closed with all that was taken."""
         self.journal: Journal | None = None
         self._unwritten: list[Entry] = []
+        self._noting = threading.Lock()  # ``write_journal`` takes in one thread what others note
         with ExitStack() as undone:
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
@@ -72,14 +78,18 @@ class RecordingWriter:
         self._datasets: dict[str, Any] = {}
         self._lengths: dict[str, int] = {}
         self._file.attrs.update({"format": FORMAT, "format_version": FORMAT_VERSION})
-        self.set_attributes(attributes)
+        identity = {IDENTITY: secrets.token_hex(16)} if journal else {}
+        self.set_attributes(identity | dict(attributes))
         self.flush()
         self.write_journal()
 
     def set_attributes(self, attributes: Mapping[str, Any], group: str = "/") -> None:
-        """Set attributes of the file, or of a group, which is made if it is not there."""
-        self._file.require_group(group).attrs.update(attributes)
+        """Set attributes of the file, or of a group, which is made if it is not there.
+
+        RecordingError for attributes that the journal cannot hold.
+        """
         self._note(ATTRIBUTES, group, attributes)
+        self._file.require_group(group).attrs.update(attributes)
 
     def add_table(
         self, gimbals: tuple[str, ...], uncertainty: TableUncertainty | None = None, rate_window_ns: int = 0
@@ -104,16 +114,23 @@ class RecordingWriter:
         self._note(ATTRIBUTES, f"imu/{name}", attributes)
 
     def append_rows(self, group: str, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Append rows to datasets of a group, which their first rows create: all of them or, if interrupted, none."""
-        self._pending.setdefault(group, []).append(columns)
+        """Append rows to datasets of a group, which their first rows create: all of them or, if interrupted, none.
+
+        RecordingError for rows that the journal cannot hold.
+        """
         self._note(ROWS, group, columns)
+        self._pending.setdefault(group, []).append(columns)
 
     def arrived(self, group: str, arrival_ns: NDArray[Any], rate_rps: NDArray[Any]) -> None:
         """Keep in the journal samples that have no time yet: lost with the process they would be, and were here."""
         self._note(ARRIVED, group, {"arrival_ns": arrival_ns, "rate_rps": rate_rps})
 
     def _note(self, kind: int, group: str, values: Mapping[str, Any]) -> None:
-        if self.journal is not None:
+        if self.journal is None:
+            return
+        if not is_sound((kind, group, values)):  # what is written can be read again
+            raise RecordingError(sentence("recordings.not_held", group=group, names=", ".join(map(str, values))))
+        with self._noting:
             self._unwritten.append((kind, group, values))
 
     def append_text(
@@ -126,7 +143,8 @@ class RecordingWriter:
 
     def write_journal(self) -> None:
         """Hand to the operating system what the journal lacks, in whatever thread; RecordingError if that fails."""
-        entries, self._unwritten = self._unwritten, []
+        with self._noting:
+            entries, self._unwritten = self._unwritten, []
         if self.journal is None or not entries:
             return
         attributes = [entry for entry in entries if entry[0] == ATTRIBUTES]
@@ -224,9 +242,9 @@ def _joined(blocks: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[A
     return {name: np.concatenate([block[name] for block in blocks if name in block]) for name in names}
 
 
-def write_recording(path: Path, recording: Recording) -> None:
+def write_recording(path: Path | str, recording: Recording) -> None:
     """Write a whole recording, for instance an imported one; RecordingError if the file exists."""
-    writer = RecordingWriter(path, recording.attributes)
+    writer = RecordingWriter(Path(path), recording.attributes)
     try:
         if recording.site is not None:
             writer.set_attributes({f"site_{key}": value for key, value in asdict(recording.site).items()})

@@ -72,6 +72,17 @@ class TableModel:
         """Return what the drive of an axis says of its rate now."""
         return self.read[axis](self.clock())[1]
 
+    def freeze_readings(self, axis: str, *, angle: bool = True, rate: bool = True, zero: bool = False) -> None:
+        """Have an axis read from now on as it reads now, or as at home and at rest; it moves on unaffected."""
+        read, home_rad = self.read[axis], self._zero[axis]
+        held_rad, held_rps = (home_rad, 0.0) if zero else read(self.clock())
+
+        def frozen(t_s: float) -> tuple[float, float]:
+            now_rad, now_rps = read(t_s)
+            return held_rad if angle else now_rad, held_rps if rate else now_rps
+
+        self.read[axis] = frozen
+
     def rate_rps(self, axis: str) -> float:
         """Return the rate of an axis now."""
         return self.motion[axis].at(self.clock())[1]

@@ -1,5 +1,6 @@
 """A CiA 402 servo drive over one axis of the table model: state machine, modes, set-points, watchdog."""
 
+import asyncio
 import math
 from collections.abc import Callable
 
@@ -22,12 +23,21 @@ class Drive:
     does not know keep what is written to them.
     """
 
-    def __init__(self, table: TableModel, axis: str, profile: DriveProfile, watchdog_s: float) -> None:
-        """Start in Switch-on disabled; ``watchdog_s`` of silence stops the axis (0: never)."""
+    def __init__(
+        self, table: TableModel, axis: str, profile: DriveProfile, watchdog_s: float, *, cycle_s: float = 0.0
+    ) -> None:
+        """Start in Switch-on disabled; ``watchdog_s`` of silence stops the axis (0: never).
+
+        The controlword is sampled once per ``cycle_s``, counted from zero of the table's clock: status and motion
+        follow at the next sample, and of several controlwords within one cycle only the last has an effect.
+        With 0 a controlword acts at once.
+        """
         self._table, self._axis = table, axis
         self._errors, self._interlock = profile.errors, profile.interlock
         self._state = DriveState.SWITCH_ON_DISABLED
         self._controlword = 0
+        self._cycle_s = cycle_s
+        self._written: int | None = None  # controlword that has not been sampled yet
         self._watchdog_s = watchdog_s
         self._watchdog = Watchdog(table.clock, self._silence_s, self._master_is_silent)
         self._acknowledged = False
@@ -46,7 +56,7 @@ class Drive:
         self._update()
         told: dict[str, Callable[[], float]] = {
             "statusword": self._statusword,
-            "controlword": lambda: self._controlword,
+            "controlword": lambda: self._controlword if self._written is None else self._written,
             "position": lambda: self._table.encoder_turns(self._axis),
             "rate": lambda: self._table.read_rate_rps(self._axis) / TURN,
             "error_code": self._error_code,
@@ -55,10 +65,10 @@ class Drive:
         return told[register]() if register in told else self.values[register]
 
     def write(self, register: str, value: float) -> None:
-        """Take a value; a controlword acts at once."""
+        """Take a value; a controlword acts when the drive samples it."""
         self._update()
         if register == "controlword":
-            self._control(int(value))
+            self._take_controlword(int(value))
         elif register in self.values:
             self.values[register] = value
             if register == "mode":
@@ -77,6 +87,23 @@ class Drive:
         if register in ("target_rate", "profile_rate"):
             return abs(value) * TURN <= self._table.data[self._axis].max_rate_rps * 1.001
         return register not in _READ_ONLY
+
+    def _take_controlword(self, word: int) -> None:
+        if not self._cycle_s:
+            self._control(word)
+            return
+        if self._written is None:
+            now_s = self._table.clock()
+            sample_s = (math.floor(now_s / self._cycle_s) + 1) * self._cycle_s
+            asyncio.get_running_loop().call_later(sample_s - now_s, self._sample)
+        self._written = word
+
+    def _sample(self) -> None:
+        """Carry out the controlword that was written last."""
+        word, self._written = self._written, None
+        self._update()
+        if word is not None:
+            self._control(word)
 
     def _control(self, word: int) -> None:
         before, self._controlword = self._controlword, word

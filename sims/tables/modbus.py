@@ -215,10 +215,11 @@ class Connection(ServerRequestHandler):
 def drives_by_unit(seat: Seat) -> dict[int, DriveRegisters]:
     """Return a drive for each axis, by its unit id."""
     table, profile = seat.table, seat.options["profile"]
-    return {
-        unit_id: DriveRegisters(Drive(table, axis, profile, seat.watchdog_s), profile, table.data[axis].counts_per_turn)
-        for axis, unit_id in seat.addresses.items()
-    }
+    drives = {}
+    for axis, unit_id in seat.addresses.items():
+        drive = Drive(table, axis, profile, seat.watchdog_s, cycle_s=seat.cycle_s)
+        drives[unit_id] = DriveRegisters(drive, profile, table.data[axis].counts_per_turn)
+    return drives
 
 
 def modbus_server(seat: Seat, address: tuple[str, int], faults: FaultyModbus | None = None) -> ModbusTcpServer:

@@ -34,7 +34,16 @@ from sims.wires.wires import ByteDevice, Plug, Write
 T = TypeVar("T")
 
 _MOST_UNDER_WAY = 100_000
-_KINDS = {"fault": "fault input", "limit": "limit switch", "servo": FOLLOWING_ERROR, "runaway": "", "interlock": ""}
+_TRIPS = {"fault": "fault input", "limit": "limit switch", "servo": FOLLOWING_ERROR}
+_FREEZES: Mapping[str, Mapping[str, bool]] = {
+    "frozen": {},
+    "frozen angle": {"rate": False},
+    "frozen rate": {"angle": False},
+    "zeros": {"zero": True},
+    "zero angle": {"rate": False, "zero": True},
+    "zero rate": {"angle": False, "zero": True},
+}
+_KINDS = (*_TRIPS, "runaway", "interlock", *_FREEZES)
 _RUNAWAY_RPS = math.radians(20.0)
 
 
@@ -125,11 +134,14 @@ class DeviceFaults:
 
 @dataclass(frozen=True, slots=True)
 class TableFault:
-    """A fault at an instant: of an axis its input, limit switch, servo that trips or turns it; of all the interlock."""
+    """A fault at an instant: of an axis its input, limit switch, servo that trips or turns it; of all the interlock.
+
+    Or readings of an axis that do not change any more, or are zero, while it moves on.
+    """
 
     axis: str = field(metadata=choice(("x", "y", "z")))
     at_s: float = field(metadata=given("s", least=0))
-    kind: str = field(default="fault", metadata=choice(tuple(_KINDS)))
+    kind: str = field(default="fault", metadata=choice(_KINDS))
 
     def strike(self, table: TableModel, *, limits_trip: bool) -> None:
         """Let it happen; ``limits_trip`` is of drives that know a limit switch only as a reason to trip."""
@@ -137,10 +149,12 @@ class TableFault:
             table.motion[self.axis].jog(table.clock(), _RUNAWAY_RPS, table.data[self.axis].max_acceleration_rps2)
         elif self.kind == "interlock":
             table.open_interlock()
+        elif self.kind in _FREEZES:
+            table.freeze_readings(self.axis, **_FREEZES[self.kind])
         elif self.kind == "limit" and not limits_trip:
             table.press_limit(self.axis, 1 if table.rate_rps(self.axis) >= 0 else -1)
         else:
-            table.trip(self.axis, _KINDS[self.kind])
+            table.trip(self.axis, _TRIPS[self.kind])
 
 
 def device_faults(table: Mapping[str, object], gyros: int, where: str) -> tuple[DeviceFaults, WireFaults]:

@@ -90,6 +90,7 @@ class Seat:
 
     ``addresses`` are those of its axes, outermost first, ``options`` the protocol's keys in the bench file.
     ``watchdog_s`` of silence stops the axes (0: never). ``number`` is which of several of its kind it is.
+    ``cycle_s`` is how often a drive samples its controlword (0: at once).
     """
 
     table: TableModel
@@ -97,6 +98,7 @@ class Seat:
     options: Mapping[str, Any]
     watchdog_s: float
     number: int = 0
+    cycle_s: float = 0.0
 
 
 class LineController(LineDevice):

@@ -58,6 +58,7 @@ class Limits:
 class TwinConfig:
     """What only twins read: seed, watchdog, the table of truths, unread; what is hidden from the station.
 
+    ``drive_cycle_s`` is how often a CiA 402 drive samples its controlword.
     Temperature and hidden effects follow a clock that stands at ``started_s`` when the loop's stands at 0.
     """
 
@@ -66,6 +67,7 @@ class TwinConfig:
     truths: Table
     hidden: Path | None = None
     started_s: float = 0.0
+    drive_cycle_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +77,8 @@ class Bench:
     ``station`` is the name of the place; the patterns say what names of operators and serial numbers of devices look
     like there (regular expressions for the whole of it), empty for anything; the screen asks anew who operates it after
     ``shift_s``. ``excluded`` are effects of the catalogue that devices and table do not have; None for all of them.
-    ``plugins`` are files and packages from outside.
+    ``plugins`` are files and packages from outside. ``after_run`` is the program, with its arguments, that is given the
+    result of each run; empty for none.
     """
 
     name: str
@@ -91,6 +94,7 @@ class Bench:
     shift_s: float
     excluded: frozenset[str] | None = None
     plugins: tuple[str, ...] = ()
+    after_run: tuple[str, ...] = ()
 
     def checked_operator(self, text: str) -> str:
         """Return an operator's name as it is to be kept; UsageError with the pattern if it does not match."""
@@ -110,9 +114,8 @@ def load_bench(path: Path | None) -> Bench:
     """Read a bench file, or the built-in one; BenchError with line and key for what is wrong."""
     if path is None:
         return read_bench(default_bench_text(), "built-in bench")
-    return read_bench(
-        read_text(path, BenchError), str(path), path.stem, path.parent, sorted((path.parent / "plugins").glob("*.py"))
-    )
+    text = read_text(path, BenchError, "a bench file: a bench file is a .toml file")
+    return read_bench(text, str(path), path.stem, path.parent, sorted((path.parent / "plugins").glob("*.py")))
 
 
 def read_bench(
@@ -152,6 +155,7 @@ def read_bench(
         serial_pattern=place["serial_pattern"],
         shift_s=place["shift_s"],
         excluded=_excluded(own["undeclared"]),
+        after_run=_command(place["after_run"] or (), folder),
     )
     names = [imu.name for imu in bench.imus]
     if not names or len(set(names)) != len(names):
@@ -159,6 +163,15 @@ def read_bench(
     origins = {tables.origin(bench.table.protocol), *(imus.origin(imu.protocol) for imu in bench.imus)}
     origins |= {*map(origin_of, modules), *(record.origin for record in records())}
     return replace(bench, plugins=tuple(sorted(origins - {""})))
+
+
+def _command(words: Sequence[str], folder: Path) -> tuple[str, ...]:
+    """Return a program and its arguments; a program with a relative path counts from the folder of the bench file."""
+    program, *arguments = words or ("",)
+    if not program:
+        return ()
+    is_path = "/" in program and not Path(program).is_absolute()
+    return (str((folder / program).absolute()) if is_path else program, *arguments)
 
 
 def _distinct(imus: Sequence[ImuConfig]) -> tuple[ImuConfig, ...]:

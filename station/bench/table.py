@@ -94,7 +94,11 @@ def _axis(table: Table, spec: TableSpec, folder: Path) -> AxisSetup:
     axis = AxisSetup(
         address=table.option(spec.address) if spec.address is not None else 1,
         counts_per_turn=counts,
-        limits=AxisLimits(**limits, acceleration_step_rps2=spec.acceleration_step / counts * math.tau),
+        limits=AxisLimits(
+            **limits,
+            acceleration_step_rps2=spec.acceleration_step / counts * math.tau,
+            resolution_rad=math.tau / counts,
+        ),
         options=table.options(spec.axis_keys, folder),
         **(table.read("bench.own_link") if spec.opens_links else {}),
     )

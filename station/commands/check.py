@@ -3,14 +3,30 @@
 import argparse
 import json
 import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+
+from rich.markup import escape
 
 from station.bench.bench import Bench
 from station.commands.common import chosen_bench, clock
+from station.computer.finding import Finding
+from station.computer.look import look_at_computer
+from station.computer.timekeeping import ClockWatch
 from station.opening import open_bench
 from station.opening.checking import DeviceCheck, check_bench
 from station.render.terminal import print_rendered, stdout
 from station.run.outcome import Outcome
 from station.views.json_values import json_object
+
+
+def print_computer(findings: Sequence[Finding]) -> None:
+    """Print what was found about the computer, with the command that helps below each line."""
+    for finding in findings:
+        mark = "[red]" if finding.wrong else "[yellow]"
+        stdout().print(f"{mark}{escape(finding.about)}[/] {escape(finding.text)}", highlight=False, soft_wrap=True)
+        if finding.command:
+            stdout().print(f"    {escape(finding.command)}", highlight=False, soft_wrap=True)
 
 
 def command_check(arguments: argparse.Namespace) -> int:
@@ -25,11 +41,16 @@ def command_check(arguments: argparse.Namespace) -> int:
             return await check_bench(opened, time_scale=scale, tell=tell)
 
     bench = chosen_bench(arguments)
+    computer = look_at_computer([*bench.table.links, *(imu.link for imu in bench.imus if imu.used)])
+    watch = ClockWatch()
     with clock(bench, arguments.scale) as runner:
         found = runner.run(look(bench, arguments.scale or 1.0))
-    well = not any(device.wrong for device in found)
+    computer += watch.findings()
+    well = not any(device.wrong for device in found) and not any(finding.wrong for finding in computer)
     if arguments.json:
-        print(json.dumps({"ok": well, "devices": json_object(found)}))
+        told = [asdict(finding) for finding in computer]
+        print(json.dumps({"ok": well, "devices": json_object(found), "computer": told}))
     else:
         print_rendered(stdout(), "station.render", "check.rich", {"bench": bench, "found": found})
+        print_computer(computer)
     return (Outcome.PASS if well else Outcome.FAULT).exit_code

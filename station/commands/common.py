@@ -17,10 +17,12 @@ from estimator.calibration.error_model import ErrorModel
 from estimator.errors import MISSHAPEN, EstimatorError
 from estimator.recordings.writing import write_recording
 from estimator.untrusted import harmless
-from station.atomic_write import new_recording
+from station.atomic_write import check_new_recording, new_recording
 from station.bench.bench import Bench, load_bench
+from station.computer.facilities import peer_note
 from station.errors import EXIT_USAGE, UsageError, sentence
 from station.opening import needs_only_memory, open_bench, serve_twins, with_links
+from station.remote.after_run import tell_program
 from station.remote.hosting import Host, introduction
 from station.render.printing import print_calibration, print_verdict, refuse, result_object
 from station.render.progress import RunProgress
@@ -58,8 +60,11 @@ def _run(arguments: argparse.Namespace) -> int:
             check_early_end(bench)
         model = _model_of(arguments, bench)
         path = Path(arguments.output) if arguments.output else new_recording(Path("recordings"))
+        check_new_recording(path)
         scale = arguments.scale or (1.0 if arguments.host else None)  # virtual time has no sockets
         host = Host(scale or 1.0) if arguments.host else None
+        if host is not None and (note := peer_note()):
+            print(f"note: {note}", file=sys.stderr)
         options = RunOptions(
             arguments.reset_fault,
             arguments.end_early,
@@ -77,6 +82,13 @@ def _run(arguments: argparse.Namespace) -> int:
         return refuse(str(error), arguments.json)
     except DeviceError as error:
         return refuse(str(error), arguments.json, Outcome.FAULT)
+    if bench.after_run:
+        told = {"bench": bench.station, "script": script.name, "operator": operator, "serial_number": serial}
+        problem = tell_program(bench.after_run, {**_run_object(result), **told})
+        if problem:
+            print(f"note: after_run: {problem}; the result stands in {path}", file=sys.stderr)
+    for note in result.notes:
+        print(f"note: {harmless(note)}", file=sys.stderr)
     if arguments.json:
         print(json.dumps(_run_object(result)))
     else:

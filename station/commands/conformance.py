@@ -22,7 +22,8 @@ from drivers.specs import ImuSpec, TableSpec
 from drivers.tables.registry import TABLES, USUAL_TABLE
 from drivers.types import AxisState, Floats, ImuBlock, SourceCounts
 from estimator.strict_toml import not_one_of
-from station.bench.bench import read_bench
+from station.bench.bench import Bench, read_bench
+from station.bench.descriptions import load_description
 from station.bench.imu import ImuConfig
 from station.errors import UsageError
 from station.init.gyros import GYROS, built_in_channels
@@ -32,6 +33,7 @@ from station.run.event_loop.loops import VirtualLoop
 from station.run.outcome import Outcome
 
 _RATE_RPS, _RAMP_RPS2, _LITTLE_RPS = math.radians(20.0), math.radians(20.0), math.radians(0.3)
+USUAL_DESCRIPTION = "hipnuc_hi91"
 _REST_S, _LOOKS, _LOOK_S = 4.0, 50, 0.1
 
 
@@ -226,19 +228,35 @@ def suites_of(spec: ImuSpec | TableSpec) -> _Suites:
     return _FRAMES if spec.on_can else _FRAMES | _BYTES  # a bus hands over whole frames
 
 
-def complaint(spec: ImuSpec | TableSpec, suite: str, plugins: Sequence[Path] = (), within_s: float = 60.0) -> str:
-    """Return in words what is wrong with a device by one suite, nothing if it passes; ``plugins`` have its record.
-
-    It may take ``within_s`` of the host's time.
-    """
-    faults, judge = suites_of(spec)[suite]
+def _bench_of(
+    spec: ImuSpec | TableSpec, faults: Mapping[str, Any], plugins: Sequence[Path], description: Path | None
+) -> Bench:
+    """Return a bench of the device's twin, whose wire has these faults, and of the other twin that it needs."""
     (table, imu) = (spec, IMUS[USUAL_IMU]) if isinstance(spec, TableSpec) else (TABLES[USUAL_TABLE], spec)
     own = table is spec
     axes = "zyx"[: table.most_axes] if own else "z"
     keys = "\n".join(f"{key} = {json.dumps(value)}" for key, value in faults.items())
     values = {"table": table, "imu": imu, "axes": axes, "channels": built_in_channels(GYROS.get(imu.proposed.array, 0))}
+    values |= {"description": str(description or USUAL_DESCRIPTION), "p": _axes_of(description)}
     values |= {"table_faults": keys if own else "", "imu_faults": "" if own else keys}
-    bench = read_bench(rendered("station.commands", "conformance.toml", values), "conformance", plugins=plugins)
+    return read_bench(rendered("station.commands", "conformance.toml", values), "conformance", plugins=plugins)
+
+
+def complaint(
+    spec: ImuSpec | TableSpec,
+    suite: str,
+    plugins: Sequence[Path] = (),
+    description: Path | None = None,
+    within_s: float = 60.0,
+) -> str:
+    """Return in words what is wrong with a device by one suite, nothing if it passes; ``plugins`` have its record.
+
+    ``description`` is the file of a described IMU, by default one that ships. ``within_s`` is how much of the host's
+    time the suite may take.
+    """
+    faults, judge = suites_of(spec)[suite]
+    bench = _bench_of(spec, faults, plugins, description)
+    own = isinstance(spec, TableSpec)
 
     async def tried() -> str:
         before = asyncio.all_tasks()
@@ -284,6 +302,16 @@ def complaint(spec: ImuSpec | TableSpec, suite: str, plugins: Sequence[Path] = (
         signal.signal(signal.SIGALRM, before)
 
 
+def _axes_of(description: Path | None) -> list[list[float]]:
+    """Return axes for the gyros of a described IMU that are no triad: along z, y and x in turn; else none."""
+    if description is None:
+        return []
+    gyros = len(load_description(str(description)).channels[0].rates)
+    if gyros == 3:
+        return []
+    return [[1.0 if axis == gyro % 3 else 0.0 for axis in (2, 1, 0)] for gyro in range(gyros)]
+
+
 def _told(error: BaseException) -> str:
     if isinstance(error, (DeviceError, PluginError)):
         return str(error)
@@ -292,21 +320,32 @@ def _told(error: BaseException) -> str:
 
 
 def command_conformance(arguments: argparse.Namespace) -> int:
-    """Try the devices of a Python file, or one by its protocol; 0 if all pass, 1 if not."""
+    """Try the devices of a Python file, the IMU that a file describes, or one by protocol; 0 if all pass, 1 if not."""
     name, plugins = arguments.module, [Path(arguments.module)] if arguments.module.endswith(".py") else []
+    described = Path(name).absolute() if name.endswith(".toml") else None
     modules = [load_file(path) for path in plugins]
     found: list[ImuSpec | TableSpec] = []
     for module in modules:
         found += [*records_of(module, ImuSpec), *records_of(module, TableSpec)]
     found += [registry[name] for registry in (IMUS, TABLES) if name in registry]
+    if described is not None:
+        gyros = len(load_description(str(described)).channels[0].rates)  # tells what is wrong by file, line and key
+        if gyros < 3:
+            raise UsageError(
+                f"{described} describes {gyros} gyros: on a bench it takes three or more, in all directions"
+            )
+        found.append(IMUS["described"])
     if not found:
         if modules:
             raise UsageError(f"{name} has no ImuSpec and no TableSpec: give the record a name, as SPEC = ImuSpec(...)")
-        raise UsageError(f"{not_one_of(name, [*IMUS, *TABLES])}; or give a .py with an ImuSpec or a TableSpec")
+        raise UsageError(
+            f"{not_one_of(name, [*IMUS, *TABLES])}; or give a .py with an ImuSpec or a TableSpec, "
+            "or a .toml that describes an IMU"
+        )
     told, off = [], set[str]()
     for spec, suite in [(one, suite) for one in found for suite in suites_of(one)]:
         skipped = suite in ("clock", "garbage") and spec.name in off
-        wrong = "it judges by rates, and units fails" if skipped else complaint(spec, suite, plugins)
+        wrong = "it judges by rates, and units fails" if skipped else complaint(spec, suite, plugins, described)
         told.append({"device": spec.name, "suite": suite, "wrong": wrong})
         off |= {spec.name} if wrong and suite == "units" else set()
         if not arguments.json:

@@ -6,11 +6,12 @@ import sys
 from pathlib import Path
 
 from drivers.plugins import load_files
+from estimator.errors import EstimatorError
 from estimator.strict_toml import not_one_of
 from station.atomic_write import write_whole
-from station.errors import UsageError, sentence
+from station.errors import EXIT_USAGE, UsageError, sentence
 from station.exports.exported import Exported, exported_of
-from station.exports.formats import FORMATS
+from station.exports.formats import FORMATS, Format
 from station.exports.written import Written
 from station.render.terminal import print_rendered, stdout
 from station.run.outcome import Outcome
@@ -23,6 +24,8 @@ def command_export(arguments: argparse.Namespace) -> int:
     if arguments.list:
         _print_list(arguments.json)
         return Outcome.PASS.exit_code
+    if arguments.all is not None:
+        return _export_all(arguments, Path(arguments.all))
     try:
         exported, written = _written(arguments)
         if arguments.output != _STDOUT:
@@ -51,29 +54,67 @@ def refused(reason: str, arguments: argparse.Namespace) -> dict[str, str | None]
     return {"file": None, "format": arguments.format, "reason": reason}
 
 
+def _export_all(arguments: argparse.Namespace, folder: Path) -> int:
+    """Write every form that can hold the calibration as FOLDER/RECORDING-FORM.SUFFIX; say why the others cannot."""
+    if arguments.recording is None:
+        raise UsageError("give a recording: `station export RUN.h5 --all FOLDER`")
+    if arguments.format is not None or arguments.output != _STDOUT:
+        raise UsageError("--all names its files itself: leave --format and --output out")
+    files: dict[str, str] = {}
+    refused: dict[str, str] = {}
+    forms = FORMATS.beside(load_files())
+    exported = exported_of(Path(arguments.recording), arguments.device, arguments.instance)
+    for name, form in forms.items():
+        form_label = "" if form.suffix == f".{name}" else f"-{name}"
+        path = folder / f"{Path(arguments.recording).stem}{form_label}{form.suffix}"
+        try:
+            written = _write_form(name, form, exported, arguments)
+            write_whole(path, written.text, replace=arguments.force)
+        except (UsageError, EstimatorError) as error:
+            refused[name] = str(error)
+        else:
+            files[name] = str(path)
+    if arguments.json:
+        print(json.dumps({"files": files, "refused": refused, "notes": exported.cautions}))
+    else:
+        for name, file in files.items():
+            print(f"{name}: {file}")
+    for name, reason in refused.items():
+        print(f"not written: {name}: {reason}", file=sys.stderr)
+    for line in exported.cautions:
+        print(f"note: {line}", file=sys.stderr)
+    return Outcome.PASS.exit_code if files else EXIT_USAGE
+
+
 def _written(arguments: argparse.Namespace) -> tuple[Exported, Written]:
     if arguments.recording is None or arguments.format is None:
-        raise UsageError("give a recording and --format; `station export --list` says what each format holds")
+        raise UsageError(
+            "give a recording and --format, or --all FOLDER; `station export --list` says what each format holds"
+        )
     if arguments.json and arguments.output == _STDOUT:
         raise UsageError("--json says what was written where: give a file with --output")
     forms = FORMATS.beside(load_files())
     if arguments.format not in forms:
         raise UsageError(f"--format {not_one_of(arguments.format, forms)}")
-    form = forms[arguments.format]
     exported = exported_of(Path(arguments.recording), arguments.device, arguments.instance)
+    return exported, _write_form(arguments.format, forms[arguments.format], exported, arguments)
+
+
+def _write_form(name: str, form: Format, exported: Exported, arguments: argparse.Namespace) -> Written:
+    """Return the calibration in a form; UsageError, with what to do, if the form cannot hold it or fails."""
     if form.of_one_device and len(exported.devices) > 1 and not arguments.device:
         raise UsageError(sentence("export.several", recording=arguments.recording, devices=", ".join(exported.devices)))
     try:
         written = form.write(exported)
         if not isinstance(written, Written):
             raise TypeError(f"it returned {type(written).__name__}, not Written")
-        return exported, written
+        return written
     except UsageError:
         raise
     except Exception as error:
-        if arguments.format in FORMATS and not FORMATS.origin(arguments.format):
+        if name in FORMATS and not FORMATS.origin(name):
             raise  # a defect of our own
-        raise UsageError(f"the form {arguments.format} failed: {type(error).__name__}: {error}") from None
+        raise UsageError(f"the form {name} failed: {type(error).__name__}: {error}") from None
 
 
 def _print_list(as_json: bool) -> None:

@@ -8,11 +8,14 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import ExitStack
+from datetime import date
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from estimator.calibration.calibration_file import read_calibration
+from estimator.calibration.values import Calibration
 from estimator.estimation.control_charts import control_chart
 from estimator.geometry.model import STATES
 from estimator.untrusted import harmless
@@ -22,6 +25,7 @@ from station.render.template import rendered
 from station.render.terminal import print_rendered, stdout
 from station.screen.archive.archive import Archive
 from station.screen.archive.entries import Entry, comparable, moves
+from station.screen.archive.validity import validity_on
 from station.views.figures import OUTCOME_STYLES
 from station.views.json_values import by_state, json_object
 
@@ -32,7 +36,10 @@ _TEXTS = {"device_serial": "serial", "station": "bench"} | {
 
 
 def command_history(arguments: argparse.Namespace) -> int:
-    """List the recordings of a folder, the newest first, and charts of a device, or a gauge study; always 0."""
+    """List the recordings of a folder, the newest first, and charts of a device, or a gauge study.
+
+    Return 0; with --valid-on 1 if no calibration was valid on that day.
+    """
     folder, data, since = Path(arguments.folder), arguments.json or arguments.csv, arguments.since or ""
     outcome = arguments.outcome and arguments.outcome.upper()
     try:
@@ -45,6 +52,8 @@ def command_history(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--outcome {outcome}: write one of {', '.join(OUTCOME_STYLES)}")
     if arguments.gauge and arguments.csv:
         raise UsageError("--gauge with --csv: a study has no line for each recording; give --json in place of --csv")
+    if arguments.valid_on is not None:
+        return _print_valid(arguments, folder)
     every = asyncio.run(_listed(folder, data))
     wanted = {"device_serial": arguments.serial, "station": arguments.bench, "outcome": outcome}
     wanted = {key: value for key, value in wanted.items() if value is not None}
@@ -69,6 +78,39 @@ def command_history(arguments: argparse.Namespace) -> int:
         name = "gauge.rich" if arguments.gauge else "history.rich"
         print_rendered(stdout(), "station.render", name, {**found, "serial": arguments.serial, "states": STATES})
     return 0
+
+
+def calibration_valid_on(serial: str, day: date, folder: Path | str = "recordings") -> Calibration:
+    """Return the calibration of a device that was valid on a day, from the recordings of a folder and its index.
+
+    UsageError with the reason if there was none. The rule is that of ``archive.validity``.
+    """
+    found = validity_on(asyncio.run(_listed(Path(folder), True)), serial, day)
+    if found.reason or found.entry is None:
+        raise UsageError(found.reason)
+    return read_calibration(found.entry.path)
+
+
+def _print_valid(arguments: argparse.Namespace, folder: Path) -> int:
+    """Print which calibration of a device was valid on a day; return 0 if there was one, else 1."""
+    if arguments.serial is None or arguments.csv or arguments.gauge:
+        raise UsageError("--valid-on needs --serial, and goes with neither --csv nor --gauge")
+    try:
+        day = date.fromisoformat(arguments.valid_on)
+    except ValueError:
+        raise UsageError(f"--valid-on {arguments.valid_on}: write a date, for instance 2026-11-21") from None
+    found = validity_on(asyncio.run(_listed(folder, arguments.json)), arguments.serial, day)
+    recording = None if found.entry is None else str(found.entry.path)
+    valid = found.entry is not None and not found.reason
+    if arguments.json:
+        row = None if found.entry is None else _row(found.entry, folder, [])
+        told = {"serial": arguments.serial, "day": day.isoformat(), "valid": valid, "reason": found.reason or None}
+        print(json.dumps({**told, "recording": row}))
+    elif found.entry is not None and valid:
+        print(harmless(f"{recording}: measured {found.entry.when}, valid for {arguments.serial} on {day}"))
+    else:
+        print(harmless(f"none: {found.reason}"))
+    return 0 if valid else 1
 
 
 async def _listed(folder: Path, quiet: bool) -> list[Entry]:

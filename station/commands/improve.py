@@ -219,8 +219,13 @@ def _refuse(reason: str, as_json: bool) -> int:
 def script_text(script: Script, origin: str) -> str:
     """Return a script as TOML that ``station.scripts.script.load_script`` reads; ``origin`` is its first comment."""
     steps = zip((_KINDS[type(step)] for step in script.steps), script.steps, script.durations_s(), strict=True)
-    values = {"origin": origin, "script": script, "steps": steps}
+    values = {"origin": origin, "script": script, "steps": steps, "quoted": _quoted}
     return rendered("station.commands", "script.toml", values)
+
+
+def _quoted(text: str) -> str:
+    """Return a text as a TOML string: that of JSON, with one more character escaped."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def improved_object(improved: Improved, path: Path) -> dict[str, Any]:

@@ -2,19 +2,27 @@
 
 import argparse
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
+from estimator.observations.coverage import coverage_object
 from estimator.planning.planning import EffectForecast, Forecast
+from station.atomic_write import check_new_file, free_path, write_whole
 from station.bench.bench import load_bench
-from station.commands.improve import improve, quantity
+from station.commands.improve import improve, quantity, script_text
+from station.errors import UsageError, sentence
 from station.opening import with_links
-from station.render.plan_printed import print_plan
+from station.render.plan_printed import print_early_late, print_plan
+from station.render.template import rendered
 from station.render.terminal import stdout
 from station.run.outcome import Outcome
+from station.scripts.early_late import early_and_late
 from station.scripts.plan import TEMPERATURE_RISE_K, WARMING_TIME_S, Plan, make_plan
 from station.scripts.script import load_script, paper_script
 from station.views.json_values import by_state, json_object
+
+EARLY_LATE_FILE = "early-late.toml"
 
 
 def command_plan(arguments: argparse.Namespace) -> int:
@@ -22,17 +30,78 @@ def command_plan(arguments: argparse.Namespace) -> int:
     bench = load_bench(Path(arguments.bench) if arguments.bench else None)
     bench = with_links(bench, {}, arguments.device)
     script = load_script(Path(arguments.script)) if arguments.script else paper_script()
+    if arguments.improve and arguments.early_late:
+        raise UsageError("--improve and --early-late each write a script: give one of them")
     if arguments.improve:
         return improve(arguments, bench, script)
     rise_k = TEMPERATURE_RISE_K
     if arguments.temperature_rise is not None:
         rise_k = quantity(arguments, "temperature_rise", "temperature")
+    if arguments.early_late:
+        return _write_early_late(arguments, make_plan(script, bench, effects=()))
     plan = make_plan(script, bench, temperature_rise_k=rise_k)
+    early_late = None if plan.proves_constancy else early_late_plan(plan)
     if arguments.json:
-        print(json.dumps(plan_object(plan)))
+        print(json.dumps(plan_object(plan) | {"early_late": early_late and _early_late_object(early_late)}))
     else:
-        print_plan(plan, stdout())
+        print_plan(plan, stdout(), early_late)
     return (Outcome.PASS if plan.reached.all() else Outcome.FAIL).exit_code
+
+
+def early_late_plan(plan: Plan) -> Plan | None:
+    """Return the plan, without effects, of a script as long as this one that turns each axis early and late, if any."""
+    script = early_and_late(plan.script, plan.bench.table.limits, plan.bench.table.gimbals)
+    return None if script is None else make_plan(script, plan.bench, effects=())
+
+
+def _write_early_late(arguments: argparse.Namespace, plan: Plan) -> int:
+    """Write the script that turns each axis early and late; 1 if there is none.
+
+    Raises UsageError for a file that is there already.
+    """
+    path = Path(arguments.output) if arguments.output else free_path(Path(EARLY_LATE_FILE))
+    check_new_file(path, "--output")
+    offered = early_late_plan(plan)
+    if offered is None:
+        reason = sentence("script.no_early_late", script=plan.script.name, length_s=plan.script.duration_s)
+        print(f"station: {reason}", file=sys.stderr)
+        if arguments.json:
+            print(json.dumps({"reached": False, "reason": reason, "script": None}))
+        return Outcome.FAIL.exit_code
+    origin = rendered("station.commands", "early_late_origin.txt", {"asked": plan, "offered": offered})
+    write_whole(path, script_text(offered.script, origin))
+    if arguments.json:
+        asked = {"script": plan.script.name, "gyros": _sigmas(plan)}
+        print(json.dumps({"reached": True, "before": asked, **_early_late_object(offered), "script": str(path)}))
+    else:
+        print_early_late(plan, offered, path, stdout())
+    return Outcome.PASS.exit_code
+
+
+def _early_late_object(offered: Plan) -> dict[str, Any]:
+    """Return a script that turns each axis early and late, as --json prints it, in SI."""
+    return {
+        "script": offered.script.name,
+        "duration_s": offered.script.duration_s,
+        "steps": _steps(offered),
+        "gyros": _sigmas(offered),
+        "constancy": [coverage_object(axis) for axis in offered.constancy],
+    }
+
+
+def _sigmas(plan: Plan) -> list[dict[str, Any]]:
+    return [
+        {"device": gyro.source, "name": gyro.name, "sd": by_state(sd)}
+        for gyro, sd in zip(plan.forecast.gyros, plan.sd, strict=True)
+    ]
+
+
+def _steps(plan: Plan) -> list[dict[str, Any]]:
+    return [
+        {"label": timed.step.label, "duration_s": timed.duration_s}
+        | {key: getattr(timed.step, key, None) for key in ("axis", "rate_rps")}  # None of a rest
+        for timed in plan.script.timeline()
+    ]
 
 
 def plan_object(plan: Plan) -> dict[str, Any]:
@@ -41,11 +110,7 @@ def plan_object(plan: Plan) -> dict[str, Any]:
     return {
         "script": plan.script.name,
         "duration_s": plan.script.duration_s,
-        "steps": [
-            {"label": timed.step.label, "duration_s": timed.duration_s}
-            | {key: getattr(timed.step, key, None) for key in ("axis", "rate_rps")}  # None of a rest
-            for timed in plan.script.timeline()
-        ],
+        "steps": _steps(plan),
         "reached": bool(plan.reached.all()),
         "required": by_state(plan.required),
         "gyros": [
@@ -61,6 +126,7 @@ def plan_object(plan: Plan) -> dict[str, Any]:
         ],
         "steady_conditions": found.steady_conditions,
         "saturated": found.saturated,
+        "constancy": [coverage_object(axis) for axis in plan.constancy],
         "effects": [_effect(forecast, found) for forecast in found.effects],
         "alike": [
             {

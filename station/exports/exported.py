@@ -4,6 +4,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,8 @@ import numpy as np
 from estimator.calibration.calibration_file import read_calibration
 from estimator.calibration.compensation import Compensation
 from estimator.calibration.error_model import ErrorModel
-from estimator.calibration.values import Calibration, GyroCalibration
+from estimator.calibration.gyro import GyroCalibration
+from estimator.calibration.values import Calibration
 from estimator.errors import EstimatorError, RecordingError
 from estimator.recordings.reading import read_recording
 from estimator.recordings.recording import Recording
@@ -107,6 +109,7 @@ def _identity(path: Path, recording: Recording, gyros: Sequence[GyroCalibration]
         "operator": told.get("operator", ""),
         "station": told.get("station", ""),
         "script": told.get("script", ""),
+        "measured (UTC)": _measured_utc(recording),
         "outcome": " ".join(str(told[key]) for key in ("outcome", "reason") if key in told),
         "software version": told.get("software_version", ""),
         "recording": path.name,
@@ -114,6 +117,15 @@ def _identity(path: Path, recording: Recording, gyros: Sequence[GyroCalibration]
     }
     # A line each: what a file says of itself must not end the comment that it stands in.
     return {key: " ".join(str(value).split()) for key, value in named.items() if value}
+
+
+def _measured_utc(recording: Recording) -> str:
+    """Return when the first sample was taken, ISO 8601; empty in virtual time and for imports without a date."""
+    first_ns = min((int(data.t_ns[0]) for data in recording.sources.values() if len(data.t_ns)), default=0)
+    with suppress(KeyError, TypeError, OverflowError, OSError, ValueError):
+        utc_s = float(recording.attributes["clock_zero_utc_s"]) + first_ns * 1e-9
+        return datetime.fromtimestamp(utc_s, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    return ""
 
 
 def _kind(attributes: Mapping[str, Any]) -> str:

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
+from typing import Any
 
 from drivers.packaged import packaged_toml
 from drivers.plugins import Registry
@@ -13,17 +14,24 @@ from station.exports.written import Written
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """A form: what writes it (or UsageError), what it holds and lacks, for people, whether it is of one device."""
+    """A form: what writes it (or UsageError), what it holds and lacks, for people, whether it is of one device.
+
+    ``suffix`` ends the names of its files where the station names them.
+    """
 
     name: str
     write: Callable[[Exported], Written]
     holds: str = ""
     lacks: str = ""
     of_one_device: bool = True
+    suffix: str = ".txt"
 
 
-_OWN = packaged_toml("station.exports", "held.toml").items()
-FORMATS = Registry(
-    Format, GROUP, {name: Format(name, EntryPoint(name, w, GROUP).load(), *said) for name, (w, *said) in _OWN}
-)
+def _built_in(name: str, write: str, **said: Any) -> Format:
+    """Return a form of the station's own; ``write`` names its function as an entry point does."""
+    return Format(name=name, write=EntryPoint(name, write, GROUP).load(), **said)
+
+
+_OWN = packaged_toml("station.exports", "held.toml")
+FORMATS = Registry(Format, GROUP, {name: _built_in(name, **said) for name, said in _OWN.items()})
 """Built in and installed ones, by name."""

@@ -3,6 +3,7 @@
 The only package of the station that knows that there are twins.
 """
 
+import sys
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass, replace
@@ -12,6 +13,7 @@ from drivers.links.counted import CountedLink
 from drivers.links.lock import held
 from drivers.protocols import ImuSource, Turntable
 from drivers.specs import ImuSetup, TableSetup
+from drivers.tables.recipe import packed_table
 from drivers.types import LinkCounts
 from station.bench.bench import Bench
 from station.bench.imu import ImuConfig
@@ -41,6 +43,17 @@ class OpenImu:
     """Of its link."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GuardedTable:
+    """What another process needs to stop the table if this one is killed.
+
+    ``packed`` makes the driver (``drivers.tables.recipe``), ``locks`` are the descriptors that hold its links.
+    """
+
+    packed: bytes
+    locks: tuple[int, ...]
+
+
 @dataclass(frozen=True, slots=True)
 class OpenBench:
     """The drivers of a bench, not yet opened themselves."""
@@ -50,6 +63,8 @@ class OpenBench:
     imus: tuple[OpenImu, ...]
     at_rest: Callable[[], bool] = lambda: True
     """Whether the table of the twins is at rest, for trying what the station leaves behind."""
+    guarded: GuardedTable | None = None
+    """None for a twin in this process, which ends with it, and where processes hold no locks."""
 
     def link_counts(self) -> dict[str, LinkCounts]:
         """Return by device what went over its link; none of a table from outside that opens its links itself."""
@@ -99,15 +114,19 @@ async def open_bench(bench: Bench, *, time_scale: float = 1.0) -> AsyncIterator[
     async with AsyncExitStack() as stack:
         time_scale = max(time_scale, 1.0)
         twins = Twins(bench, stack, time_scale)
-        table = await _table(bench, twins, time_scale)
+        table, packed = await _table(bench, twins, time_scale)
+        locks: tuple[int, ...] = ()
         for link in bench.table.links:
             if link != TWIN:
-                await stack.enter_async_context(held("table", link, bench.table.spec.tcp_port, f"bench {bench.name}"))
+                holding = held("table", link, bench.table.spec.tcp_port, f"bench {bench.name}")
+                locks += await stack.enter_async_context(holding)
         imus = tuple([await _imu(imu, twins, time_scale) for imu in used])
-        yield OpenBench(bench, table, imus, twins.table.at_rest)
+        guarded = GuardedTable(packed=packed, locks=locks) if packed else None
+        yield OpenBench(bench, table, imus, twins.table.at_rest, guarded)
 
 
-async def _table(bench: Bench, twins: Twins, time_scale: float) -> Turntable:
+async def _table(bench: Bench, twins: Twins, time_scale: float) -> tuple[Turntable, bytes]:
+    """Return the driver of the table, and what makes it in another process; nothing for a twin in this one."""
     config = bench.table
     spec = config.spec
     axes = {
@@ -116,8 +135,9 @@ async def _table(bench: Bench, twins: Twins, time_scale: float) -> Turntable:
     }
     twin = config.link == TWIN
     link = await twins.table_in_memory() if twin else driver_link(spec, config.link, "table", time_scale)
-    link = link if spec.opens_links else CountedLink(link)
-    return spec.make(TableSetup(axes, config.timeout_s * time_scale, config.options), link)
+    setup = TableSetup(axes, config.timeout_s * time_scale, config.options)
+    packed = b"" if twin or sys.platform == "win32" else packed_table(spec, setup, link)
+    return spec.make(setup, link if spec.opens_links else CountedLink(link)), packed
 
 
 async def _imu(imu: ImuConfig, twins: Twins, time_scale: float) -> OpenImu:

@@ -2,14 +2,14 @@
 
 import asyncio
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 
 from drivers.errors import BadReply, DeviceError, LinkLost
-from drivers.protocols import ImuSource
+from drivers.protocols import ImuSource, TellsOrders, Turntable
 from drivers.types import Floats, Identity, ImuBlock, LinkCounts, SourceCounts, Stamps
 from station.bench.imu import ImuConfig
 from station.errors import sentence
@@ -18,6 +18,7 @@ from station.opening import OpenBench, OpenImu
 LISTEN_S = 2.0
 _OPEN_S = 5.0
 _READINGS = 10
+_OTHERS_S = 1.0  # in which another master that commands an enabled table is seen to do so
 _RATE_OFF = 0.02
 _LEAST_PERIOD_S = 1e-5
 _LOOK_AT_TABLE = "are protocol, link, baud rate, parity and the axes' addresses those of the controller?"
@@ -122,8 +123,11 @@ async def _check_table(opened: OpenBench, time_scale: float) -> DeviceCheck:
         async with asyncio.timeout(_OPEN_S * max(time_scale, 1.0)):
             await table.open()
             check.identity = await table.identify()
+        told = await _orders(table, bench.table.gimbals)
+        enabled = []
         for axis in bench.table.gimbals:
             status = await table.status(axis)
+            enabled += [axis] if status.enabled else []
             if status.trouble:
                 check.wrong.append(f"{status.trouble}; clear its cause, then run with --reset-fault")
             elif status.caution:
@@ -147,12 +151,34 @@ async def _check_table(opened: OpenBench, time_scale: float) -> DeviceCheck:
                     trip,
                 )
             )
-            if abs(state.rate_rps) > math.radians(0.05):
-                check.wrong.append(f"axis {axis} turns at {math.degrees(state.rate_rps):.2f} deg/s: stop it first")
+            dps = math.degrees(state.rate_rps)
+            if abs(dps) > 0.05:
+                elsewhere = sentence("check.driven_elsewhere", axis=axis, dps=dps)
+                check.wrong.append(
+                    elsewhere if status.enabled else f"axis {axis} turns at {dps:.2f} deg/s: stop it first"
+                )
+        if told and enabled:
+            await asyncio.sleep(_OTHERS_S * max(time_scale, 1.0))
+            check.wrong += _told_by_others(told, await _orders(table, bench.table.gimbals))
         slow = sum(axis.round_trip_s for axis in check.axes)
         if slow * bench.table.poll_rate_hz > 1:
             check.wrong.append(sentence("check.too_slow", slow_ms=slow * 1e3, poll_rate_hz=bench.table.poll_rate_hz))
     return check
+
+
+async def _orders(table: Turntable, axes: Sequence[str]) -> dict[str, Mapping[str, float]]:
+    """Return by axis what drives were told last, nothing where the protocol cannot tell."""
+    return {axis: await table.orders(axis) for axis in axes} if isinstance(table, TellsOrders) else {}
+
+
+def _told_by_others(before: Mapping[str, Mapping[str, float]], now: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """Return in words which axes were told something meanwhile: nothing was by this station."""
+    found = []
+    for axis, orders in now.items():
+        changed = [name for name, value in orders.items() if value != before[axis].get(name, value)]
+        if changed:
+            found.append(sentence("check.told_elsewhere", axis=axis, what=", ".join(changed).replace("_", " ")))
+    return found
 
 
 async def _check_imu(imu: OpenImu, time_scale: float) -> DeviceCheck:

@@ -31,7 +31,7 @@ async def serve_twins(
     ``port`` is that of the table, 0 for any. What each is served on is said by [twin.wires] of the bench file.
     """
     async with AsyncExitStack() as stack:
-        serving = _Serving(Twins(bench, stack, time_scale), stack, host)
+        serving = Serving(Twins(bench, stack, time_scale), stack, host)
 
         def tell(**said: Any) -> None:
             announce(json.dumps(said))
@@ -44,7 +44,7 @@ async def serve_twins(
         await asyncio.Event().wait()
 
 
-class _Serving:
+class Serving:
     """Puts the twins of one bench on wires."""
 
     def __init__(self, twins: Twins, stack: AsyncExitStack, host: str) -> None:

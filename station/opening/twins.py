@@ -100,7 +100,7 @@ class Twins:
     def _seat(self) -> Seat:
         config = self.bench.table
         addresses = {name: axis.address for name, axis in config.axes.items()}
-        return Seat(self.table, addresses, config.options, self.watchdog_s)
+        return Seat(self.table, addresses, config.options, self.watchdog_s, cycle_s=self.bench.twin.drive_cycle_s)
 
     def table_device(self, write: Write) -> ByteDevice:
         """Return the controller, or the drives on a serial line."""

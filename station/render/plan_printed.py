@@ -1,26 +1,33 @@
 """A plan as a person reads it."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
 
 from drivers.types import Floats
 from estimator.effects.conditions import REFERENCE_C
 from estimator.effects.disturbances import TONE
+from estimator.observations.coverage import coverage_notes
 from estimator.planning.planning import ALIKE, EffectForecast
-from station.render.terminal import print_rendered
+from station.render.terminal import Shown, print_all, print_rendered, rich_table
 from station.scripts.axis_profile import profile_lines
 from station.scripts.plan import WARMING_TIME_S, Plan
 from station.scripts.polling import too_steep
-from station.views.figures import shown_unit
+from station.views.figures import STATE_UNITS, shown_unit
 
 MARKED = 1.0
 """Shifts of the states below so many of their sigmas are not worth a word."""
 
 
-def print_plan(plan: Plan, console: Console) -> None:
-    """Print the plan: what moves, sigmas of the states, smallest effects, what looks alike, what was assumed."""
+def print_plan(plan: Plan, console: Console, early_late: Plan | None = None) -> None:
+    """Print the plan: what moves, sigmas of the states, smallest effects, what looks alike, what was assumed.
+
+    ``early_late`` is that of a script of the same length which turns each axis early and late, if one is offered.
+    """
     found = plan.forecast
     values = {
         "plan": plan,
@@ -28,6 +35,9 @@ def print_plan(plan: Plan, console: Console) -> None:
         "size": _number,
         "is_required": bool(np.isfinite(plan.required).any()),
         "combination": combination,
+        "not_proved": coverage_notes(plan.constancy),
+        "early_late": early_late and beside_table(plan, early_late),
+        "early_late_proves": early_late and proved_words(early_late),
         "warnings": [*plan.rounded, *too_steep(plan.script, plan.bench.table.read_time_s)],
         "partly_seen": any(f.seen.any() and not f.seen.all() for f in found.effects),
         "worst_hidden": _worst_hidden,
@@ -39,6 +49,42 @@ def print_plan(plan: Plan, console: Console) -> None:
         "tone_hz": TONE.listed(0.0)[0]["frequency_hz"],
     }
     print_rendered(console, "station.render", "plan.rich", values)
+
+
+def print_early_late(asked: Plan, offered: Plan, path: Path, console: Console) -> None:
+    """Print the sigmas of a script that turns each axis early and late beside those of the asked one, and its file."""
+    file_line = escape(f"script: {path}   (station run --script {path})")
+    shown: list[Shown] = [
+        (beside_table(asked, offered), {}),
+        (proved_words(offered), {"highlight": False}),
+        (file_line, {"highlight": False, "soft_wrap": True}),
+    ]
+    print_all(console, shown)
+
+
+def beside_table(asked: Plan, offered: Plan) -> Table:
+    """Return the predicted sigmas of a script that turns each axis early and late, beside those of the asked one."""
+    heads = ["gyro"]
+    for name, unit, _ in STATE_UNITS:
+        heads += [f"{name}\n{unit}", "\nasked"]
+    sigmas = rich_table(
+        f"Predicted sigmas with each axis early and late, in {offered.script.duration_s:.4g} s", heads, "lrdrdrdrd"
+    )
+    several = len({gyro.source for gyro in offered.forecast.gyros}) > 1
+    for gyro, own, others in zip(offered.forecast.gyros, offered.sd, asked.sd, strict=True):
+        cells = [escape(f"{gyro.source} {gyro.name}" if several else gyro.name)]
+        for state, (_, _, factor) in enumerate(STATE_UNITS):
+            cells += [_number(float(own[state] * factor)), _number(float(others[state] * factor))]
+        sigmas.add_row(*cells)
+    return sigmas
+
+
+def proved_words(plan: Plan) -> str:
+    """Return in words over which time a script proves constancy, by axis."""
+    spans = [
+        f"{one.axis} from {one.covered_s[0]:.0f} to {one.covered_s[1]:.0f} s" for one in plan.constancy if one.covered_s
+    ]
+    return f"constancy proved: {', '.join(spans)}"
 
 
 def combination(direction: Floats) -> str:

@@ -3,6 +3,7 @@
 import json
 import math
 import sys
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,8 +12,10 @@ import numpy as np
 
 from drivers.packaged import packaged_toml
 from drivers.types import Floats
-from estimator.calibration.values import Calibration, GyroCalibration
+from estimator.calibration.gyro import GyroCalibration
+from estimator.calibration.values import Calibration, GyroParity
 from estimator.estimation.repeatability import Repeatability
+from estimator.observations.coverage import coverage_object
 from estimator.observations.rests import RestNoise
 from station.errors import EXIT_USAGE
 from station.render.terminal import print_rendered, stdout
@@ -121,9 +124,18 @@ def result_object(verdict: Verdict, recording: str, calibration: Calibration | N
         "nis_mean": json_object(found.nis_mean),
         **named(found, ("samples", "lost", "holds_for")),
         "doubts": list(found.doubts),
+        "constancy": [coverage_object(axis) for axis in found.constancy],
         "excluded": {e.name: e.reason for e in found.excluded},
-        "parity": {c.name: named(c, ("rms_sigma", "worst_sigma", "suspect")) for c in found.parity},
+        "parity": _parity_object(found.parity),
     }
+
+
+def _parity_object(checks: Sequence[GyroParity]) -> dict[str, Any]:
+    """Return the parity checks by gyro, with its source before its name where two have one name."""
+    alike = Counter(check.name for check in checks)
+    keys = [check.name if alike[check.name] == 1 else f"{check.source} {check.name}" for check in checks]
+    values = [named(check, ("rms_sigma", "worst_sigma", "suspect")) for check in checks]
+    return dict(zip(keys, values, strict=True))
 
 
 def _gyro_object(gyro: GyroCalibration) -> dict[str, Any]:
@@ -131,5 +143,11 @@ def _gyro_object(gyro: GyroCalibration) -> dict[str, Any]:
     effects: dict[str, dict[str, list[float | str]]] = {}
     for value in gyro.effects:
         effects.setdefault(value.effect, {})[value.parameter] = [value.value, value.sd, value.unit]
-    found = {"name": gyro.name, **by_state(gyro.states), "sd": by_state(gyro.sd), **budget_and_noise(gyro)}
+    found = {
+        "name": gyro.name,
+        "source": gyro.source,
+        **by_state(gyro.states),
+        "sd": by_state(gyro.sd),
+        **budget_and_noise(gyro),
+    }
     return found | ({"effects": effects} if effects else {})

@@ -10,6 +10,7 @@ from typing import Any
 from drivers.packaged import packaged_toml
 from estimator.calibration.budget import TYPE_A
 from estimator.recordings.reference import TableReadings
+from estimator.untrusted import harmless
 from station.errors import UsageError
 from station.exports.exported import RAW_RULE, file_sha256, raw_sha256
 from station.render.investigation_printed import verdict_lines
@@ -91,7 +92,8 @@ def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Re
     }
     with laid_out(recorded.path, "what it or its investigation holds cannot be reported ({})"):
         html = rendered("station.report", "report.html", _MADE_OF | values)
-    return Report(html, standing, number, hashes, before, not_seen)
+    # Names and texts of recordings, sources and files: whatever they hold, the document steers and reverses nothing.
+    return Report(harmless(html), standing, number, hashes, before, not_seen)
 
 
 def _as_found(recorded: Recorded, path: Path) -> Recorded:

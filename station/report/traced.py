@@ -1,6 +1,5 @@
 """An investigation read back: what the error model lacks, the residual before and after, and how the report says so."""
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from estimator.errors import RecordingError
 from estimator.recordings.safe_open import probe
 from estimator.recordings.writing import plain
 from estimator.tracing.investigation import ResidualView
+from estimator.untrusted import read_json
 from station.errors import sentence
 from station.report.recorded import Recorded, labels_of, laid_out
 from station.views.investigation import InvestigationView, Spectra, judged_views
@@ -87,7 +87,7 @@ def _read(path: Path, group: "Group") -> Traced:
     spectra = group.get("spectrum_verification") or group.get("spectrum") or {}
     return Traced(
         path,
-        json.loads(str(plain(group.attrs["json"]))),
+        read_json(str(plain(group.attrs["json"]))),
         names,
         states,
         model,

@@ -22,7 +22,7 @@ from station.opening import OpenBench, OpenImu
 from station.opening.reopening import Reopening
 from station.run.event_loop.loops import is_virtual
 from station.run.live import LiveEstimate, LiveSource
-from station.run.monitor import Monitor
+from station.run.monitor import Beside, Monitor
 from station.run.snapshot import EventKind
 from station.run.table_watch import TableRow
 from station.views.json_values import named
@@ -90,11 +90,12 @@ class Acquisition:
         on_event: Callable[[float, EventKind, str], None] | None,
     ) -> None:
         """Describe table and sources in the recording; ``time_scale`` is how fast the loop's clock runs."""
-        self._opened, self._imus, self._bench = opened, opened.imus, opened.bench
+        self._imus, self._bench = opened.imus, opened.bench
         self.writer, self._model, self._reopening, self._on_event = writer, model, reopening, on_event
         self._host_scale, self._scale = time_scale, max(time_scale, 1.0)  # below 1 devices are slow, too
         self.live = LiveEstimate(self._bench.table.gimbals, self._bench.site)
-        self.monitor = Monitor(opened, self.live, reopening, self._scale)
+        self.beside = Beside(lambda text: self.event(EventKind.NOTE, text))
+        self.monitor = Monitor(opened, self.live, reopening, self._scale, self.beside)
         self.reports: dict[str, SourceReport] = {}
         """What was had of each source, once all is closed."""
         self.closed = False
@@ -139,7 +140,7 @@ class Acquisition:
 
     def _take_block(self, name: str, block: ImuBlock) -> None:
         self._last_seen_s[name] = asyncio.get_running_loop().time()
-        self.monitor.take_block(name, block)
+        self.beside.attempt("the monitor", lambda: self.monitor.take_block(name, block), None)
         keys = ("t_ns", "arrival_ns", "rate_rps", "temperature_c", "counter")
         columns = {key: values for key in keys if (values := getattr(block, key)) is not None}
         if block.accel_mps2 is not None:
@@ -169,8 +170,9 @@ class Acquisition:
         """Record what happened, and tell whoever listens."""
         now_ns = round(asyncio.get_running_loop().time() * 1e9)
         self.writer.append_text("events", {"t_ns": now_ns}, "text", text, kind=np.array([kind.encode()], dtype="S16"))
-        if self._on_event is not None:
-            self._on_event(now_ns * 1e-9, kind, text)
+        on_event = self._on_event
+        if on_event is not None:
+            self.beside.attempt("telling of events", lambda: on_event(now_ns * 1e-9, kind, text), None)
 
     async def first_samples(self) -> None:
         """Wait for samples of every source; LinkLost if one has none."""
@@ -227,7 +229,7 @@ class Acquisition:
             await self._sleep(every_s)
             if loop.time() >= look_due_s:
                 look_due_s = loop.time() + _LOOK_S * self._host_scale
-                self.monitor.mark()
+                self.beside.attempt("the monitor", self.monitor.mark, None)
                 self._take_histories(_HISTORY_BLOCKS)
                 self._note_counts()
             if not virtual:
@@ -257,7 +259,11 @@ class Acquisition:
 
     def _reports_now(self) -> dict[str, SourceReport]:
         about = [(imu.source, name) for imu in self._imus for name in imu.source.names]
-        return {name: SourceReport(name, source.counts(name), source.alignment(name)) for source, name in about}
+        look = self.monitor
+        return {
+            name: SourceReport(name, counts=look.counts(source, name), clock=look.alignment(source, name))
+            for source, name in about
+        }
 
     async def close(self, attributes: Mapping[str, str], *, whole: bool) -> None:
         """Close the links of all devices under test and, with these attributes, the recording.
@@ -280,7 +286,7 @@ class Acquisition:
             with suppress(EstimatorError):  # which the batch estimate tells
                 self.live.finish()
         self._take_histories(1)
-        if counts := self._opened.link_counts().get("table"):
+        if counts := self.monitor.link_counts().get("table"):
             self.writer.set_attributes(_link_attributes("table_", counts))
         self.writer.set_attributes({"table_read_half_width_ns": self._half_width_ns, **attributes})
         if self._sync is not None:

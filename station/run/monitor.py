@@ -4,20 +4,28 @@ What comes with every block and every row is only kept; all work is done for who
 """
 
 import asyncio
+import logging
 import math
 from collections import Counter, defaultdict, deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
-from drivers.types import ImuBlock
+from drivers.protocols import ImuSource
+from drivers.types import Alignment, ImuBlock, LinkCounts, SourceCounts
+from station.errors import sentence
 from station.opening import OpenBench
 from station.opening.reopening import Reopening
 from station.run.live import LiveEstimate
 from station.run.sequencer import Sequencer
 from station.run.snapshot import AxisSnapshot, GyroSnapshot, Phase, Snapshot, SourceSnapshot
 from station.run.table_watch import TableRow
+
+_log = logging.getLogger(__name__)
+
+T = TypeVar("T")
 
 _OVER_S = 2.0  # of the host's clock: for rates and latencies
 _SILENT_S = 0.5
@@ -34,11 +42,49 @@ class _Mark:
     latency_s: float
 
 
+class Beside:
+    """Does what only serves those who look on and must not end a run: counts, snapshots, progress, events told."""
+
+    def __init__(self, tell: Callable[[str], None]) -> None:
+        """``tell`` is given one sentence for each piece of work that fails, the first time it does."""
+        self._tell = tell
+        self._failed: set[str] = set()
+        self.notes: list[str] = []
+        """What has been told."""
+
+    def attempt(self, what: str, work: Callable[[], T], otherwise: T) -> T:
+        """Return what ``work`` returns, or ``otherwise`` if it raises; ``what`` names it to the operator.
+
+        A lack of memory is raised: it is one of the computer, and the next to meet it would be the recording.
+        """
+        try:
+            return work()
+        except MemoryError:
+            raise
+        except Exception as error:  # whatever a driver, a plug-in or the station itself has wrong
+            self.failed(what, error)
+            return otherwise
+
+    def failed(self, what: str, error: Exception) -> None:
+        """Log that a piece of work failed, and tell it, once."""
+        if what in self._failed:
+            return
+        self._failed.add(what)
+        _log.error("%s failed; the run goes on", what, exc_info=error)
+        note = sentence("run.beside_failed", what=what, error=f"{type(error).__name__}: {error}")
+        self.notes.append(note)
+        self._tell(note)
+
+
 class Monitor:
     """Looks at one run."""
 
-    def __init__(self, opened: OpenBench, live: LiveEstimate, reopening: Reopening, time_scale: float) -> None:
+    def __init__(
+        self, opened: OpenBench, live: LiveEstimate, reopening: Reopening, time_scale: float, beside: Beside
+    ) -> None:
         """Begin before anything has come; how far the run is, whoever drives it says."""
+        self._beside = beside
+        self._counts: dict[str, SourceCounts] = {}
         self._open, self._live, self._reopening, self._scale = opened, live, reopening, time_scale
         self._axes = opened.bench.table.gimbals
         self._rows: Counter[str] = Counter()
@@ -75,14 +121,34 @@ class Monitor:
         """Take it that nothing more will come: what a closed link does not say is no silence."""
         self._ended_s = asyncio.get_running_loop().time()
 
+    def counts(self, source: ImuSource, name: str) -> SourceCounts:
+        """Return the counts of a source; from a driver that fails to tell them, the last that it told."""
+        last = self._counts.get(name, SourceCounts())
+        self._counts[name] = self._beside.attempt(f"counts of {name}", lambda: source.counts(name), last)
+        return self._counts[name]
+
+    def alignment(self, source: ImuSource, name: str) -> Alignment | None:
+        """Return how the clock of a source lies to the loop's; None if its driver does not or cannot tell."""
+        return self._beside.attempt(f"clock of {name}", lambda: source.alignment(name), None)
+
+    def link_counts(self) -> Mapping[str, LinkCounts]:
+        """Return what went over the link of each device; nothing if a link fails to tell it."""
+        nothing: Mapping[str, LinkCounts] = {}
+        return self._beside.attempt("counts of links", self._open.link_counts, nothing)
+
+    @property
+    def label(self) -> str:
+        """Label of the step under way, empty where there is none."""
+        return self.sequencer.label if self.sequencer is not None and self.phase is Phase.RUNNING else ""
+
     def brief(self) -> Snapshot:
         """Return what a progress bar shows."""
-        counts = [imu.source.counts(name) for imu in self._open.imus for name in imu.source.names]
+        counts = [self.counts(imu.source, name) for imu in self._open.imus for name in imu.source.names]
         sequencer = self.sequencer
         times_s = sequencer.times_s(asyncio.get_running_loop().time()) if sequencer else (0.0, self.planned_s)
         return Snapshot(
             self.phase,
-            sequencer.label if sequencer and self.phase is Phase.RUNNING else "",
+            self.label,
             *times_s,
             samples=sum(c.samples for c in counts),
             lost=sum(c.lost for c in counts),
@@ -101,7 +167,7 @@ class Monitor:
             axes=tuple(self._axis_snapshots(now_s)),
             sources=tuple(self._source_snapshots(now_s)),
             gyros=tuple(self._gyro_snapshots()),
-            links=tuple(f"link of {name}: {counts.text}" for name, counts in self._open.link_counts().items()),
+            links=tuple(f"link of {name}: {counts.text}" for name, counts in self.link_counts().items()),
         )
 
     def _axis_snapshots(self, now_s: float) -> Iterator[AxisSnapshot]:
@@ -117,7 +183,8 @@ class Monitor:
     def _source_snapshots(self, now_s: float) -> Iterator[SourceSnapshot]:
         for imu in self._open.imus:
             for name in imu.source.names:
-                counts, alignment = imu.source.counts(name), imu.source.alignment(name)
+                counts = self.counts(imu.source, name)
+                alignment = self.alignment(imu.source, name)
                 last, marks = self._last.get(name), self._marks[name]
                 link = self._link(imu.config.name, last, now_s)
                 yield SourceSnapshot(

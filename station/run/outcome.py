@@ -6,6 +6,7 @@ from enum import StrEnum
 
 from estimator.calibration.budget import UNSEEN
 from estimator.calibration.values import Calibration
+from estimator.observations.coverage import not_proved
 from station.bench.bench import Limits
 from station.errors import sentence
 from station.views.limits import LimitLine, limit_lines
@@ -47,10 +48,12 @@ def judge(calibration: Calibration, limits: Limits | None, causes: Sequence[str]
     """Compare a calibration with the limits of its bench; the reason names every limit that is broken.
 
     Without limits it is neither good nor bad. What speaks against its sigmas is told in any case, and what no sigma can
-    hold fails it; ``causes``, what the run itself may have done wrong, are told where it fails.
+    hold fails it; ``causes``, what the run itself may have done wrong, are told where it fails. Where it does not fail
+    the reason also says of which axes, or at which times, nothing proves that what was measured stayed the same.
     """
+    unproved = tuple(filter(None, [not_proved(calibration.constancy)]))
     if limits is None or not limits.stated:
-        reasons = ("estimated; there are no limits to judge by", *calibration.doubts)
+        reasons = ("estimated; there are no limits to judge by", *unproved, *calibration.doubts)
         return Verdict(Outcome.ESTIMATED, "; ".join(reasons))
     lines = [line for line in limit_lines(calibration, limits) if not line.within]
     if lines or calibration.spoilt:
@@ -58,7 +61,7 @@ def judge(calibration: Calibration, limits: Limits | None, causes: Sequence[str]
         hints = [_UNSEEN_HINT] if any(line.of_u and _mostly_unseen(calibration, line) for line in lines) else []
         return Verdict(Outcome.FAIL, "; ".join([*because, *broken, *hints]), tuple(lines), (*because, *hints))
     good = "every state, its sigma, the innovations and the losses are within limits"
-    return Verdict(Outcome.PASS, "; but ".join([good, *calibration.doubts]))
+    return Verdict(Outcome.PASS, "; but ".join(["; ".join([good, *unproved]), *calibration.doubts]))
 
 
 def _mostly_unseen(calibration: Calibration, line: LimitLine) -> bool:

@@ -9,7 +9,7 @@ from drivers.errors import DeviceRefused
 from drivers.protocols import Turntable
 from station.errors import UsageError, sentence
 from station.run.snapshot import AFTER_THIS_STEP, PAUSED
-from station.run.uncommanded import Commanded
+from station.run.uncommanded import Commanded, Course
 from station.scripts.polling import MARGIN_S, ramp_s, wanted_hz
 from station.scripts.script import Move, Rest, Rotate, Script
 
@@ -37,6 +37,7 @@ class Sequencer:
         self._index = 0
         self._step_began_s = 0.0
         self._way_rad = 0.0  # of the step under way
+        self._sent_s = math.inf  # when the table had been told of it
         self.paused = ""
         """Empty, AFTER_THIS_STEP or PAUSED."""
         self._resumed = asyncio.Event()
@@ -79,7 +80,10 @@ class Sequencer:
         if isinstance(step, Rest) or axis != self.driven_axis:
             return Commanded(target, target, 0.0, self._stands_since_s[axis])
         start = target - self._way_rad
-        return Commanded(min(start, target), max(start, target), abs(step.rate_rps), self._step_began_s)
+        duration_s = self._durations_s[self._index]
+        course = Course(self._sent_s, duration_s, step.rate_rps, step.acceleration_rps2, self._way_rad, target)
+        low, high = min(start, target), max(start, target)
+        return Commanded(low, high, abs(step.rate_rps), self._step_began_s, course)
 
     async def going_on(self) -> None:
         """Wait for the end of a pause, if there is one."""
@@ -91,10 +95,9 @@ class Sequencer:
         step = self._script.steps[self._index]
         if isinstance(step, Rest) or step.axis != axis or self.paused == PAUSED:
             return 0.0
-        since_s = now_s - self._step_began_s
-        ramp_s = min(since_s, self._durations_s[self._index] - since_s)
-        rate_rps = min(abs(step.rate_rps), step.acceleration_rps2 * max(ramp_s, 0.0))
-        return math.copysign(rate_rps, self._way_rad)
+        duration_s = self._durations_s[self._index]
+        course = Course(self._step_began_s, duration_s, step.rate_rps, step.acceleration_rps2, self._way_rad)
+        return math.copysign(course.speed_rps(now_s), self._way_rad)
 
     def wanted_hz(self, now_s: float) -> float:
         """Return how often the table should be read now, beyond what is usual: 0 but on ramps."""
@@ -116,6 +119,7 @@ class Sequencer:
         loop = asyncio.get_running_loop()
         for index, (step, duration_s) in enumerate(zip(self._script.steps, self._durations_s, strict=True)):
             self._index, self._step_began_s = index, loop.time()
+            self._sent_s = math.inf
             due_s = self._step_began_s + duration_s
             if isinstance(step, Rest):
                 await asyncio.sleep(duration_s)
@@ -142,11 +146,13 @@ class Sequencer:
         self._target_rad[axis] = target
         await self._table.move(axis, target, abs(step.rate_rps), step.acceleration_rps2)
         loop = asyncio.get_running_loop()
+        self._sent_s = loop.time()
         await asyncio.sleep(max(due_s - WATCH_S - loop.time(), 0.0))
         while not (await self._table.status(axis)).target_reached:
-            if loop.time() > due_s + OVERDUE_S:
+            if loop.time() > due_s + (self._sent_s - self._step_began_s) + OVERDUE_S:  # a slow line takes long to tell
                 at, to = math.degrees((await self._table.read(axis)).angle_rad), math.degrees(target)
-                raise DeviceRefused("table", sentence("run.overdue", axis=axis, step=step.label, at_deg=at, to_deg=to))
+                name = "never_arrived" if abs(at - to) < math.degrees(ON_TARGET_RAD) else "overdue"
+                raise DeviceRefused("table", sentence(f"run.{name}", axis=axis, step=step.label, at_deg=at, to_deg=to))
             await asyncio.sleep(WATCH_S)
         await asyncio.sleep(max(due_s - loop.time(), 0.0))
         angle = (await self._table.read(axis)).angle_rad

@@ -6,7 +6,8 @@ import importlib.metadata
 import logging
 import time
 import traceback
-from collections.abc import Callable, Coroutine, Iterator, Mapping
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Any
 
 from drivers.errors import DeviceError
 from drivers.tables.halting import first_look
+from drivers.tables.making_safe import make_safe
 from drivers.types import LinkCounts
 from estimator.calibration.error_model import ErrorModel
 from estimator.calibration.values import Calibration
@@ -25,14 +27,16 @@ from station.opening.reopening import Reopening
 from station.run.acquisition import Acquisition, SourceReport, identity_attributes
 from station.run.early_end import EarlyEnd
 from station.run.event_loop.loops import is_virtual
+from station.run.event_loop.services import leaves, serve
 from station.run.event_loop.signals import heeded_signals
 from station.run.final_estimate import final_estimate
+from station.run.guard.guard import Guard
 from station.run.manual import ManualSequencer
 from station.run.outcome import MANUAL_VERDICT, Outcome, Verdict, judge
 from station.run.sequencer import Sequencer
 from station.run.snapshot import EventKind, Phase, Snapshot
-from station.run.table_watch import TableRow, check_axes, watch_table
-from station.run.uncommanded import watch_homing
+from station.run.table_watch import TableRow, watch_table
+from station.run.uncommanded import UntrueReadings, check_axes, watch_homing
 from station.scripts.polling import too_steep
 from station.scripts.script import Script
 
@@ -60,6 +64,8 @@ class Result:
     """What was had of each source."""
     links: Mapping[str, LinkCounts] = field(default_factory=dict)
     """What went over the link of each device."""
+    notes: tuple[str, ...] = ()
+    """What failed beside the run and did not touch what is measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +115,7 @@ class Session:
         self._running: asyncio.Task[None] | None = None
         self._verdict: Verdict | None = None
         self._connected = self._rested = self._terminal_gone = False
+        self._untrue = False  # readings of the table: they do not show whether it stands
         self._reopening = Reopening(self._moving, lambda text: self._event(EventKind.LINK, text), self._time_scale)
         self._acquisition = Acquisition(
             bench,
@@ -121,6 +128,7 @@ class Session:
         self._writer, self._event = self._acquisition.writer, self._acquisition.event
         self._live, self._monitor = self._acquisition.live, self._acquisition.monitor
         self._monitor.planned_s = script.duration_s
+        self._guard = Guard(bench.guarded, path, time_scale, self._tell_of_guard)
         self._ended_early = ""
         self._early_end = EarlyEnd(bench, self._live, time_scale) if options.end_early else None
 
@@ -139,7 +147,23 @@ class Session:
                     self._verdict = self._verdict or self._verdict_of(error)
                     if this is not None and isinstance(error, asyncio.CancelledError):
                         this.uncancel()
-            raise RuntimeError(f"the run could not be ended: {self._verdict}")
+            return self._unended()
+
+    def _unended(self) -> Result:
+        """Close the recording of a run whose way out failed or was interrupted too often; return what is known."""
+        verdict = self._verdict or Verdict(Outcome.ABORTED, "cancelled")
+        look = sentence("run.unended" if self._rested or not self._connected else "run.unended_in_motion")
+        verdict = replace(verdict, reason=f"{verdict.reason}; {look}")
+        with suppress(Exception):  # one of these may be what failed
+            self._writer.close()
+            write_attributes(self._writer.path, {"outcome": str(verdict.outcome), "reason": verdict.reason})
+        return Result(
+            verdict=verdict,
+            recording=self._writer.path,
+            calibration=None,
+            agreement=float("nan"),
+            ended_early=self._ended_early,
+        )
 
     async def _go_through(self) -> Result:
         """Work, bring the table to rest, conclude: from where an interruption left it."""
@@ -153,12 +177,20 @@ class Session:
             await asyncio.wait({self._running}, timeout=_STOP_LIMIT_S * self._time_scale)
         if not self._rested:
             await self._rest()
+            self._guard.dismiss()
             self._rested = True
         return await self._conclude()
 
     def snapshot(self) -> Snapshot:
-        """Return the state of the run now, as a whole: for ten looks a second, not for each row."""
-        return self._monitor.full()
+        """Return the state of the run now, as a whole: for ten looks a second, not for each row.
+
+        What goes wrong with that is told once, and raised for whoever asked.
+        """
+        try:
+            return self._monitor.full()
+        except Exception as error:
+            self._acquisition.beside.failed("the snapshot", error)
+            raise
 
     @property
     def gyros(self) -> tuple[str, ...]:
@@ -198,8 +230,8 @@ class Session:
         self._event(EventKind.NOTE, _NOTE + kept)
 
     def _stopped_by(self, who: str) -> str:
-        now = self._monitor.brief()
-        return f"stopped by {who} in {f'step {now.label!r}' if now.label else f'phase {now.phase.value!r}'}"
+        monitor = self._monitor
+        return f"stopped by {who} in {f'step {monitor.label!r}' if monitor.label else f'phase {monitor.phase.value!r}'}"
 
     def _script_under_way(self) -> Sequencer:
         """Return the sequencer; UsageError if there is no script under way."""
@@ -214,19 +246,22 @@ class Session:
         axes = self._bench.table.gimbals
         monitor, acquisition = self._monitor, self._acquisition
         async with asyncio.TaskGroup() as group:
-            services = [_serve(group, acquisition.keep_flushing())]
+            self._guard.start()
+            services = [serve(group, acquisition.keep_flushing())]
             for imu in self._open.imus:
                 self._check_serial(imu.config.name, (await acquisition.open(imu)).serial)
-                services.append(_serve(group, acquisition.acquire(imu)))
+                services.append(serve(group, acquisition.acquire(imu)))
             await table.open()  # the last: what is not there is known before the table is touched
             await first_look(table, take_over=self._options.reset_fault)
             self._connected = True  # from here on it is ours to stop
+            await self._guard.arm()
+            services.append(serve(group, self._guard.watch()))
             self._writer.set_attributes(identity_attributes("table_", await self._reopening.identify("table", table)))
             await acquisition.first_samples()
-            services.append(_serve(group, acquisition.watch_silence()))
+            services.append(serve(group, acquisition.watch_silence()))
             if self._options.reset_fault:
                 await table.reset_fault()
-            watch_home = _serve(group, watch_homing(table))
+            watch_home = serve(group, watch_homing(table))
             monitor.phase = Phase.ENABLING
             await table.enable()
             monitor.phase = Phase.HOMING
@@ -246,7 +281,7 @@ class Session:
                 sequencer = monitor.sequencer = ManualSequencer(table, end_step, tell, scale)
             monitor.phase = Phase.RUNNING
             rate_hz, restore = self._bench.table.poll_rate_hz, partial(self._reopening.restore, "table", table)
-            services.append(_serve(group, watch_table(table, axes, rate_hz, sequencer, self._take_row, restore)))
+            services.append(serve(group, watch_table(table, axes, rate_hz, sequencer, self._take_row, restore)))
             tell("manual mode begins" if self._options.manual else "script begins")
             if self._early_end is None:
                 await sequencer.run()
@@ -271,7 +306,7 @@ class Session:
 
     def _take_row(self, row: TableRow) -> None:
         self._acquisition.take_row(row)
-        self._on_progress(self._monitor.brief)
+        self._acquisition.beside.attempt("progress", lambda: self._on_progress(self._monitor.brief), None)
 
     async def _run_until_enough(self, group: asyncio.TaskGroup, sequencer: Sequencer, early_end: EarlyEnd) -> None:
         """Run the script to its end, or until enough has been seen: the table is then still to be stopped."""
@@ -301,29 +336,22 @@ class Session:
         self._monitor.phase = Phase.STOPPING
         if not self._connected:
             return
-        trouble = await self._tried(self._open.table.stop(), None)
-        if trouble:
-            self._event(EventKind.NOT_AT_REST, f"controlled stop not confirmed: {trouble}")
-            aborted = await self._tried(self._open.table.abort(), None)  # as hard as the controller can
-            trouble = f"it did not come to rest by a controlled stop ({trouble})"
-            if aborted:
-                trouble = f"the table was not seen to come to rest ({aborted}): use the emergency stop"
-        off = await self._tried(self._open.table.disable())  # also what heeds nothing else: it may then coast
-        if not trouble or not aborted:
-            trouble = trouble or (off and f"the table is at rest, but its power may be on ({off})")
-            self._event(EventKind.AT_REST, "table at rest")
-        if trouble:
-            verdict = self._verdict or Verdict(Outcome.FAULT, trouble)
-            self._verdict = replace(verdict, reason="; ".join(dict.fromkeys((verdict.reason, trouble))))
 
-    async def _tried(self, what: Coroutine[Any, Any, object], limit_s: float | None = _STOP_LIMIT_S) -> str:
-        """Do what ends a motion; return in words what went wrong. What watches axes slow down ends by itself."""
-        try:
-            async with asyncio.timeout(limit_s and limit_s * self._time_scale):
-                await what
-        except (DeviceError, TimeoutError) as error:
-            return str(error) or "no answer in time"
-        return ""
+        def unconfirmed(trouble: str) -> None:
+            self._event(EventKind.NOT_AT_REST, f"controlled stop not confirmed: {trouble}")
+
+        rest = await make_safe(
+            self._open.table, time_scale=self._time_scale, unconfirmed=unconfirmed, untrue_readings=bool(self._untrue)
+        )
+        if rest.seen:
+            self._event(EventKind.AT_REST, "table at rest")
+        if rest.trouble:
+            verdict = self._verdict or Verdict(Outcome.FAULT, rest.trouble)
+            self._verdict = replace(verdict, reason="; ".join(dict.fromkeys((verdict.reason, rest.trouble))))
+
+    def _tell_of_guard(self, text: str) -> None:
+        _log.warning("station: %s", text)
+        self._event(EventKind.NOTE, text)
 
     async def _conclude(self) -> Result:
         acquisition = self._acquisition
@@ -354,14 +382,16 @@ class Session:
         except RecordingError as error:
             verdict = replace(verdict, reason=f"{verdict.reason}; the outcome is not in the recording: {error}")
         reports = tuple(acquisition.reports.values())
-        links = self._open.link_counts()
-        return Result(verdict, self._writer.path, calibration, agreement, self._ended_early, reports, links)
+        links = self._monitor.link_counts()
+        notes = tuple(acquisition.beside.notes)
+        return Result(verdict, self._writer.path, calibration, agreement, self._ended_early, reports, links, notes)
 
     def _verdict_of(self, error: BaseException) -> Verdict:
         """Return the verdict for what ended the run: a device's error first, a stop, else a defect of the station."""
-        errors = list(_leaves(error))
+        errors = list(leaves(error))
         for device_error in errors:
             if isinstance(device_error, DeviceError):
+                self._untrue |= isinstance(device_error, UntrueReadings)
                 if device_error.device == "table":
                     self._monitor.table_fault = device_error.message
                 return Verdict(Outcome.FAULT, str(device_error))
@@ -385,33 +415,6 @@ class Session:
         if not self._terminal_gone and not self._acquisition.closed:
             self._terminal_gone = True
             self._event(EventKind.TERMINAL, _TERMINAL_GONE)
-
-
-def _leaves(error: BaseException) -> Iterator[BaseException]:
-    """Yield what is in groups, and what a cancel was for."""
-    if isinstance(error, BaseExceptionGroup):
-        for one in error.exceptions:
-            yield from _leaves(one)
-    elif isinstance(error, asyncio.CancelledError) and error.args and isinstance(error.args[0], BaseException):
-        yield from _leaves(error.args[0])
-    else:
-        yield error
-
-
-def _serve(group: asyncio.TaskGroup, service: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
-    """Begin what goes on all the run; a task group takes a cancel that nobody asked for as a good end of it."""
-
-    async def serve() -> None:
-        task = asyncio.current_task()
-        try:
-            await service
-        except asyncio.CancelledError:
-            if task is not None and task.cancelling():
-                raise
-        raise RuntimeError(f"{name} has ended by itself")
-
-    name = getattr(service, "__qualname__", "a service")
-    return group.create_task(serve())
 
 
 def _attributes(bench: OpenBench, script: Script, options: RunOptions) -> dict[str, Any]:

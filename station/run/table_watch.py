@@ -9,12 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drivers.errors import DeviceFault, LinkLost
+from drivers.errors import LinkLost
 from drivers.protocols import Turntable
 from drivers.types import AxisState, Floats
-from station.errors import sentence
 from station.run.sequencer import Sequencer
-from station.run.uncommanded import MotionGuard
+from station.run.uncommanded import MotionGuard, check_axes
 
 _STATUS_EVERY = 5  # condition is asked for in every so many-th reading
 _STATUS_AT_LATEST_S = 0.6  # and on a slow link before a drive stops that hears nothing
@@ -123,7 +122,7 @@ async def watch_table(
     on_row: Callable[[TableRow], None],
     on_lost: Callable[[LinkLost], Awaitable[None]],
 ) -> None:
-    """Read until cancelled; DeviceFault when an axis goes to fault, leaves operation or turns by itself.
+    """Read until cancelled; DeviceFault when an axis goes to fault, leaves operation, turns or stands by itself.
 
     ``rate_hz`` is how often it is read, and ``sequencer`` may want more; a slow link gives what it can. ``on_lost``
     opens a link again that was lost, or raises.
@@ -140,6 +139,14 @@ async def watch_table(
     counter = itertools.count()
     checked_s, read_s = dict.fromkeys(axes, due_s), dict.fromkeys(axes, due_s)
     turned: set[str] = set()
+    broken_off = False  # in the middle of taking a row in: what takes them is not asked again, and blames nobody
+
+    def give(rows: list[TableRow]) -> None:
+        nonlocal broken_off
+        for row in rows:
+            broken_off = True
+            on_row(row)
+            broken_off = False
 
     async def read_once() -> None:
         count = next(counter)
@@ -159,8 +166,7 @@ async def watch_table(
             if axis not in busy:
                 rate_ns = now_ns - states[axis].rate_window_ns // 2
                 states[axis] = replace(states[axis], angle_t_ns=now_ns, rate_t_ns=rate_ns, half_width_ns=0)
-        for row in aligner.add(states):
-            on_row(row)
+        give(aligner.add(states))
         for axis in axes:
             if (count + 1) % _STATUS_EVERY == 0 or loop.time() - checked_s[axis] >= _STATUS_AT_LATEST_S:
                 await check_axes(table, (axis,))
@@ -176,15 +182,5 @@ async def watch_table(
             due_s = max(due_s + 1 / max(rate_hz, sequencer.wanted_hz(loop.time())), loop.time())
             await asyncio.sleep(due_s - loop.time())
     finally:
-        for row in aligner.last():
-            on_row(row)
-
-
-async def check_axes(table: Turntable, axes: tuple[str, ...]) -> None:
-    """See that every axis is in operation; DeviceFault if one is not."""
-    for axis in axes:
-        status = await table.status(axis)
-        if status.trouble:
-            raise DeviceFault("table", status.trouble)
-        if not status.enabled:
-            raise DeviceFault("table", sentence("run.left_operation", axis=axis, status=status.text))
+        if not broken_off:
+            give(aligner.last())

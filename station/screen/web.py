@@ -17,7 +17,18 @@ if TYPE_CHECKING:
 
 _HOST = "127.0.0.1"
 _END_S = 2.0
-_HEADERS = {"Referrer-Policy": "no-referrer", "X-Frame-Options": "DENY", "Cache-Control": "no-store"}
+_HEADERS = {
+    "Referrer-Policy": "no-referrer",
+    "X-Frame-Options": "DENY",
+    "X-Content-Type-Options": "nosniff",
+    "Cache-Control": "no-store",
+}
+_POLICY = (
+    "default-src 'none'; script-src 'self' 'nonce-{nonce}'; style-src 'self' 'unsafe-inline'; font-src 'self' data:; "
+    "img-src 'self' data:; connect-src 'self' ws://{host}:{port}; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'"
+)
+"""What the page may load: its own files, and its one script by a number that is used once. xterm.js writes styles."""
 
 
 def _guard(key: str, port: int) -> Any:
@@ -62,7 +73,10 @@ def serve(port: int, words: Sequence[str]) -> int:
     server = Server(shlex.join(command_line(["ui", *words])), host=_HOST, port=port)
 
     async def show(request: web.Request) -> web.Response:
-        return web.Response(text=html, content_type="text/html", headers=_HEADERS)
+        nonce = secrets.token_urlsafe(16)
+        policy = _POLICY.format(nonce=nonce, host=_HOST, port=port)
+        headers = {**_HEADERS, "Content-Security-Policy": policy}
+        return web.Response(text=html.replace("NONCE", nonce), content_type="text/html", headers=headers)
 
     async def announce(app: web.Application) -> None:
         print(f"the screen is at http://{_HOST}:{port}{path}/   (Ctrl-C ends it; a session goes on)", flush=True)

@@ -9,8 +9,10 @@ from estimator.calibration.budget import table_budget
 from estimator.effects.catalogue import catalogue
 from estimator.effects.conditions import REFERENCE_C
 from estimator.effects.effect import Effect
+from estimator.observations.coverage import AxisCoverage
 from estimator.planning.planning import Forecast, PlannedDevice, forecast
 from station.bench.bench import Bench
+from station.scripts.early_late import planned_constancy
 from station.scripts.planned import PlannedMotion, planned_motion
 from station.scripts.script import Script, check, rounded
 
@@ -43,6 +45,16 @@ class Plan:
     def sd(self) -> Floats:
         """Predicted sigmas of the states (gyros, 4), the table's uncertainty included."""
         return np.asarray(np.hypot(np.array([gyro.sd for gyro in self.forecast.gyros]), self.table_sd))
+
+    @property
+    def constancy(self) -> tuple[AxisCoverage, ...]:
+        """Over which time a run can show that what it measures stays the same, by axis."""
+        return planned_constancy(self.script, self.bench.table.gimbals)
+
+    @property
+    def proves_constancy(self) -> bool:
+        """Whether every axis is turned far apart in time; also of a script that turns none."""
+        return all(axis.proved for axis in self.constancy)
 
     @property
     def reached(self) -> Flags:

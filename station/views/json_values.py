@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from dataclasses import is_dataclass
 from typing import Any
 
-from estimator.calibration.values import GyroCalibration
+from estimator.calibration.gyro import GyroCalibration
 from estimator.geometry.model import STATES
 
 

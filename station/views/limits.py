@@ -78,7 +78,7 @@ class LimitLine:
     def remedy(self) -> str:
         """What usually helps where it is broken."""
         if self.of_u:
-            return "± too wide: a longer or better script; station improve finds one, station plan foretells it"
+            return "Uncertainty too large. Use a longer or better script: `station plan --improve` finds one."
         return {
             MEAN_NIS: "mean NIS: station investigate looks for what the model lacks",
             SAMPLES_LOST: "losses: station check tells of each link",

@@ -10,7 +10,8 @@ import numpy as np
 
 from estimator.calibration.calibration_file import write_calibration
 from estimator.calibration.error_model import ErrorModel, KnownEffect, Size
-from estimator.calibration.values import Calibration, EffectValue, GyroCalibration
+from estimator.calibration.gyro import EffectValue, GyroCalibration
+from estimator.calibration.values import Calibration
 from estimator.geometry.array import triad
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import TableReadings

@@ -3,11 +3,15 @@
 python tests/bench/constancy.py 20             so many cases of each kind, from the physics, without a wire
 python tests/bench/constancy.py 20 --held      other seeds, benches, scripts, kept for the end
 python tests/bench/constancy.py 200 --clean    runs in which nothing changes: false alarms, and the sigmas' truth
+python tests/bench/constancy.py 8 --between    changes while everything rests, before, between and after turns
 
 A PASS is false if a state is off by more than five of its sigmas from what the gyro was before the change and from what
 it was after (a state of which only one of the two was measured is right for that one); "before" counts those that are
 off from the former, whatever the latter. "shown" counts false ones in which the change leaves ten sigmas or more beside
 states that are fitted to it: a script that turns each axis once cannot show what changed between two turns.
+
+With ``--between`` "silent" counts the false ones that do not say so: the verdict must hold the words "constancy not
+proved", and the JSON must state, of an axis that the change concerns, that its constancy is not proved at that instant.
 """
 
 from __future__ import annotations
@@ -31,18 +35,90 @@ from estimator.recordings.recording import Recording
 from station.bench.bench import Bench, Limits, load_bench
 from station.opening.simulate import simulate_bench
 from station.opening.twins import truth_of
+from station.render.printing import result_object
 from station.run.outcome import Outcome, judge
-from station.scripts.loop_scripts import exploration_script, verification_script
-from station.scripts.script import paper_script
+from station.scripts.loop_scripts import between_rests, exploration_script, there_and_back, verification_script
+from station.scripts.script import Rest, Rotate, Script, Step, paper_script
 
 BENCHES = Path(__file__).parents[1] / "data" / "benches"
 DEFAULT = Path(station.__file__).parent / "bench" / "default_bench.toml"
-SCRIPTS = {"paper": paper_script, "exploration": exploration_script, "verification": verification_script}
+
+
+def turn(axis: str, rate_dps: float, duration_s: float) -> Rotate:
+    """Return a turn with ramps of 20 deg/s2."""
+    return there_and_back(axis, rate_dps, duration_s)[0]
+
+
+def forth_and_back() -> Script:
+    """Return each axis turned forth and at once back, one axis after the other: 330 s."""
+    return between_rests("forth and back", [step for axis in "xyz" for step in there_and_back(axis, 20.0, 50.0)])
+
+
+def close_together() -> Script:
+    """Return each axis turned twice with a rest of 4 s between its turns: 342 s."""
+    steps: list[Step] = []
+    for axis in "xyz":
+        steps += [turn(axis, 15.0, 50.0), Rest(4.0), turn(axis, 15.0, 50.0)]
+    return between_rests("close together", steps)
+
+
+def slow_then_fast() -> Script:
+    """Return each axis turned slowly and briefly at the start, fast at the end: 315 s."""
+    slow = [turn(axis, 5.0, 15.0) for axis in "xyz"]
+    fast = [turn(axis, -40.0, 60.0) for axis in "zyx"]
+    return between_rests("slow then fast", [*slow, Rest(60.0), *fast])
+
+
+def strong_at_either_end() -> Script:
+    """Return x turned mostly early, y and z mostly late; each also briefly at the other end: 326 s."""
+    early = [turn("x", 30.0, 60.0), turn("y", 6.0, 12.0), turn("z", 6.0, 12.0)]
+    late = [turn("x", -6.0, 12.0), turn("y", 30.0, 60.0), turn("z", 30.0, 60.0)]
+    return between_rests("strong at either end", [*early, Rest(80.0), *late])
+
+
+def one_axis_once() -> Script:
+    """Return x and y turned early and late, z once in the middle: 330 s."""
+    ends = [turn(axis, 20.0, 50.0) for axis in "xy"]
+    back = [turn(axis, -20.0, 50.0) for axis in "xy"]
+    return between_rests("one axis once", [*ends, turn("z", 20.0, 100.0), *back])
+
+
+def early_and_late() -> Script:
+    """Return each axis turned early, and late in the other direction: 340 s."""
+    early = [turn(axis, 20.0, 40.0) for axis in "xyz"]
+    late = [turn(axis, -20.0, 40.0) for axis in "xyz"]
+    return between_rests("early and late", [*early, Rest(70.0), *late])
+
+
+SCRIPTS = {
+    "paper": paper_script,
+    "exploration": exploration_script,
+    "verification": verification_script,
+    "forth and back": forth_and_back,
+    "close together": close_together,
+    "slow then fast": slow_then_fast,
+    "strong at either end": strong_at_either_end,
+    "one axis once": one_axis_once,
+    "early and late": early_and_late,
+}
 SETS = {
     False: (0, ("default", "galil_j1939", "two_triads"), ("paper", "exploration")),
     True: (50_000, ("acutrol_vectornav", "described", "rtu_stim300", "default"), ("verification", "paper")),
 }
 """First seed, benches and scripts of the cases that were looked at, and of those kept for the end."""
+BETWEEN = {
+    False: (
+        100_000,
+        ("default", "galil_j1939", "two_triads"),
+        ("paper", "forth and back", "slow then fast", "early and late"),
+    ),
+    True: (
+        150_000,
+        ("default", "acutrol_vectornav", "described", "rtu_stim300"),
+        ("paper", "close together", "strong at either end", "one axis once", "early and late", "exploration"),
+    ),
+}
+"""The same of the changes between turns."""
 FALSE, SHOWN = 5.0, 10.0
 LIMITS = Limits(*(6 * (np.inf,)), nis_low=0.8, nis_high=1.2, lost=1.0)
 """Nothing is limited that could tell of a change by its size alone."""
@@ -61,6 +137,8 @@ KINDS = (
     "frozen",
     "stale rate",
 )
+BETWEEN_KINDS = ("gearing", "gearing, followed", "scale step", "alignment step")
+NOT_PROVED = "constancy not proved"
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,11 +150,16 @@ class Case:
     script: str
     seed: int
     said: dict[str, Any]
+    at_s: float = float("nan")
+    axes: str = "xyz"
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """How a case ended; ``off`` and ``off_before``: the worst state in its sigmas, ``shown``: what the change left."""
+    """How a case ended; ``off`` and ``off_before``: the worst state in its sigmas, ``shown``: what the change left.
+
+    ``told``: whether verdict and JSON both say that nothing proves that there was no such change.
+    """
 
     case: Case
     outcome: str
@@ -85,20 +168,24 @@ class Found:
     off_before: float
     scores: np.ndarray
     shown: float
+    told: bool
 
 
 def bench_of(name: str) -> Bench:
     return load_bench(DEFAULT if name == "default" else BENCHES / f"{name}.toml")
 
 
-def case_of(kind: str, seed: int, *, held: bool) -> Case:
-    """Return one case of a kind, drawn by its seed."""
-    first, benches, scripts = SETS[held]
+def case_of(kind: str, seed: int, *, held: bool, between: bool = False) -> Case:
+    """Return one case of a kind, drawn by its seed; ``between``: its change is at the end of a step."""
+    first, benches, scripts = (BETWEEN if between else SETS)[held]
     dice = random.Random(f"{kind} {first + seed}")
     bench, script = dice.choice(benches), dice.choice(scripts)
     gyros = [len(imu.array) for imu in bench_of(bench).imus if imu.used]
     length_s, sign = SCRIPTS[script]().duration_s, dice.choice((-1, 1))
     at_s = dice.uniform(0.05, 0.95) * length_s
+    if between:
+        timeline = SCRIPTS[script]().timeline()
+        at_s = dice.choice([0.5 * timeline[0].duration_s, *(timed.start_s for timed in timeline[1:])])
     reading: dict[str, Any] = {"axis": dice.choice("xyz"), "from": f"{at_s} s"}
     share = f"{sign * dice.choice((0.1, 0.2, 0.5, 1.0))} %"
     said: dict[str, Any] = {}
@@ -109,7 +196,7 @@ def case_of(kind: str, seed: int, *, held: bool) -> Case:
         key = "size" if kind == "scale step" else dice.choice(("sigma_j", "sigma_k"))
         each = [f"{size if gyro == chosen else 0} {unit}" for gyro in range(count)]
         said = {kind.replace(" ", "_"): {key: each, "at": f"{at_s} s"}}
-        return Case(kind, bench, script, first + seed, said)
+        return Case(kind, bench, script, first + seed, said, at_s)
     if kind.startswith("gearing"):
         reading |= {"angle": share} | ({"followed": True} if "followed" in kind else {"rate": share})
     elif kind == "angle alone":
@@ -125,7 +212,7 @@ def case_of(kind: str, seed: int, *, held: bool) -> Case:
         reading |= {"jump": f"{sign * (3 if 'jump' in kind else 360)} deg", "from": f"{dice.uniform(3, 14)} s"}
     else:
         reading |= {"frozen" if kind == "frozen" else "stale": True, "until": f"{at_s + dice.uniform(1, 20)} s"}
-    return Case(kind, bench, script, first + seed, {"table_reading": reading})
+    return Case(kind, bench, script, first + seed, {"table_reading": reading}, at_s, reading["axis"])
 
 
 def found_of(case: Case) -> Found:
@@ -160,7 +247,13 @@ def found_of(case: Case) -> Found:
         off.append(np.abs((states - nearest) / sd).max())
         before.append(np.abs((states - then) / sd).max())
         scores.append((states - then) / sd)
-    return Found(case, str(verdict.outcome), verdict.reason, max(off), max(before), np.vstack(scores), shown)
+    said = result_object(verdict, "", calibration)
+    told = NOT_PROVED in verdict.reason and any(
+        entry["axis"] in case.axes
+        and (entry["covered_s"] is None or not entry["covered_s"][0] <= case.at_s <= entry["covered_s"][1])
+        for entry in said.get("constancy", ())
+    )
+    return Found(case, str(verdict.outcome), verdict.reason, max(off), max(before), np.vstack(scores), shown, told)
 
 
 def shown_by(spoilt: Recording, clean: Recording) -> float:
@@ -181,12 +274,14 @@ def main() -> None:
     parser.add_argument("count", type=int)
     parser.add_argument("--held", action="store_true")
     parser.add_argument("--clean", action="store_true")
+    parser.add_argument("--between", action="store_true")
     parser.add_argument("--kind", choices=KINDS)
     parser.add_argument("--verbose", action="store_true")
     parser.add_argument("--jobs", type=int, default=1)
     told = parser.parse_args()
-    kinds = ("clean",) if told.clean else (told.kind,) if told.kind else KINDS
-    cases = [case_of(kind, seed, held=told.held) for kind in kinds for seed in range(told.count)]
+    kinds = BETWEEN_KINDS if told.between else KINDS
+    kinds = ("clean",) if told.clean else (told.kind,) if told.kind else kinds
+    cases = [case_of(kind, seed, held=told.held, between=told.between) for kind in kinds for seed in range(told.count)]
     rows: dict[str, list[Found]] = defaultdict(list)
     with concurrent.futures.ProcessPoolExecutor(told.jobs) as pool:
         for found in pool.map(
@@ -195,15 +290,19 @@ def main() -> None:
             rows[found.case.kind].append(found)
             false = found.outcome == Outcome.PASS and found.off > FALSE
             if false or told.verbose or (told.clean and found.outcome != Outcome.PASS):
-                print(f"{'FALSE ' if false else ''}{found.outcome} off {found.off:.1f}, shown {found.shown:.1f}:")
+                silent = "SILENT " if false and told.between and not found.told else ""
+                word = "FALSE " if false else ""
+                print(f"{silent}{word}{found.outcome} off {found.off:.1f}, shown {found.shown:.1f}:")
                 print(f"  {found.case}\n  {found.reason}", flush=True)
-    print(f"{'kind':24} {'cases':>5} {'PASS':>5} {'false':>5} {'shown':>5} {'before':>6} {'rms score':>9}")
+    heads = ("cases", "PASS", "false", "shown", "silent", "before", "rms score")
+    print(f"{'kind':24}" + "".join(f"{head:>{max(len(head), 5) + 1}}" for head in heads))
     for kind, its in rows.items():
         good = [found for found in its if found.outcome == Outcome.PASS]
         false, before = (sum(getattr(f, key) > FALSE for f in good) for key in ("off", "off_before"))
         shown = sum(found.off > FALSE and found.shown > SHOWN for found in good)
         rms = float(np.sqrt(np.mean(np.concatenate([f.scores.ravel() for f in its]) ** 2)))
-        print(f"{kind:24} {len(its):5} {len(good):5} {false:5} {shown:5} {before:6} {rms:9.2f}")
+        silent = sum(found.off > FALSE and not found.told for found in good)
+        print(f"{kind:24} {len(its):5} {len(good):5} {false:5} {shown:5} {silent:6} {before:6} {rms:9.2f}")
 
 
 if __name__ == "__main__":

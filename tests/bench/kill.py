@@ -1,7 +1,7 @@
 """kill -9 at random moments of a run against twins in another process.
 
 Each time: the recording is recovered, no sample is missing of those that were on the bus 20 ms before or earlier (by
-the kernel's stamps of a listener of our own on it), and the table comes to rest by its own watchdog.
+the kernel's stamps of a listener of our own on it), and the table comes to rest by the guard or its own watchdog.
 
     python tests/bench/kill.py --times 200
 """

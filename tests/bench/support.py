@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -100,6 +102,20 @@ def station(*arguments: str | Path, cwd: Path | None = None, timeout: float = 10
 def command(*arguments: str | Path) -> list[str]:
     """Return the command line as a process would be started with."""
     return [sys.executable, "-m", "station.cli", *map(str, arguments)]
+
+
+@contextmanager
+def ctrl_c_of_children(*, ignored: bool = False) -> Iterator[None]:
+    """Start child processes here with the default action of SIGINT, or with SIGINT ignored.
+
+    A shell starts a background job with SIGINT ignored, and every child inherits that.
+    """
+    action = signal.SIG_IGN if ignored else signal.default_int_handler  # a handler becomes the default on exec
+    before = signal.signal(signal.SIGINT, action)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 class TwinProcess:

@@ -5,7 +5,7 @@
  *
  * Prints the TCP port (0 for rtu) and the terminal of the gyros, then runs until it is ended. Drives have the register
  * map of Kinco FD3 (manual p. 122-123) and walk the state machine of CiA 402. Motion is worked out in steps of 0.5 ms
- * of the host's clock: a rate that changes by no more than the acceleration, and brakes in time for where it ends.
+ * of the host's clock, and CYCLE_S of the environment is how often a drive samples its controlword: a rate that changes by no more than the acceleration, and brakes in time for where it ends.
  *
  * The gyros lie along x, y, z of a body within gimbals z, y, x, outermost first, at 45 deg north, x to the north. They
  * send lines "gx,gy,gz" in deg/s, 100 a second: (1 - k) w - b and white noise. TRUTH is a file of nine doubles, kept
@@ -33,7 +33,7 @@ enum { DISABLED = 0x40, READY = 0x21, SWITCHED_ON = 0x23, OPERATION = 0x27, QUIC
 static const double COUNTS = 65536, TURN = 2 * M_PI, STEP_S = 0.0005, FASTEST_RPS = 100 * M_PI / 180;
 static const double K[] = {0.004, -0.003, 0.002}, B_DPS[] = {0.08, -0.05, 0.03}, NOISE_DPS = 0.05;
 static double *truth, began;
-static long steps;
+static long steps, cycle; /* steps between two samples of the controlword; 0: it acts at once */
 static int gyros = -1; /* the near end of their terminal; -1: none */
 
 struct drive {
@@ -41,7 +41,7 @@ struct drive {
     int state, last_control, homing, homed, acknowledged;
     double angle, rate, zero; /* rad, rad/s; where the position register reads nought */
     double goal, fastest, wanted;
-    int positions;
+    int positions, written, waiting; /* a controlword that waits to be sampled */
 } drives[AXES];
 
 static double now_s(void)
@@ -171,8 +171,11 @@ static void measure(void)
 static void advance(void)
 {
     for (; steps * STEP_S < now_s() - began; steps++) {
-        for (int i = 0; i < AXES; i++)
+        for (int i = 0; i < AXES; i++) {
+            if (cycle && steps % cycle == 0 && drives[i].waiting)
+                drives[i].waiting = 0, controlled(&drives[i], drives[i].written);
             step(&drives[i]);
+        }
         if (gyros >= 0 && steps % 20 == 0)
             measure();
     }
@@ -210,7 +213,9 @@ static void serve(modbus_t *bus, int unit_of_one)
     else if (written && refused(address, value))
         modbus_reply_exception(bus, query, MODBUS_EXCEPTION_ILLEGAL_DATA_VALUE);
     else if (modbus_reply(bus, query, size, d->map) > 0 && written) {
-        if (address == CONTROL)
+        if (address == CONTROL && cycle)
+            d->written = value, d->waiting = 1;
+        else if (address == CONTROL)
             controlled(d, value);
         else if (address == TARGET_RATE && d->state == OPERATION && (*at(d, MODE) & 0xFF) == 3)
             d->positions = 0, d->wanted = speed(d, TARGET_RATE);
@@ -222,6 +227,7 @@ int main(int argc, char **argv)
     int tcp = argc == 3, unit = tcp ? 0 : atoi(argv[5]), listener = -1, port = 0, clients[CLIENTS], count = 0;
     int kept = open(argv[2], O_RDWR | O_CREAT, 0600);
     struct termios raw;
+    cycle = getenv("CYCLE_S") ? lround(atof(getenv("CYCLE_S")) / STEP_S) : 0;
     gyros = posix_openpt(O_RDWR | O_NOCTTY | O_NONBLOCK);
     if (kept < 0 || gyros < 0 || ftruncate(kept, 9 * sizeof(double)) || grantpt(gyros) || unlockpt(gyros))
         return 1;

@@ -60,11 +60,15 @@ class RateTable:
 
 
 @contextmanager
-def rate_table(program: str, folder: Path, *serial: str) -> Iterator[RateTable]:
-    """Start it, on TCP or with port, baud rate and unit id of a ``serial`` line."""
+def rate_table(program: str, folder: Path, *serial: str, cycle_s: float = 0.0) -> Iterator[RateTable]:
+    """Start it, on TCP or with port, baud rate and unit id of a ``serial`` line.
+
+    Its drives sample their controlwords every ``cycle_s``, in steps of 0.5 ms; 0: they act at once.
+    """
     truth = folder / f"truth-{os.urandom(4).hex()}"
     words = [program, "rtu" if serial else "tcp", str(truth), *serial]
-    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    surroundings = os.environ | {"CYCLE_S": str(cycle_s)}
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=surroundings)
     assert process.stdout is not None
     try:
         port, gyros = int(process.stdout.readline()), process.stdout.readline().strip()

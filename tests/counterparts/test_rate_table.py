@@ -105,6 +105,32 @@ def test_a_run_to_its_verdict(program: str, tmp_path: Path) -> None:
             assert abs(gyro[name] - true) < 5 * gyro["sd"][name], (name, gyro)
 
 
+@pytest.mark.parametrize("cycle_s", [0.0, 0.002, 0.010])
+def test_it_is_homed_again_and_again_while_it_stays_enabled(program: str, tmp_path: Path, cycle_s: float) -> None:
+    async def main() -> None:
+        with rate_table(program, tmp_path, cycle_s=cycle_s) as table:
+            drives = {axis: AxisSetup(unit_id, COUNTS, LIMITS) for axis, unit_id in UNIT_IDS.items()}
+            driver = ModbusTable(
+                setup_of("modbus", drives, TIMEOUT_S, profile=load_profile("kinco")), ("127.0.0.1", table.port)
+            )
+            await driver.open()
+            await driver.enable()
+            for _ in range(3):
+                await driver.home()
+                assert table.at_rest()
+                for angle_rad in table.truth()[:3]:
+                    assert math.remainder(angle_rad, math.tau) == pytest.approx(0.0, abs=1e-4)
+                await driver.move("y", -9 * DEG, 60 * DEG, 50 * DEG)
+                async with asyncio.timeout(5):
+                    while not (await driver.status("y")).target_reached:
+                        await asyncio.sleep(0.02)
+                assert (await driver.read("y")).angle_rad == pytest.approx(-9 * DEG, abs=1e-3)
+            await driver.stop()
+            driver.close()
+
+    asyncio.run(main())
+
+
 def test_wires_that_misbehave_leave_it_at_rest(program: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Of 33 kinds each strikes in another phase than its neighbours, between our driver and the table."""
     cases = [("modbus", kind, PHASES[place % len(PHASES)]) for place, kind in enumerate(COMMON + MODBUS)]

@@ -13,6 +13,8 @@ import sys
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass, field
 
+from pymodbus.framer import FramerRTU
+
 Spoil = Callable[[bytes], bytes]
 
 
@@ -47,6 +49,11 @@ def _put(at: int, change: Callable[[int], int]) -> Spoil:
 
 def _busy(code: int) -> Spoil:
     return lambda reply: reply[:4] + bytes((0, 3, reply[6], reply[7] | 0x80, code)) if len(reply) > 8 else reply
+
+
+def _rtu_busy(reply: bytes) -> bytes:
+    refusal = bytes((reply[0], reply[1] | 0x80, 6))
+    return refusal + FramerRTU.compute_CRC(refusal).to_bytes(2)
 
 
 _NOISE = random.Random(1).randbytes(40).replace(b":", b";").replace(b"?", b"!")
@@ -105,6 +112,8 @@ RTU = (
     Kind("wrong function code", _LOST, _put(1, lambda code: 4)),
     Kind("wrong unit", _LOST, _put(0, lambda unit: unit + 5)),
     Kind("a bit flipped", _LOST, _put(3, lambda one: one ^ 0x10)),
+    Kind("busy", "Modbus exception 6, device busy", _rtu_busy),
+    Kind("busy once", reply=_rtu_busy, once=True),
     Kind("busy as TCP has it", _LOST, lambda reply: b"\0\1\0\0\0\3" + reply[:3]),
 )
 KINDS = {"modbus": COMMON + MODBUS, "galil": COMMON + LINES, "acutrol": COMMON + LINES, "rtu": RTU}

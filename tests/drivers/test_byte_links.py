@@ -6,6 +6,7 @@ import asyncio
 import os
 import socket
 import struct
+import sys
 import threading
 import time
 import tty
@@ -118,6 +119,45 @@ def test_bytes_are_stamped_when_they_arrive() -> None:
             os.write(far, b"x")
             chunk = await link.receive()
             assert before <= chunk.t_ns * 1e-9 <= asyncio.get_running_loop().time()
+            link.close()
+
+    really(main)
+
+
+def test_a_host_that_stalls_after_all_bytes_are_written_has_no_stuck_cable() -> None:
+    async def main() -> None:
+        with terminal() as (far, name):
+            link = SerialLink("table", name, 115200)
+            await link.open()
+
+            def stall(_frame: object, event: str, what: object) -> None:
+                if event == "c_return" and getattr(what, "__name__", "") == "write":
+                    sys.setprofile(None)
+                    time.sleep(0.3)
+
+            sys.setprofile(stall)
+            try:
+                link.write(b"TPA\r")
+            finally:
+                sys.setprofile(None)
+            assert os.read(far, 100) == b"TPA\r"
+            link.close()
+
+    really(main)
+
+
+def test_a_line_that_takes_nothing_is_said_to_be_stuck() -> None:
+    async def main() -> None:
+        with terminal() as (_, name):
+            link = SerialLink("table", name, 115200)
+            await link.open()
+
+            def fill() -> None:
+                for _ in range(100):
+                    link.write(bytes(4096))
+
+            with pytest.raises(LinkLost, match="takes no more bytes"):
+                fill()
             link.close()
 
     really(main)

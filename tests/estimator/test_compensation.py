@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from compensating import compensate, needs_of
 from support import SITE
 
 from estimator.calibration.calibration_file import read_calibration, write_calibration
 from estimator.calibration.compensation import Compensation, CompensationError
+from estimator.calibration.correction import compensate, needs_of
 from estimator.calibration.error_model import ErrorModel, KnownEffect, Size
-from estimator.calibration.values import EffectValue, GyroCalibration
+from estimator.calibration.gyro import EffectValue, GyroCalibration
 from estimator.effects.catalogue import everything
 from estimator.effects.conditions import Conditions, smoothed_slope
 from estimator.effects.effect import Kind

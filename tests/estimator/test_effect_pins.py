@@ -18,7 +18,7 @@ import pytest
 
 from estimator.calibration.compensation import Compensation
 from estimator.calibration.error_model import ErrorModel
-from estimator.calibration.values import EffectValue, GyroCalibration
+from estimator.calibration.gyro import EffectValue, GyroCalibration
 from estimator.effects.catalogue import catalogue
 from estimator.effects.conditions import Conditions
 from estimator.estimation.runs.making import run_of, runs_of

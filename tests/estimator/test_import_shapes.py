@@ -25,7 +25,8 @@ from foreign_logs import (
 )
 from support import changed
 
-from estimator.calibration.values import Calibration, GyroCalibration
+from estimator.calibration.gyro import GyroCalibration
+from estimator.calibration.values import Calibration
 from estimator.errors import RecordingError
 from estimator.estimation.calibrate import calibrate
 from estimator.importing.importing import SOURCE, Imported, import_recording

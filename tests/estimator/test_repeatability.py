@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support import TABLE_1, direct_recording, station
 
-from estimator.calibration.values import GyroCalibration
+from estimator.calibration.gyro import GyroCalibration
 from estimator.estimation.calibrate import calibrate
 from estimator.estimation.repeatability import between_runs, repeatability, same_device
 from estimator.geometry.array import triad

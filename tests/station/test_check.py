@@ -151,7 +151,8 @@ def test_a_table_that_turns_is_told_of_and_left_alone(tmp_path: Path) -> None:
             await table.jog("y", math.radians(5.0), math.radians(20.0))
             await asyncio.sleep(1.0)
             found = await check_bench(opened)
-            assert found[0].wrong == ["axis y turns at 5.00 deg/s: stop it first"]
+            (wrong,) = found[0].wrong
+            assert wrong.startswith("axis y is enabled and turns at 5.00 deg/s, and not by this station")
             assert not opened.at_rest()
 
     with asyncio.Runner(loop_factory=VirtualLoop) as runner:

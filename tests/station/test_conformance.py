@@ -40,6 +40,48 @@ def test_the_examples_pass_and_each_suite_is_told(path: Path, capsys: pytest.Cap
     assert len(told["findings"]) == 6
 
 
+FRAMES = """
+rate = ["a", "b", "c"]
+counter = "count"
+[units]
+rate = "deg/s"
+[frame]
+bytes = 16
+sync = "AB CD"
+byte_order = "big"
+check = { name = "CRC-16/XMODEM", at = -2 }
+[frame.fields]
+count = { at = 2, type = "u24" }
+a = { at = 5, type = "i24", scale = 0.0001 }
+b = { at = 8, type = "i24", byte_order = "little", scale = 0.0001 }
+c = { at = 11, type = "i24", scale = 0.0001 }
+"""
+"""Numbers of three bytes, the first byte of them first or last."""
+
+
+@pytest.mark.parametrize("rates", ['["a", "b", "c"]', '["a", "b", "c", "a"]'])
+def test_an_imu_that_a_file_describes_is_tried(tmp_path: Path, capsys: pytest.CaptureFixture[str], rates: str) -> None:
+    (tmp_path / "own.toml").write_text(FRAMES.replace('["a", "b", "c"]', rates))
+    assert main(["conformance", str(tmp_path / "own.toml"), "--json"]) == 0
+    findings = json.loads(capsys.readouterr().out)["findings"]
+    assert [finding["suite"] for finding in findings] == list(suites_of(IMUS["described"]))
+    assert not any(finding["wrong"] for finding in findings)
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "told"),
+    [('"u24"', '"u20"', r"own.toml, line 12: frame.fields.count.type"), (', "c"]', "]", r"own.toml describes 2 gyros")],
+)
+def test_what_is_wrong_with_a_description_is_told_before_anything_is_tried(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], right: str, wrong: str, told: str
+) -> None:
+    (tmp_path / "own.toml").write_text(FRAMES.replace(right, wrong))
+    assert main(["conformance", str(tmp_path / "own.toml")]) == 2
+    printed = capsys.readouterr()
+    assert re.search(told, printed.err)
+    assert printed.out == ""
+
+
 @pytest.mark.parametrize(
     ("file", "right", "wrong", "suite", "told"),
     [
@@ -48,7 +90,7 @@ def test_the_examples_pass_and_each_suite_is_told(path: Path, capsys: pytest.Cap
             "[new] * self._lsb",
             "[new] * 2 * self._lsb",
             "units",
-            "says 39.* deg/s where it turns at 20.00",
+            "says 40.00 deg/s where it turns at 20.00",
         ),
         ("counted_imu", "1 / setup.rate_hz, 1", "1.1 / setup.rate_hz, 1", "clock", "sample times do not always go up"),
         ("counted_imu", "ImuBlock(t_ns, arr", "ImuBlock(t_ns - 50_000_000, arr", "clock", "are [45]. ms too early"),

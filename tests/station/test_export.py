@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import functools
+import hashlib
 import importlib.util
 import json
 import operator
@@ -18,17 +19,19 @@ import h5py
 import numpy as np
 import pytest
 import yaml
-from compensating import compensate, less_added
 from scipy.io import loadmat
 from support import station
 
-from estimator.calibration.calibration_file import write_calibration
-from estimator.calibration.compensation import Compensation
+from estimator.calibration.calibration_file import read_calibration, write_calibration
+from estimator.calibration.compensation import Compensation, CompensationError
+from estimator.calibration.correction import compensate, less_added
 from estimator.calibration.error_model import ErrorModel, KnownEffect, Size
-from estimator.calibration.values import Calibration, EffectValue, GyroCalibration
+from estimator.calibration.gyro import EffectValue, GyroCalibration
+from estimator.calibration.values import Calibration
 from estimator.effects.catalogue import everything
 from estimator.geometry.array import SensorArray, dodecahedron, sensor_array, tetrahedron, triad
 from estimator.geometry.noise import NoiseFound, NoiseModel
+from estimator.recordings.reading import read_recording
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import TableReadings
 from estimator.recordings.writing import write_recording
@@ -728,3 +731,71 @@ def test_whatever_the_locale_the_file_is_utf_8(record: Record) -> None:
 def test_a_text_that_looks_like_a_number_stays_a_text_in_every_version_of_yaml() -> None:
     text = yaml_text({"serial": "1e5", "device": "yes", "rows": [[1.0, 1e-9]]})
     assert text == "serial: \"1e5\"\ndevice: 'yes'\nrows:\n- [1.0, 1.0e-09]\n"
+
+
+def test_all_forms_that_can_hold_a_calibration_are_written_at_once(
+    record: Record, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, folder = record(tetrahedron(), {}), tmp_path / "forms"
+    assert main(["export", str(path), "--all", str(folder), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert {"json", "c", "c-float", "python", "csv", "matlab"} <= said["files"].keys()
+    assert said["files"].keys() | said["refused"].keys() == set(FORMATS)
+    assert all(Path(file).stat().st_size for file in said["files"].values())
+    assert sorted(folder.iterdir()) == sorted(map(Path, said["files"].values()))
+    assert "three gyros" in said["refused"]["px4"]
+    assert main(["export", str(path), "--all", str(folder)]) == 2
+    assert "is there already" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("form", ["c", "c-float"])
+def test_a_program_can_check_identity_and_validity_of_the_header(record: Record, form: str, tmp_path: Path) -> None:
+    path = record(tetrahedron(), {})
+    (tmp_path / "made.h").write_bytes(export(path, form).read_bytes())
+    prefix = "MY_GYRO_1" if form == "c" else "MY_GYRO_1_FLOAT"
+    (tmp_path / "check.c").write_text(
+        f"""#include <stdio.h>
+#include "made.h"
+#if !defined({prefix}_RECORDING_SHA256)
+#error no hash
+#endif
+int main(void) {{
+    printf("%s|%s|%s|%g|%g", {prefix}_SERIAL_NUMBER, {prefix}_RECORDING, {prefix}_RECORDING_SHA256,
+        (double){prefix}_TEMPERATURE_MIN_C, (double){prefix}_RATE_MAX_RPS);
+    return 0;
+}}"""
+    )
+    subprocess.run(["gcc", "-o", tmp_path / "check", tmp_path / "check.c", "-lm"], check=True)
+    said = subprocess.run([tmp_path / "check"], capture_output=True, text=True, check=True).stdout.split("|")
+    assert said[:3] == ["SN 7 */ /* ?", "run.h5", hashlib.sha256(path.read_bytes()).hexdigest()]
+    (data,) = read_recording(path).sources.values()
+    assert data.temperature_c is not None
+    assert float(said[3]) == pytest.approx(data.temperature_c.min(), rel=1e-5)
+    assert float(said[4]) == pytest.approx(np.abs(data.rate_rps).max(), rel=1e-5)
+
+
+def test_a_calibration_corrects_arrays_and_frames(record: Record) -> None:
+    path = record(tetrahedron(), {"thermal_bias": EFFECTS["thermal_bias"]})
+    recording = read_recording(str(path))
+    calibration = read_calibration(str(path))
+    (data,) = recording.sources.values()
+    t_s = data.t_ns * 1e-9
+    expected = compensate(exported_of(path).compensation, data.rate_rps, t_s, data.temperature_c)
+    given = {"t_s": t_s, "temperature_c": data.temperature_c}
+    assert calibration.apply(data.rate_rps, **given) == pytest.approx(expected)
+    corrected = calibration.apply(data.to_frame()[list(reversed(data.array.names))], **given)
+    assert corrected.to_numpy() == pytest.approx(expected)
+    assert list(corrected.columns) == ["x_rps", "y_rps", "z_rps"]
+    assert corrected.index.name == "t_s"
+    for wrong, said in (({"t_s": t_s}, "temperature"), ({**given, "device": "other"}, "no calibrated device")):
+        with pytest.raises(CompensationError, match=said):
+            calibration.apply(data.rate_rps, **wrong)
+    with pytest.raises(CompensationError, match="4 columns"):
+        calibration.apply(data.rate_rps[:, :3], **given)
+
+
+def test_a_calibration_becomes_a_dataset(record: Record) -> None:
+    calibration = read_calibration(record(tetrahedron(), {}))
+    dataset = calibration.to_xarray()
+    assert dataset["value"].sel(gyro="gyro2", state="b_rps").item() == calibration.gyros[1].states[1]
+    assert dataset["covariance"].dims == ("gyro", "state", "other_state")

@@ -449,6 +449,29 @@ def test_a_run_outlives_its_terminal(place: Path, tmp_path: Path) -> None:
     assert events(path)[-1] == "table at rest"
 
 
+@pytest.mark.parametrize("printed", [(), ("--json",)], ids=["bar", "json"])
+def test_a_run_whose_terminal_is_closed_is_aborted_and_says_so_by_its_exit_code(
+    printed: tuple[str, ...], tmp_path: Path
+) -> None:
+    near, far = pty.openpty()
+    path = tmp_path / "r.h5"
+    words = command("run", *printed, "--scale", "3", "--bench", bench_file(tmp_path), "-o", path)
+    run = subprocess.Popen(
+        [sys.executable, "-c", WITH_TERMINAL, *words], stdin=far, stdout=far, stderr=far, start_new_session=True
+    )
+    os.close(far)
+    try:
+        _wait_until(lambda: path.exists() and path.stat().st_size > 50_000)
+        os.close(near)
+        code = run.wait(60)
+    finally:
+        run.kill()
+    assert code == 3
+    with h5py.File(path) as file:
+        assert file.attrs["outcome"] == "ABORTED"
+        assert "SIGHUP (the terminal is gone)" in file.attrs["reason"]
+
+
 def test_without_a_host_the_run_ends_with_its_terminal(tmp_path: Path) -> None:
     path = tmp_path / "r.h5"
     run = subprocess.Popen(command("run", "--json", "-o", path), stdout=subprocess.PIPE, stderr=subprocess.PIPE)

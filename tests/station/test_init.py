@@ -13,7 +13,7 @@ from itertools import product
 from pathlib import Path
 
 import pytest
-from support import command
+from support import command, ctrl_c_of_children
 
 from drivers.imus.registry import IMUS
 from drivers.tables.registry import TABLES
@@ -180,9 +180,10 @@ def test_without_a_stdin_it_ends_as_without_answers(tmp_path: Path, monkeypatch:
 @pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals are POSIX only")
 def test_ctrl_c_in_a_terminal_leaves_nothing(tmp_path: Path) -> None:
     near, far = pty.openpty()
-    started = subprocess.Popen(
-        command("init", "bench.toml"), stdin=far, stdout=far, stderr=far, cwd=tmp_path, start_new_session=True
-    )
+    with ctrl_c_of_children():
+        started = subprocess.Popen(
+            command("init", "bench.toml"), stdin=far, stdout=far, stderr=far, cwd=tmp_path, start_new_session=True
+        )
     os.close(far)
     try:
         seen = b""

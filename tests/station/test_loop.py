@@ -14,7 +14,7 @@ from typing import Any
 
 import h5py
 import pytest
-from support import changed, command
+from support import changed, command, ctrl_c_of_children
 from test_investigate import made
 
 import station.commands.loop
@@ -174,7 +174,9 @@ def test_a_fault_ends_the_loop_with_what_was_recorded(tmp_path: Path, capsys: py
 def test_ctrl_c_in_a_run_brings_the_table_to_rest_and_keeps_the_recordings(tmp_path: Path) -> None:
     folder = tmp_path / "loop"
     arguments = command("loop", "--bench", bench_file(tmp_path), "-o", folder)
-    with subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with ctrl_c_of_children():
+        process = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    with process:
         assert process.stderr is not None
         for line in process.stderr:
             if "x at 20 deg/s" in line:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from estimator.calibration.budget import UNSEEN, Contribution
-from estimator.calibration.values import Calibration, GyroCalibration
+from estimator.calibration.gyro import GyroCalibration
+from estimator.calibration.values import Calibration
+from estimator.observations.coverage import AxisCoverage
 from estimator.observations.health import Excluded
 from station.bench.bench import Limits
 from station.run.outcome import Outcome, judge
@@ -35,6 +38,10 @@ def calibration(states: np.ndarray, sd: np.ndarray, *, nis: float = 1.0, lost: i
     return replace(Calibration((gyro,), nis, 900, lost, ()), **more)
 
 
+def axis(name: str, covered_s: tuple[float, float] | None) -> AxisCoverage:
+    return AxisCoverage(axis=name, covered_s=covered_s, length_s=100.0, concerns=("k",))
+
+
 GOOD = calibration(AT_THE_LIMITS * 0.5, SIGMAS_AT_THE_LIMITS * 0.5)
 
 
@@ -42,6 +49,20 @@ def test_everything_within_its_limits_passes() -> None:
     verdict = judge(GOOD, LIMITS, ("the encoder jumped",))
     assert verdict.outcome is Outcome.PASS
     assert verdict.reason == "every state, its sigma, the innovations and the losses are within limits"
+
+
+@pytest.mark.parametrize(("limits", "outcome"), [(LIMITS, Outcome.PASS), (None, Outcome.ESTIMATED)])
+def test_a_verdict_that_is_no_fail_says_of_which_axes_constancy_is_not_proved(
+    limits: Limits | None, outcome: Outcome
+) -> None:
+    found = replace(GOOD, constancy=(axis("x", (10.0, 90.0)), axis("z", (70.0, 90.0))), doubts=("odd",))
+    verdict = judge(found, limits)
+    assert verdict.outcome is outcome
+    assert re.search(r"; constancy not proved: z; (but )?odd$", verdict.reason)
+    proved = replace(GOOD, constancy=(axis("x", (10.0, 80.0)), axis("z", (20.0, 90.0))))
+    assert judge(proved, limits).reason.endswith("; constancy not proved before 20 s and after 80 s")
+    never = replace(GOOD, constancy=(axis("y", None),))
+    assert judge(never, limits).reason.endswith("; constancy not proved: y")
 
 
 @pytest.mark.parametrize("sign", [1, -1])

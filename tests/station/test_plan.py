@@ -17,7 +17,7 @@ from station.cli import main
 from station.errors import ScriptError
 from station.scripts.axis_profile import profile_lines
 from station.scripts.planned import planned_motion
-from station.scripts.script import Move, Rest, Rotate, Script, check, paper_script
+from station.scripts.script import Move, Rest, Rotate, Script, check, load_script, paper_script
 
 DEG = np.pi / 180
 
@@ -230,3 +230,67 @@ def test_a_turn_goes_as_far_with_the_acceleration_that_the_controller_has() -> N
     slow = Script("slow", (Move("x", 1.0, 40 * DEG, 4 * DEG, "slow"),))
     with pytest.raises(ScriptError, match="smallest acceleration of axis x is 5.62"):
         check(slow, {"x": replace(limits["x"], acceleration_rps2=5 * DEG)})
+
+
+def test_plan_offers_a_script_of_the_same_length_that_turns_each_axis_early_and_late(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, text, _ = planned(capsys, "--json")
+    found = json.loads(text)
+    assert [(axis["axis"], axis["proved"]) for axis in found["constancy"]] == [("x", False), ("y", False), ("z", False)]
+    offered = found["early_late"]
+    assert all(axis["proved"] for axis in offered["constancy"])
+    assert [gyro["name"] for gyro in offered["gyros"]] == [gyro["name"] for gyro in found["gyros"]]
+    path = tmp_path / "early and late.toml"
+    code, text, _ = planned(capsys, "--early-late", "-o", path)
+    assert code == 0
+    assert "gyro4" in text
+    assert str(path) in text.replace("\n", "")
+    code, text, _ = planned(capsys, path, "--json")
+    written = json.loads(text)
+    assert code == 0
+    assert written["duration_s"] == pytest.approx(360)
+    assert written["early_late"] is None
+    sigmas = [[list(gyro["sd"].values()) for gyro in gyros] for gyros in (written["gyros"], offered["gyros"])]
+    assert np.array(sigmas[0]) == pytest.approx(np.array(sigmas[1]), rel=1e-6)
+    code, _, errors = planned(capsys, "--early-late", "-o", path)
+    assert code == 2
+    assert "early and late.toml" in errors
+
+
+def test_plan_says_so_where_no_script_of_that_length_turns_each_axis_early_and_late(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    short = '[[step]]\nkind = "rotate"\naxis = "x"\nrate = "20 deg/s"\nduration = "2 s"\nacceleration = "40 deg/s2"\n'
+    script = write(tmp_path, short)
+    code, text, errors = planned(capsys, script, "--early-late", "-o", tmp_path / "new.toml")
+    assert (code, text) == (1, "")
+    assert "no script of 2 s is found" in errors
+    assert not (tmp_path / "new.toml").exists()
+    assert planned(capsys, "--early-late", "--improve")[0] == 2
+
+
+def test_a_name_with_quotes_is_written_into_the_script_as_it_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    script = write(tmp_path, X_ONLY.replace('"x only"', "'x \"only\" \\ here'"))
+    assert planned(capsys, script, "--early-late", "-o", tmp_path / "new.toml")[0] == 0
+    assert load_script(tmp_path / "new.toml").name == 'x "only" \\ here, early and late'
+
+
+@pytest.mark.full
+@pytest.mark.timeout(600)
+def test_a_scale_factor_that_steps_between_turns_fails_with_the_script_that_plan_writes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    step = '[scale_step]\nsize = ["8000 ppm", "0 ppm", "0 ppm", "0 ppm"]\nat = "142.6 s"\n'
+    (tmp_path / "hidden.toml").write_text(step)
+    bench = tmp_path / "bench.toml"
+    bench.write_text(default_bench_text().replace("[twin]\n", '[twin]\nhidden = "hidden.toml"\n', 1))
+    script = tmp_path / "early-late.toml"
+    assert planned(capsys, "--early-late", "-o", script)[0] == 0
+    run = ["run", "--json", "--bench", str(bench)]
+    assert main([*run, "--script", str(script), "-o", str(tmp_path / "late.h5")]) == 1
+    assert "what was measured changed in mid-run" in json.loads(capsys.readouterr().out)["reason"]
+    assert main([*run, "-o", str(tmp_path / "paper.h5")]) == 0
+    assert json.loads(capsys.readouterr().out)["reason"].endswith("; constancy not proved: x, y, z")

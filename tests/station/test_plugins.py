@@ -14,11 +14,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from compensating import compensate
 from support import command
 
 from estimator.calibration.calibration_file import read_calibration
 from estimator.calibration.compensation import Compensation
+from estimator.calibration.correction import compensate
 from estimator.effects import catalogue
 from estimator.recordings.reading import read_recording
 from station.cli import main

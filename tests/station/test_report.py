@@ -19,13 +19,13 @@ import h5py
 import html5lib
 import numpy as np
 import pytest
-from compensating import compensate
 from test_investigate import ASYMMETRY, simulated
 
 from estimator.calibration.calibration_file import read_calibration
 from estimator.calibration.compensation import Compensation
+from estimator.calibration.correction import compensate
 from estimator.calibration.error_model import ErrorModel, KnownEffect, Size
-from estimator.calibration.values import EffectValue, GyroCalibration
+from estimator.calibration.gyro import EffectValue, GyroCalibration
 from estimator.effects.catalogue import everything
 from estimator.effects.effect import Acts
 from estimator.geometry.array import tetrahedron

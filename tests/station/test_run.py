@@ -12,9 +12,10 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from support import TABLE_1, changed, command
+from support import TABLE_1, changed, command, ctrl_c_of_children
 
 from station.bench.bench import default_bench_text
+from station.bench.descriptions import DESCRIPTIONS
 from station.cli import main
 
 KEYS = ("k", "b_rps", "sigma_j_rad", "sigma_k_rad")
@@ -97,6 +98,14 @@ def test_the_paper_script_passes_on_the_built_in_twins_and_finds_the_truth(
     code, result = run_json(capsys, "-o", tmp_path / "run.h5", "--seed", "1")
     assert code == 0
     assert result["outcome"] == "PASS"
+    assert result["reason"].endswith("within limits; constancy not proved: x, y, z")
+    assert [(axis["axis"], axis["proved"]) for axis in result["constancy"]] == [
+        ("x", False),
+        ("y", False),
+        ("z", False),
+    ]
+    assert result["constancy"][1]["covered_s"] == pytest.approx([163, 199], abs=2)
+    assert result["constancy"][1]["concerns"] == ["k", "sigma_j", "sigma_k", "gearing"]
     assert [gyro["name"] for gyro in result["gyros"]] == ["gyro1", "gyro2", "gyro3", "gyro4"]
     errors = [(g[key] - t) / g["sd"][key] for g in result["gyros"] for key, t in zip(KEYS, TABLE_1, strict=True)]
     assert np.abs(errors).max() < 4
@@ -105,7 +114,8 @@ def test_the_paper_script_passes_on_the_built_in_twins_and_finds_the_truth(
     with h5py.File(tmp_path / "run.h5") as file:
         assert file["calibration"].attrs["live_batch_difference_sigma"] < 1e-6
         (note,) = file["calibration"].attrs["notes"]
-        assert note.startswith("turned only once: x, y, z")
+        assert note.startswith("constancy not proved for x, y and z")
+        assert json.loads(file["calibration"].attrs["constancy"]) == result["constancy"]
         for said, kept in (
             (result["links"]["table"], {key.removeprefix("table_"): n for key, n in file.attrs.items()}),
             (result["links"]["array"], file["imu/gyro1"].attrs),
@@ -278,9 +288,9 @@ def test_a_link_that_leads_nowhere_names_its_device(
 
 def test_ctrl_c_in_mid_run_leaves_the_table_at_rest_and_a_readable_file(tmp_path: Path) -> None:
     path = tmp_path / "r.h5"
-    run = subprocess.Popen(
-        command("run", "--json", "-o", path), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    words = command("run", "--json", "-o", path)
+    with ctrl_c_of_children(ignored=True):  # as of a background job: whoever asks a moving table to stop is heard
+        run = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 60
     while not (path.exists() and path.stat().st_size > 400_000) and time.monotonic() < deadline:
         assert run.poll() is None
@@ -299,3 +309,27 @@ def test_ctrl_c_in_mid_run_leaves_the_table_at_rest_and_a_readable_file(tmp_path
     with h5py.File(path) as file:
         assert file.attrs["outcome"] == "ABORTED"
         assert len(file["imu/gyro1/t_ns"]) == len(file["imu/gyro1/rate_rps"])
+
+
+def test_gyros_of_one_name_on_two_devices_are_told_apart_by_their_sources(
+    tmp_path: Path, brief: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    imu = """
+[[imu]]
+name = "{}"
+protocol = "described"
+description = "own.toml"
+array = "tetrahedron"
+rate = "100 Hz"
+[imu.datasheet]
+arw = "0.01 deg/s/rtHz"
+bias_instability = "10 deg/h"
+"""
+    csv = (DESCRIPTIONS / "csv.toml").read_text()
+    (tmp_path / "own.toml").write_text(csv.replace('["gx", "gy", "gz"]', '["gx", "gy", "gz", "g4"]'))
+    table = (Path(__file__).parents[1] / "data" / "benches" / "two_triads.toml").read_text().partition("[[imu]]")[0]
+    (tmp_path / "bench.toml").write_text(table + imu.format("left") + imu.format("right"))
+    _, found = run_json(capsys, "--bench", tmp_path / "bench.toml", "--script", brief, "-o", tmp_path / "run.h5")
+    both = {(source, f"gyro{i}") for source in ("left", "right") for i in (1, 2, 3, 4)}
+    assert {(gyro["source"], gyro["name"]) for gyro in found["gyros"]} == both
+    assert set(found["parity"]) == {f"{source} {name}" for source, name in both}

@@ -13,9 +13,12 @@ from contextlib import AsyncExitStack
 from pathlib import Path
 
 import pytest
+from support import TwinProcess, station
 
 from drivers.errors import DeviceError, DeviceRefused
 from drivers.links.lock import held
+from drivers.specs import TableSetup
+from drivers.tables.modbus.table import ModbusTable
 from station.bench.bench import load_bench
 from station.cli import main
 from station.opening import open_bench, with_links
@@ -127,3 +130,43 @@ def test_a_table_that_turns_at_first_contact_is_left_alone_unless_it_is_taken_ov
 
     with asyncio.Runner(loop_factory=VirtualLoop) as runner:
         runner.run(look())
+
+
+WORDS = {"turns": "by this station: another master commands it", "tells": "was told something by another master"}
+
+
+@pytest.mark.parametrize(
+    "other_does",
+    [pytest.param("turns", marks=pytest.mark.full), "tells", pytest.param("stands", marks=pytest.mark.full)],
+)
+def test_check_names_a_master_that_commands_the_table(other_does: str) -> None:
+    bench = BENCHES / "two_triads.toml"
+
+    async def main(link: str) -> list[str]:
+        host, _, port = link.removeprefix("tcp://").partition(":")
+        config = load_bench(bench).table
+        setup = TableSetup(config.axes, config.timeout_s, config.options)
+        other = ModbusTable(setup, (host, int(port)))
+        await other.open()
+        await other.enable()
+
+        async def command() -> None:
+            await other.jog("z", math.radians(5.0), math.radians(20.0))
+            while other_does == "tells":
+                for angle_deg in (0.0, 0.01):
+                    await other.move("z", math.radians(angle_deg), math.radians(1.0), math.radians(20.0))
+                    await asyncio.sleep(0.1)
+
+        commanding = asyncio.ensure_future(command() if other_does != "stands" else asyncio.sleep(0))
+        checked = await asyncio.to_thread(
+            station, "check", bench, "--link", f"table={link}", "--json", "--device", "first"
+        )
+        commanding.cancel()
+        await other.stop()
+        other.close()
+        return list(json.loads(checked.stdout)["devices"][0]["wrong"])
+
+    with TwinProcess("--bench", bench) as twin:
+        wrong = asyncio.run(main(twin.links["table"]))
+    assert WORDS.get(other_does, "") in " ".join(wrong)
+    assert wrong or other_does == "stands"

@@ -191,6 +191,30 @@ def test_whatever_is_raised_wherever_the_table_comes_to_rest_and_the_file_is_clo
     check(tmp_path, injector)
 
 
+class WithinFunction(Injector):
+    """Raises before the line of that number that is gone through in one function, counted over its calls."""
+
+    def __init__(self, name: str, error: type[BaseException], lines: int) -> None:
+        super().__init__(0, error, lines)
+        self.name = name
+
+    def count(self, handle: asyncio.Handle) -> None:
+        self.callbacks += 1
+        if self.lines > 0:
+            sys.settrace(self.trace)
+
+    def trace(self, frame: FrameType, event: str, argument: Any) -> Any:
+        return super().trace(frame, event, argument) if frame.f_code.co_name == self.name else None
+
+
+@pytest.mark.parametrize("line", range(40, 56, 5))
+def test_ctrl_c_while_rows_are_taken_in_is_no_fault_of_a_device(tmp_path: Path, line: int) -> None:
+    result, at_rest = ended(tmp_path, WithinFunction("_add_rows", KeyboardInterrupt, line))
+    assert at_rest
+    assert result.verdict.outcome is Outcome.ABORTED, result.verdict.reason
+    assert "Ctrl-C" in result.verdict.reason
+
+
 @pytest.mark.full
 @pytest.mark.parametrize("injector", points(300), ids=name_of)
 def test_the_same_at_300_points(tmp_path: Path, injector: Injector) -> None:

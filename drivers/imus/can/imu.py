@@ -165,13 +165,15 @@ class CanImu(OneSource[FrameLink]):
         """Yield blocks of each channel; LinkLost when the bus is gone. Begun again, it goes on after the break."""
         for name, held in self.flush():
             yield name, held
-        for source in self._sources.values():
-            source.restart()
+        with self._timing:
+            for source in self._sources.values():
+                source.restart()
         loop = asyncio.get_running_loop()
         due_s, look_s = 0.0, _LOOK_S * loop_scale(loop)
         while True:
             frames = await self._link.receive()
-            self._arrived += frames
+            with self._timing:
+                self._arrived += frames
             if self._fresh is not None:
                 self._fresh += frames
             if loop.time() >= due_s:
@@ -197,14 +199,16 @@ class CanImu(OneSource[FrameLink]):
     def flush(self) -> list[tuple[str, ImuBlock]]:
         """Return what is still held back for its timing, or for a part to come."""
         self._time(everything=True)
-        last = list(self._timed)
-        self._timed.clear()
+        with self._timing:
+            last = list(self._timed)
+            self._timed.clear()
         return last
 
     def _time(self, *, everything: bool = False) -> None:
         """Put what can be timed of the frames that have arrived with the blocks to be given.
 
-        Under a lock: who stops taking blocks leaves a thread behind that may not be done yet.
+        Under a lock, as all that the loop does with what is changed here: who stops taking blocks leaves a thread
+        behind that may not be done, or not even have begun.
         """
         with self._timing:
             arrived, self._arrived = self._arrived, []

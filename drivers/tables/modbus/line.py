@@ -27,6 +27,7 @@ _FORGOTTEN = 50  # time-outs, after which nothing on the way holds a reply back 
 
 _EXCEPTIONS = packaged_codes("drivers", "modbus", "exception")
 _ASK_AGAIN = (5, 6, 11)  # acknowledge, busy, gateway target does not answer (Application Protocol V1.1b3, 7)
+_SLOW_AGAIN = 0.9  # of the slowest answer so far, for each faster one after it
 _FIRST_PAUSE = 0.05  # of a time-out, before what was busy is asked again; doubled each time
 
 
@@ -86,6 +87,8 @@ class ModbusLine:
         self._pending: dict[int, Pending] = defaultdict(Pending)
         self._quiet_until_s = 0.0
         self._failed = self._asking = False
+        self._slowest_s = 0.0  # answer lately
+        self._untold = 0  # orders in a row that were not answered
         self._ended = ""
         self._shown = 0  # bytes of the answer that is coming in
 
@@ -122,6 +125,8 @@ class ModbusLine:
         if not connected:
             raise LinkLost(self._device, reason)
         self.counts.opened += 1
+        if isinstance(self._address, SerialPort):  # what another master had begun to send must end first
+            self._quiet_until_s = self._now() + self._address.silence_s
 
     def _trace(self, gate: RtuGate | TcpGate, sending: bool, data: bytes) -> bytes:
         """Count bytes, and let a gate pass what it will; of an answer the client shows all there is with each byte."""
@@ -145,16 +150,23 @@ class ModbusLine:
     async def tell(self, request: Request) -> None:
         """Send at once, whatever else may still come: for stopping, where others wait to be told. As ``ask``.
 
-        The echo is waited for half a time-out; on a serial line that was well so far, where both could collide, one.
+        The echo is waited for half a time-out, since others wait to be told; twice as long as answers took lately where
+        the line is slower; and twice as long again after each that did not come, at most as long as ``ask`` waits. On a
+        serial line that was well so far, where both could collide, at least one time-out.
         """
         patient = isinstance(self._address, SerialPort) and not self._failed
-        await self._answered(request, self._timeout_s if patient else self._timeout_s / 2, prompt=True)
+        least_s = self._timeout_s if patient else self._timeout_s / 2
+        within_s = min(max(least_s, 2 * self._slowest_s) * 2 ** min(self._untold, 8), 2 * self._timeout_s)
+        self._untold += 1
+        await self._answered(request, within_s, prompt=True)
+        self._untold = 0
 
     async def _answered(self, request: Request, within_s: float, *, prompt: bool) -> Reply:
         async with self._lock:
             self._check_connected()
             began_s, pause_s = self._now(), _FIRST_PAUSE * self._timeout_s
             limit_s = began_s + within_s if prompt else None  # else the client asks twice
+            self._rtu.refusal = None
             await self._hear_out()
             while True:
                 try:
@@ -176,6 +188,7 @@ class ModbusLine:
                     raise self._unanswered(request, within_s, prompt) from None
                 else:
                     self._failed = False
+                    self._slowest_s = max(reply.received_s - reply.sent_s, _SLOW_AGAIN * self._slowest_s)
                     return reply
                 await asyncio.sleep(pause_s)
                 pause_s *= 2
@@ -187,6 +200,9 @@ class ModbusLine:
             return BadReply(self._device, f"{_who(request)} {said}")
         said = f"does not answer within {within_s:g} s{'' if once else ', twice asked'}"
         heard = "; what comes is late, damaged, or no answer to it" if self._rtu.heard else ""
+        if (code := self._rtu.refusal) is not None:
+            said = f"refuses all that it is asked within {within_s:g} s"
+            heard = f": Modbus exception {code}, {_EXCEPTIONS.get(code, 'unknown exception')}"
         return LinkLost(self._device, f"{_who(request)} {said}{heard}")
 
     async def _hear_out(self) -> None:

@@ -109,6 +109,8 @@ class RtuGate:
         self._damaged = False
         self.heard = False
         """Whether anything has come since the last request."""
+        self.refusal: int | None = None
+        """Code of the last refusal that came; to which request nobody can tell. To be reset by who asks."""
 
     @property
     def answered(self) -> bool:
@@ -137,6 +139,8 @@ class RtuGate:
                 accepted, self._expected = frame, ()
             else:
                 self._counts.late += 1
+            if frame[1] & 0x80:
+                self.refusal = frame[2]
         self._seen = len(frames)
         return accepted
 

@@ -3,7 +3,7 @@
 import asyncio
 import math
 from collections.abc import Iterable
-from dataclasses import astuple
+from dataclasses import astuple, dataclass
 from functools import partial
 
 from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused
@@ -20,7 +20,37 @@ TURN = 2 * math.pi
 _POLL_S = 0.02
 _STATE_LIMIT_S = 2.0
 _HOMING_RATE_RPS = math.radians(30.0)
+_TAKEN_S = 0.02  # drives take a mode or a controlword in a cycle of their own, of at most 10 ms
+_START_AGAIN_S = 0.5  # if a drive does not show that it took the start of its homing
+_HOME_RAD = math.radians(0.05)  # about zero: at home
+_ORDERS = ("controlword", "mode", "target_position", "target_rate")
 _FAULTS = (cia402.DriveState.FAULT, cia402.DriveState.FAULT_REACTION)
+
+
+@dataclass(slots=True)
+class _HomingStart:
+    """What shows whether a drive took the start of its homing, or still reports the homing before it.
+
+    CiA 402 lets bits 12 and 13 stand from the last homing until the drive takes the next start. ``before`` is the
+    statusword in homing mode just before the start, ``fallen`` has the bits that were seen clear since.
+    """
+
+    before: int
+    angle_rad: float
+    first_s: float
+    last_s: float
+    fallen: int = 0
+
+    def see(self, word: int) -> None:
+        """Note which bits are clear."""
+        self.fallen |= ~word
+
+    @property
+    def taken(self) -> bool:
+        """Whether the start has been seen to be taken: bit 12 or 10 fell, or nothing of an old homing was left."""
+        return not self.before & cia402.BIT_12 or bool(
+            self.fallen & (cia402.BIT_12 | self.before & cia402.TARGET_REACHED)
+        )
 
 
 class ModbusTable(Table):
@@ -37,6 +67,7 @@ class ModbusTable(Table):
             probes.setdefault(drive.link or address, {})[int(drive.address)] = harmless
         lines = {where: ModbusLine(self._device, where, setup.timeout_s, reads) for where, reads in probes.items()}
         self._lines = {axis: lines[drive.link or address] for axis, drive in self._axes.items()}
+        self._starts: dict[str, _HomingStart] = {}  # of axes that were sent home
         self._ready: set[str] = set()  # axes to which what the profile says was written since their line was opened
 
     @property
@@ -86,14 +117,22 @@ class ModbusTable(Table):
                 await self._hail(list(self._axes)[: list(self._axes).index(axis)])
 
     async def home(self) -> None:
-        """Run the drives' own homing on all axes at once; DeviceRefused if one does not end."""
+        """Run the drives' own homing on all axes at once; DeviceRefused if one does not end or is not begun."""
         self.homing = set(self._axes)
+        self._starts.clear()
         for axis in self._axes:
+            await self._command(axis, "enable")  # without the start bit, before the mode gives that a new meaning
             await self._write(axis, "mode", cia402.MODE_HOMING)
             await self._write(axis, "homing_method", self._profile.homing_method)
             await self._write_motion(axis, "homing_rate_1", _HOMING_RATE_RPS)
             await self._write_motion(axis, "homing_rate_2", _HOMING_RATE_RPS / 4)
-            await self._command(axis, "enable")
+            await self._hail(self._axes)
+        await asyncio.sleep(_TAKEN_S)
+        for axis in self._axes:
+            angle_rad = await self._read(axis, "position") * TURN
+            word = int(await self._read(axis, "statusword"))
+            now_s = asyncio.get_running_loop().time()
+            self._starts[axis] = _HomingStart(word, angle_rad, first_s=now_s, last_s=now_s)
             await self._command(axis, "home")
             await self._hail(self._axes)
         await self._wait_for_home(_POLL_S)
@@ -104,12 +143,46 @@ class ModbusTable(Table):
             raise DeviceFault(self._device, await self._fault_text(axis, word))
         if axis not in self.homing:
             return True
-        if word & cia402.BIT_13:
+        start = self._starts[axis]
+        start.see(word)
+        if word & cia402.BIT_13 and start.fallen & cia402.BIT_13:
             raise DeviceRefused(self._device, f"axis {axis} reports a homing error")
         there = bool(word & cia402.BIT_12 and word & cia402.TARGET_REACHED)
+        there = there and (start.taken or await self._homed_unseen(axis, start))
         if there:
             await self._command(axis, "enable")  # takes the start bit back
+        elif not start.taken and asyncio.get_running_loop().time() >= start.last_s + _START_AGAIN_S:
+            await self._start_homing_again(axis, start)
         return there
+
+    async def _homed_unseen(self, axis: str, start: _HomingStart) -> bool:
+        """Return whether a drive was homed so fast that nobody saw its bits fall.
+
+        That is so if it now reads zero and did not before. One that was at home already reads zero either way; it is
+        believed once it had its time to show that it moves.
+        """
+        loop = asyncio.get_running_loop()
+        state = await self.read(axis)
+        at_home = abs(state.angle_rad) <= _HOME_RAD
+        if at_home and abs(start.angle_rad) > 2 * _HOME_RAD:
+            return True
+        if loop.time() < start.first_s + _STATE_LIMIT_S:
+            return False
+        if not at_home:
+            raise DeviceRefused(
+                self._device,
+                f"axis {axis} did not take the start of its homing within {_STATE_LIMIT_S:g} s: it still reports the "
+                f"homing before (bit 12) and stands at {math.degrees(state.angle_rad):.2f} deg; "
+                "switch the drive off and on, and look whether it accepts commands over Modbus",
+            )
+        return True
+
+    async def _start_homing_again(self, axis: str, start: _HomingStart) -> None:
+        """Take the start bit back for as long as a drive needs to see that, and give it again: it acts on its rise."""
+        await self._command(axis, "enable")
+        await asyncio.sleep(_TAKEN_S)
+        await self._command(axis, "home")
+        start.last_s = asyncio.get_running_loop().time()
 
     async def _hail(self, axes: Iterable[str]) -> None:
         """Ask drives for no more than a sign of life from us: each watches for its master's silence by itself."""
@@ -134,7 +207,22 @@ class ModbusTable(Table):
         await self._write_motion(axis, "deceleration", acceleration_rps2)
         await self._write_motion(axis, "target_position", angle_rad)
         await self._command(axis, "move_arm")
+        await self._wait_for_acknowledgement(axis, set_point_taken=False)
         await self._command(axis, "move_go")
+        await self._wait_for_acknowledgement(axis, set_point_taken=True)
+
+    async def _wait_for_acknowledgement(self, axis: str, *, set_point_taken: bool) -> None:
+        """Wait until bit 12 shows that a drive has seen bit 4 of the controlword fall or rise, for a cycle at most.
+
+        A drive acts on the rise of bit 4 and must have seen it low before; until it has, bit 10 is of the move before.
+        One that has its own way with bit 12 had its time for a cycle all the same.
+        """
+        loop = asyncio.get_running_loop()
+        ends_s = loop.time() + _TAKEN_S
+        while bool(int(await self._read(axis, "statusword")) & cia402.BIT_12) is not set_point_taken:
+            if loop.time() > ends_s:
+                return
+            await asyncio.sleep(_TAKEN_S / 10)
 
     async def read(self, axis: str) -> AxisState:
         """Measure angle and rate; each is stamped with the middle of its own round trip."""
@@ -143,6 +231,14 @@ class ModbusTable(Table):
             (one.sent_s, one.received_s, self._value(axis, name, one) * TURN) for name, one in replies.items()
         )
         return AxisState.told(angle, rate)
+
+    async def orders(self, axis: str) -> dict[str, float]:
+        """Read back what the drive was told last; what it lets nobody read is left out."""
+        found = {}
+        for name in _ORDERS:
+            with kept([]):
+                found[name] = await self._read(axis, name)
+        return found
 
     async def status(self, axis: str) -> AxisStatus:
         """Get state, target reached, and the fault in words."""

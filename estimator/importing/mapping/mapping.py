@@ -133,11 +133,12 @@ class Mapping:
         return isinstance(self.reference, (Measured, Rests)) and self.reference.earth_rate
 
 
-def read_mapping(path: Path, protocols: Protocols | None = None) -> Mapping:
+def read_mapping(path: Path | str, protocols: Protocols | None = None) -> Mapping:
     """Read a mapping file; captures of the ``protocols`` are formats beside csv, tsv, mat and binary.
 
     Raises RecordingError with file, line and what to write for anything unknown or wrong.
     """
+    path = Path(path)
     text = read_text(path, RecordingError)
     top = StrictTable.parse(text, path.name, RecordingError)
     for name in ("device", "file", "time", "gyro", "reference"):

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.io import savemat
 
 from estimator.calibration.compensation import CompensationError
-from estimator.calibration.values import GyroCalibration
+from estimator.calibration.gyro import GyroCalibration
 from estimator.geometry.model import STATES
 from station.exports.exported import Exported
 from station.exports.written import Written, json_text, lines_of, number, yaml_text

@@ -19,11 +19,11 @@ from station.exports.written import Written, delay_line, head, lines_of, number
 from station.render.template import rendered
 
 _DOUBLE = re.compile(
-    r"/\*.*?\*/|\b(?:cos|exp|expm1|fabs|fmax|fmin|log1p|pow|sin|sqrt|tanh)\b(?=\()|"
+    r"/\*.*?\*/|\"[^\"\n]*\"|\b(?:cos|exp|expm1|fabs|fmax|fmin|log1p|pow|sin|sqrt|tanh)\b(?=\()|"
     r"(?<![\w.])\d+(?:\.\d*(?:e[+-]?\d+)?|e[+-]?\d+)",
     re.DOTALL,
 )
-"""What C writes otherwise for floats, and comments, in which it stays."""
+"""What C writes otherwise for floats; comments and strings, in which everything stays."""
 _GIVEN = {"warmth": ", double warmth", "time_s": ", double time_s", "accel": ", const double accel[3]"}
 _MATH = ("cos", "exp", "expm1", "fabs", "isfinite", "isnan", "log1p", "nan", "sin", "sqrt", "tanh")
 
@@ -59,17 +59,49 @@ def _header(exported: Exported, real: str, prefix: str) -> Written:
         names=_argument_names(terms),
         beside="".join(_GIVEN[name].replace("double", real) for name in terms.given_to_the_rate),
         real=real,
+        macros=_macros(exported),
         samples=samples,
         rates=rates,
     )
     return Written(text, tuple(not_held))
 
 
+def _macros(exported: Exported) -> list[tuple[str, str, str]]:
+    """Return what a program may check: name of each macro behind the prefix, its value, what it says.
+
+    Identity first, then validity: the conditions under which the calibration was measured. A figure that nobody knows
+    is left out, so that a check of it does not compile.
+    """
+    texts = {
+        "DEVICE": ("device", "device under test"),
+        "SERIAL_NUMBER": ("serial number", "its serial number"),
+        "MEASURED_UTC": ("measured (UTC)", "when it was measured; empty: in virtual time, or not known"),
+        "OUTCOME": ("outcome", "outcome of the run, with the reason"),
+        "RECORDING": ("recording", "file that the calibration is from"),
+        "RECORDING_SHA256": ("sha256 of the recording", "hash of that file"),
+    }
+    macros = [(name, _c_string(exported.identity.get(key, "")), what) for name, (key, what) in texts.items()]
+    low_c, _, high_c = exported.seen.temperature_c
+    limits = {
+        "RATE_MAX_RPS": (exported.seen.largest_rps, "largest rate that a gyro was calibrated at, rad/s"),
+        "TEMPERATURE_MIN_C": (low_c, "lowest temperature during the calibration, degC"),
+        "TEMPERATURE_MAX_C": (high_c, "highest temperature during the calibration, degC"),
+    }
+    macros += [(name, f"({number(value)})", what) for name, (value, what) in limits.items() if np.isfinite(value)]
+    return macros
+
+
+def _c_string(text: str) -> str:
+    """Return a string literal of C in ASCII; what it cannot hold becomes a question mark."""
+    plain = "".join(c if " " <= c <= "~" and c not in '\\"?' else "'" if c == '"' else "?" for c in text)
+    return f'"{plain}"'
+
+
 def _single(found: re.Match[str]) -> str:
-    """Return a function or a number of C in single precision; a comment as it is."""
+    """Return a function or a number of C in single precision; a comment or a string as it is."""
     text = found.group()
     if not text[0].isdigit():
-        return text if text.startswith("/*") else f"{text}f"
+        return text if text.startswith(("/*", '"')) else f"{text}f"
     return number(float(np.float32(min(float(text), 3e38))), 9) + "f"
 
 

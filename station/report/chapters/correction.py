@@ -14,7 +14,7 @@ from estimator.calibration.compensation import (
     CompensationError,
     HeldEffect,
 )
-from estimator.calibration.values import EffectValue, GyroCalibration
+from estimator.calibration.gyro import EffectValue, GyroCalibration
 from estimator.effects.conditions import REFERENCE_C, SLOPE_S
 from estimator.effects.constructed import CONSTRUCTED
 from estimator.effects.effect import Acts

@@ -99,7 +99,11 @@ def run_to_end(runner: asyncio.Runner, work: Coroutine[Any, Any, T]) -> T:
     exception handler. What drives a table has to bring it to rest then: ``work`` is cancelled, with the exception as
     the message, once, and the loop goes on. The exception is raised here only if ``work`` gives no result of its own.
     """
-    loop = runner.get_loop()
+    try:
+        loop = runner.get_loop()
+    except BaseException:
+        work.close()  # nobody else will await it
+        raise
     task = loop.create_task(work)
     broken: list[BaseException] = []
 

@@ -1,8 +1,9 @@
 """Signals that end a run politely, and the hang-up that need not."""
 
 import asyncio
+import os
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -16,11 +17,14 @@ def heeded_signals(stop: Callable[[str], None], hang_up: Callable[[], None] | No
     For Ctrl-\\ and Ctrl-Z, too: a process that is dead or frozen leaves the table turning.
     """
     loop = asyncio.get_running_loop()
+    terminals = [stream for stream in (0, 1, 2) if os.isatty(stream)]
     names = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM"}
     if _HANG_UP is not None:
         names |= {_HANG_UP: "SIGHUP (the terminal is gone)", signal.SIGQUIT: "Ctrl-\\", signal.SIGTSTP: "Ctrl-Z"}
 
     def handle(number: int, _frame: Any) -> None:
+        if number == _HANG_UP:
+            _to_nowhere(terminals)
         if number == _HANG_UP and hang_up is not None:
             loop.call_soon_threadsafe(hang_up)
         else:
@@ -37,6 +41,14 @@ def heeded_signals(stop: Callable[[str], None], hang_up: Callable[[], None] | No
     finally:
         for number, old in before.items():
             signal.signal(number, old)
+
+
+def _to_nowhere(descriptors: Iterable[int]) -> None:
+    """Have what is printed on a terminal that is gone be lost: it would fail, and hide how the run ended."""
+    nowhere = os.open(os.devnull, os.O_RDWR)
+    for descriptor in descriptors:
+        os.dup2(nowhere, descriptor)
+    os.close(nowhere)
 
 
 def ignore_hang_up() -> None:

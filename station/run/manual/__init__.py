@@ -114,12 +114,14 @@ class ManualSequencer(Sequencer):
         self._way_rad, self._target_rad[axis] = step.angle_rad - self._target_rad[axis], step.angle_rad
         self._script, self._step_began_s = Script("manual", (step,)), loop.time()
         self._durations_s = [abs(self._way_rad / step.rate_rps) + abs(step.rate_rps) / step.acceleration_rps2]
+        self._sent_s = math.inf
         self._tell(step.label)
         try:
             if abs(step.angle_rad) == _ENDLESS_RAD:
                 await self._table.jog(axis, step.rate_rps, step.acceleration_rps2)
             else:
                 await self._table.move(axis, step.angle_rad, abs(step.rate_rps), step.acceleration_rps2)
+            self._sent_s = loop.time()
             arrived = await self._arrives(step)
         except DeviceRefused as error:
             self._tell(f"refused: {error.message}")

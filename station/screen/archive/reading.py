@@ -18,6 +18,7 @@ from estimator.recordings.probe import objects
 from estimator.recordings.recording import FORMAT, FORMAT_VERSION
 from estimator.recordings.recovery import recover
 from estimator.recordings.writing import plain, write_attributes
+from estimator.untrusted import read_json
 from station.errors import BenchError
 from station.screen.archive.entries import INVESTIGATION, Entry, Whole
 from station.screen.sessions.live_run import Trend
@@ -156,5 +157,5 @@ def _investigation(recording: Path) -> dict[str, Any]:
         return {}
     with h5py.File(newest, "r", locking=False) as file:
         list(objects(newest, file))
-        found: dict[str, Any] = json.loads(plain(file["investigation"].attrs["json"]))
+        found: dict[str, Any] = read_json(plain(file["investigation"].attrs["json"]))
         return found if isinstance(found, dict) else {}

@@ -1,4 +1,4 @@
-"""A place of its own for each test of the screen; recordings from runs on twins; how to wait for what is shown."""
+"""A place of its own for each test of the screen; stored recordings; how to wait for what is shown."""
 
 from __future__ import annotations
 
@@ -15,12 +15,11 @@ import h5py
 import pytest
 from textual.pilot import Pilot
 
-from station.cli import main
 from station.screen.app import StationApp
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from streams import SCRIPT, TINY, bench_text
+from streams import SCRIPT, STREAMS, TINY, bench_text
 
 _DAY_S = 86_400
 _NOON_S = 1_795_262_400  # 2026-11-21 12:00:00 UTC
@@ -56,16 +55,11 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 @pytest.fixture(scope="session")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder of two recordings of one device: first.h5 passed, second.h5 failed."""
+    """Return a folder of two stored recordings of one device, first.h5 passed, second.h5 failed, and their script."""
     folder = tmp_path_factory.mktemp("runs")
     (folder / "tiny.toml").write_text(TINY)
-    strict = bench_text().replace('scale_factor_error = "10000 ppm"', 'scale_factor_error = "3000 ppm"')
-    for name, text, seed in (("first", bench_text(), 1), ("second", strict, 2)):
-        bench = folder / "bench.toml"
-        bench.write_text(text)
-        options = ["--operator", "A. Operator", "--serial-number", "SN-0042", "--seed", str(seed), "--json"]
-        files = ["--bench", bench, "--script", folder / "tiny.toml", "--output", folder / f"{name}.h5"]
-        main(["run", *options, *map(str, files)])
+    for name in ("first", "second"):
+        shutil.copy(STREAMS / f"{name}.h5", folder)
     return folder
 
 
@@ -79,7 +73,8 @@ def recordings(place: Path, runs: Path) -> Path:
     shutil.copy(runs / "first.h5", folder / "later.h5")
     with h5py.File(folder / "later.h5", "r+") as file:
         file.attrs["format_version"] = 99
-    (folder / "torn.h5").write_bytes((folder / "first.h5").read_bytes()[:100_000])
+    whole = (folder / "first.h5").read_bytes()
+    (folder / "torn.h5").write_bytes(whole[: len(whole) // 2])
     for days, name in enumerate(("first", "second", "later", "torn")):
         os.utime(folder / f"{name}.h5", (_NOON_S + days * _DAY_S,) * 2)
     return folder

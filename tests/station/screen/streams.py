@@ -1,6 +1,9 @@
 """What sessions say, kept as lines of their sockets' language; and a socket that says it again, up to a chosen instant.
 
-python tests/station/screen/streams.py      makes tests/data/screen/*.jsonl anew, from sessions on twins
+python tests/station/screen/streams.py      makes tests/data/screen/* anew, from sessions on twins
+
+Pictures show figures from these files only. A figure that a test computes
+differs in its last digits between processors.
 
 Each line of a stream is a message with "at_s" beside it: the instant on the loop's clock, in virtual time, at which it
 was said. A snapshot a second is kept, its figures to five digits.
@@ -9,6 +12,7 @@ was said. A snapshot a second is kept, its figures to five digits.
 from __future__ import annotations
 
 import asyncio
+import io
 import json
 import math
 import os
@@ -17,11 +21,14 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import redirect_stdout, suppress
 from pathlib import Path
 from typing import Any
 
+import h5py
+
 from station.bench.bench import default_bench_text, load_bench
+from station.cli import main
 from station.opening import open_bench
 from station.remote.hosting import introduction
 from station.render.printing import result_object
@@ -217,9 +224,42 @@ def by_hand(session: Session, t_s: float) -> None:
         session.drive("end", {})
 
 
+def make_recording(name: str, seed: int, scale_limit: str) -> None:
+    """Make one recording of ``TINY`` with a limit of the scale factor error, compressed."""
+    with tempfile.TemporaryDirectory() as folder:
+        bench, script, path = Path(folder, "bench.toml"), Path(folder, "tiny.toml"), Path(folder, f"{name}.h5")
+        script.write_text(TINY)
+        limit = 'scale_factor_error = "{}"'
+        bench.write_text(bench_text().replace(limit.format("10000 ppm"), limit.format(scale_limit)))
+        words = ["--operator", "A. Operator", "--serial-number", "SN-0042", "--seed", str(seed), "--json"]
+        files = ["--bench", bench, "--script", script, "--output", path]
+        with redirect_stdout(io.StringIO()) as said:
+            main(["run", *words, *map(str, files)])
+        compress(path, STREAMS / path.name)
+    print(f"{name}: {(STREAMS / path.name).stat().st_size} bytes, {json.loads(said.getvalue())['outcome']}")
+
+
+def compress(source: Path, target: Path) -> None:
+    """Copy an HDF5 file with each array compressed, in one chunk that can grow."""
+    with h5py.File(source) as old, h5py.File(target, "w") as new:
+        new.attrs.update(old.attrs)
+
+        def copy(name: str, item: h5py.Group | h5py.Dataset) -> None:
+            if isinstance(item, h5py.Group):
+                made = new.create_group(name)
+            else:
+                how = {"maxshape": item.maxshape, "chunks": item.shape, "compression": "gzip", "shuffle": True}
+                made = new.create_dataset(name, data=item[:], dtype=item.dtype, **how)
+            made.attrs.update(item.attrs)
+
+        old.visititems(copy)
+
+
 if __name__ == "__main__":
     STREAMS.mkdir(exist_ok=True)
     make("manual", by_hand, manual=True)
     make("pass")
     make("stopped", lambda session, t_s: session.stop() if t_s > 30 else None)
     make("fault", end='\n[twin.fault]\naxis = "y"\nat = "25 s"\n')
+    make_recording("first", 1, "10000 ppm")
+    make_recording("second", 2, "3000 ppm")

@@ -9,7 +9,9 @@ import os
 import re
 import shutil
 from collections.abc import Sequence
+from datetime import date
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -19,6 +21,8 @@ from textual.pilot import Pilot
 
 from estimator.estimation.control_charts import control_chart
 from station.cli import main
+from station.commands.history import calibration_valid_on
+from station.errors import UsageError
 from station.screen.choices import Choices
 
 _DAY_S = 86_400
@@ -252,3 +256,33 @@ def test_a_folder_that_may_not_be_read_is_an_error_and_no_empty_list(
     assert "locked" in said.err
     assert "Permission denied" in said.err
     assert not said.out
+
+
+def test_the_calibration_that_was_valid_on_a_day_is_found(
+    series: Path, runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def valid_on(day: str, expected: int) -> dict[str, Any]:
+        capsys.readouterr()
+        assert main(["history", str(series), "--serial", "SN-0042", "--valid-on", day, "--json"]) == expected
+        return dict(json.loads(capsys.readouterr().out))
+
+    assert valid_on("2026-11-25", 0)["recording"]["file"] == "day-04.h5"
+    assert valid_on("2027-11-25", 0)["recording"]["file"] == "day-11.h5"
+    assert "its first one is of 2026-11-21" in valid_on("2026-11-01", 1)["reason"]
+    write_run(series, runs, 20, outcome="ABORTED")
+    assert valid_on("2026-12-20", 0)["recording"]["file"] == "day-11.h5"
+    (series / "day-11-certificate.toml").write_text("[certificate]\nnext_due = 2026-12-18\n")
+    assert valid_on("2026-12-18", 0)["valid"]
+    assert "was due on 2026-12-18" in valid_on("2026-12-20", 1)["reason"]
+    write_run(series, runs, 15, outcome="FAIL")
+    assert "failed on 2026-12-06" in valid_on("2026-12-10", 1)["reason"]
+    found = calibration_valid_on("SN-0042", date(2026, 11, 25), series)
+    assert found.gyros[0].name == "gyro1"
+    with pytest.raises(UsageError, match="failed on"):
+        calibration_valid_on("SN-0042", date(2026, 12, 10), series)
+
+
+def test_a_day_without_a_device_is_refused(series: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["history", str(series), "--valid-on", "2026-11-25"]) == 2
+    assert main(["history", str(series), "--serial", "SN-0042", "--valid-on", "yesterday"]) == 2
+    assert "for instance 2026-11-21" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Every screen in its states, driven by keys, as pictures; what it is shown comes from sessions on twins."""
+"""Every screen in its states, driven by keys, as pictures; what it is shown comes from files."""
 
 from __future__ import annotations
 

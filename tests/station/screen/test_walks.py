@@ -16,7 +16,7 @@ from pathlib import Path
 import h5py
 import pytest
 from streams import TINY, bench_text
-from support import command
+from support import command, ctrl_c_of_children
 
 OPTIONS = ("--bench", "bench.toml", "--script", "tiny.toml", "--scale", "5")
 
@@ -120,9 +120,11 @@ def processes_of(word: str) -> list[int]:
 def test_from_prepare_to_certificate_in_a_browser(bench: Path) -> None:
     pytest.importorskip("textual_serve")
     folder = str(bench / "recordings")
-    with subprocess.Popen(
-        command("ui", "--web", "0", "--folder", folder, *OPTIONS), stdout=subprocess.PIPE, text=True
-    ) as server:
+    with ctrl_c_of_children():
+        server = subprocess.Popen(
+            command("ui", "--web", "0", "--folder", folder, *OPTIONS), stdout=subprocess.PIPE, text=True
+        )
+    with server:
         try:
             assert server.stdout is not None
             address = re.search(r"http://\S+", server.stdout.readline())
@@ -166,7 +168,9 @@ SIZES = ((1280, 800), (1920, 1080), (1000, 700), (2560, 1440), (1280, 720), (136
 def test_stop_is_whole_in_view_in_a_browser_of_any_size(bench: Path) -> None:
     pytest.importorskip("textual_serve")
     words = command("ui", "--web", "0", "--folder", str(bench / "recordings"), *OPTIONS)
-    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as server:
+    with ctrl_c_of_children():
+        server = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+    with server:
         try:
             assert server.stdout is not None
             address = re.search(r"http://\S+", server.stdout.readline())

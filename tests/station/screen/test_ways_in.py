@@ -6,8 +6,11 @@ import argparse
 import asyncio
 import os
 import pty
+import re
+import signal
 import socket
 import subprocess
+import urllib.request
 from pathlib import Path
 
 import pytest
@@ -144,3 +147,22 @@ def test_what_was_entered_is_remembered(place: Path) -> None:
     assert load_remembered() == kept
     (place / "state/turntable-station/screen.json").write_text("[]")
     assert load_remembered() == Remembered()
+
+
+def test_the_page_may_load_nothing_but_its_own(place: Path) -> None:
+    pytest.importorskip("textual_serve")
+    with subprocess.Popen(command("ui", "--web", "0"), stdout=subprocess.PIPE, text=True) as server:
+        try:
+            assert server.stdout is not None
+            address = re.search(r"http://\S+", server.stdout.readline())
+            assert address is not None
+            with urllib.request.urlopen(address[0], timeout=10) as page:
+                policy, text = page.headers["Content-Security-Policy"], page.read().decode()
+        finally:
+            server.send_signal(signal.SIGINT)
+    allowed = dict(part.strip().split(" ", 1) for part in policy.split(";"))
+    nonce = re.search(r"'nonce-([\w-]{16,})'", allowed["script-src"])
+    assert nonce is not None
+    assert allowed["default-src"] == allowed["base-uri"] == "'none'"
+    assert "unsafe" not in allowed["script-src"]
+    assert all(f'nonce="{nonce[1]}"' in tag or 'src="/static/' in tag for tag in re.findall(r"<script[^>]*>", text))

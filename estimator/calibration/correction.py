@@ -1,7 +1,9 @@
-"""The compensation carried out on arrays of samples, as the reference for what exports and reports write."""
+"""From outputs of gyros to rates of their body: a ``Compensation`` applied to arrays of samples.
+
+Exports write the same computation as source code, and tests hold them to this one.
+"""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.calibration.compensation import (
     MOST_ITERATIONS,
@@ -12,14 +14,14 @@ from estimator.calibration.compensation import (
 from estimator.effects.conditions import Conditions
 from estimator.effects.effect import Acts
 from estimator.effects.law import functions_of, variables_of
+from estimator.types import Floats
 
-Floats = NDArray[np.float64]
 _TIMED = frozenset({"lag", "t", "Tdot", "a", "aj", "ak", "jolt"})
 
 
 def needs_of(of: Compensation) -> frozenset[str]:
-    """What samples must come with: "temperature", "specific force", "time"."""
-    needed = set().union(*(effect.known.effect(()).needs for effect in of.effects))
+    """Return what samples must come with: "temperature", "specific force", "time"."""
+    needed = set[str]().union(*(effect.known.effect(()).needs for effect in of.effects))
     laws = [held.known.law for held in of.effects if held.known.law]
     told = set[str]().union(*map(functions_of, laws), *map(variables_of, laws))
     if told & _TIMED or any(held.acts is Acts.LAG for held in of.effects):

@@ -1,0 +1,47 @@
+"""A compensation applied to samples of its gyros, as arrays or as a pandas.DataFrame."""
+
+from typing import Any
+
+import numpy as np
+
+from estimator.calibration.compensation import Compensation, CompensationError
+from estimator.calibration.correction import compensate, needs_of
+from estimator.types import Floats
+
+_COLUMNS = ("x_rps", "y_rps", "z_rps")
+
+
+def applied(
+    compensation: Compensation,
+    outputs_rps: Any,
+    *,
+    t_s: Floats | None,
+    temperature_c: Floats | None,
+    accel_mps2: Floats | None,
+) -> Any:
+    """Return the rate of the body; arguments, answer and errors are those of ``Calibration.apply``."""
+    names = compensation.array.names
+    is_frame = hasattr(outputs_rps, "columns")
+    if is_frame:
+        missing = [name for name in names if name not in outputs_rps.columns]
+        if missing:
+            raise CompensationError(f"the frame has no column for {', '.join(missing)}: name its columns {list(names)}")
+        rates_rps = np.asarray(outputs_rps[list(names)], dtype=np.float64)
+    else:
+        rates_rps = np.asarray(outputs_rps, dtype=np.float64)
+    if rates_rps.ndim != 2 or rates_rps.shape[1] != len(names):
+        shape = " x ".join(map(str, rates_rps.shape))
+        raise CompensationError(f"outputs of {', '.join(names)} are {len(names)} columns in this order, not {shape}")
+    if t_s is None and "time" in needs_of(compensation):
+        raise CompensationError("the effects of these gyros cannot be undone without t_s, the instants of the samples")
+    instants_s = np.zeros(len(rates_rps)) if t_s is None else np.asarray(t_s, dtype=np.float64)
+    given = {"t_s": instants_s, "temperature_c": temperature_c, "accel_mps2": accel_mps2}
+    for name, values in given.items():
+        if values is not None and len(values) != len(rates_rps):
+            raise CompensationError(f"{name} has {len(values)} rows, the outputs have {len(rates_rps)}")
+    body_rps = compensate(compensation, rates_rps, instants_s, temperature_c, accel_mps2)
+    if not is_frame:
+        return body_rps
+    from pandas import DataFrame
+
+    return DataFrame(body_rps, outputs_rps.index, list(_COLUMNS))

@@ -1,0 +1,59 @@
+"""Calibration of one gyro: its states with their covariance, noise, and effects of the error model."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.calibration.budget import TYPE_A, Contribution
+from estimator.geometry.noise import NoiseFound
+from estimator.observations.rests import RestNoise
+from estimator.types import Floats
+
+
+@dataclass(frozen=True, slots=True)
+class EffectValue:
+    """One parameter of an effect of the error model: what was found on a gyro, and what the model expected.
+
+    SI: value and standard deviation in ``unit``; ``expected_sd`` is that of the model. ``shared``: of all gyros.
+    """
+
+    effect: str
+    parameter: str
+    value: float
+    sd: float
+    unit: str
+    expected_sd: float
+    shared: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GyroCalibration:
+    """States of one gyro [k, b_rps, sigma_j_rad, sigma_k_rad], their covariance, the noise of one sample.
+
+    ``covariance`` holds everything; ``budget`` is what it is the sum of: type A, from the scatter of the data, and
+    type B, from the table's stated uncertainty. ``noise`` is what the data say of the noise, where they do, and
+    ``rest`` what the rests of the table alone say of it. ``effects`` are those of the error model, if one was given.
+    """
+
+    name: str
+    source: str
+    states: Floats
+    covariance: Floats
+    noise_rps: float
+    p: Floats
+    device: str
+    budget: tuple[Contribution, ...] = ()
+    noise: NoiseFound | None = None
+    rest: RestNoise | None = None
+    effects: tuple[EffectValue, ...] = ()
+
+    @property
+    def sd(self) -> Floats:
+        """Standard deviations of the states (4,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def type_a(self) -> Floats:
+        """What the data leave open of the states (4, 4), whatever may be wrong with the reference; all if not known."""
+        own = [line.covariance for line in self.budget if line.name in TYPE_A]
+        return np.asarray(np.sum(own, axis=0)) if own else self.covariance

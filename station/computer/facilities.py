@@ -1,0 +1,30 @@
+"""System facilities that the station is built on. No import here may need any of them."""
+
+import importlib
+import socket
+import sys
+
+_REQUIRED = {
+    "fcntl": "locks on files",
+    "resource": "limits on memory",
+    "termios": "serial ports and terminals",
+}
+"""Modules of Python that only Unix has, and what they are for."""
+
+
+def missing_facility() -> str:
+    """Return in one line what this system lacks and what to do; empty if nothing is missing."""
+    for module, purpose in _REQUIRED.items():
+        try:
+            importlib.import_module(module)
+        except ImportError:
+            where = "on Windows, use WSL2" if sys.platform == "win32" else "use a Python that was built with it"
+            return f"this system lacks {module} ({purpose}): the station runs on Linux; {where}"
+    return ""
+
+
+def peer_note() -> str:
+    """Return in one line that the users of a local socket are not known here; empty if they are."""
+    if hasattr(socket, "SO_PEERCRED"):
+        return ""
+    return "this system does not tell who connects to a local socket: only the rights of its folder protect a session"

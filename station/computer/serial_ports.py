@@ -1,0 +1,112 @@
+"""Serial ports: rights, stable names, latency of USB adapters, other programs that hold them."""
+
+import grp
+import os
+import pwd
+import stat
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+from station.computer.finding import Finding
+
+_MOST_LATENCY_MS = 1
+
+
+def look_at_serial_port(port: str, root: Path = Path("/")) -> Iterator[Finding]:
+    """Yield what stands in the way of using a serial port, for instance /dev/ttyUSB0.
+
+    ``root`` is the root of the file system that is looked at.
+    """
+    path = root / port.lstrip("/")
+    if not path.exists():
+        yield _missing(port, root)
+        return
+    if not stat.S_ISCHR(path.stat().st_mode):
+        yield Finding(port, "is no serial port", "ls -l /dev/serial/by-id", wrong=True)
+        return
+    if not os.access(path, os.R_OK | os.W_OK):
+        yield _refused(port, path)
+    if not path.resolve().is_relative_to(root / "dev/pts"):  # a pseudo-terminal is held by the program that made it
+        yield from _held_by_others(port, path, root)
+    yield from _unstable_name(port, path, root)
+    yield from _slow_adapter(port, path, root)
+
+
+def _missing(port: str, root: Path) -> Finding:
+    there = sorted(f"/dev/serial/by-id/{p.name}" for p in _links_by_id(root))
+    if there:
+        return Finding(
+            port, f"is not there; these ports are: {', '.join(there)}", "ls -l /dev/serial/by-id", wrong=True
+        )
+    return Finding(port, "is not there, and no serial adapter is: is it plugged in?", "sudo dmesg | tail", wrong=True)
+
+
+def _refused(port: str, path: Path) -> Finding:
+    """Return why a port may not be used by this user, and the command that changes it."""
+    group_id = path.stat().st_gid
+    try:
+        group = grp.getgrgid(group_id).gr_name
+        members = grp.getgrgid(group_id).gr_mem
+    except KeyError:
+        group, members = str(group_id), []
+    try:
+        user = pwd.getpwuid(os.getuid()).pw_name
+    except KeyError:
+        user = str(os.getuid())
+    if user in members:
+        text = f"may not be used yet: {user} was added to the group {group} after logging in; log in again"
+        return Finding(port, text, f"newgrp {group}", wrong=True)
+    text = f"may not be used by {user}: it belongs to the group {group}; join it, and log in again"
+    return Finding(port, text, f"sudo usermod -aG {group} {user}", wrong=True)
+
+
+def _held_by_others(port: str, path: Path, root: Path) -> Iterator[Finding]:
+    """Yield other programs that have the port open, as far as this user may see them."""
+    device = path.stat().st_rdev
+    for process in sorted((root / "proc").glob("[0-9]*")):
+        if process.name == str(os.getpid()):
+            continue
+        with suppress(OSError):
+            if any(_is_device(opened, device) for opened in (process / "fd").iterdir()):
+                name = (process / "comm").read_text(errors="replace").strip()
+                text = f"is in use by {name} (process {process.name}): end that program first"
+                yield Finding(port, text, f"ps -fp {process.name}", wrong=True)
+
+
+def _is_device(opened: Path, device: int) -> bool:
+    try:
+        found = opened.stat()
+    except OSError:
+        return False
+    return stat.S_ISCHR(found.st_mode) and found.st_rdev == device
+
+
+def _links_by_id(root: Path) -> list[Path]:
+    with suppress(OSError):
+        return list((root / "dev/serial/by-id").iterdir())
+    return []
+
+
+def _unstable_name(port: str, path: Path, root: Path) -> Iterator[Finding]:
+    """Yield the name of the port that stays the same when adapters are plugged in another order."""
+    if path.is_symlink():
+        return
+    for link in _links_by_id(root):
+        if (link.parent / os.readlink(link)).resolve() == path.resolve():
+            stable = f"/dev/serial/by-id/{link.name}"
+            text = (
+                f"can change its number when adapters are plugged in again: write serial://{stable} in the bench file"
+            )
+            yield Finding(port, text)
+
+
+def _slow_adapter(port: str, path: Path, root: Path) -> Iterator[Finding]:
+    """Yield that a USB adapter gathers bytes for long before it passes them on, as FTDI's do for 16 ms by default."""
+    name = path.resolve().name
+    setting = f"/sys/bus/usb-serial/devices/{name}/latency_timer"
+    with suppress(OSError, ValueError):
+        latency_ms = int((root / setting.lstrip("/")).read_text())
+        if latency_ms > _MOST_LATENCY_MS:
+            text = f"its adapter keeps bytes back for up to {latency_ms} ms (latency timer)"
+            yield Finding(port, text, f"echo {_MOST_LATENCY_MS} | sudo tee {setting}")

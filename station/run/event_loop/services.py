@@ -1,0 +1,32 @@
+"""What goes on beside the work of a run, and what is in the errors that end it."""
+
+import asyncio
+from collections.abc import Coroutine, Iterator
+from typing import Any
+
+
+def leaves(error: BaseException) -> Iterator[BaseException]:
+    """Yield what is in groups, and what a cancel was for."""
+    if isinstance(error, BaseExceptionGroup):
+        for one in error.exceptions:
+            yield from leaves(one)
+    elif isinstance(error, asyncio.CancelledError) and error.args and isinstance(error.args[0], BaseException):
+        yield from leaves(error.args[0])
+    else:
+        yield error
+
+
+def serve(group: asyncio.TaskGroup, service: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
+    """Begin what goes on all the run; a task group takes a cancel that nobody asked for as a good end of it."""
+
+    async def served() -> None:
+        task = asyncio.current_task()
+        try:
+            await service
+        except asyncio.CancelledError:
+            if task is not None and task.cancelling():
+                raise
+        raise RuntimeError(f"{name} has ended by itself")
+
+    name = getattr(service, "__qualname__", "a service")
+    return group.create_task(served())

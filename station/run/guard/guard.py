@@ -1,0 +1,144 @@
+"""The station's side of the guard: starts it, gives it the table, sees that it lives, and dismisses it."""
+
+import asyncio
+import os
+import pickle
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from station.opening import GuardedTable
+from station.run.guard.words import ARM, DISMISS, Order
+
+_READY_LIMIT_S = 10.0
+_EXIT_LIMIT_S = 0.5  # by the wall's clock
+_MOST_STARTS = 5
+_UNGUARDED = "if the station is killed now, nothing but the drives' own watchdogs stops the table"
+
+
+def guard_log_of(recording: Path) -> Path:
+    """Return where a guard writes what it did after the death of a run; there is no such file otherwise."""
+    return recording.with_name(f"{recording.name}.guard.log")
+
+
+class Guard:
+    """A process that stops the table if this one is killed; started anew if it is killed itself.
+
+    Without it a run goes on: ``tell`` says so.
+    """
+
+    def __init__(self, table: GuardedTable | None, recording: Path, time_scale: float, tell: Callable[[str], None]):
+        """Nothing is started yet; ``table`` is None if it is a twin in this process."""
+        self._table, self._tell, self._time_scale = table, tell, time_scale
+        self._log = str(guard_log_of(recording).absolute())
+        self._process: subprocess.Popen[bytes] | None = None
+        self._heard = asyncio.Event()
+        self._ready = self._armed = False
+        self._starts = 0
+
+    def start(self) -> None:
+        """Start the process, which takes a fraction of a second to be ready."""
+        if self._table is None:
+            return
+        self._starts += 1
+        self._ready = False
+        order = Order(
+            table=self._table.packed,
+            locks=self._table.locks,
+            who=f"the station (process {os.getpid()})",
+            log=self._log,
+            time_scale=self._time_scale,
+        )
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "station.run.guard.process"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                bufsize=0,
+                pass_fds=self._table.locks,
+                start_new_session=True,
+            )
+        except OSError as error:
+            self._tell(f"the guard process cannot be started ({error})")
+            self._heard.set()
+            return
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        packed = pickle.dumps(order)
+        self._send(len(packed).to_bytes(4, "big") + packed)
+        asyncio.get_running_loop().add_reader(self._process.stdout.fileno(), self._hear)
+
+    async def arm(self) -> None:
+        """Have the table guarded from now on; waits until a guard can act, or until it is told that none can."""
+        self._armed = True
+        await self._see_ready()
+
+    async def watch(self) -> None:
+        """See that the guard lives, as long as this is not cancelled; start another in the place of a dead one."""
+        while True:
+            await self._heard.wait()
+            self._heard.clear()
+            await self._see_ready()
+
+    async def _see_ready(self) -> None:
+        """Start guards until one is ready, and give it the table; each that fails is told."""
+        limit_s = asyncio.get_running_loop().time() + _READY_LIMIT_S * max(self._time_scale, 1.0)
+        while self._table is not None and (self._process is None or not self._ready):
+            if self._process is None:
+                if self._starts == _MOST_STARTS:
+                    self._table = None
+                    self._tell(f"guards end by themselves, no more are started: {_UNGUARDED}")
+                    return
+                self._tell("the guard process has ended, another is started")
+                self.start()
+            try:
+                async with asyncio.timeout_at(limit_s):
+                    await self._heard.wait()
+                    self._heard.clear()
+            except TimeoutError:
+                self._tell(f"the guard is not ready after {_READY_LIMIT_S:g} s; until it is, {_UNGUARDED}")
+                break
+        if self._armed:
+            self._send(ARM)
+
+    def dismiss(self) -> None:
+        """Let the guard go: the table is at rest, or was never touched."""
+        self._armed = False
+        self._table = None
+        self._send(DISMISS)
+        self._close()
+
+    def _send(self, data: bytes) -> None:
+        """Send a word; a guard that is gone is heard of by its output."""
+        if self._process is not None and self._process.stdin is not None:
+            with suppress(OSError):
+                self._process.stdin.write(data)
+
+    def _hear(self) -> None:
+        """Take in what the guard says: that it is ready, and its end."""
+        assert self._process is not None
+        assert self._process.stdout is not None
+        self._heard.set()
+        if self._process.stdout.read(64):
+            self._ready = True
+        else:
+            self._close()
+
+    def _close(self) -> None:
+        process, self._process = self._process, None
+        if process is None:
+            return
+        assert process.stdin is not None
+        assert process.stdout is not None
+        asyncio.get_running_loop().remove_reader(process.stdout.fileno())
+        if not self._ready:
+            process.kill()  # it does not listen yet
+        try:
+            process.wait(_EXIT_LIMIT_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        process.stdin.close()
+        process.stdout.close()
