@@ -96,7 +96,7 @@ def _is_readable(path: Path) -> bool:
     try:
         probe(path)
         with h5py.File(path, "r") as file:
-            return plain(file.attrs.get("format")) == FORMAT
+            return bool(plain(file.attrs.get("format")) == FORMAT)
     except (RecordingError, OSError):
         return False
 
