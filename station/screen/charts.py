@@ -55,11 +55,14 @@ class Charts(Grid):
     def draw(self, only: int | None = None) -> None:
         """Draw all charts, or one of them."""
         for at, chart in enumerate(self._charts):
-            if only in (None, at) and chart.size.area:
-                drawing = self._draw(self._names[at])
-                chart.visible = drawing is not None
-                if drawing is not None:
-                    chart.show(drawing, self._window)
+            if only not in (None, at):
+                continue
+            if chart.visible and not chart.size.area:  # scrolled out of sight: drawn once it gets a size
+                continue
+            drawing = self._draw(self._names[at])
+            chart.visible = drawing is not None  # a hidden chart has no size: show it first, its resize draws it
+            if drawing is not None and chart.size.area:
+                chart.show(drawing, self._window)
 
     def draw_next(self) -> None:
         """Draw the chart whose turn it is."""
