@@ -109,6 +109,12 @@ class StationApp(App[None]):
         """The tray of the bench that is chosen, as it is kept: another screen may have changed it."""
         return Tray(whole(self.choices.bench))
 
+    async def on_event(self, event: events.Event) -> None:
+        """Let the preparation see each key first: a scanner types wherever the focus is."""
+        if isinstance(event, events.Key) and self._running and isinstance(self.screen, PrepareScreen):
+            self.screen.note_key(event)
+        await super().on_event(event)
+
     def get_driver_class(self) -> type[Driver]:
         """Return the driver of this terminal, with STOP before everything."""
         return type("StopFirstDriver", (_StopFirst, super().get_driver_class()), {})

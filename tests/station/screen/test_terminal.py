@@ -58,7 +58,7 @@ def whole_day(size: tuple[int, int], run: set[str], states: set[str]) -> None:
         terminal.wait_for("States and their sigmas")
         wait_for_charts(terminal, states)
         terminal.press("f2")
-        terminal.wait_for("SN-0042")
+        terminal.wait_for("Before START")
         wait_for_charts(terminal, MOTION)
         terminal.press("f5")
         terminal.wait_for("1 recordings in")
