@@ -102,7 +102,10 @@ class Terminal:
         return "\n".join(row.rstrip() for row in self.rows())
 
     def wait_for(self, holds: str | Callable[[str], bool], limit_s: float = 60.0) -> str:
-        """Wait until a text is on the screen, or until ``holds(text)``; return the text. TimeoutError with the screen."""
+        """Wait until a text is on the screen, or until ``holds(text)``; return the text.
+
+        TimeoutError with the screen.
+        """
         deadline_s = time.monotonic() + limit_s
         while True:
             text = self.text()
