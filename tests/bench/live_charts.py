@@ -64,9 +64,9 @@ def main() -> int:
     for size in arguments.sizes:
         columns, rows = map(int, size.split("x"))
         with tempfile.TemporaryDirectory(prefix="st-") as folder:
-            variables = {name: folder for name in ("XDG_RUNTIME_DIR", "XDG_STATE_HOME", "TMPDIR")}
+            variables = dict.fromkeys(("XDG_RUNTIME_DIR", "XDG_STATE_HOME", "TMPDIR"), folder)
             options = ("--folder", folder, "--scale", "1")
-            with Terminal(command("ui", *options), columns, rows, **variables) as terminal:
+            with Terminal(command("ui", *options), columns, rows, variables=variables) as terminal:
                 terminal.wait_for("Operator")
                 terminal.press("A. Operator", "enter", "SN-0042")
                 terminal.wait_for("READY  the table", limit_s=120)
@@ -75,7 +75,9 @@ def main() -> int:
                 terminal.wait_for("script begins", limit_s=120)
                 tally.look(f"{size} Run", terminal, arguments.seconds)
             # The session outlives its screen: another one attaches to it.
-            with Terminal(command("ui", "--attach", "--folder", folder), columns, rows, **variables) as terminal:
+            with Terminal(
+                command("ui", "--attach", "--folder", folder), columns, rows, variables=variables
+            ) as terminal:
                 tally.look(f"{size} Run, attached", terminal, arguments.seconds)
             stop_sessions(Path(folder))
     print(f"{tally.filled} of {tally.looked} live screens have filled charts; load {os.getloadavg()[0]:.1f}")

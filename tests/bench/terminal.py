@@ -16,7 +16,7 @@ import sys
 import termios
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -53,7 +53,9 @@ class Terminal:
     Used as a context, it ends the program.
     """
 
-    def __init__(self, arguments: list[str], columns: int, rows: int, **variables: str) -> None:
+    def __init__(
+        self, arguments: list[str], columns: int, rows: int, variables: Mapping[str, str] | None = None
+    ) -> None:
         """Start the program in a terminal of a size, with environment ``variables`` beside those that are set."""
         self.began_s = time.monotonic()
         self.bytes = 0
@@ -63,7 +65,13 @@ class Terminal:
         self._unread = bytearray()
         self._lock = threading.Lock()
         own = {name: text for name, text in os.environ.items() if name not in ("COLUMNS", "LINES", "NO_COLOR")}
-        environment = {**own, "TERM": "xterm-256color", "COLORTERM": "truecolor", "LANG": "C.UTF-8", **variables}
+        environment = {
+            **own,
+            "TERM": "xterm-256color",
+            "COLORTERM": "truecolor",
+            "LANG": "C.UTF-8",
+            **(variables or {}),
+        }
         self.pid, self._fd = pty.fork()
         if self.pid == 0:
             os.execve(arguments[0], arguments, environment)

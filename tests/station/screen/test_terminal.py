@@ -43,7 +43,7 @@ def attached(size: tuple[int, int], folder: Path) -> Terminal:
     """Start a screen in a terminal of a size that shows the session that runs."""
     variables = {name: os.environ[name] for name in ("XDG_RUNTIME_DIR", "XDG_STATE_HOME", "TMPDIR")}
     words = ("ui", "--attach", "--bench", "bench.toml", "--script", "short.toml", "--folder", str(folder))
-    return Terminal(command(*words), *size, **variables)
+    return Terminal(command(*words), *size, variables=variables)
 
 
 def look_at_every_page(size: tuple[int, int], folder: Path) -> None:
@@ -82,7 +82,7 @@ def test_charts_are_drawn_in_a_run_that_a_key_started(place: Path, size: tuple[i
     (place / "tiny.toml").write_text(TINY)
     variables = {name: os.environ[name] for name in ("XDG_RUNTIME_DIR", "XDG_STATE_HOME", "TMPDIR")}
     words = ("ui", "--bench", "bench.toml", "--script", "tiny.toml", "--folder", "recordings", "--scale", "1")
-    with Terminal(command(*words), *size, **variables) as terminal:
+    with Terminal(command(*words), *size, variables=variables) as terminal:
         terminal.wait_for("Operator")
         terminal.press("A. Operator", "enter", "SN-0042")
         terminal.wait_for("READY  the table")
