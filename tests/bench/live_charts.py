@@ -3,7 +3,7 @@
 python tests/bench/live_charts.py               START pressed at five sizes, then Prepare; attached at five sizes
 python tests/bench/live_charts.py --sizes 80x24 --seconds 15
 
-Exits with 1 if a screen has a chart in sight without a curve, or none, or if a wide screen is half empty.
+Exits with 1 if no chart of a screen has a curve, or if the bottom half of a screen is mostly empty.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Tally:
         self.filled = 0
 
     def look(self, name: str, terminal: Terminal, seconds: float) -> None:
-        """Look for a while until every chart in sight has a curve; print and count what was seen."""
+        """Look for a while until a chart in sight has a curve; print and count what was seen."""
         deadline_s = time.monotonic() + seconds
         good = False
         while not good and time.monotonic() < deadline_s:
