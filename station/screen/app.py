@@ -27,7 +27,7 @@ from drivers.packaged import packaged_toml
 from station.remote.attaching import running_sessions
 from station.screen.archive.archive import Archive
 from station.screen.bars import SCREENS, STOP_KEY, StopBar
-from station.screen.base import StationScreen
+from station.screen.base import StationScreen, keys_of
 from station.screen.choices import TWIN_SCALE, Choices
 from station.screen.dialogs import AskDialog, ChooseDialog, HelpDialog, StationDialog
 from station.screen.figures import templated
@@ -109,6 +109,12 @@ class StationApp(App[None]):
         """The tray of the bench that is chosen, as it is kept: another screen may have changed it."""
         return Tray(whole(self.choices.bench))
 
+    async def on_event(self, event: events.Event) -> None:
+        """Let the preparation see each key first: a scanner types wherever the focus is."""
+        if isinstance(event, events.Key) and self._running and isinstance(self.screen, PrepareScreen):
+            self.screen.note_key(event)
+        await super().on_event(event)
+
     def get_driver_class(self) -> type[Driver]:
         """Return the driver of this terminal, with STOP before everything."""
         return type("StopFirstDriver", (_StopFirst, super().get_driver_class()), {})
@@ -141,7 +147,7 @@ class StationApp(App[None]):
                 self.notify("the session cannot be reached: use the emergency stop of the table", severity="error")
         elif self.shown is None:
             self.work(self._stop_all, "sessions")
-        self._show_stop()
+        self.show_stop()
 
     def stop_from_thread(self) -> None:
         """Tell the session that is shown to stop, from the thread that reads keys; ``action_stop`` does the rest."""
@@ -159,10 +165,19 @@ class StationApp(App[None]):
             self.notify(f"{len(sockets)} told to stop", title="STOP", severity="warning")
 
     def action_help(self) -> None:
-        """Show all keys of the screen."""
-        if not isinstance(self.screen, StationDialog):
-            keys = (active.binding for active in self.screen.active_bindings.values() if active.enabled)
-            self.push_screen(HelpDialog(keys))
+        """Show all keys of the screen, in groups, from the tables of keys."""
+        screen = self.screen
+        if not isinstance(screen, StationScreen):
+            return
+        name = {mode: name for mode, _, name in SCREENS}[screen.MODE]
+        everywhere = [binding for binding in keys_of(type(self)) if binding.action != "stop"]
+        groups = {
+            "STOP, on every screen": [binding for binding in keys_of(type(self)) if binding.action == "stop"],
+            f"This screen: {name}": screen.keys(),
+            "Charts (Tab or c gives one the focus)": screen.chart_keys(),
+            "Everywhere": [*everywhere, Binding("ctrl+p", "command_palette", "Commands, themes")],
+        }
+        self.push_screen(HelpDialog(groups))
 
     def get_system_commands(self, screen: Screen[Any]) -> Iterable[SystemCommand]:
         """Offer what can be made of the recording on the screen, and what textual offers; keys are told by F1."""
@@ -368,7 +383,7 @@ class StationApp(App[None]):
         return found
 
     def _tick(self) -> None:
-        self._show_stop()
+        self.show_stop()
         while self.shown is not None and self.shown.refusals:
             self.clear_notifications()  # a key that is held is refused again and again
             self.notify(self.shown.refusals.popleft(), title="The session refused", severity="warning", markup=False)
@@ -377,10 +392,17 @@ class StationApp(App[None]):
                 if isinstance(screen, StationScreen):
                     screen.tick()
 
-    def _show_stop(self) -> None:
+    def show_stop(self) -> None:
+        """Show at the bottom what the run does; if it is settled, what belongs to the recording on the screen."""
         with suppress(ScreenStackError):
+            below = next((screen for screen in self.screen_stack if isinstance(screen, StationScreen)), None)
+            run, said = self.shown, ""
+            if below is not None and (run is None or run.settled):
+                said = below.said_of_recording
+                if run is not None and not below.shows(run.recording):
+                    run = None  # what has ended is not what is looked at
             for bar in (bar for screen in self.screen_stack for bar in screen.query(StopBar)):
-                bar.show(self.shown, self.others)
+                bar.show(run, self.others, said)
 
     def _watch_terminal(self) -> None:
         """End when nobody is at the other end: a server of the screen that was killed says nothing."""

@@ -60,12 +60,11 @@ class StopBar(Widget):
 
     def on_mount(self) -> None:
         """Show the run at once, not at the next tick."""
-        app = cast(SeenApp, self.app)
-        self.show(app.shown, app.others)
+        cast(SeenApp, self.app).show_stop()
 
-    def show(self, run: LiveRun | None, others: int) -> None:
-        """Show a run's state; if none is shown, how many ``others`` there are."""
-        values = {"run": run, "others": others, "stop": STOP_WORDS, "silence_s": SILENCE_S}
+    def show(self, run: LiveRun | None, others: int, said: str = "") -> None:
+        """Show a run's state; if none is shown, how many ``others`` there are, or what is ``said`` of a recording."""
+        values = {"run": run, "others": others, "said": said, "stop": STOP_WORDS, "silence_s": SILENCE_S}
         line = rendered("station.screen", "stop.txt", {**values, "clock": clock})
         kind, _, text = line.strip("\n").partition(" ")
         if text != self._text:

@@ -5,6 +5,7 @@ from typing import Any, ClassVar, cast
 
 from textual import events
 from textual.app import ComposeResult
+from textual.binding import Binding
 from textual.containers import VerticalScroll
 from textual.screen import Screen
 from textual.widgets import Footer, Input, Static
@@ -15,6 +16,15 @@ from station.screen.seen_app import SeenApp
 
 LEAST_WIDTH, LEAST_HEIGHT = 80, 24
 _TALL, _LARGE = 34, (200, 52)
+
+
+def keys_of(kind: type) -> list[Binding]:
+    """Return the keys with a description of a class and its bases in the station; textual's own are left out."""
+    tables = [base.__dict__.get("BINDINGS", ()) for base in kind.__mro__ if base.__module__.startswith("station.")]
+    found: dict[str, Binding] = {}
+    for key in Binding.make_bindings(key for table in tables for key in table):
+        found.setdefault(key.key, key)  # a base comes after what overrides it
+    return [key for key in found.values() if key.description]
 
 
 class StationScreen(Screen[None]):
@@ -53,6 +63,29 @@ class StationScreen(Screen[None]):
 
     def redraw(self) -> None:
         """Draw what depends on the room there is, and on the gyro that is shown."""
+
+    @property
+    def said_of_recording(self) -> str:
+        """What the bar at the bottom says of the recording that is shown; empty if there is nothing to say."""
+        return ""
+
+    def shows(self, recording: Path | None) -> bool:
+        """Return whether the run of a recording is what this screen shows."""
+        return self.recording is None or (recording is not None and self.recording.absolute() == recording.absolute())
+
+    def keys(self) -> list[Binding]:
+        """Return the keys of this screen that do something now."""
+        found = []
+        for key in keys_of(type(self)):
+            name, _, _ = key.action.partition("(")
+            if self.check_action(name, ()) is not False and not (name == "chart" and not self.query("Charts")):
+                found.append(key)
+        return found
+
+    def chart_keys(self) -> list[Binding]:
+        """Return the keys of its charts."""
+        kinds = dict.fromkeys(type(chart) for chart in self.query("Charts, Chart"))
+        return [key for kind in kinds for key in keys_of(kind)]
 
     def action_chart(self) -> None:
         """Give the next chart the focus."""

@@ -3,6 +3,7 @@
 import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
+from datetime import datetime
 from typing import ClassVar
 
 import numpy as np
@@ -20,6 +21,7 @@ from drivers.types import Floats
 from station.screen.drawings import DIALS, Drawing
 
 _DOTS, _DOTS_WIDE, _DOTS_HIGH = HiResMode.BRAILLE, 2, 4
+_DAY_S, _YEAR_DAYS = 86400.0, 300.0
 _LABEL_WIDTH, _TICK_WIDTH, _MARGIN, _DIAL_REACH = 9, 6, 0.06, 1.08
 
 
@@ -35,6 +37,8 @@ class _Ticks(NumericAxisFormatter):
     """As many ticks as there is room for, with the digits that they need; a unit stands at the first of them."""
 
     room, unit = 1, ""
+    began_utc_s: float | None = None
+    """Instant of time 0 if days are shown as dates."""
 
     def get_ticks(self, min_: float, max_: float, max_ticks: int = 8) -> list[float]:
         ticks = super().get_ticks(min_, max_, max_ticks)
@@ -42,6 +46,11 @@ class _Ticks(NumericAxisFormatter):
         return ticks[min(range(len(ticks)), key=lambda at: abs(ticks[at]), default=0) % step :: step]
 
     def get_labels_for_ticks(self, ticks: Sequence[float]) -> list[str]:
+        if self.began_utc_s is not None:
+            dates = [datetime.fromtimestamp(self.began_utc_s + tick * _DAY_S) for tick in ticks]
+            span_days = ticks[-1] - ticks[0] if ticks else 0.0
+            form = "%H:%M" if span_days < 1 else "%m-%d" if span_days < _YEAR_DAYS else "%Y-%m"
+            return [format(date, form) for date in dates]
         digits = max((len(f"{tick:.7f}".rstrip("0").partition(".")[2]) for tick in ticks), default=0)
         return [f"{round(tick, digits) + 0.0:.{digits}f}{'' if at else self.unit}" for at, tick in enumerate(ticks)]
 
@@ -94,7 +103,9 @@ class Chart(PlotWidget, inherit_bindings=False):
         time = window or (drawing.span[0], max(drawing.span[1], drawing.span[0] + 1.0))
         low, high = (-math.inf, math.inf) if drawing.dial else time
         cells = max(self.size.width - _LABEL_WIDTH, _TICK_WIDTH)
-        self._over.room, self._over.unit = cells // _TICK_WIDTH, f" {drawing.over}"
+        width = _TICK_WIDTH if drawing.began_utc_s is None else _TICK_WIDTH + 2
+        self._over.room, self._over.unit = cells // width, f" {drawing.over}"
+        self._over.began_utc_s = drawing.began_utc_s
         self._along.room = (self.size.height - 1) // 2
         self.clear()
         for mark in drawing.marks:

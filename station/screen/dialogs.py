@@ -1,6 +1,6 @@
 """Questions over a screen."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import zip_longest
 from typing import ClassVar
 
@@ -14,8 +14,7 @@ from textual.widgets.option_list import Option
 from station.screen.bars import StopBar
 from station.screen.base import Field
 
-_FRAME = ("scroll", "page", "app.focus", "screen.", "command_palette", "help_quit")
-"""Actions of every textual screen, which need no help."""
+_NAMES_OF_KEYS = {"LEFT": "←", "RIGHT": "→", "CTRL+Q": "Ctrl+Q", "CTRL+C": "Ctrl+C", "CTRL+P": "Ctrl+P", "TAB": "Tab"}
 
 
 class StationDialog(ModalScreen[str | None]):
@@ -42,14 +41,23 @@ class StationDialog(ModalScreen[str | None]):
 
 
 class HelpDialog(StationDialog):
-    """All keys that do something on a screen."""
+    """All keys that do something on a screen, in groups; STOP comes first."""
 
-    def __init__(self, bindings: Iterable[Binding]) -> None:
+    def __init__(self, groups: Mapping[str, Sequence[Binding]]) -> None:
+        """``groups``: title of each group and its keys, from the tables of keys."""
         super().__init__("")
-        own = (b for b in bindings if b.description and not b.action.startswith(_FRAME))
-        told = [f"{b.key_display or b.key.upper():7} {b.description:26}" for b in own]
-        rows = zip_longest(told[::2], [*told[1::2], "CTRL+P  Commands, themes"], fillvalue="")
-        self._question = "\n".join(map("".join, rows))
+        self._question = "\n\n".join(_group(title, keys) for title, keys in groups.items() if keys)
+
+
+def _group(title: str, keys: Sequence[Binding]) -> str:
+    """Return the lines of a group, two keys a line. A key with several names is one entry."""
+    shown: dict[str, list[str]] = {}
+    for binding in keys:
+        name = binding.key_display or (binding.key.upper() if len(binding.key) > 1 else binding.key)
+        shown.setdefault(binding.description, []).append(_NAMES_OF_KEYS.get(name, name))
+    entries = [f"{', '.join(names):9} {words:25}" for words, names in shown.items()]
+    rows = zip_longest(entries[::2], entries[1::2], fillvalue="")
+    return "\n".join([title, *(f"  {left} {right}".rstrip() for left, right in rows)])
 
 
 class AskDialog(StationDialog):

@@ -43,6 +43,8 @@ class Drawing(NamedTuple):
     marks: Sequence[float] = ()
     over: str = "s"
     dial: bool = False
+    began_utc_s: float | None = None
+    """Instant of time 0 if the axis shows dates; times are then days."""
 
 
 def run_drawing(name: str, run: LiveRun, gyro: GyroSnapshot) -> Drawing:
@@ -112,7 +114,12 @@ def _arc(radius: float, begin_rad: float, end_rad: float, style: str) -> Curve:
 
 
 def state_drawing(
-    index: int, trend: Trend, limit: float, over: str = "s", figures: Sequence[StateUnit] = STATE_FIGURES
+    index: int,
+    trend: Trend,
+    limit: float,
+    over: str = "s",
+    figures: Sequence[StateUnit] = STATE_FIGURES,
+    began_utc_s: float | None = None,
 ) -> Drawing:
     """Return how a state of a gyro narrowed, between one sigma below and above it; ``limit`` in SI.
 
@@ -141,7 +148,14 @@ def state_drawing(
         near = [at for at in (limit, -limit) if abs(at - centre) < 3 * reach]
         words.append((f"limit ±{limit:.5g}", "limit"))
     values_range = min([centre - reach, *near]), max([centre + reach, *near])
-    return Drawing(words, [*_levels(near, "limit"), *curves], values_range, (start - margin, end + margin), over=over)
+    return Drawing(
+        words,
+        [*_levels(near, "limit"), *curves],
+        values_range,
+        (start - margin, end + margin),
+        over=over,
+        began_utc_s=began_utc_s,
+    )
 
 
 def motion_drawing(axes: Sequence[str], t_s: Any, rates_rps: Any) -> Drawing:

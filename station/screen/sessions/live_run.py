@@ -78,6 +78,11 @@ class LiveRun:
         return self.stage in (Stage.STARTING, Stage.RUNNING, Stage.LOST)
 
     @property
+    def settled(self) -> bool:
+        """Whether the run has ended, and the table is at rest or never moved: nothing of it is left to watch."""
+        return self.stage is Stage.ENDED and (self.at_rest or not (self.moved or self.unconfirmed))
+
+    @property
     def stop_asked(self) -> bool:
         return not math.isnan(self._stop_asked_s)
 

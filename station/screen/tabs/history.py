@@ -44,6 +44,7 @@ class HistoryScreen(StationScreen):
         self._sorted = 0
         self._limits = NO_LIMITS
         self._trend = Trend()
+        self._began_utc_s = 0.0  # the first calibration of the trend
 
     def body(self) -> ComposeResult:
         with Horizontal(classes="field"):
@@ -143,6 +144,7 @@ class HistoryScreen(StationScreen):
         gyro = chosen.gyros[self.gyro % len(chosen.gyros)] if chosen is not None and chosen.gyros else None
         if chosen is not None and gyro is not None:
             alike = sorted(filter(chosen.same_device, self._entries), key=lambda entry: entry.when_utc_s)
+            self._began_utc_s = alike[0].when_utc_s
             for entry, own in (
                 (e, g) for e in alike for g in e.gyros if (g.source, g.name) == (gyro.source, gyro.name)
             ):
@@ -156,7 +158,9 @@ class HistoryScreen(StationScreen):
 
     def _drawing(self, name: str) -> Drawing | None:
         index = STATE_CHARTS.index(name)
-        return state_drawing(index, self._trend, self._limits[index], "days") if self._trend.values else None
+        if not self._trend.values:
+            return None
+        return state_drawing(index, self._trend, self._limits[index], "days", self._began_utc_s)
 
 
 def _cells(entry: Entry) -> list[Text]:

@@ -4,8 +4,10 @@ import asyncio
 import time
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any, ClassVar
 
+from textual import events
 from textual.app import ComposeResult
 from textual.binding import Binding
 from textual.containers import Container, Horizontal, Vertical
@@ -31,6 +33,10 @@ _FIELDS = (
     ("serial", "Device serial no.", "of the device under test"),
 )
 _BLOCKS = ("summary", "ready", "limits", "check", "plan")
+_SCAN_GAP_S = 0.03
+"""Longest time between two characters of a scanner; nobody types a whole word at that pace."""
+_SCAN_LEAST = 4
+"""Characters of the shortest scan."""
 
 
 class PrepareScreen(StationScreen):
@@ -57,6 +63,10 @@ class PrepareScreen(StationScreen):
         self._confirmed = ("", "", "")  # number as entered, number that the device says, why both are right
         self._run_before: LiveRun | None = None
         self._chosen: Choices | None = None  # what the fields show
+        self._burst = ""  # what was typed in one go until now
+        self._burst_at_s = 0.0
+        self._burst_pattern = ""  # of serial numbers, by then
+        self._before_burst: tuple[Input | None, str] = None, ""  # the field it went to, and what stood there
 
     def body(self) -> ComposeResult:
         with Container(id="columns"):
@@ -98,6 +108,8 @@ class PrepareScreen(StationScreen):
     def action_enter(self) -> None:
         """Go to the next field, or press what has the focus; bench and script are then looked at."""
         at = self.focused
+        if self._take_scan():
+            return
         if isinstance(at, Button):
             at.press()
         elif isinstance(at, Input):
@@ -105,6 +117,54 @@ class PrepareScreen(StationScreen):
                 self.station.operator_utc_s = time.time()
             self.focus_next()
             self.redraw()
+
+    def note_key(self, event: events.Key) -> None:
+        """Keep what a scanner types, wherever the focus is; called before anything else sees the key."""
+        gap_s = event.time - self._burst_at_s
+        self._burst_at_s = event.time
+        if gap_s > _SCAN_GAP_S:
+            self._burst = ""
+        if not event.is_printable or event.character is None:
+            if event.key not in ("enter", "tab"):
+                self._burst = ""
+            return
+        if not self._burst:
+            field = self.focused if isinstance(self.focused, Input) else None
+            self._before_burst = field, field.value if field is not None else ""
+            self._burst_pattern = self._prospect.serial_pattern if self._prospect is not None else ""
+        self._burst += event.character
+
+    def _take_scan(self) -> bool:
+        """Put a serial number that was scanned elsewhere into its field; return whether there was one."""
+        text, self._burst = self._burst.strip(), ""
+        field, before = self._before_burst
+        serial = self.query_one("#serial", Input)
+        if len(text) < _SCAN_LEAST or field is serial or not self._is_serial(text, field, before):
+            return False
+
+        def put() -> None:
+            if field is not None:
+                field.value = before
+            if self.maximized is not None:  # the scan held the key that enlarges a chart
+                self.minimize()
+            serial.value = text
+            self.set_focus(serial)
+            serial.select_all()  # the next scan takes its place
+            self.redraw()
+
+        (field or self).call_later(put)  # once the field has seen the last of the characters
+        return True
+
+    def _is_serial(self, text: str, field: Input | None, before: str) -> bool:
+        """Return whether a text that was typed in one go into a field, or into none, can be a serial number."""
+        pattern = self._burst_pattern
+        if pattern and not matches(pattern, text):
+            return False
+        if field is not None and field.id == "operator":
+            return bool(before)  # into the empty field: a badge
+        if field is not None:
+            return not text.endswith(".toml") and "/" not in text and not Path(text).exists()
+        return True
 
     def on_input_blurred(self, event: Input.Blurred) -> None:
         """Look at bench and script when they are left."""

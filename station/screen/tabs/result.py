@@ -59,6 +59,14 @@ class ResultScreen(StationScreen):
         self._busy = ""
         self._said = ""
 
+    @property
+    def said_of_recording(self) -> str:
+        """Warn of a run that ended without a word: nobody has seen its table come to rest."""
+        entry = self._whole.entry if self._whole is not None else None
+        if entry is None or entry.wrong or entry.texts.get("outcome"):
+            return ""
+        return "this recording has no outcome: its session ended without a word; look whether the table is at rest"
+
     def body(self) -> ComposeResult:
         with Container(id="columns"):
             with VerticalScroll(id="figures", can_focus=False):

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from conftest import HistoryFirst, driven, keys, until
 from streams import STREAMS, Replay
+from textual.binding import Binding
 from textual.command import CommandList
 from textual.pilot import Pilot
 from textual.widget import Widget
@@ -18,6 +19,7 @@ from station.run.snapshot import snapshot_of
 from station.screen.app import StationApp
 from station.screen.bars import StopBar
 from station.screen.choices import Choices
+from station.screen.tabs.history import HistoryScreen
 
 CHOICES = Choices(bench="bench.toml", script="short.toml", folder=Path("recordings"))
 
@@ -94,7 +96,12 @@ def test_help_names_all_keys_and_a_theme_is_remembered(place: Path) -> None:
         await pilot.press("f1")
         await until(pilot, lambda: app.screen.query("#dialog"))
         said = str(app.screen.query_one("#dialog").children[0].render())
-        assert all(word in said for word in ("STOP", "Prepare", "History", "Filter", "Sort", "F9"))
+        groups = [line for line in said.splitlines() if line and not line.startswith(" ")]
+        assert groups[0].startswith("STOP")
+        assert [group.partition(" ")[0].strip(",") for group in groups] == ["STOP", "This", "Charts", "Everywhere"]
+        described = {key.description for key in (*HistoryScreen.BINDINGS, *StationApp.BINDINGS) if type(key) is Binding}
+        assert all(words in said for words in {*described, "Sort", "Gyro", "Earlier", "Enlarge"})
+        assert "cursor" not in said.lower()  # editing keys of textual's fields
         assert app.screen.query_one(StopBar).region.area
         await pilot.press("escape")
         app.theme = "high-contrast"

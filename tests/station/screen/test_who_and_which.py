@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from conftest import keys, until
+from textual import events
 from textual.pilot import Pilot
 from textual.widgets import Button, Input
 
@@ -138,3 +139,21 @@ async def test_a_script_that_is_set_while_the_last_is_looked_at_is_read(place: P
         (place / "next.toml").write_text((place / "short.toml").read_text().replace('"short"', '"next"'))
         app.prepare(str(place / "next.toml"))
         await until(pilot, lambda: "next" in shown(app, "plan") and "WAIT" not in shown(app, "ready"), 30)
+
+
+@pytest.mark.parametrize("at", ["bench", "script", "operator", "start", None])
+def test_a_scanned_serial_number_goes_to_its_field_wherever_the_focus_is(place: Path, at: str | None) -> None:
+    async def scan() -> None:
+        app = app_on(place, bench="bench.toml", operator="A. Turing")
+        async with app.run_test() as pilot:
+            await asked(pilot, app)
+            before = {name: value(app, name) for name in ("bench", "script", "operator")}
+            app.screen.query_one("#start", Button).disabled = False
+            app.screen.set_focus(app.screen.query_one(f"#{at}") if at else None)
+            for key in (*keys("SN-0043"), "enter"):  # all at once, as a scanner
+                app.post_message(events.Key(key, {"minus": "-"}.get(key, key) if key != "enter" else "\r"))
+            await until(pilot, lambda: value(app, "serial") == "SN-0043")
+            assert {name: value(app, name) for name in before} == before
+            assert app.shown is None  # no run has begun by the Enter of a scan
+
+    asyncio.run(scan())

@@ -1,0 +1,90 @@
+"""The program as an operator meets it: started in a terminal, keys pressed, the cells of the screen read.
+
+A recorded session speaks, so that a busy machine changes nothing; ``full`` has runs of twins as well.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from streams import TINY, Replay
+from support import command
+from terminal import Terminal
+
+from station.screen.drawings import RUN_CHARTS, STATE_CHARTS
+
+SIZES = [(80, 24), (100, 30), (120, 40), (160, 50), (200, 60)]
+_WIDE, _LARGE = 120, 200
+_FEW_CELLS = 10
+"""So many cells at least have dots where a curve is drawn; a calibration in the history is one dot."""
+
+
+def wait_for_charts(terminal: Terminal, names: set[str], least_cells: int = _FEW_CELLS) -> None:
+    """Wait until a curve has been drawn in each of these charts."""
+    missing = set(names)
+
+    def drawn(_: str) -> bool:
+        missing.difference_update(name for name, cells in terminal.charts().items() if cells >= least_cells)
+        return not missing
+
+    terminal.wait_for(drawn, limit_s=60)
+
+
+def run_charts(size: tuple[int, int]) -> set[str]:
+    """Return the charts of Run that are in sight at a size without scrolling."""
+    if size == (80, 24) or size[0] < _WIDE:
+        return {"rate"}
+    return set(RUN_CHARTS)
+
+
+def attached(size: tuple[int, int], folder: Path) -> Terminal:
+    """Start a screen in a terminal of a size that shows the session that runs."""
+    variables = {name: os.environ[name] for name in ("XDG_RUNTIME_DIR", "XDG_STATE_HOME", "TMPDIR")}
+    words = ("ui", "--attach", "--bench", "bench.toml", "--script", "short.toml", "--folder", str(folder))
+    return Terminal(command(*words), *size, variables=variables)
+
+
+def look_at_every_page(size: tuple[int, int], folder: Path) -> None:
+    """Look at Run, Prepare, History and Result: charts are drawn on each of them."""
+    with Replay("pass", 40.0), attached(size, folder) as terminal:
+        wait_for_charts(terminal, run_charts(size))
+        terminal.press("f5")
+        terminal.wait_for("4 recordings in")
+        terminal.press("down", "down", "down")  # to the calibration that passed: the newest are damaged
+        wait_for_charts(terminal, {"k"}, least_cells=1)
+        terminal.press("enter")
+        terminal.wait_for("States and their sigmas")
+        if size[0] >= _WIDE:
+            wait_for_charts(terminal, set(STATE_CHARTS))
+        terminal.press("f2")
+        terminal.wait_for("Before START")
+        if size[0] >= _WIDE:
+            wait_for_charts(terminal, {"rate"})
+
+
+def test_charts_are_drawn_on_every_page(recordings: Path) -> None:
+    look_at_every_page((120, 40), recordings)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(
+    "size", [size for size in SIZES if size != (120, 40)], ids=lambda size: "x".join(map(str, size))
+)
+def test_charts_are_drawn_at_other_sizes(recordings: Path, size: tuple[int, int]) -> None:
+    look_at_every_page(size, recordings)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("size", SIZES, ids=lambda size: "x".join(map(str, size)))
+def test_charts_are_drawn_in_a_run_that_a_key_started(place: Path, size: tuple[int, int]) -> None:
+    (place / "tiny.toml").write_text(TINY)
+    variables = {name: os.environ[name] for name in ("XDG_RUNTIME_DIR", "XDG_STATE_HOME", "TMPDIR")}
+    words = ("ui", "--bench", "bench.toml", "--script", "tiny.toml", "--folder", "recordings", "--scale", "1")
+    with Terminal(command(*words), *size, variables=variables) as terminal:
+        terminal.wait_for("Operator")
+        terminal.press("A. Operator", "enter", "SN-0042")
+        terminal.wait_for("READY  the table")
+        terminal.press("f7")
+        wait_for_charts(terminal, run_charts(size))
