@@ -41,7 +41,7 @@ class Limits:
     nis_high: float
     lost: float
     written: Mapping[str, str] = field(default_factory=dict)
-    units: Units = Units()
+    units: Units = field(default_factory=Units)
 
     @property
     def sizes(self) -> tuple[float, ...]:
@@ -67,7 +67,8 @@ class Limits:
     def stated(self) -> bool:
         """Whether there is anything to judge by."""
         least = (self.nis_low, 1 - self.lost)
-        return any(map(math.isfinite, (*self.sizes, *self.sds))) or math.isfinite(self.nis_high) or any(v > 0 for v in least)
+        most = (*self.sizes, *self.sds, self.nis_high)
+        return any(map(math.isfinite, most)) or any(value > 0 for value in least)
 
 
 @dataclass(frozen=True, slots=True)

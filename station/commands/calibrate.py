@@ -7,7 +7,7 @@ import os
 import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -50,15 +50,15 @@ class Estimated:
     """What one recording says, without its samples.
 
     ``attributes`` are those of the recording that tell which device was measured, how and when. ``seen`` is the
-    largest sigma of all states as a share of what the data sheet promises; ``units`` those to show states in. ``calibration`` is None, and ``seen`` NaN,
-    of a run that ended before there was enough to estimate from.
+    largest sigma of all states as a share of what the data sheet promises; ``units`` those to show states in.
+    ``calibration`` is None, and ``seen`` NaN, of a run that ended before there was enough to estimate from.
     """
 
     calibration: Calibration | None
     verdict: Verdict
     attributes: Mapping[str, Any]
     seen: float
-    units: Units = Units()
+    units: Units = field(default_factory=Units)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +95,8 @@ def command_calibrate(arguments: argparse.Namespace) -> int:
     if arguments.json:
         worst = _print_json(ends)
     else:
-        worst = _print(ends, in_lines=len(ends) > _IN_FULL or bool(folders and len(ends) > 1), details=arguments.details)
+        in_lines = len(ends) > _IN_FULL or bool(folders and len(ends) > 1)
+        worst = _print(ends, in_lines=in_lines, details=arguments.details)
     if skipped:
         files = f"{len(skipped)} file{'s' if len(skipped) > 1 else ''}"
         shown = ", ".join(Path(name).name for name in skipped[:_MOST_SKIPPED])

@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -46,7 +46,7 @@ class Exported:
     seen: Seen
     devices: tuple[str, ...]
     instance: int = 0  # which of an autopilot's gyros they are
-    units: Units = Units()
+    units: Units = field(default_factory=Units)
 
     @property
     def name(self) -> str:
@@ -75,7 +75,8 @@ class Exported:
     @property
     def origin(self) -> list[str]:
         """Who was measured, how, and under what conditions: lines of text for the head of a file."""
-        return rendered("station.exports", "origin.txt", {"exported": self, "state_figures": state_figures(self.units)}).splitlines()
+        values = {"exported": self, "state_figures": state_figures(self.units)}
+        return rendered("station.exports", "origin.txt", values).splitlines()
 
 
 def exported_of(path: Path, devices: Sequence[str] = (), instance: int = 0) -> Exported:

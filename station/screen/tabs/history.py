@@ -160,7 +160,7 @@ class HistoryScreen(StationScreen):
         index = STATE_CHARTS.index(name)
         if not self._trend.values:
             return None
-        return state_drawing(index, self._trend, self._limits[index], "days", self._began_utc_s)
+        return state_drawing(index, self._trend, self._limits[index], "days", began_utc_s=self._began_utc_s)
 
 
 def _cells(entry: Entry) -> list[Text]:
