@@ -181,13 +181,17 @@ def _user(uid: int) -> str:
 
 
 def _sign(stack: ExitStack, file: int, what: str) -> None:
-    """Write into a locked file of this user who holds it; when the stack is closed, it is empty and unlocked."""
+    """Write into a locked file of this user who holds it; when the stack is closed, it is empty and unlocked.
+
+    Where nothing can be written it is locked all the same: others can fill the disk of the folder.
+    """
     import fcntl
 
     stack.callback(fcntl.flock, file, fcntl.LOCK_UN)  # also for children that were forked meanwhile
     stack.callback(os.ftruncate, file, 0)
-    os.ftruncate(file, 0)
-    os.pwrite(file, f"{os.getpid()} {what}".encode()[:_HOLDER_BYTES], 0)
+    with suppress(OSError):
+        os.ftruncate(file, 0)
+        os.pwrite(file, f"{os.getpid()} {what}".encode()[:_HOLDER_BYTES], 0)
 
 
 def _folder() -> str:

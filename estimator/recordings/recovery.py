@@ -74,7 +74,7 @@ def _fold(path: Path, journal: Path, file: BinaryIO) -> str:
             told = f"{path}: its run did not end; all that its journal holds was in it already"
         elif readable and found.damaged and not _is_longer(part, path):
             raise ValueError(sentence("recordings.no_more", path=path.name))
-        elif readable and _is_longer(path, part) and not _is_longer(part, path):
+        elif readable and _continues(path, part):
             told = f"{path}: its run did not end; it holds more samples than its journal"
             found.add_to_copy(path, part, told)
             part.replace(path)
@@ -146,6 +146,29 @@ def _is_longer(path: Path, other: Path) -> bool:
     with h5py.File(path, "r") as file, h5py.File(other, "r") as before:
         counts = {name: len(source["t_ns"]) for name, source in file.get("imu", {}).items() if "t_ns" in source}
         return any(len(before.get(f"imu/{name}/t_ns", ())) < count for name, count in counts.items())
+
+
+def _continues(path: Path, other: Path) -> bool:
+    """Return whether a recording has all samples of another and then more, all of which have been written.
+
+    A power cut may leave rows that a file counts and that never reached the disk: they read as zeros.
+    """
+    more = False
+    with h5py.File(path, "r") as file, h5py.File(other, "r") as part:
+        for name, source in part.get("imu", {}).items():
+            if "rate_rps" not in source:
+                continue
+            own = file.get(f"imu/{name}", {})
+            if not {"rate_rps", "t_ns"} <= own.keys() or not _begins_with(own["rate_rps"], source["rate_rps"]):
+                return False
+            n = len(source["rate_rps"])
+            rate_rps, t_ns = own["rate_rps"][n:], own["t_ns"][:]
+            if len(t_ns) != n + len(rate_rps) or np.any(np.diff(t_ns[max(n - 1, 0) :]) <= 0):
+                return False
+            if not rate_rps.any(axis=1).all():
+                return False
+            more = more or len(rate_rps) > 0
+    return more
 
 
 def _free_name(path: Path) -> Path:

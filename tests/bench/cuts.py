@@ -183,6 +183,10 @@ class Found:
     """Of these, those whose recording was not opened."""
     due: int = 0
     lost: int = 0
+    oldest_s: float = 0.0
+    """How long before the cut, or what stands for it, the first lost sample had arrived."""
+    lost_of_file: int = 0
+    """Of those lost, how many the HDF5 file itself had shown."""
     wrong: int = 0
 
     def missed(self) -> bool:
@@ -223,7 +227,8 @@ class Cuts:
         else:
             until_s = cut_s if self._journal in files else 0.0
         due = self._arrived(until_s)
-        for name, (at_ns, _) in (readable(path) if kind != "power" else {}).items():
+        shown = readable(path) if kind != "power" else {}
+        for name, (at_ns, _) in shown.items():
             due[name] = np.union1d(due[name], at_ns)
         there: Samples = {}
         found.cuts += 1
@@ -237,8 +242,12 @@ class Cuts:
                 found.unread += 1
                 print(f"{kind}, cut at {cut_s - self._calls[0].done_s:.3f} s: {type(error).__name__}: {error}")
         for name, at_ns in due.items():
+            lost_ns = at_ns[~np.isin(at_ns, there[name][0] if name in there else ())]
             found.due += len(at_ns)
-            found.lost += int((~np.isin(at_ns, there[name][0] if name in there else ())).sum())
+            found.lost += len(lost_ns)
+            if len(lost_ns):
+                found.oldest_s = max(found.oldest_s, until_s - self._zero_s - lost_ns[0] * 1e-9 / self._scale)
+            found.lost_of_file += int(np.isin(lost_ns, shown[name][0] if name in shown else ()).sum())
         for name, (at_ns, values) in there.items():
             sent_ns, sent = self._all[name]
             found.wrong += int((np.isin(at_ns, sent_ns) & ~np.isin(values, sent)).sum())
@@ -287,7 +296,8 @@ def main() -> None:
     for kind, figures in found.items():
         print(
             f"{kind}: {figures.cuts} cuts, {figures.unread} of {figures.enough} unread though enough was left; "
-            f"{figures.lost} of {figures.due} samples due are lost; {figures.wrong} wrong"
+            f"{figures.lost} of {figures.due} samples due are lost, the first {figures.oldest_s * 1e3:.0f} ms "
+            f"before, {figures.lost_of_file} of them shown by the HDF5 file; {figures.wrong} wrong"
         )
     sys.exit(any(figures.missed() for figures in found.values()))
 

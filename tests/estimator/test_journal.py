@@ -230,6 +230,21 @@ def test_a_power_cut_at_any_byte_leaves_every_whole_record(
             read_recording(path)
 
 
+@pytest.mark.parametrize("dataset", ["rate_rps", "t_ns"])
+def test_rows_that_a_power_cut_kept_from_the_disk_are_not_preferred_to_a_journal(
+    dead: Path, tmp_path: Path, dataset: str
+) -> None:
+    path = shutil.copytree(dead, tmp_path / "x") / "run.h5"
+    journal = path.with_name("run.h5.journal")
+    raw = journal.read_bytes()
+    journal.write_bytes(raw[: boundaries(raw)[5]])  # 25 samples; the recording has 30
+    with h5py.File(path, "r+") as file:
+        file["imu/imu"][dataset][28:] = 0
+    before = path.read_bytes()
+    assert rows_of(path) == 25
+    assert path.with_name("run.h5.before").read_bytes() == before
+
+
 def test_a_damaged_journal_costs_what_is_damaged_and_the_recording_is_kept(
     dead: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import getpass
 import json
 import math
 import os
+import resource
 import socket
 import subprocess
 import sys
@@ -156,6 +158,21 @@ def test_what_another_user_puts_in_the_place_of_a_lock_costs_no_file_of_the_oper
     assert str(lock) in reason
     assert "remove it" in reason
     assert asyncio.run(taken(link)) == ""
+
+
+def test_a_link_is_held_where_nobody_can_write_who_holds_it(link_and_lock: tuple[str, Path]) -> None:
+    link, _ = link_and_lock
+
+    async def twice() -> str:
+        soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (0, hard))  # as on a full disk
+        try:
+            async with held("table", link, 502, "a test"):
+                return await taken(link)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+    assert f"in use by a program of {getpass.getuser()}" in asyncio.run(twice())
 
 
 @needs_root
