@@ -39,8 +39,8 @@ class ImuData:
     """Samples of one source: instants (n,), rates (n, m), and what else it gave; ``lost`` counts what it lost,
     and samples with rates that nothing can have.
 
-    ``prior`` and ``noise`` are the data sheet's; ``device`` names what the source is a part of. ``rate_hz`` is how often
-    it was to be sampled, None where that is not stated.
+    ``prior`` and ``noise`` are the data sheet's; ``device`` names what the source is a part of. ``rate_hz`` is how
+    often it was to be sampled, None where that is not stated.
     """
 
     array: SensorArray

@@ -24,7 +24,7 @@ from estimator.recordings.reading import file_format, read_attributes, read_reco
 from estimator.recordings.recording import FORMAT
 from estimator.untrusted import harmless
 from station.bench.bench import Limits, load_bench, read_excluded, read_limits
-from station.bench.units import Units
+from station.bench.units import USUAL, Units
 from station.campaigns.campaigns import run_all
 from station.errors import UsageError
 from station.render import printing
@@ -50,15 +50,15 @@ class Estimated:
     """What one recording says, without its samples.
 
     ``attributes`` are those of the recording that tell which device was measured, how and when. ``seen`` is the
-    largest sigma of all states as a share of what the data sheet promises; ``units`` those to show states in. ``calibration`` is None, and ``seen`` NaN,
-    of a run that ended before there was enough to estimate from.
+    largest sigma of all states as a share of what the data sheet promises; ``units`` those to show states in.
+    ``calibration`` is None, and ``seen`` NaN, of a run that ended before there was enough to estimate from.
     """
 
     calibration: Calibration | None
     verdict: Verdict
     attributes: Mapping[str, Any]
     seen: float
-    units: Units = Units()
+    units: Units = USUAL
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +95,9 @@ def command_calibrate(arguments: argparse.Namespace) -> int:
     if arguments.json:
         worst = _print_json(ends)
     else:
-        worst = _print(ends, in_lines=len(ends) > _IN_FULL or bool(folders and len(ends) > 1), details=arguments.details)
+        worst = _print(
+            ends, in_lines=len(ends) > _IN_FULL or bool(folders and len(ends) > 1), details=arguments.details
+        )
     if skipped:
         files = f"{len(skipped)} file{'s' if len(skipped) > 1 else ''}"
         shown = ", ".join(Path(name).name for name in skipped[:_MOST_SKIPPED])

@@ -21,8 +21,8 @@ from estimator.observations.rows import BLOCK_S
 from estimator.planning.planning import UNSEEN, weighing
 from station.atomic_write import check_new_file, free_path, write_whole
 from station.bench.bench import Bench
-from station.bench.units import Units
 from station.bench.imu import ImuConfig
+from station.bench.units import Units
 from station.errors import UsageError
 from station.render.template import rendered
 from station.render.terminal import print_rendered, stdout

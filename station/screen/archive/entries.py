@@ -95,8 +95,9 @@ class Whole:
     ``sizes`` are the limits of the four states in SI, infinite where there is none; ``curves`` the live estimates by
     gyro, ``investigation`` the newest that is kept beside it, as JSON. ``samples`` and ``lost`` are None without a
     calibration, ``noise`` then the mean angle random walk in rad/s/rtHz and what 95 % of the expectation of the bias
-    instability lies below in rad/s, None if no noise was found. ``broken`` are the limits that are: their cells, what helps, and of which row, state, and whether of
-    its sigma they are; ``because`` is what may be behind that. ``attributes`` are those of the file.
+    instability lies below in rad/s, None if no noise was found. ``broken`` are the limits that are: their cells, what
+    helps, and of which row, state, and whether of its sigma they are; ``because`` is what may be behind that.
+    ``attributes`` are those of the file.
     """
 
     entry: Entry
