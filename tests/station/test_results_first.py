@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -95,9 +96,7 @@ def test_lines_fit_80_columns_and_no_figure_is_parted_from_its_unit(
     lines = shown(capsys, *words)
     assert max(map(len, lines)) <= COLUMNS
     units = r"(deg|deg/s|deg/h|ppm|urad|s|Hz|degC|min|%)\b"
-    parted = [
-        pair for pair in zip(lines, lines[1:]) if re.search(r"(^| )\d[\d.]*$", pair[0]) and re.match(units, pair[1])
-    ]
+    parted = [pair for pair in pairwise(lines) if re.search(r"(^| )\d[\d.]*$", pair[0]) and re.match(units, pair[1])]
     assert not parted
 
 
