@@ -17,7 +17,7 @@ from estimator.geometry.kinematics import Site
 from estimator.untrusted import read_text
 from station.bench.imu import ImuConfig, read_imu
 from station.bench.table import TableConfig, read_table
-from station.bench.units import Units
+from station.bench.units import USUAL, Units
 from station.errors import BenchError, UsageError
 from station.schema.tables import Table, keys_of
 
@@ -41,7 +41,7 @@ class Limits:
     nis_high: float
     lost: float
     written: Mapping[str, str] = field(default_factory=dict)
-    units: Units = field(default_factory=Units)
+    units: Units = USUAL
 
     @property
     def sizes(self) -> tuple[float, ...]:
@@ -67,8 +67,11 @@ class Limits:
     def stated(self) -> bool:
         """Whether there is anything to judge by."""
         least = (self.nis_low, 1 - self.lost)
-        most = (*self.sizes, *self.sds, self.nis_high)
-        return any(map(math.isfinite, most)) or any(value > 0 for value in least)
+        return (
+            any(map(math.isfinite, (*self.sizes, *self.sds)))
+            or math.isfinite(self.nis_high)
+            or any(v > 0 for v in least)
+        )
 
 
 @dataclass(frozen=True, slots=True)

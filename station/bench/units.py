@@ -10,3 +10,7 @@ class Units:
     scale_factor_error: str = "ppm"
     bias: str = "deg/h"
     misalignment: str = "urad"
+
+
+USUAL = Units()
+"""What is usual in the field, where no bench file says otherwise."""

@@ -7,7 +7,7 @@ import os
 import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -24,7 +24,7 @@ from estimator.recordings.reading import file_format, read_attributes, read_reco
 from estimator.recordings.recording import FORMAT
 from estimator.untrusted import harmless
 from station.bench.bench import Limits, load_bench, read_excluded, read_limits
-from station.bench.units import Units
+from station.bench.units import USUAL, Units
 from station.campaigns.campaigns import run_all
 from station.errors import UsageError
 from station.render import printing
@@ -58,7 +58,7 @@ class Estimated:
     verdict: Verdict
     attributes: Mapping[str, Any]
     seen: float
-    units: Units = field(default_factory=Units)
+    units: Units = USUAL
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,8 +95,9 @@ def command_calibrate(arguments: argparse.Namespace) -> int:
     if arguments.json:
         worst = _print_json(ends)
     else:
-        in_lines = len(ends) > _IN_FULL or bool(folders and len(ends) > 1)
-        worst = _print(ends, in_lines=in_lines, details=arguments.details)
+        worst = _print(
+            ends, in_lines=len(ends) > _IN_FULL or bool(folders and len(ends) > 1), details=arguments.details
+        )
     if skipped:
         files = f"{len(skipped)} file{'s' if len(skipped) > 1 else ''}"
         shown = ", ".join(Path(name).name for name in skipped[:_MOST_SKIPPED])

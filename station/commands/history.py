@@ -165,6 +165,6 @@ def _study(runs: Sequence[Entry]) -> dict[str, Any]:
 def _row(entry: Entry, folder: Path, moved: Sequence[dict[str, Any]]) -> dict[str, Any]:
     told: dict[str, Any] = {name: entry.texts.get(key, "") for key, name in _TEXTS.items()}
     told |= {"file": os.path.relpath(entry.path, folder), "wrong": entry.wrong, "device": entry.device}
-    told |= {"nis_mean": entry.nis_mean}
     gyros = [{"name": g.full_name, **by_state(g.values), "sd": by_state(g.sds)} for g in entry.gyros]
-    return {"when": entry.when, **told, "when_utc_s": entry.when_utc_s, "moved": moved, "gyros": gyros}
+    figures = {"nis_mean": entry.nis_mean, "moved": moved, "gyros": gyros}
+    return {"when": entry.when, **told, "when_utc_s": entry.when_utc_s, **figures}

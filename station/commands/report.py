@@ -3,6 +3,7 @@
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ from station.atomic_write import check_new_file, free_path, write_whole
 from station.errors import EXIT_USAGE, UsageError
 
 if TYPE_CHECKING:
+    from station.report.document import Report
     from station.report.recorded import Recorded
     from station.report.standing import Standing
 
@@ -19,10 +21,6 @@ def command_report(arguments: argparse.Namespace) -> int:
     html, pdf, dcc = _outputs(arguments)
     keys = [Path(name) for name in (arguments.sign, arguments.certificate) if name]
     # numpy, h5py and matplotlib are slow to import: what is wrong with the arguments was said before.
-    from rich.markup import escape
-
-    from station.render.printing import next_after_report
-    from station.render.terminal import print_all, stdout
     from station.report.dcc import check_facts, make_dcc, read_key, sign
     from station.report.document import make_report
     from station.report.formal import read_formal
@@ -65,15 +63,7 @@ def command_report(arguments: argparse.Namespace) -> int:
         print(json.dumps({**said, "html": str(html), "pdf": made[0], "dcc": made[1]}))
     else:
         _print_result(recorded, standing, details=arguments.details)
-        print(f"{said['title']} No. {said['number']}")
-        if standing.warning:
-            print_all(stdout(), [(escape(standing.warning), {"highlight": False})])
-        print(f"report: {html}")
-        for what, path in zip(("PDF", "digital calibration certificate"), made, strict=True):
-            if path:
-                print(f"{what}: {path}")
-        for step in next_after_report(standing.verdict, recorded.path):
-            print(f"next: {step}")
+        _print_documents(report, html, made, recorded.path)
     if problem:
         print(f"station: {problem}; the report is kept in {html}", file=sys.stderr)
         return EXIT_USAGE
@@ -94,6 +84,25 @@ def _print_result(recorded: "Recorded", standing: "Standing", *, details: bool) 
         verdict = standing.verdict or Verdict(Outcome.ESTIMATED, "")
         units = limits.units if limits is not None else Units()
         print_calibration(recorded.calibration, verdict, units, details=details)
+
+
+def _print_documents(report: "Report", html: Path, made: Sequence[str | None], recording: Path) -> None:
+    """Print what was written, what it is not, and what to do next; ``made`` are PDF and digital certificate."""
+    from rich.markup import escape
+
+    from station.render.printing import next_after_report
+    from station.render.terminal import print_all, stdout
+
+    standing = report.standing
+    print(f"{standing.title} No. {report.number}")
+    if standing.warning:
+        print_all(stdout(), [(escape(standing.warning), {"highlight": False})])
+    print(f"report: {html}")
+    for what, path in zip(("PDF", "digital calibration certificate"), made, strict=True):
+        if path:
+            print(f"{what}: {path}")
+    for step in next_after_report(standing.verdict, recording):
+        print(f"next: {step}")
 
 
 def refused(reason: str, arguments: argparse.Namespace) -> dict[str, str | None]:

@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from estimator.errors import EstimatorError, RecordingError
 from estimator.recordings.reading import read_recording
 from estimator.recordings.recording import Recording
 from station.bench.bench import read_limits
-from station.bench.units import Units
+from station.bench.units import USUAL, Units
 from station.errors import BenchError, UsageError, sentence
 from station.render.template import rendered
 from station.run.outcome import Outcome, Verdict
@@ -46,7 +46,7 @@ class Exported:
     seen: Seen
     devices: tuple[str, ...]
     instance: int = 0  # which of an autopilot's gyros they are
-    units: Units = field(default_factory=Units)
+    units: Units = USUAL
 
     @property
     def name(self) -> str:
@@ -75,8 +75,9 @@ class Exported:
     @property
     def origin(self) -> list[str]:
         """Who was measured, how, and under what conditions: lines of text for the head of a file."""
-        values = {"exported": self, "state_figures": state_figures(self.units)}
-        return rendered("station.exports", "origin.txt", values).splitlines()
+        return rendered(
+            "station.exports", "origin.txt", {"exported": self, "state_figures": state_figures(self.units)}
+        ).splitlines()
 
 
 def exported_of(path: Path, devices: Sequence[str] = (), instance: int = 0) -> Exported:

@@ -44,7 +44,7 @@ def test_without_limits_nothing_passes_and_doubts_are_in_the_reason(
     odd = json.loads(capsys.readouterr().out)
     assert odd["outcome"] == "ESTIMATED"
     assert "the two halves of this recording disagree" in odd["reason"]
-    assert main(["calibrate", str(tmp_path / "a.h5")]) == 0
+    assert main(["calibrate", str(tmp_path / "a.h5"), "--details"]) == 0
     printed = capsys.readouterr().out
     assert "ESTIMATED" in printed
     assert "holds for: rates of" in printed

@@ -50,13 +50,14 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "r.h5"
 
 
-@pytest.mark.parametrize("words", [("calibrate",), ("plan",)])
+@pytest.mark.parametrize("words", [("calibrate", "--details"), ("plan",)])
 def test_no_figure_is_cut_at_80_columns(words: tuple[str, ...], recording: Path) -> None:
-    files = [str(recording)] if words == ("calibrate",) else []
+    files = [str(recording)] if words[0] == "calibrate" else []
     lines = shown(command(*words, *files))
     tables = [line for line in lines if "│" in line]
     assert len(tables) > 8
     assert not [line for line in lines if "…" in line]
+    assert max(map(len, lines)) <= COLUMNS or any(str(recording) in line for line in lines)
     assert max(map(len, tables)) <= COLUMNS
 
 

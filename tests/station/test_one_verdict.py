@@ -207,8 +207,9 @@ def test_one_line_a_recording_and_reasons_after_it(folder: Path, capsys: pytest.
     lines = capsys.readouterr().out.partition("Repeatability")[0].splitlines()
     table = [line for line in lines if line.startswith("│")]
     assert len(table) == len(list(folder.iterdir()))
-    for path in folder.iterdir():
-        assert any(f" {path.name} " in line and outcome_of(path) in line for line in table)
+    assert all(
+        any(f" {path.name} " in line and outcome_of(path) in line for line in table) for path in folder.iterdir()
+    )
     reasons = lines[lines.index(next(line for line in lines if line.startswith("└"))) + 1 :]
     assert any("ABORTED.h5: stopped by the operator" in line for line in reasons)
     assert len(reasons) < 25

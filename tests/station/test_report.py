@@ -427,7 +427,7 @@ def test_laws_that_were_constructed_are_printed_and_reported_in_words_and_as_for
     laws = [law("lag(abs(u), 5)"), law("cos(2*angle_x); sin(2*angle_x)"), law("u*gz")]
     model = tmp_path / "model.json"
     model.write_text(ErrorModel(tuple(laws)).text(), encoding="utf-8")
-    assert main(["calibrate", "--write", "--model", str(model), str(copy)]) in (0, 1)
+    assert main(["calibrate", "--write", "--model", str(model), str(copy), "--details"]) in (0, 1)
     printed = " ".join(re.sub("[│┃]", " ", capsys.readouterr().out).split())
     in_words = "bias proportional to the size of the rate about the sense axis lagged by 5 s"
     assert "constructed: bias proportional to" in printed

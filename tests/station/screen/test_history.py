@@ -145,6 +145,20 @@ def test_a_result_on_the_screen_tells_that_the_device_has_moved(series: Path) ->
     driven(app, drive)
 
 
+def test_the_change_on_the_screen_is_that_since_the_last_comparable_run(series: Path, runs: Path) -> None:
+    write_run(series, runs, 12, moved=30.0, script="longer")
+    write_run(series, runs, 13, moved=30.0, outcome="FAIL")
+    newest = write_run(series, runs, 14)
+    app = HistoryFirst(Choices(folder=series, operator="A. Operator"))
+
+    async def drive(pilot: Pilot[None]) -> None:
+        app.open_recording(newest)
+        await until(pilot, lambda: "(day-" in " ".join(str(one.render()) for one in app.screen.query("#change")))
+        assert "(day-11.h5" in str(app.screen.query_one("#change").render())
+
+    driven(app, drive)
+
+
 @pytest.mark.parametrize(
     "other",
     [
