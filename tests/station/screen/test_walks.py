@@ -89,7 +89,7 @@ def test_from_prepare_to_certificate_in_a_terminal(bench: Path) -> None:
         terminal.wait("READY  the table will move")
         terminal.press("F7")
         terminal.wait("STOP  F9", "turning")
-        terminal.wait("ESTIMATED", "States and their sigmas", "none of it in this folder")
+        terminal.wait("ESTIMATED", "States and their sigmas", "consistency: mean NIS")
         terminal.press("a")
         terminal.wait("Accept the calibration of SN-0042 as A. Operator?")
         terminal.press("Tab")
