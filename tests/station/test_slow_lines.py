@@ -19,8 +19,20 @@ from station.scripts.script import Rest, Rotate, Script
 DEG = math.pi / 180
 
 
-@pytest.mark.parametrize("stopped", [False, True], ids=["to its end", "stopped in motion"])
-@pytest.mark.parametrize("one_way_ms", [75, 150, 190])
+TO_ITS_END, IN_MOTION = False, True
+
+
+@pytest.mark.parametrize(
+    ("one_way_ms", "stopped"),
+    [
+        pytest.param(190, TO_ITS_END, id="190-to its end"),
+        pytest.param(75, IN_MOTION, id="75-stopped in motion"),
+        pytest.param(75, TO_ITS_END, id="75-to its end", marks=pytest.mark.full),
+        pytest.param(150, TO_ITS_END, id="150-to its end", marks=pytest.mark.full),
+        pytest.param(150, IN_MOTION, id="150-stopped in motion", marks=pytest.mark.full),
+        pytest.param(190, IN_MOTION, id="190-stopped in motion", marks=pytest.mark.full),
+    ],
+)
 def test_a_line_that_runs_a_script_also_stops_it(tmp_path: Path, one_way_ms: int, stopped: bool) -> None:
     path = tmp_path / "bench.toml"
     fault = f'\n[twin.fault]\nlatency = "{one_way_ms} ms"\n'
