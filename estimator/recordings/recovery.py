@@ -19,6 +19,7 @@ from estimator.recordings.journal import ARRIVED, ATTRIBUTES, ROWS, Entry, journ
 from estimator.recordings.recording import FORMAT, IDENTITY
 from estimator.recordings.safe_open import probe
 from estimator.recordings.writing import RecordingWriter, plain, write_attributes
+from estimator.types import Floats
 
 _log = logging.getLogger(__name__)
 
@@ -26,6 +27,8 @@ _MOST_NAMES = 2000  # of groups, columns and attributes
 _ENTRY_BYTES, _PENDING_BYTES = 1000, 1 << 24  # of an entry beside its rows; of rows that are written together
 _ROWS_AT_ONCE = 65536
 _PATIENCE_S = 60.0  # for another process that recovers in the same folder
+_MOST_ZEROS = 8
+"""Samples in a row that a coarse sensor reads as zeros by chance; a lost sector of a disk has 21 or more."""
 _RECOVERED = "recovered"
 _RESULTS = frozenset({"outcome", "reason"})
 """Attributes of the file that change when a run ends: they do not tell one run from another."""
@@ -162,13 +165,21 @@ def _continues(path: Path, other: Path) -> bool:
             if not {"rate_rps", "t_ns"} <= own.keys() or not _begins_with(own["rate_rps"], source["rate_rps"]):
                 return False
             n = len(source["rate_rps"])
-            rate_rps, t_ns = own["rate_rps"][n:], own["t_ns"][:]
-            if len(t_ns) != n + len(rate_rps) or np.any(np.diff(t_ns[max(n - 1, 0) :]) <= 0):
+            rate_rps, t_ns = own["rate_rps"][:], own["t_ns"][:]
+            if len(t_ns) != len(rate_rps) or np.any(np.diff(t_ns[max(n - 1, 0) :]) <= 0):
                 return False
-            if not rate_rps.any(axis=1).all():
+            usual = _longest_zeros(rate_rps[:n])
+            most = _MOST_ZEROS if usual else 0
+            if usual <= _MOST_ZEROS and _longest_zeros(rate_rps[n:]) > most:
                 return False
-            more = more or len(rate_rps) > 0
+            more = more or len(rate_rps) > n
     return more
+
+
+def _longest_zeros(rate_rps: Floats) -> int:
+    """Return how many samples in a row are zeros in all channels, at most."""
+    others = np.flatnonzero(np.append(rate_rps.any(axis=1), True))
+    return int(np.diff(others, prepend=-1).max()) - 1
 
 
 def _free_name(path: Path) -> Path:

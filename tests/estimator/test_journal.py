@@ -245,6 +245,25 @@ def test_rows_that_a_power_cut_kept_from_the_disk_are_not_preferred_to_a_journal
     assert path.with_name("run.h5.before").read_bytes() == before
 
 
+@pytest.mark.parametrize("stuck", [False, True], ids=["coarse", "stuck at zero"])
+def test_the_zeros_of_a_coarse_sensor_are_no_rows_that_were_not_written(tmp_path: Path, stuck: bool) -> None:
+    writer = begin(tmp_path / "run")
+    writer.note_source("imu", {"lost": 2})
+    rate_rps = np.random.default_rng(4).integers(-1, 2, (1000, 3)) * (0.0 if stuck else 0.1)
+    assert np.count_nonzero(~rate_rps.any(axis=1)) > 10
+    for at in range(0, 1000, 100):
+        part = slice(at, at + 100)
+        writer.append_rows("imu/imu", {"t_ns": T_NS[part], "arrival_ns": T_NS[part], "rate_rps": rate_rps[part]})
+        writer.append_rows("table", {"t_ns": T_NS[part], "angle_rad": RATE[part], "rate_rps": RATE[part]})
+        writer.write_journal()
+    writer.flush()
+    path = left_by(tmp_path / "run", tmp_path / "left")
+    journal = path.with_name("run.h5.journal")
+    os.truncate(journal, journal.stat().st_size // 2)
+    np.testing.assert_array_equal(read_recording(path).sources["imu"].rate_rps, rate_rps)
+    writer.close()
+
+
 def test_a_damaged_journal_costs_what_is_damaged_and_the_recording_is_kept(
     dead: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
