@@ -135,6 +135,8 @@ def corners_of(t_s: Floats, rate_rps: Floats, most: int) -> Iterator[tuple[list[
     corners = [0, len(t_s) - 1]
     while len(corners) < min(most, len(t_s) // 2):
         off = np.abs(rate_rps - np.interp(t_s, t_s[corners], rate_rps[corners]))
+        if not off.any():
+            return
         corners = sorted({*corners, int(np.argmax(off))})
         yield corners, float(np.abs(rate_rps - np.interp(t_s, t_s[corners], rate_rps[corners])).max())
 
