@@ -111,7 +111,7 @@ def test_a_device_that_tells_no_identity_is_doubted_after_its_link_came_back() -
 def test_impossible_rates_are_counted_left_out_and_told(bench: str, device: str) -> None:
     found = ended((bench, (Fault(device, "huge", 'huge = "3 %"'),), 0))
     assert found.outcome == "FAIL", found.reason
-    assert re.search(r"[1-3]\.\d\d% of the samples lost", found.reason), found.reason
+    assert re.search(r"[1-3]\.\d\d % of the samples lost", found.reason), found.reason
     assert "mean NIS" not in found.reason
 
 
