@@ -43,6 +43,7 @@ _TAIL = 3.0  # a few readings are far off, as a rate that is a mean over a corne
 _INWARD = 0.02  # of a ramp
 _FITS = 3.0  # sigmas rms; what fits worse is no ramp
 _HOPELESS = 100.0  # sigmas rms after the first round: not worth another
+_READINGS_A_CORNER = 5.0
 _HIDDEN = 2.0  # times the largest change between two readings
 _TRIES = 4  # numbers of corners
 _BEYOND_S = 1e-3
@@ -162,7 +163,10 @@ def _polylines(
     for end, is_cut, steady in ((0, cut[0], rate_rps[: first + 1]), (-1, cut[1], rate_rps[last:])):
         rates[end] = rates[end] if is_cut else float(np.median(steady))
     # Straight lines between the right corners are off by no more than a corner can hide between two readings.
-    hidden_rps = _HIDDEN * float(np.abs(np.diff(rates)).max(initial=0.0))
+    most_rps = float(np.abs(np.diff(rates)).max(initial=0.0))
+    if np.ptp(rates) < _READINGS_A_CORNER * most_rps:
+        return  # noise, or a ramp that is seen by too few readings
+    hidden_rps = _HIDDEN * most_rps
     tried = 0
     for corners, off_rps in corners_of(between_s, rates, MOST_CORNERS + 2):
         inner = corners[kept]
