@@ -229,7 +229,9 @@ def test_rivals_come_with_the_script_that_tells_them_apart(capsys: pytest.Captur
     print_investigation(made(Finding.CANNOT_TELL), following, Path("next.toml"), stdout())
     text = capsys.readouterr().out
     assert "cannot tell apart: thermal bias or bias drift" in text
-    assert "drive next: a rest, 300 s: tells thermal bias, bias drift apart with probability 90%" in " ".join(text.split())
+    assert "drive next: a rest, 300 s: tells thermal bias, bias drift apart with probability 90%" in " ".join(
+        text.split()
+    )
     assert "station run --script next.toml" in text
     assert "left out, the recordings hold no temperature: thermal bias" in text
 

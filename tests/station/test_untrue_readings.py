@@ -89,7 +89,9 @@ def test_the_table_stands_soon_after_its_readings_do_not_change_any_more(
     assert f"axis {axis} report" in result.verdict.reason
 
 
-@pytest.mark.parametrize("name", PROTOCOLS)
+@pytest.mark.parametrize(
+    "name", [*PROTOCOLS[:-1], pytest.param(PROTOCOLS[-1], marks=pytest.mark.full)]
+)  # the last has the driver of the one before
 def test_what_is_slow_small_steep_or_late_is_no_fault(tmp_path: Path, name: str) -> None:
     fault = "[twin.fault]\nlatency = '20 ms'\njitter = '2 ms'" if name != "acutrol_vectornav" else ""
     bench = bench_with(tmp_path, name, fault)
