@@ -21,11 +21,13 @@ def command_report(arguments: argparse.Namespace) -> int:
     html, pdf, dcc = _outputs(arguments)
     keys = [Path(name) for name in (arguments.sign, arguments.certificate) if name]
     # numpy, h5py and matplotlib are slow to import: what is wrong with the arguments was said before.
+    from station.exports.exported import raw_sha256
     from station.report.dcc import check_facts, make_dcc, read_key, sign
     from station.report.document import make_report
     from station.report.formal import read_formal
     from station.report.recorded import read_recorded
     from station.report.traced import read_traced
+    from station.screen.archive.register import Document, check_number, enter
 
     if keys:
         read_key(*keys)
@@ -34,12 +36,24 @@ def command_report(arguments: argparse.Namespace) -> int:
     if dcc is not None:
         check_facts(formal)
     traced = read_traced(Path(arguments.investigation) if arguments.investigation else None, recorded)
+    data_sha256 = raw_sha256(recorded.path)
+    if formal.certificate_number:
+        check_number(formal.certificate_number, data_sha256)
     report = make_report(recorded, traced, formal)
+    document = Document(
+        number=report.number,
+        data_sha256=data_sha256,
+        recording=str(recorded.path.absolute()),
+        title=report.standing.title,
+        replaces=formal.certificate_replaces,
+    )
+    enter(document)
     write_whole(html, report.html)
     standing = report.standing
     said = {
         "title": standing.title,
         "number": report.number,
+        "replaces": formal.certificate_replaces,
         "outcome": None if standing.verdict is None else str(standing.verdict.outcome),
         "reason": None if standing.verdict is None else standing.verdict.reason,
         "certificate": standing.certificate,

@@ -11,7 +11,7 @@ import numpy as np
 from lxml import etree
 from scipy.special import chdtri
 
-from drivers.packaged import packaged_toml
+from drivers.packaged import packaged_text, packaged_toml
 from station.errors import UsageError, sentence
 from station.render.template import rendered
 from station.report.document import Report
@@ -51,6 +51,7 @@ def make_dcc(recorded: Recorded, formal: Formal, report: Report, pdf: bytes | No
         "k": f"{COVERAGE:g}",
         "p": PROBABILITY,
         "k_of_four": float(np.sqrt(chdtri(4, 1 - PROBABILITY))),  # JCGM 102:2011, 6.5.2.4
+        "stylesheet": base64.b64encode(packaged_text("station.report", "dcc.css").encode()).decode(),
         "pdf": pdf and base64.b64encode(pdf).decode(),
         "version": importlib.metadata.version("turntable-station"),
     }
@@ -76,6 +77,11 @@ def sign(xml: bytes, key: Path, certificate: Path) -> bytes:
     signer = XAdESSigner(signature_algorithm=method, data_object_format=described)
     signed = signer.sign(etree.fromstring(xml, _PARSER), key=private, cert=pem)
     text = bytes(etree.tostring(signed, xml_declaration=True, encoding="UTF-8"))
+    # What stands before the root, the stylesheet for browsers, is no part of what is signed.
+    stylesheet = re.search(rb"<\?xml-stylesheet[^>]*\?>", xml)
+    if stylesheet:
+        declaration, _, rest = text.partition(b"?>\n")
+        text = declaration + b"?>\n" + stylesheet[0] + b"\n" + rest
     validate(text)
     return text
 

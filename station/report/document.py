@@ -70,7 +70,7 @@ def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Re
     if before is not None:
         hashes["as_found"] = file_sha256(before.path)
     standing = standing_of(recorded, formal)
-    number = formal.certificate_number or number_of(recorded, tuple(hashes.values()))
+    number = formal.certificate_number or number_of(recorded, tuple(hashes.values()), formal.certificate_replaces or "")
     device = formal.item_serial_number or recorded.text("device")
     versions = [f"{name} {importlib.metadata.version(name)}" for name in _PACKAGES]
     not_seen = unseen.unseen_of(recorded)
@@ -81,6 +81,7 @@ def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Re
         "logo": logo_of(formal.laboratory_logo) if formal.laboratory_logo else "",
         "before": before,
         "found": recorded.calibration,
+        "summary": results.summary(recorded, standing),
         "states": figures.states_in(limits.units if (limits := limits_of(recorded)) is not None else Units()),
         "standing": standing,
         "unseen": not_seen,

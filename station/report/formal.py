@@ -22,13 +22,20 @@ _ORDER = ("item_received", "performed_date", "certificate_issued", "certificate_
 
 @dataclass(frozen=True, slots=True)
 class Equipment:
-    """An instrument that was used, the certificate of its calibration, until when that is good, or why no such date."""
+    """An instrument that was used, and what its own certificate states.
+
+    ``laboratory`` gave the ``certificate`` for a calibration on the day ``calibrated``, which is good until ``due``;
+    ``no_due`` says why there is no such day. ``uncertainty`` is in the words of the certificate.
+    """
 
     name: str
     serial_number: str | None
     certificate: str | None
     due: date | None
     no_due: str | None = None
+    laboratory: str | None = None
+    calibrated: date | None = None
+    uncertainty: str | None = None
 
 
 _LEFT_OUT: Mapping[str, Any] = {
@@ -57,10 +64,21 @@ class Formal:
 
     @property
     def overdue(self) -> tuple[Equipment, ...]:
-        """Instruments whose calibration was over at the time of this one, or nobody stated until when it is good."""
+        """Instruments whose calibration was over on the date of measurement, or nobody stated until when it is good.
+
+        Without a date of measurement no stated date can be over.
+        """
         day = self.performed_date
-        late = (not one.no_due if one.due is None else day is None or one.due < day for one in self.equipment)
+        late = (not one.no_due if one.due is None else bool(day) and one.due < day for one in self.equipment)
         return tuple(one for one, over in zip(self.equipment, late, strict=True) if over)
+
+    @property
+    def place(self) -> str:
+        """Where it was calibrated (ISO/IEC 17025:2017, 7.8.2.1 c), empty if that is not known."""
+        if self.performed_place:
+            return str(self.performed_place)
+        address = ", ".join(self.laboratory_address)
+        return address and f"at the laboratory, {address}"
 
     @property
     def approved(self) -> bool:
@@ -101,6 +119,8 @@ def read_formal(recorded: Recorded, meta: Path | None = None, text: str | None =
     elif stated.pop("decision_false_accept", None) and (decision.has("false_accept") or not decision.has("rule")):
         where = decision if decision.has("false_accept") else bench.table("decision", optional=True)
         raise where.fail("false_accept", 'is for rule = "guard band"')
+    if (replaced := stated.get("certificate_replaces")) and replaced == stated.get("certificate_number"):
+        raise top.fail_at(f"certificate.replaces: {replaced!r} is the number of this document: give this one a new one")
     stated.setdefault("certificate_approved_by", recorded.text("accepted_by") or None)
     stated.setdefault("performed_date", begun and begun.date())
     _check_dates(top, stated, begun)
@@ -134,6 +154,14 @@ def logo_of(path: Path) -> str:
 def _check_dates(top: Table, stated: Mapping[str, Any], begun: datetime | None) -> None:
     """See that dates are in their order; ``begun``: of the recording, UTC; places are 12 h behind to 14 h ahead."""
     day = stated["performed_date"]
+    for one in stated.get("equipment", ()):
+        if one.calibrated and one.due and one.due < one.calibrated:
+            raise top.fail_at(f"equipment: {one.name} was calibrated on {one.calibrated}, due before that: correct one")
+        if one.calibrated and day and one.calibrated > day:
+            raise top.fail_at(
+                f"equipment: {one.name} was calibrated on {one.calibrated}, after this measurement of {day}: "
+                "name the certificate that was valid then"
+            )
     if begun and day and not (begun - timedelta(hours=12)).date() <= day <= (begun + timedelta(hours=14)).date():
         raise top.fail_at(
             f"performed.date: {day} cannot be, the run began on {begun:%Y-%m-%d} UTC: correct it, or leave it out"

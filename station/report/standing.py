@@ -27,6 +27,11 @@ class Kind(Enum):
     FAILED = ("Calibration report: not within limits", ": the calibration failed its limits")
     OVERDUE = ("Calibration report", ": the calibration of an instrument that was used was over, or has no date")
     NOT_APPROVED = ("Calibration report", ": nobody but the operator approved it, and the bench file asks for another")
+    UNDATED = ("Calibration report", ": no date of measurement is stated ([performed] date)")
+    NO_PLACE = (
+        "Calibration report",
+        ": it is not stated where it was calibrated ([performed] place, or [laboratory] address)",
+    )
     NO_ESTIMATE = ("Report of a failed calibration", ": the run came to no estimate")
     MANUAL = ("Report of a session in manual mode", ": the table was driven by hand, and nothing was judged")
     ABORTED = ("Report of an aborted run", ": the run was ended before its time")
@@ -35,12 +40,16 @@ class Kind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """What the document is, how the run ended or was judged (None: not at all), each limit beside what was found."""
+    """What the document is, how the run ended or was judged (None: not at all), each limit beside what was found.
+
+    ``beside`` are further formal reasons for which it is no certificate.
+    """
 
     kind: Kind
     verdict: Verdict | None
     lines: tuple[LimitLine, ...]
     simulated: bool
+    beside: tuple[Kind, ...] = ()
 
     @property
     def certificate(self) -> bool:
@@ -53,10 +62,15 @@ class Standing:
         return str(self.kind.value[0])
 
     @property
+    def kinds(self) -> tuple[Kind, ...]:
+        """The kind of the document, and what else would keep it from being a certificate."""
+        return (self.kind, *self.beside)
+
+    @property
     def warning(self) -> str:
         """What it is not, empty for a certificate."""
         twins = "Simulated devices: table and gyros of this run were twins in software." if self.simulated else ""
-        why = self.kind.value[1]
+        why = "".join(kind.value[1].replace(": ", "; " if kind in self.beside else ": ", 1) for kind in self.kinds)
         return " ".join(filter(None, (twins, why and f"This is not a calibration certificate{why}.")))
 
 
@@ -69,10 +83,19 @@ def standing_of(recorded: Recorded, formal: Formal | None = None) -> Standing:
         lines = tuple(_guarded(line, found, formal.decision_false_accept) for line in listed)
     simulated = is_simulated(recorded)
     kind, verdict = _kind_of(recorded, limits, lines)
+    beside: tuple[Kind, ...] = ()
     if kind is Kind.CERTIFICATE:
-        formally = {Kind.OVERDUE: formal.overdue, Kind.NOT_APPROVED: not formal.approved, Kind.SPECIMEN: simulated}
-        kind = next((other for other, so in formally.items() if so), kind)
-    return Standing(kind, verdict, lines, simulated)
+        kind, *more = _formal_kinds(formal, simulated=simulated) or [kind]
+        beside = tuple(more)
+    return Standing(kind, verdict, lines, simulated, beside)
+
+
+def _formal_kinds(formal: Formal, *, simulated: bool) -> list[Kind]:
+    """Return what a run that passed lacks of a certificate; a specimen needs neither a date nor a place."""
+    lacking = {Kind.OVERDUE: bool(formal.overdue), Kind.NOT_APPROVED: not formal.approved}
+    if not simulated:
+        lacking |= {Kind.UNDATED: formal.performed_date is None, Kind.NO_PLACE: not formal.place}
+    return [kind for kind, so in lacking.items() if so] or [Kind.SPECIMEN] * simulated
 
 
 def _guarded(line: LimitLine, found: Calibration, false_accept: float | None) -> LimitLine:
@@ -132,8 +155,11 @@ def limits_of(recorded: Recorded) -> Limits | None:
     return read_limits(text) if text else None
 
 
-def number_of(recorded: Recorded, hashes: tuple[str, ...]) -> str:
-    """Return a number for the document from its date and what its sources hash to: the same sources give the same."""
-    digest = hashlib.sha256("".join(hashes).encode()).hexdigest()[:10].upper()
+def number_of(recorded: Recorded, hashes: tuple[str, ...], replaces: str = "") -> str:
+    """Return a number for the document from its date and what its sources hash to: the same sources give the same.
+
+    An amendment has another number than the document that it ``replaces``.
+    """
+    digest = hashlib.sha256("".join((*hashes, replaces)).encode()).hexdigest()[:10].upper()
     begun = recorded.begun_utc
     return f"{begun:%Y%m%d}-{digest}" if begun else digest

@@ -164,7 +164,7 @@ def test_equipment_states_until_when_it_is_good_or_why_that_has_no_date(tmp_path
     reason = f'{undated}no_due = "a square of granite, checked before each use"\n'
     assert not read_formal(recorded(tmp_path), written(tmp_path, reason)).overdue
     day_unknown = recorded(tmp_path, clock_zero_utc_s=float("nan"))
-    assert [one.name for one in read_formal(day_unknown).overdue] == ["rate table"]
+    assert not read_formal(day_unknown).overdue  # nothing says that it was
 
 
 def test_dates_that_cannot_follow_each_other_are_told_where_they_stand(tmp_path: Path) -> None:
@@ -183,3 +183,23 @@ def test_dates_that_cannot_follow_each_other_are_told_where_they_stand(tmp_path:
 def test_a_bench_that_states_a_false_acceptance_without_a_guard_band_is_told_when_it_is_read() -> None:
     with pytest.raises(BenchError, match=r'decision.false_accept: is for rule = "guard band"'):
         read_bench(default_bench_text() + '[decision]\nfalse_accept = "1 %"\n', "bench.toml")
+
+
+def test_instruments_state_the_chain_of_their_certificates(tmp_path: Path) -> None:
+    chain = (
+        '[[equipment]]\nname = "rate table"\ncertificate = "258-1"\nlaboratory = "PTB"\n'
+        'calibrated = 2026-01-15\nuncertainty = "2 ppm (k = 2)"\ndue = {due}\n'
+    )
+    one = read_formal(recorded(tmp_path), written(tmp_path, chain.format(due="2027-01-15"))).equipment[0]
+    assert (one.laboratory, one.calibrated, one.uncertainty) == ("PTB", date(2026, 1, 15), "2 ppm (k = 2)")
+    with pytest.raises(UsageError, match="rate table was calibrated on 2026-01-15, due before that"):
+        read_formal(recorded(tmp_path), written(tmp_path, chain.format(due="2025-01-15")))
+    later = chain.format(due="2028-01-15").replace("2026-01-15", "2026-08-01")
+    with pytest.raises(UsageError, match="calibrated on 2026-08-01, after this measurement of 2026-05-01"):
+        read_formal(recorded(tmp_path), written(tmp_path, later))
+
+
+def test_an_amendment_has_a_number_of_its_own(tmp_path: Path) -> None:
+    text = '[certificate]\nnumber = "C-18"\nreplaces = "C-18"\n'
+    with pytest.raises(UsageError, match=r"certificate.replaces: 'C-18' is the number of this document"):
+        read_formal(recorded(tmp_path), written(tmp_path, text))

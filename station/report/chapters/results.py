@@ -1,21 +1,58 @@
 """What was found: states with their uncertainties, the comparison with the limits, the budget."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from markupsafe import Markup
 
 from drivers.packaged import packaged_toml
 from drivers.units import split_quantity
+from estimator.calibration.gyro import GyroCalibration
 from estimator.calibration.values import Calibration
 from station.report.figures import ONE, PERCENT, SYMBOLS, Unit, figure, plain, stated, typographic
 from station.report.recorded import Recorded
 from station.report.standing import Standing
 from station.report.traced import Traced
+from station.run.outcome import Outcome
 from station.views.limits import MEAN_NIS, SAMPLES_LOST, LimitLine
 
 SOURCES = packaged_toml("station.views", "budget.toml")["report"]
 """What lines of the budget are called."""
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceSummary:
+    """The largest error of each state among the gyros of one device.
+
+    ``largest`` has a gyro and its row in the calibration for each of the four states. ``verdict`` is PASS or FAIL by
+    the limits of the device and of the run, or how the run ended otherwise; empty if nothing was judged.
+    """
+
+    name: str
+    largest: tuple[tuple[GyroCalibration, int], ...]
+    verdict: str
+
+
+def summary(recorded: Recorded, standing: Standing) -> list[DeviceSummary]:
+    """Return a line for each device of a calibration, in the order of its gyros; none without a calibration."""
+    if recorded.calibration is None:
+        return []
+    rows: dict[str, list[int]] = {}
+    for row, gyro in enumerate(recorded.calibration.gyros):
+        rows.setdefault(gyro.source, []).append(row)
+    return [_device_summary(recorded, standing, name, own) for name, own in rows.items()]
+
+
+def _device_summary(recorded: Recorded, standing: Standing, name: str, rows: Sequence[int]) -> DeviceSummary:
+    assert recorded.calibration is not None
+    gyros = recorded.calibration.gyros
+    largest = [max(rows, key=lambda row: abs(float(gyros[row].states[state]))) for state in range(4)]
+    verdict = "" if standing.verdict is None else str(standing.verdict.outcome)
+    own = all(line.within for line in standing.lines if line.row is None or line.row in rows)
+    if verdict == Outcome.FAIL and own and not all(line.within for line in standing.lines):
+        verdict = str(Outcome.PASS)  # it is another device that failed
+    return DeviceSummary(name, tuple((gyros[row], row) for row in largest), verdict)
 
 
 def moved_by(recorded: Recorded, found: Calibration, traced: Traced) -> float:
