@@ -29,7 +29,7 @@ from station.render.progress import RunProgress
 from station.render.terminal import print_rendered, stdout
 from station.run.early_end import check_early_end
 from station.run.event_loop.detached_output import lasting_streams
-from station.run.event_loop.loops import ScaledLoop, VirtualLoop, run_to_end
+from station.run.event_loop.loops import PacedLoop, ScaledLoop, VirtualLoop, run_to_end
 from station.run.event_loop.signals import ignore_hang_up
 from station.run.outcome import Outcome
 from station.run.session import Result, RunOptions, Session
@@ -177,9 +177,10 @@ def command_import(arguments: argparse.Namespace) -> int:
 
 
 def clock(bench: Bench, scale: float | None) -> asyncio.Runner:
-    """Return what runs loops of one clock: virtual time if every link leads to a twin and no scale is given."""
-    virtual = needs_only_memory(bench) and scale is None
-    return asyncio.Runner(loop_factory=VirtualLoop if virtual else partial(ScaledLoop, scale or 1.0))
+    """Return what runs loops of one clock; virtual or paced time if every link leads to a twin in memory."""
+    if not needs_only_memory(bench):
+        return asyncio.Runner(loop_factory=partial(ScaledLoop, scale or 1.0))
+    return asyncio.Runner(loop_factory=VirtualLoop if scale is None else partial(PacedLoop, scale))
 
 
 async def drive(

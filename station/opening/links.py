@@ -1,5 +1,6 @@
 """What a link in a bench file means: twin:, serial:, tcp:, rfc2217:, socket:, can:."""
 
+import re
 from contextlib import suppress
 from typing import Any
 from urllib.parse import SplitResult, parse_qs, urlsplit
@@ -12,6 +13,7 @@ from drivers.tables.modbus.line import SerialPort
 from station.errors import BenchError, sentence
 from station.schema.tables import link_of
 
+_HERE = re.compile(r"//(?:127\.|localhost|\[::1\])|/dev/pts/|udp_multicast|can:virtual")
 _BYTE_LINKS = "write serial:///dev/ttyUSB0?baud=921600, tcp://host:port, rfc2217://host:port, or twin:"
 _SERIAL_OPTIONS = {"baud", "parity", "stop_bits"}
 _TCP_LIMIT_S = 2.0
@@ -43,6 +45,11 @@ def driver_link(
     if not url.hostname or port is None:
         raise BenchError(f"{device}: {link!r} is no link it can use: write tcp://host:port, or twin:")
     return (url.hostname, port) if spec.opens_links else TcpLink(device, url.hostname, port, _TCP_LIMIT_S * time_scale)
+
+
+def ends_here(link: str) -> bool:
+    """Return whether a link ends on this computer, at a program and no device, as far as its address tells."""
+    return bool(_HERE.search(link))
 
 
 def can_address(link: str, device: str) -> tuple[str, str, dict[str, Any]]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from drivers.clocks.sampling import Alignment
-from drivers.errors import LinkLost
+from drivers.errors import DeviceError, LinkLost
 from drivers.protocols import EarlySource
 from drivers.types import Floats, Identity, ImuBlock, LinkCounts, SourceCounts
 from estimator.calibration.error_model import ErrorModel
@@ -20,7 +20,9 @@ from estimator.observations.timing import TimeOffset
 from estimator.recordings.writing import RecordingWriter
 from station.errors import sentence
 from station.opening import OpenBench, OpenImu
+from station.opening.links import ends_here
 from station.opening.reopening import Reopening
+from station.run.event_loop.host import HostWatch
 from station.run.event_loop.loops import is_virtual
 from station.run.live import LiveEstimate
 from station.run.monitor import Beside, Monitor
@@ -33,7 +35,6 @@ _LOOK_S = 0.2  # between looks at counts, which go into the journal
 _FLUSH_S = 2.0
 _HISTORY_BLOCKS = 50  # of the live filter, which are written together
 _SLOW_S = 0.02  # of the table, after which its answers may be why a run fails
-_LATE_S = 0.03  # of the host, after which a computer may be why a run fails
 _FIRST_SAMPLE_S = 3.0
 _SILENCE_S = 1.0
 _TIMED_S, _SIGMAS = 0.0005, 4.0  # an offset that is told lies beyond both
@@ -102,7 +103,8 @@ class Acquisition:
         self.closed = False
         self._last_seen_s: dict[str, float] = {}
         self._noted: dict[str, dict[str, float | int]] = {}
-        self._half_width_ns, self._rate_window_ns, self._late_s, self._late_at_s = 0, 0, 0.0, -np.inf
+        self._half_width_ns, self._rate_window_ns = 0, 0
+        self.host = HostWatch(time_scale)
         self._sync: asyncio.Future[Any] | None = None
         writer.add_table(self._bench.table.gimbals, self._bench.table.uncertainty)
         for imu in self._imus:
@@ -191,7 +193,8 @@ class Acquisition:
         """Look until cancelled whether samples come; LinkLost if those of a source do not."""
         limit_s = _SILENCE_S * self._scale
         while True:
-            await self._sleep(limit_s / 4)
+            if await self._slept_late(limit_s / 4):
+                continue  # what came meanwhile is still to be taken in
             now = asyncio.get_running_loop().time()
             silent = [
                 name
@@ -199,21 +202,22 @@ class Acquisition:
                 if now - seen > limit_s and self._device_of(name) not in self._reopening.under_way
             ]
             if silent:
-                since_s = min(self._last_seen_s[name] for name in silent)
-                late = f"; {self._late}" if self._late_at_s > since_s else ""
-                raise LinkLost(self._device_of(silent[0]), f"{', '.join(silent)} fell silent for {limit_s:g} s{late}")
+                raise LinkLost(self._device_of(silent[0]), f"{', '.join(silent)} fell silent for {limit_s:g} s")
 
     def _device_of(self, source: str) -> str:
         return next(imu.config.name for imu in self._imus if source in imu.source.names)
 
-    async def _sleep(self, time_s: float) -> None:
-        """Sleep, and keep by how much the computer was late with that (s of the host), and when it was last."""
-        loop = asyncio.get_running_loop()
-        due_s = loop.time() + time_s
+    async def _slept_late(self, time_s: float) -> bool:
+        """Sleep; return whether this computer was late with that."""
+        due_s = asyncio.get_running_loop().time() + time_s
         await asyncio.sleep(time_s)
-        late_s = (loop.time() - due_s) / self._host_scale
-        if late_s > _LATE_S:
-            self._late_s, self._late_at_s = max(self._late_s, late_s), loop.time()
+        return self.host.woke(due_s)
+
+    def blamed(self, error: DeviceError) -> DeviceError:
+        """Return an error of a device, or the error of this computer that is behind it."""
+        config = self._bench
+        links = {"table": config.table.links} | {imu.name: (imu.link,) for imu in config.imus}
+        return self.host.blame(error, served_here=any(map(ends_here, links.get(error.device, ()))))
 
     async def keep_flushing(self) -> None:
         """Write what has come into the journal, some 150 times a second, and now and then into the recording, too.
@@ -227,12 +231,15 @@ class Acquisition:
         every_s = _FLUSH_S if virtual else _JOURNAL_S * self._host_scale
         look_due_s, flush_due_s = loop.time(), loop.time()
         while True:
-            await self._sleep(every_s)
+            await self._slept_late(every_s)
             if loop.time() >= look_due_s:
                 look_due_s = loop.time() + _LOOK_S * self._host_scale
                 self.beside.attempt("the monitor", self.monitor.mark, None)
                 self._take_histories(_HISTORY_BLOCKS)
                 self._note_counts()
+                self.host.look()
+            if slowed := self.host.slowed():
+                self.event(EventKind.NOTE, slowed)
             if not virtual:
                 self._note_arrived()
             await loop.run_in_executor(None, self.writer.write_journal)
@@ -301,16 +308,13 @@ class Acquisition:
             for group, columns in source.history.take(fewest).items():
                 self.writer.append_rows(f"{group}/{name}", columns)
 
-    @property
-    def _late(self) -> str:
-        return f"this computer did not keep up: the run waited for it for up to {self._late_s * 1e3:.0f} ms"
-
     def causes(self) -> list[str]:
         """Return what may have made a run fail beside its gyros: samples at other instants, a late computer."""
         took_s = 2e-9 * self._half_width_ns
         slow = f"the table took up to {took_s * 1e3:.0f} ms to answer: when it was where is known no better"
         found = [report.mistimed for report in self.reports.values()]
-        found += [slow] * (took_s > _SLOW_S) + [self._late] * (self._late_s > 0.0)
+        late = f"this computer did not keep up: the run waited for it for up to {self.host.worst_s * 1e3:.0f} ms"
+        found += [slow] * (took_s > _SLOW_S) + [late] * (self.host.worst_s > 0.0)
         return [cause for cause in found if cause]
 
 

@@ -8,6 +8,7 @@ from typing import Any
 from drivers.errors import DeviceRefused
 from drivers.protocols import Turntable
 from station.errors import UsageError, sentence
+from station.run.event_loop.host import Overdue
 from station.run.snapshot import AFTER_THIS_STEP, PAUSED
 from station.run.uncommanded import Commanded, Course
 from station.scripts.polling import MARGIN_S, ramp_s, wanted_hz
@@ -139,14 +140,14 @@ class Sequencer:
         await self._resumed.wait()
         self._on_step(_PAUSE, round(began_s * 1e9), round(asyncio.get_running_loop().time() * 1e9))
 
-    def _overdue(self, step: Move | Rotate, angle_rad: float, target_rad: float) -> DeviceRefused:
+    def _overdue(self, step: Move | Rotate, angle_rad: float, target_rad: float) -> Overdue:
         """Return the error of a step whose axis has not told in time that it has arrived."""
         at, to = math.degrees(angle_rad), math.degrees(target_rad)
         if abs(at - to) < math.degrees(ON_TARGET_RAD):
             text = sentence("run.never_arrived", axis=step.axis, step=step.label, at_deg=at, to_deg=to)
         else:
             text = sentence("run.overdue", axis=step.axis, step=step.label, at_deg=at, to_deg=to)
-        return DeviceRefused("table", text)
+        return Overdue("table", text)
 
     async def _drive(self, step: Move | Rotate, due_s: float) -> None:
         axis = step.axis
@@ -159,7 +160,6 @@ class Sequencer:
         await asyncio.sleep(max(due_s - WATCH_S - loop.time(), 0.0))
         while not (await self._table.status(axis)).target_reached:
             if loop.time() > due_s + (self._sent_s - self._step_began_s) + OVERDUE_S:  # a slow line takes long to tell
-                at, to = math.degrees((await self._table.read(axis)).angle_rad), math.degrees(target)
                 raise self._overdue(step, (await self._table.read(axis)).angle_rad, target)
             await asyncio.sleep(WATCH_S)
         await asyncio.sleep(max(due_s - loop.time(), 0.0))

@@ -385,8 +385,7 @@ class Session:
         except RecordingError as error:
             verdict = replace(verdict, reason=f"{verdict.reason}; the outcome is not in the recording: {error}")
         reports = tuple(acquisition.reports.values())
-        links = self._monitor.link_counts()
-        notes = tuple(acquisition.beside.notes)
+        links, notes = self._monitor.link_counts(), tuple(acquisition.beside.notes)
         return Result(verdict, self._writer.path, calibration, agreement, self._ended_early, reports, links, notes)
 
     def _verdict_of(self, error: BaseException) -> Verdict:
@@ -395,9 +394,10 @@ class Session:
         for device_error in errors:
             if isinstance(device_error, DeviceError):
                 self._untrue |= isinstance(device_error, UntrueReadings)
-                if device_error.device == "table":
-                    self._monitor.table_fault = device_error.message
-                return Verdict(Outcome.FAULT, str(device_error))
+                fault = self._acquisition.blamed(device_error)
+                if fault.device == "table":
+                    self._monitor.table_fault = fault.message
+                return Verdict(Outcome.FAULT, str(fault))
         first = errors[0]
         if isinstance(first, EstimatorError):
             return Verdict(Outcome.FAULT, str(first))

@@ -28,7 +28,7 @@ from station.remote.attaching import running_sessions
 from station.screen.archive.archive import Archive
 from station.screen.bars import SCREENS, STOP_KEY, StopBar
 from station.screen.base import StationScreen, keys_of
-from station.screen.choices import TWIN_SCALE, Choices
+from station.screen.choices import Choices, load_by_processor, twin_scale
 from station.screen.dialogs import AskDialog, ChooseDialog, HelpDialog, StationDialog
 from station.screen.figures import templated
 from station.screen.memory import REMEMBERED, Remembered, load_remembered, save_remembered, whole
@@ -221,7 +221,7 @@ class StationApp(App[None]):
             return
         choices = self.choices.by_hand(prospect.all_twins) if prospect.manual else self.choices
         recording = await asyncio.to_thread(lambda: choices.new_recording().absolute())
-        scale = choices.scale or (TWIN_SCALE if prospect.all_twins else None)
+        scale = choices.scale or (twin_scale(load_by_processor()) if prospect.all_twins else None)
         if not prospect.manual:
             spot = Spot(choices.serial, whole(choices.script))
             self.tray.change(spot, state=RUNNING, recording=str(recording.resolve()))

@@ -1,5 +1,6 @@
 """What the operator chose: bench, script, folder, and what else goes to the commands."""
 
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
@@ -8,6 +9,19 @@ from station.atomic_write import new_recording
 
 TWIN_SCALE = 5.0
 """Speed of runs whose devices are all twins in memory, unless another was asked for: a person can follow it."""
+
+
+def twin_scale(load: float) -> float:
+    """Return the speed of twins on the screen for a load by processor, 1 where all are busy."""
+    return max(TWIN_SCALE / max(load, 1.0), 1.0)
+
+
+def load_by_processor() -> float:
+    """Return the load of the last minute by processor, 0 where the system does not tell it."""
+    try:
+        return os.getloadavg()[0] / (os.cpu_count() or 1)
+    except (AttributeError, OSError):
+        return 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,6 @@
 """What was calibrated, by whom, when and under what conditions, and what the table did."""
 
 import math
-import re
 from collections.abc import Mapping
 
 import numpy as np
@@ -10,6 +9,7 @@ from drivers.types import Floats
 from estimator.observations.rows import observations
 from estimator.recordings.recording import ImuData
 from estimator.recordings.reference import AttitudeReadings, RateReadings, TableReadings, Turns
+from station.opening.links import ends_here
 from station.report.chapters.unseen import driven_step
 from station.report.pictures import Picture, rates_picture
 from station.report.recorded import Recorded, Step
@@ -17,7 +17,6 @@ from station.scripts.script import Rotate
 
 ELSEWHERE = {RateReadings: "body rates", AttitudeReadings: "attitudes", Turns: "turns of known angle"}
 """What was measured where there was no table."""
-_LOCAL = re.compile(r"//(?:127\.|localhost|\[::1\])|/dev/pts/|udp_multicast|can:virtual")
 
 
 def links_of(recorded: Recorded) -> dict[str, str]:
@@ -29,7 +28,7 @@ def links_of(recorded: Recorded) -> dict[str, str]:
 
 def local_links(links: Mapping[str, str]) -> list[str]:
     """Return the names whose links end on this computer."""
-    return [name for name, link in links.items() if _LOCAL.search(link)]
+    return [name for name, link in links.items() if ends_here(link)]
 
 
 def rate_hz(data: ImuData) -> float:

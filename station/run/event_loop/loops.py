@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 T = TypeVar("T")
 
 _MOST_BREAKS = 100  # of a loop, after which there is no going on
+_CAUGHT_UP_S = 0.05  # by a clock that has waited: less than a person notices
 _SWITCH_S = 0.0005  # after which a thread that works lets in one that has just received something, to stamp it
 
 
@@ -31,6 +32,41 @@ class ScaledLoop(asyncio.SelectorEventLoop):
     def time(self) -> float:
         """Return seconds of the loop's clock."""
         return (time.monotonic() - self._began) * self.scale
+
+
+class PacedLoop(asyncio.SelectorEventLoop):
+    """A loop whose clock runs ``scale`` times as fast as the wall's, or slower where this computer cannot keep up.
+
+    Only for links in memory. Nothing outside goes on while the computer is busy, so the clock waits for it: it passes
+    by no timer, and whatever is due is done at its own instant. A delay of up to 50 ms of the wall is caught up with.
+    """
+
+    def __init__(self, scale: float) -> None:
+        """Start the clock at zero."""
+        self.scale = scale
+        self.waited_s = 0.0
+        """How long the clock has waited for this computer, in seconds of the wall."""
+        self._now = 0.0
+        self._zero_s = time.monotonic()
+        super().__init__(_PacedSelector(self))
+
+    def time(self) -> float:
+        """Return seconds of the loop's clock."""
+        return self._now
+
+    def wall_s_until(self, seconds: float) -> float:
+        """Return for how long to wait by the wall until so many seconds of this clock have gone, 0 if it is late."""
+        return max(self._zero_s + (self._now + seconds) / self.scale - time.monotonic(), 0.0)
+
+    def follow(self) -> None:
+        """Let the clock follow the wall, up to the next timer."""
+        scheduled: list[asyncio.TimerHandle] = self._scheduled  # type: ignore[attr-defined]
+        reached_s = (time.monotonic() - self._zero_s) * self.scale
+        self._now = max(self._now, min(reached_s, scheduled[0].when()) if scheduled else reached_s)
+        excess_s = (reached_s - self._now) / self.scale - _CAUGHT_UP_S
+        if excess_s > 0:
+            self._zero_s += excess_s
+            self.waited_s += excess_s
 
 
 class VirtualLoop(asyncio.SelectorEventLoop):
@@ -75,6 +111,19 @@ class _ScaledSelector(selectors.DefaultSelector):
 
     def select(self, timeout: float | None = None) -> Any:
         return super().select(None if timeout is None else timeout / self._scale)
+
+
+class _PacedSelector(selectors.DefaultSelector):
+    def __init__(self, loop: PacedLoop) -> None:
+        super().__init__()
+        self._loop = loop
+
+    def select(self, timeout: float | None = None) -> Any:
+        if timeout == 0:  # something is to be done now, at this instant of the clock
+            return super().select(0)
+        found = super().select(None if timeout is None else self._loop.wall_s_until(timeout))
+        self._loop.follow()
+        return found
 
 
 class _VirtualSelector(selectors.DefaultSelector):

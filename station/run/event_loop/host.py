@@ -1,0 +1,98 @@
+"""Whether this computer keeps up with a run, so that a fault which it made itself is not blamed on a device."""
+
+import asyncio
+from collections import deque
+from contextlib import suppress
+from pathlib import Path
+
+from drivers.errors import DeviceError, DeviceRefused, LinkLost
+from station.run.event_loop.loops import PacedLoop
+
+_LATE_S = 0.03  # of the wall, after which a late computer may be why a run fails
+_BEHIND_S = 0.1  # the shortest time that a driver waits for an answer
+_RECENT_S = 2.0  # of the wall: what was late before has no part in a fault
+_CROWDED = 0.8  # share of the time in which some program waited for a processor
+_TOLD_S = 1.0  # that a paced clock has waited, before it is told
+_PRESSURE = Path("/proc/pressure/cpu")
+_HELP = "close other programs or lower --scale"
+
+
+class Overdue(DeviceRefused):
+    """An axis has not arrived in time, as far as this computer has seen."""
+
+
+class HostWatch:
+    """Keeps by how much a loop was late, and how crowded the processors were."""
+
+    def __init__(self, scale: float) -> None:
+        """``scale`` is how fast the loop's clock runs."""
+        self._scale = scale
+        self._latest: deque[tuple[float, float]] = deque()
+        self._pressure: deque[tuple[float, float]] = deque()
+        self._began_s = asyncio.get_running_loop().time()
+        self._slowed = False
+        self.worst_s = 0.0
+        """The longest delay so far, in seconds of the wall; 0 if none was worth telling."""
+
+    def woke(self, due_s: float) -> bool:
+        """Take in that a sleep which was due at an instant of the loop's clock is over; return whether it was late."""
+        now_s = asyncio.get_running_loop().time()
+        late_s = (now_s - due_s) / self._scale
+        if late_s <= _LATE_S:
+            return False
+        self.worst_s = max(self.worst_s, late_s)
+        self._latest.append((now_s, late_s))
+        self._forget(self._latest, now_s)
+        return True
+
+    def look(self) -> None:
+        """Look how crowded the processors are."""
+        now_s = asyncio.get_running_loop().time()
+        with suppress(OSError, ValueError, IndexError):  # not every system tells it
+            waited_s = float(_PRESSURE.read_text(encoding="ascii").split("\n", 1)[0].rpartition("total=")[2]) * 1e-6
+            self._pressure.append((now_s, waited_s))
+            self._forget(self._pressure, now_s)
+
+    def slowed(self) -> str:
+        """Return, once, what is to be told of a clock of twins that does not go as fast as it was to."""
+        loop = asyncio.get_running_loop()
+        if self._slowed or not isinstance(loop, PacedLoop) or loop.waited_s < _TOLD_S:
+            return ""
+        self._slowed = True
+        passed_s = loop.time() - self._began_s
+        speed = passed_s / (passed_s / self._scale + loop.waited_s)
+        return (
+            f"this computer cannot keep up with --scale {self._scale:g}: the clock of the twins goes slower, "
+            f"about {speed:.0f} times as fast as the wall's so far; nothing is lost by that"
+        )
+
+    def blame(self, error: DeviceError, *, served_here: bool) -> DeviceError:
+        """Return the error that names this computer if a device was late because of it, else the error itself.
+
+        ``served_here``: what answers for the device is a program on this computer.
+        """
+        if not isinstance(error, LinkLost | Overdue):
+            return error
+        now_s = asyncio.get_running_loop().time()
+        behind_s = max((late_s for at_s, late_s in self._latest if now_s - at_s < self._recent_s), default=0.0)
+        if behind_s >= _BEHIND_S:
+            return DeviceError("host", f"this computer fell behind by {behind_s * 1e3:.0f} ms: {_HELP} ({error})")
+        share = self._crowded()
+        if served_here and share >= _CROWDED:
+            waited = f"programs waited {share:.0%} of the time for its processors"
+            return DeviceError("host", f"this computer is overloaded, {waited}: {_HELP} ({error})")
+        return error
+
+    @property
+    def _recent_s(self) -> float:
+        return _RECENT_S * self._scale
+
+    def _crowded(self) -> float:
+        if len(self._pressure) < 2:
+            return 0.0
+        (first_s, first), (last_s, last) = self._pressure[0], self._pressure[-1]
+        return (last - first) / ((last_s - first_s) / self._scale) if last_s > first_s else 0.0
+
+    def _forget(self, kept: deque[tuple[float, float]], now_s: float) -> None:
+        while now_s - kept[0][0] > self._recent_s:
+            kept.popleft()
