@@ -10,7 +10,7 @@ change of rate with more corners. The fewest corners that the readings agree wit
 """
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,6 +47,8 @@ _READINGS_A_CORNER = 5.0
 _HIDDEN = 2.0  # times the largest change between two readings
 _TRIES = 4  # numbers of corners
 _BEYOND_S = 1e-3
+_SEEN = 4.0  # sigmas of a rest between two ramps
+_ON_A_RAMP = 0.15, 0.85  # of the steady rate
 _NEARLY_STANDS = 0.1  # of how much a rate changes: a corner at less may be at zero
 Readings = tuple[Floats, Floats, Floats, Floats, float]
 """Instants in s, angles, rates, half widths in s (n,); the time before their instants in s that rates are means of."""
@@ -116,6 +118,7 @@ def fitted(readings: Readings, first: int, last: int) -> Ramp | None:
     """
     t_s, angle_rad, rate_rps, _, window_s = readings
     cut = first + 1 < _FEWEST, len(t_s) - last < _FEWEST
+    stood = None
     if any(cut):
         starts = _polylines(readings, first, last, cut, 1) if window_s else iter(())
     else:
@@ -123,9 +126,40 @@ def fitted(readings: Readings, first: int, last: int) -> Ramp | None:
         if start is None:
             return None
         free = np.zeros(len(start), dtype=np.bool_)
+        # Two ramps in one fit nearly as well as two with a short rest between, so these are tried before.
+        rested = (_fitted_from(one, held, readings, first, last) for one, held in _through_rest(readings, first, last))
+        stood = next((ramp for ramp in rested if ramp is not None), None)
+        if stood is not None and stood.t_s[2] - stood.t_s[1] > _SEEN * stood.sd_s:
+            return stood
         starts = itertools.chain([(start, free)], _polylines(readings, first, last, cut, len(start) // 2 - 1))
     found = (_fitted_from(one, held, readings, first, last) for one, held in starts)
-    return next((ramp for ramp in found if ramp is not None), None)
+    return next((ramp for ramp in found if ramp is not None), stood)
+
+
+def with_corners(
+    known_ns: Stamps, angles: Floats, rates: Floats, ramps: Sequence[tuple[int, Stamps, Ramp]]
+) -> tuple[Stamps, Floats, Floats, Floats]:
+    """Return readings with the corners of ramps between them: instants (m,), angles, rates, doubts of corners in s.
+
+    ``known_ns`` (n + 1,), ``angles`` and ``rates`` (n + 1, gimbals) are the readings and the row before them. A ramp
+    comes with its column and the instants of its corners. Doubts (m, gimbals) are NaN where a gimbal has no ramp.
+    """
+    inside = [corners[(corners > known_ns[0]) & (corners < known_ns[-1])] for _, corners, _ in ramps]
+    t_ns = np.unique(np.concatenate([known_ns[1:], *inside]))
+    doubt_s = np.full((len(t_ns), rates.shape[1]), np.nan)
+    angle, rate = np.empty_like(doubt_s), np.empty_like(doubt_s)
+    of_column = {column: (corners, ramp) for column, corners, ramp in ramps}
+    for c in range(rates.shape[1]):
+        own_ns, own_angle, own_rate = known_ns, angles[:, c], rates[:, c]
+        if c in of_column:
+            corners, ramp = of_column[c]
+            doubt_s[:, c] = ramp.sd_s
+            own_ns, first = np.unique(np.concatenate([known_ns, corners]), return_index=True)
+            own_angle = np.concatenate([own_angle, ramp.angle_rad])[first]
+            own_rate = np.concatenate([own_rate[:1], ramp.reading_rps, ramp.rate_rps])[first]
+        since_s, own_s = (t_ns - known_ns[0]) * 1e-9, (own_ns - known_ns[0]) * 1e-9
+        angle[:, c], rate[:, c] = np.interp(since_s, own_s, own_angle), np.interp(since_s, own_s, own_rate)
+    return t_ns, angle, rate, doubt_s
 
 
 def corners_of(t_s: Floats, rate_rps: Floats, most: int) -> Iterator[tuple[list[int], float]]:
@@ -145,6 +179,37 @@ def corners_of(t_s: Floats, rate_rps: Floats, most: int) -> Iterator[tuple[list[
 def between_readings(t_s: Floats, angle_rad: Floats) -> tuple[Floats, Floats]:
     """Return instants in the middle between readings (n,), and the mean rates there (n - 1,) that angles tell."""
     return 0.5 * (t_s[:-1] + t_s[1:]), np.diff(angle_rad) / np.diff(t_s)
+
+
+def _through_rest(readings: Readings, first: int, last: int) -> Iterator[tuple[Floats, Flags]]:
+    """Yield a start with four corners for an axis that brakes, stands, and speeds up again, its rate held at zero.
+
+    The lines of both ramps are drawn through what lies well between rest and the steady rate, where no corner is.
+    """
+    t_s, angle_rad, rate_rps, _, _ = readings
+    at_s, rates = between_readings(t_s[max(first - 1, 0) : last + 2], angle_rad[max(first - 1, 0) : last + 2])
+    corners = []
+    for steady, part in ((rate_rps[: first + 1], slice(None)), (rate_rps[last:], slice(None, None, -1))):
+        steady_rps = float(np.median(steady))
+        if abs(steady_rps) < _LEAST_RPS:
+            return
+        share = rates[part] / steady_rps
+        own = slice(0, int(np.argmax(share < _ON_A_RAMP[0])))
+        inside = (share[own] > _ON_A_RAMP[0]) & (share[own] < _ON_A_RAMP[1])
+        if inside.sum() < 2:
+            return
+        slope_s, rest_s = np.polyfit(rates[part][own][inside], at_s[part][own][inside], 1)
+        corners.append((rest_s + slope_s * steady_rps, rest_s, steady_rps))
+    (begins_s, stands_s, before_rps), (ends_s, leaves_s, after_rps) = corners
+    if leaves_s - stands_s < _BEYOND_S:
+        stands_s, leaves_s = 0.5 * (stands_s + leaves_s) + np.array([-_BEYOND_S, _BEYOND_S])
+    at = np.array([begins_s, stands_s, leaves_s, ends_s])
+    if not np.all(np.diff(at) > 0):
+        return
+    start = np.concatenate([at, [before_rps, 0.0, 0.0, after_rps], [np.interp(begins_s, t_s, angle_rad), 1.0]])
+    held = np.zeros(len(start), dtype=np.bool_)
+    held[5:7] = True
+    yield start, held
 
 
 def _polylines(

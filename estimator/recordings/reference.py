@@ -22,6 +22,7 @@ from estimator.recordings.ramps import (
     fitted,
     is_ramp,
     piece_of,
+    with_corners,
 )
 from estimator.types import Flags, Floats, Stamps
 
@@ -240,9 +241,10 @@ class BodyRates:
             else:
                 return
 
-    def _ramps(self, start: int, stop: int, until: int | None = None) -> list[tuple[int, Stamps, Ramp]]:
+    def _ramps(self, start: int, stop: int, until: int | None = None) -> list[tuple[int, Stamps, Ramp | None]]:
         """Return the ramps between the readings before ``start`` and before ``stop``: column, corners, ramp.
 
+        A change of rate that is no ramp, and of which only means are known, has neither corners nor a ramp.
         The readings before ``until`` are used, by default those of the steady rate that follows.
         """
         if not len(self._rows):
@@ -262,7 +264,7 @@ class BodyRates:
             high = until
         part = slice(low, high)
         t_s = (times[part] - times[low]) * 1e-9
-        found = []
+        found: list[tuple[int, Stamps, Ramp | None]] = []
         for column in range(len(self._gimbals)):
             angle, rate = self._read["angle"][part, column], self._read["rate"][part, column]
             own = np.flatnonzero(changing(t_s, rate[:, None])[max(start - 1 - low, 0) : until - 1 - low])
@@ -276,11 +278,14 @@ class BodyRates:
                 corners = times[low] + np.round(ramp.t_s * 1e9).astype(np.int64)
                 reading_rps = ramp.reading_rps[self._taken - low : stop - low]
                 found.append((column, corners, replace(ramp, reading_rps=reading_rps)))
+            elif self._window_ns:
+                found.append((column, times[:0], None))
         return found
 
-    def _append(self, start: int, stop: int, ramps: list[tuple[int, Stamps, Ramp]]) -> None:
+    def _append(self, start: int, stop: int, found: list[tuple[int, Stamps, Ramp | None]]) -> None:
         """Append readings as rows, the corners of ramps between them as rows that were not measured."""
         self._taken = stop
+        ramps = [(column, corners, ramp) for column, corners, ramp in found if ramp is not None]
         part = slice(start, stop)
         t_ns, angle = self._read["t_ns"][part], self._read["angle"][part]
         known = slice(start, int(np.searchsorted(self._read["t_ns"], t_ns[-1] + self._window_ns, side="right")))
@@ -291,27 +296,21 @@ class BodyRates:
             # From the row before on: in between the corners lie.
             known_ns = np.concatenate([self._rows["t_ns"][-1:], t_ns])
             angles, rates = np.vstack([self._rows["angle"][-1:], angle]), np.vstack([self._rows["rate"][-1:], rate])
-            inside = [corners[(corners > known_ns[0]) & (corners < known_ns[-1])] for _, corners, _ in ramps]
-            t_ns = np.unique(np.concatenate([t_ns, *inside]))
+            t_ns, angle, rate, corner_s = with_corners(known_ns, angles, rates, ramps)
             measured = np.isin(t_ns, known_ns).astype(np.float64)
             half_width_s = np.where(measured > 0, np.interp(t_ns, known_ns[1:], half_width_s), 0.0)
-            corner_s = np.full((len(t_ns), rate.shape[1]), np.nan)
-            angle, rate = np.empty_like(corner_s), np.empty_like(corner_s)
-            of_column = {column: (corners, ramp) for column, corners, ramp in ramps}
-            for c in range(rate.shape[1]):
-                own_ns, own_angle, own_rate = known_ns, angles[:, c], rates[:, c]
-                if c in of_column:
-                    corners, ramp = of_column[c]
-                    corner_s[:, c] = ramp.sd_s
-                    own_ns, first = np.unique(np.concatenate([known_ns, corners]), return_index=True)
-                    own_angle = np.concatenate([own_angle, ramp.angle_rad])[first]
-                    own_rate = np.concatenate([own_rate[:1], ramp.reading_rps, ramp.rate_rps])[first]
-                since_s, own_s = (t_ns - known_ns[0]) * 1e-9, (own_ns - known_ns[0]) * 1e-9
-                angle[:, c], rate[:, c] = np.interp(since_s, own_s, own_angle), np.interp(since_s, own_s, own_rate)
-        self._add_rows(t_ns, angle, rate, half_width_s, measured, corner_s)
+        self._add_rows(t_ns, angle, rate, half_width_s, measured, corner_s, known=len(ramps) == len(found))
 
     def _add_rows(
-        self, t_ns: Stamps, angle: Floats, rate_rps: Floats, half_width_s: Floats, measured: Floats, corner_s: Floats
+        self,
+        t_ns: Stamps,
+        angle: Floats,
+        rate_rps: Floats,
+        half_width_s: Floats,
+        measured: Floats,
+        corner_s: Floats,
+        *,
+        known: bool,
     ) -> None:
         step_ns, rates, summed = integrated(self._rows, t_ns, rate_rps)
         drift = angle - summed
@@ -320,7 +319,7 @@ class BodyRates:
         doubt = np.abs(rate_rps) * (widths[1:] + widths[:-1])[:, None]
         steady = np.abs(np.diff(rates, axis=0)) <= _STEADY_RPS + _STEADY_SHARE * np.abs(rate_rps)
         explained = np.abs(unexplained) <= GAP_ANGLE_RAD + doubt
-        known_step = (step_ns <= GAP_NS) | (np.isfinite(corner_s) | (steady & explained)).all(axis=1)
+        known_step = known & (step_ns <= GAP_NS) | (np.isfinite(corner_s) | (steady & explained)).all(axis=1)
         # What happened in a gap is no error of the rates beside it: there the angles alone count.
         hidden = np.cumsum(np.where(known_step[:, None], 0.0, unexplained), axis=0)
         summed, drift = summed + hidden, drift - hidden

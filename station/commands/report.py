@@ -12,8 +12,10 @@ from station.errors import EXIT_USAGE, UsageError
 
 if TYPE_CHECKING:
     from station.report.document import Report
+    from station.report.formal import Formal
     from station.report.recorded import Recorded
     from station.report.standing import Standing
+    from station.screen.archive.register import Document
 
 
 def command_report(arguments: argparse.Namespace) -> int:
@@ -27,7 +29,7 @@ def command_report(arguments: argparse.Namespace) -> int:
     from station.report.formal import read_formal
     from station.report.recorded import read_recorded
     from station.report.traced import read_traced
-    from station.screen.archive.register import Document, check_number, enter
+    from station.screen.archive.register import check_number, enter
 
     if keys:
         read_key(*keys)
@@ -36,18 +38,10 @@ def command_report(arguments: argparse.Namespace) -> int:
     if dcc is not None:
         check_facts(formal)
     traced = read_traced(Path(arguments.investigation) if arguments.investigation else None, recorded)
-    data_sha256 = raw_sha256(recorded.path)
     if formal.certificate_number:
-        check_number(formal.certificate_number, data_sha256)
+        check_number(formal.certificate_number, raw_sha256(recorded.path))
     report = make_report(recorded, traced, formal)
-    document = Document(
-        number=report.number,
-        data_sha256=data_sha256,
-        recording=str(recorded.path.absolute()),
-        title=report.standing.title,
-        replaces=formal.certificate_replaces,
-    )
-    enter(document)
+    enter(_document(recorded, formal, report))
     write_whole(html, report.html)
     standing = report.standing
     said = {
@@ -82,6 +76,19 @@ def command_report(arguments: argparse.Namespace) -> int:
         print(f"station: {problem}; the report is kept in {html}", file=sys.stderr)
         return EXIT_USAGE
     return 0
+
+
+def _document(recorded: "Recorded", formal: "Formal", report: "Report") -> "Document":
+    """Return what the register of documents keeps of a report."""
+    from station.screen.archive.register import Document
+
+    return Document(
+        number=report.number,
+        data_sha256=report.hashes["data"],
+        recording=str(recorded.path.absolute()),
+        title=report.standing.title,
+        replaces=formal.certificate_replaces,
+    )
 
 
 def _print_result(recorded: "Recorded", standing: "Standing", *, details: bool) -> None:

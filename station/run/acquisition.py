@@ -26,7 +26,7 @@ from station.run.event_loop.host import HostWatch
 from station.run.event_loop.loops import is_virtual
 from station.run.live import LiveEstimate
 from station.run.monitor import Beside, Monitor
-from station.run.snapshot import EventKind
+from station.run.snapshot import EventKind, Phase
 from station.run.table_watch import TableRow
 from station.views.json_values import named
 
@@ -238,7 +238,7 @@ class Acquisition:
                 self._take_histories(_HISTORY_BLOCKS)
                 self._note_counts()
                 self.host.look()
-            if slowed := self.host.slowed():
+            if self.monitor.phase is Phase.RUNNING and (slowed := self.host.slowed()):
                 self.event(EventKind.NOTE, slowed)
             if not virtual:
                 self._note_arrived()

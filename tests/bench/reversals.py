@@ -114,6 +114,17 @@ HELD = tuple(
         (61.0, 49.0, 4.3, 8),
     ]
 )
+HELD_SECOND = tuple(
+    Motion(rate, acceleration, turn_s, turns)
+    for rate, acceleration, turn_s, turns in [
+        (29.0, 37.0, 6.9, 5),
+        (43.0, 19.0, 9.7, 4),
+        (17.0, 50.0, 5.1, 7),
+        (71.0, 41.0, 5.3, 6),
+        (7.0, 12.0, 6.1, 6),
+    ]
+)
+"""Written when the first set had shown that what is a mean was not told apart from ramps on a Galil."""
 
 
 def reversing(motion: Motion, axes: str) -> Script:
@@ -226,7 +237,9 @@ if __name__ == "__main__":
     parser.add_argument("--jobs", type=int, default=1)
     arguments = parser.parse_args()
     motions = (
-        HELD if arguments.held else [Motion(arguments.rate, float(one)) for one in arguments.accelerations.split(",")]
+        HELD + HELD_SECOND
+        if arguments.held
+        else [Motion(arguments.rate, float(one)) for one in arguments.accelerations.split(",")]
     )
     print(f"load {os.getloadavg()[0]:.1f}")
     runs = []

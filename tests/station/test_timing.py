@@ -50,10 +50,20 @@ def test_rates_are_known_through_ramps_of_a_controller_that_tells_mean_rates(ram
     np.testing.assert_allclose(BodyRates.of(live.readings(None), None).at(t_ns), live.rates.at(t_ns), atol=1e-12)
 
 
-@pytest.mark.parametrize(("table", "acceleration_dps2"), [("galil", 10.0), ("acutrol", 50.0)])
-def test_an_axis_that_is_sent_back_without_a_rest_is_measured_true(table: str, acceleration_dps2: float) -> None:
-    # At 10 deg/s2 this Galil, whose accelerations go in steps, ramps for so long that its rate is never steady.
-    run = reversed_run(Reversal(table, Motion(50.0, acceleration_dps2, turns=2)), axes="z")
+@pytest.mark.parametrize(
+    ("table", "motion"),
+    [
+        # At 10 deg/s2 this Galil, whose accelerations go in steps, ramps for so long that its rate is never steady.
+        ("galil", Motion(50.0, 10.0, turns=2)),
+        (
+            "galil",
+            Motion(23.0, 45.0, turn_s=5.7, turns=4),
+        ),  # a rate that is a mean holds both ramps and the rest between
+        ("acutrol", Motion(50.0, 50.0, turns=2)),
+    ],
+)
+def test_an_axis_that_is_sent_back_without_a_rest_is_measured_true(table: str, motion: Motion) -> None:
+    run = reversed_run(Reversal(table, motion), axes="y" if table == "galil" else "z")
     assert run.outcome != "FAULT", run.reason
     assert 0.9 <= run.nis <= 1.1
     assert max(map(abs, run.errors)) < 5

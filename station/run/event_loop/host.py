@@ -12,7 +12,7 @@ _LATE_S = 0.03  # of the wall, after which a late computer may be why a run fail
 _BEHIND_S = 0.1  # the shortest time that a driver waits for an answer
 _RECENT_S = 2.0  # of the wall: what was late before has no part in a fault
 _CROWDED = 0.8  # share of the time in which some program waited for a processor
-_TOLD_S = 1.0  # that a paced clock has waited, before it is told
+_TOLD_S, _TOLD_SHARE = 1.0, 0.1  # for which a paced clock has waited, of the wall, before it is told
 _PRESSURE = Path("/proc/pressure/cpu")
 _HELP = "close other programs or lower --scale"
 
@@ -29,7 +29,7 @@ class HostWatch:
         self._scale = scale
         self._latest: deque[tuple[float, float]] = deque()
         self._pressure: deque[tuple[float, float]] = deque()
-        self._began_s = asyncio.get_running_loop().time()
+        self._began: tuple[float, float] | None = None  # of the clock, and how long it had waited by then
         self._slowed = False
         self.worst_s = 0.0
         """The longest delay so far, in seconds of the wall; 0 if none was worth telling."""
@@ -54,17 +54,27 @@ class HostWatch:
             self._forget(self._pressure, now_s)
 
     def slowed(self) -> str:
-        """Return, once, what is to be told of a clock of twins that does not go as fast as it was to."""
-        loop = asyncio.get_running_loop()
-        if self._slowed or not isinstance(loop, PacedLoop) or loop.waited_s < _TOLD_S:
+        """Return, once, what is to be told of a clock of twins that has gone slower than it was to since asked first.
+
+        To be asked for as long as a script goes on: what comes before it, as imports, takes a computer longer.
+        """
+        now_s, so_far_s = asyncio.get_running_loop().time(), self._waited_s
+        self._began = self._began or (now_s, so_far_s)
+        passed_s, waited_s = (now_s - self._began[0]) / self._scale, so_far_s - self._began[1]
+        if self._slowed or waited_s < max(_TOLD_S, _TOLD_SHARE * passed_s):
             return ""
         self._slowed = True
-        passed_s = loop.time() - self._began_s
-        speed = passed_s / (passed_s / self._scale + loop.waited_s)
         return (
             f"this computer cannot keep up with --scale {self._scale:g}: the clock of the twins goes slower, "
-            f"about {speed:.0f} times as fast as the wall's so far; nothing is lost by that"
+            f"about {self._scale * passed_s / (passed_s + waited_s):.2g} times as fast as the wall's so far; "
+            "nothing is lost by that"
         )
+
+    @property
+    def _waited_s(self) -> float:
+        """How long a paced clock has waited for this computer, in seconds of the wall; 0 of any other."""
+        loop = asyncio.get_running_loop()
+        return loop.waited_s if isinstance(loop, PacedLoop) else 0.0
 
     def blame(self, error: DeviceError, *, served_here: bool) -> DeviceError:
         """Return the error that names this computer if a device was late because of it, else the error itself.
