@@ -4,7 +4,7 @@ import numpy as np
 
 from drivers.types import Floats, Stamps
 from estimator.estimation.live.source import LiveSource
-from estimator.geometry.kinematics import Site
+from estimator.geometry.kinematics import Site, body_rate
 from estimator.recordings.growing_rows import GrowingRows
 from estimator.recordings.reference import BodyRates, TableReadings, TableUncertainty
 from station.run.table_watch import TableRow
@@ -21,7 +21,7 @@ class LiveEstimate:
         self.rates = BodyRates(gimbals, site)
         self.sources: dict[str, LiveSource] = {}
         self._rows: list[TableRow] = []
-        self._gimbals = gimbals
+        self._gimbals, self._site = gimbals, site
         self._kept_rows: GrowingRows | None = None
         self._window_ns = 0
 
@@ -46,6 +46,10 @@ class LiveEstimate:
             for source in self.sources.values():
                 source.advance(self.rates)
             self.rates.forget(self.rates.final_until_ns - _HELD_NS)
+
+    def body_rate(self, row: TableRow) -> Floats:
+        """Return the rate of the body (1, 3), in rad/s, as one row of table readings has it."""
+        return body_rate(row.angle_rad[None], row.rate_rps[None], self._gimbals, self._site)
 
     def finish(self) -> None:
         """Use what is left."""

@@ -15,6 +15,7 @@ import numpy as np
 
 from drivers.protocols import ImuSource
 from drivers.types import Alignment, ImuBlock, LinkCounts, SourceCounts
+from estimator.geometry.model import predicted_output
 from station.errors import sentence
 from station.opening import OpenBench
 from station.opening.reopening import Reopening
@@ -214,10 +215,13 @@ class Monitor:
         return (self._rows[name] - marks[0].rows) / span_s if span_s > 0 else math.nan
 
     def _gyro_snapshots(self) -> Iterator[GyroSnapshot]:
+        w_rps = self._live.body_rate(self.row) if self.row else np.full((1, 3), np.nan)
         for name, source in self._live.sources.items():
             x, states, sd = source.recent()
             nothing, last = np.full(len(source.array), np.nan), self._last.get(name)
             nis, residual = ((x**2).mean(axis=0), x[-1]) if len(x) else (nothing, nothing)
-            columns = (states, sd, nis, nothing if last is None else last.rate_rps[-1], residual)
+            rate = nothing if last is None else last.rate_rps[-1]
+            expected = predicted_output(source.array, states, w_rps)[0]
+            columns = (states, sd, nis, rate, residual, expected)
             for gyro, values, sds, *figures in zip(source.array.names, *(c.tolist() for c in columns), strict=True):
                 yield GyroSnapshot(gyro, name, tuple(values), tuple(sds), *figures)

@@ -57,7 +57,8 @@ class GyroSnapshot:
 
     ``values`` (k, b_rps, sigma_j_rad, sigma_k_rad) and their standard deviations ``sds``; ``nis``: mean square of
     its normalised innovations of the last half minute, 1 for a filter that is right. ``rate_rps``: its newest sample;
-    ``residual``: its last normalised innovation, mostly within 2 of a filter that is right.
+    ``expected_rps``: what a gyro with these values measures as the table was last seen to turn; ``residual``: its last
+    normalised innovation, mostly within 2 of a filter that is right.
     """
 
     name: str
@@ -67,6 +68,7 @@ class GyroSnapshot:
     nis: float = math.nan
     rate_rps: float = math.nan
     residual: float = math.nan
+    expected_rps: float = math.nan
 
     @property
     def full_name(self) -> str:

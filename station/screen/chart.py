@@ -4,6 +4,7 @@ import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 from datetime import datetime
+from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
@@ -50,7 +51,8 @@ class _Ticks(NumericAxisFormatter):
             dates = [datetime.fromtimestamp(self.began_utc_s + tick * _DAY_S) for tick in ticks]
             span_days = ticks[-1] - ticks[0] if ticks else 0.0
             form = "%H:%M" if span_days < 1 else "%m-%d" if span_days < _YEAR_DAYS else "%Y-%m"
-            return [format(date, form) for date in dates]
+            labels = [format(date, form) for date in dates]
+            return [label if label != before else "" for before, label in pairwise(["", *labels])]
         digits = max((len(f"{tick:.7f}".rstrip("0").partition(".")[2]) for tick in ticks), default=0)
         return [f"{round(tick, digits) + 0.0:.{digits}f}{'' if at else self.unit}" for at, tick in enumerate(ticks)]
 
@@ -131,6 +133,8 @@ class Chart(PlotWidget, inherit_bindings=False):
         self.set_ylimits(*reach)
         name, *others = drawing.words
         room, title = self.size.width - 4, Content(" ")
+        if others and len(name[0]) + len(others[0][0]) + 2 >= room:  # the figure goes before its unit
+            name = name[0].partition(" (")[0], name[1]
         for text, style in [name, *([("0 shows all", "limit")] if window else []), *others]:
             if title.cell_length + len(text) < room:
                 title += Content.assemble((text, self._style(style) if style else ""), " ")

@@ -65,10 +65,16 @@ class Charts(Grid):
                 chart.show(drawing, self._window)
 
     def draw_next(self) -> None:
-        """Draw the chart whose turn it is."""
-        self._turn = (self._turn + 1) % (_TICKS * len(self._names))
+        """Draw the chart whose turn it is, of those in sight."""
+        seen = [at for at, chart in enumerate(self._charts) if self._in_sight(chart)] or [0]
+        self._turn = (self._turn + 1) % (_TICKS * len(seen))
         if self._turn % _TICKS == 0:
-            self.draw(self._turn // _TICKS)
+            self.draw(seen[self._turn // _TICKS])
+
+    def _in_sight(self, chart: "Chart") -> bool:
+        """Return whether any of a chart is within what this part is scrolled to, or it has all the room."""
+        top = chart.virtual_region.y - self.scroll_offset.y
+        return chart.is_maximized or -chart.size.height < top < self.size.height
 
     def on_plot_widget_scale_changed(self, event: Any) -> None:
         """Show in all charts the time that one was moved to."""

@@ -17,6 +17,7 @@ _RECENT, _LEAST_SIGMAS, _MARGIN = 0.2, 3.0, 1.15
 _SHOWN_BY_MOTION = 0.5  # of the sigma that a state begins with
 _SIGMAS = 2.0
 _DEG = math.degrees(1)
+_EXPECTED = "by the table"
 _EVER = (-1e12, 1e12)
 _ARC_PARTS, _GIMBALS_APART = 24, 0.3
 
@@ -64,7 +65,7 @@ def run_drawing(name: str, run: LiveRun, gyro: GyroSnapshot) -> Drawing:
 
 
 def _seen(name: str, run: LiveRun, gyro: GyroSnapshot, nis_limits: Sequence[float]) -> Drawing:
-    """Return a chart of what was seen of a run: the rate of a gyro and of the table, residual, NIS, temperature."""
+    """Return a chart of what was seen of a run: rate of a gyro beside what it should measure, residual, and so on."""
     times, last = [s.elapsed_s for s in run.seen], run.seen[-1]
     if name == "NIS":
         reach = [_SIGMAS * math.sqrt(2 / s.recent) if s.recent else math.nan for s in run.seen]
@@ -82,11 +83,12 @@ def _seen(name: str, run: LiveRun, gyro: GyroSnapshot, nis_limits: Sequence[floa
         curves = [*_levels((_SIGMAS, -_SIGMAS), "band"), Curve(times, [g.residual for g in of_gyro])]
         words = [("residual (sigmas)", ""), (gyro.name, "line"), ("95 %", "band")]
         return Drawing(words, curves, (-2 * _SIGMAS, 2 * _SIGMAS))
-    axes = list(zip(sorted(axis.name for axis in last.axes), _AXIS_STYLES, strict=False))
-    rates = [[a.rate_rps * _DEG for s in run.seen for a in s.axes if a.name == axis] for axis, _ in axes]
-    curves = [Curve(times, rate, style) for rate, (_, style) in zip(rates, axes, strict=True)]
-    curves.append(Curve(times, [g.rate_rps * _DEG for g in of_gyro]))
-    return Drawing([("rate (deg/s)", ""), (gyro.name, "line"), *axes], curves)
+    words, curves = [("rate (deg/s)", ""), (gyro.name, "line")], [Curve(times, [g.rate_rps * _DEG for g in of_gyro])]
+    expected = [g.expected_rps * _DEG for g in of_gyro]
+    if any(map(math.isfinite, expected)):
+        words.append((_EXPECTED, "first"))
+        curves.insert(0, Curve(times, expected, "first"))
+    return Drawing(words, curves)
 
 
 def _axes_drawing(run: LiveRun, snapshot: Snapshot) -> Drawing:
@@ -125,21 +127,23 @@ def state_drawing(
 
     ``figures`` are the states in the units of the bench.
 
-    Over days it is that of one calibration after the other, points with bars. Nothing is shown before the motion that
-    shows the state. The range of values is that of the last fifth of the time, so that a band which narrows is seen to;
-    a limit is drawn where it is near, and else said.
+    Over days it is that of one calibration after the other, points with bars. Before the motion that shows the state
+    it is as wide as the prior, and said to be that. The range of values is that of the last fifth of the time, so that
+    a band which narrows is seen to; a limit is drawn where it is near, and else said.
     """
     state, days = figures[index], over != "s"
     words = [(f"{state.name} ({state.unit})", "")]
     rows = list(zip(trend.times_s, trend.values, trend.sds, strict=True))
     scaled = [(t, value[index] * state.factor, sd[index] * state.factor) for t, value, sd in rows]
-    if not scaled or (scaled[-1][2] > _SHOWN_BY_MOTION * scaled[0][2] and not days):
-        return Drawing([*words, ("no motion has shown it yet", "band")], [])
+    if not scaled:
+        return Drawing([*words, ("nothing is known of it yet", "band")], [])
     start, (end, centre, sd) = scaled[0][0], scaled[-1]
     since = -math.inf if days else end - _RECENT * (end - start)
     reach = max(_LEAST_SIGMAS * sd, *(abs(value - centre) + s for t, value, s in scaled if t >= since)) * _MARGIN or 1.0
     times, values, sds = zip(*(row for row in scaled if row[2] < reach), strict=True)
-    words += [(number(centre, state.digits), "line"), (f"± {number(sd, state.digits)}", "line")]
+    words.append((f"{number(centre, state.digits)} ± {number(sd, state.digits)}", "line"))
+    if sd > _SHOWN_BY_MOTION * scaled[0][2] and not days:
+        words.append(("no motion has shown it yet", "band"))
     edges = [Curve(times, [v + sign * s for v, s in zip(values, sds, strict=True)], "band") for sign in (1, -1)]
     curves = [Curve(times, values, sds=sds)] if days else [*edges, Curve(times, values)]
     margin = (0.05 * (end - start) or 1.0) if days else 0.0

@@ -1,0 +1,54 @@
+"""What the charts of a run show, from what a session said."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+from streams import STREAMS
+
+from station.screen.drawings import STATE_CHARTS, run_drawing
+from station.screen.sessions.live_run import LiveRun
+
+
+def watched(name: str, until_s: float) -> LiveRun:
+    """Return what a screen knows of a run at an instant."""
+    run = LiveRun(Path("run.h5"), "short.toml")
+    for line in (STREAMS / f"{name}.jsonl").read_text(encoding="utf-8").splitlines():
+        said: dict[str, Any] = json.loads(line)
+        if said["at_s"] > until_s:
+            break
+        if said["kind"] == "hello":
+            run.greet(said)
+        else:
+            run.take(said)
+    return run
+
+
+def test_the_rate_of_a_gyro_stands_beside_what_that_gyro_should_measure() -> None:
+    run = watched("pass", 36.0)
+    for gyro in run.seen[-1].gyros:
+        drawing = run_drawing("rate", run, gyro)
+        assert ("by the table", "first") in drawing.words
+        expected, measured = (
+            next(curve for curve in drawing.curves if curve.style == style) for style in ("first", "line")
+        )
+        pairs = [pair for pair in zip(expected.values, measured.values, strict=True) if all(map(math.isfinite, pair))]
+        assert len(pairs) > 20
+        # The table turned at up to 40 deg/s, and no axis of this array lies along one of the table's.
+        assert max(abs(value) for _, value in pairs) > 10
+        off = sorted(abs(one - other) for one, other in pairs)
+        assert off[len(off) // 2] < 0.5  # reading and sample are up to 50 ms apart, on ramps of 20 deg/s2
+
+
+@pytest.mark.parametrize("until_s", [5.0, 12.0, 36.0])
+def test_no_state_has_an_empty_frame_and_each_has_its_uncertainty(until_s: float) -> None:
+    run = watched("pass", until_s)
+    for name in STATE_CHARTS:
+        for gyro in run.seen[-1].gyros:
+            drawing = run_drawing(name, run, gyro)
+            assert drawing.curves, name
+            assert any("±" in text for text, style in drawing.words if style == "line"), drawing.words
