@@ -47,6 +47,7 @@ _READINGS_A_CORNER = 5.0
 _HIDDEN = 2.0  # times the largest change between two readings
 _TRIES = 4  # numbers of corners
 _BEYOND_S = 1e-3
+_ENOUGH_STEADY = 8  # readings
 _SEEN = 4.0  # sigmas of a rest between two ramps
 _ON_A_RAMP = 0.15, 0.85  # of the steady rate
 _NEARLY_STANDS = 0.1  # of how much a rate changes: a corner at less may be at zero
@@ -58,7 +59,8 @@ Readings = tuple[Floats, Floats, Floats, Floats, float]
 class Ramp:
     """Corners at ``t_s`` (k,) with angles and rates there, and what the rates of the readings (n,) are by them.
 
-    Rates are in the scale of the rate readings. ``sd_s`` is the largest standard deviation of a corner's instant.
+    Rates are in the scale of the rate readings, ``scale`` times what the angles say. ``sd_s`` is the largest standard
+    deviation of a corner's instant, of those where the slope changes most.
     """
 
     t_s: Floats
@@ -66,6 +68,7 @@ class Ramp:
     rate_rps: Floats
     reading_rps: Floats
     sd_s: float
+    scale: float
 
 
 def centred(at_ns: Stamps, t_ns: Stamps, rate_rps: Floats, window_ns: int) -> Floats:
@@ -118,7 +121,7 @@ def fitted(readings: Readings, first: int, last: int) -> Ramp | None:
     """
     t_s, angle_rad, rate_rps, _, window_s = readings
     cut = first + 1 < _FEWEST, len(t_s) - last < _FEWEST
-    stood = None
+    rested: Iterator[tuple[Floats, Flags]] = iter(())
     if any(cut):
         starts = _polylines(readings, first, last, cut, 1) if window_s else iter(())
     else:
@@ -126,14 +129,45 @@ def fitted(readings: Readings, first: int, last: int) -> Ramp | None:
         if start is None:
             return None
         free = np.zeros(len(start), dtype=np.bool_)
-        # Two ramps in one fit nearly as well as two with a short rest between, so these are tried before.
-        rested = (_fitted_from(one, held, readings, first, last) for one, held in _through_rest(readings, first, last))
-        stood = next((ramp for ramp in rested if ramp is not None), None)
-        if stood is not None and stood.t_s[2] - stood.t_s[1] > _SEEN * stood.sd_s:
-            return stood
+        rested = _through_rest(readings, first, last)
         starts = itertools.chain([(start, free)], _polylines(readings, first, last, cut, len(start) // 2 - 1))
-    found = (_fitted_from(one, held, readings, first, last) for one, held in starts)
-    return next((ramp for ramp in found if ramp is not None), stood)
+    noise = _steady_sd(readings, first, last)
+    best, least = None, np.inf
+    # Two ramps in one fit nearly as well as two with a short rest between, so these are tried before.
+    candidates = itertools.chain(((True, one) for one in rested), ((False, one) for one in starts))
+    for stands, (begin, held) in candidates:
+        ramp = _fitted_from(begin, held, readings, first, last)
+        if ramp is None or (stands and ramp.t_s[2] - ramp.t_s[1] <= _SEEN * ramp.sd_s):
+            continue
+        misfit = _misfit(ramp, readings, first, last, noise)
+        if misfit < _FITS:
+            return ramp
+        if misfit < least:
+            best, least = ramp, misfit
+    return best
+
+
+def _steady_sd(readings: Readings, first: int, last: int) -> Floats:
+    """Return the standard deviations (2,) of angles and rates, those of angles as they scatter at a steady rate.
+
+    They are no larger than what is taken before anything is known, and that where too few readings are steady.
+    """
+    t_s, angle_rad = readings[:2]
+    found = []
+    for part in (slice(0, first + 1), slice(last, len(t_s))):
+        if len(t_s[part]) >= _ENOUGH_STEADY:
+            line = np.polyfit(t_s[part], angle_rad[part], 1)
+            found.append(float(np.std(angle_rad[part] - np.polyval(line, t_s[part]))))
+    return np.array([np.clip(max(found, default=np.inf), _LEAST_SD, _ANGLE_SD_RAD), _RATE_SD_RPS])
+
+
+def _misfit(ramp: Ramp, readings: Readings, first: int, last: int, sd: Floats) -> float:
+    """Return how far angles lie off a ramp, in sigmas rms: all of them or, if that is more, those within it."""
+    t_s = readings[0]
+    p = np.concatenate([ramp.t_s, ramp.rate_rps / ramp.scale, [ramp.angle_rad[0], ramp.scale]])
+    off = _weighed(p, readings, sd, np.inf)[0][: len(t_s)] ** 2
+    near = (t_s > t_s[first] - 1e-9) & (t_s < t_s[last] + 1e-9)
+    return float(np.sqrt(max(np.mean(off), np.mean(off[near]))))
 
 
 def with_corners(
@@ -306,7 +340,10 @@ def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, las
     share = np.where(inside, 0.0, _RATE_SD_RPS**2 / (_RATE_SD_RPS**2 + doubt**2))
     angle, rate = _turned(p, p[:k])
     reading_rps = p[-1] * _turned(p, t_s)[1] + share * off_rps
-    return Ramp(p[:k], angle, p[-1] * rate, reading_rps, float(np.sqrt(variance.max())))
+    # A corner at which the slope hardly changes may be anywhere: it counts by what it does to the rate.
+    bends = np.abs(np.diff(np.diff(p[k : 2 * k]) / np.diff(p[:k]), prepend=0.0, append=0.0))
+    sd_s = float(np.max(np.sqrt(variance) * bends / bends.max()))
+    return Ramp(p[:k], angle, p[-1] * rate, reading_rps, sd_s, float(p[-1]))
 
 
 def _weighed(p: Floats, readings: Readings, sd: Floats, tail: float) -> tuple[Floats, Floats, Floats]:
