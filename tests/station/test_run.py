@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import subprocess
 import time
@@ -18,6 +19,7 @@ from station.bench.bench import default_bench_text
 from station.bench.descriptions import DESCRIPTIONS
 from station.cli import main
 
+ROOT = Path(__file__).parents[2]
 KEYS = ("k", "b_rps", "sigma_j_rad", "sigma_k_rad")
 
 SHORT_SCRIPT = """
@@ -92,11 +94,32 @@ def events(path: Path) -> list[str]:
         return [text.decode() for text in file["events/text"][()]]
 
 
+def assert_pages_state(result: dict[str, Any]) -> None:
+    """See that README and the first hour show the figures of this run; the last digit may differ by processors."""
+    units = (1e6, np.degrees(1) * 3600, 1e6, 1e6)
+    told = {
+        gyro["name"]: [x * unit for key, unit in zip(KEYS, units, strict=True) for x in (gyro[key], gyro["sd"][key])]
+        for gyro in result["gyros"]
+    }
+    for page, gyros in (("README.md", 1), ("docs/pages/guide/first-hour.md", 4)):
+        text = (ROOT / page).read_text(encoding="utf-8")
+        rows = re.findall(r"^│ (gyro\d) │(.*)│$", text, re.MULTILINE)
+        assert len(rows) == gyros, page
+        for name, cells in rows:
+            shown = cells.split("│")
+            steps = [1.1 * 10.0 ** -len(cell.strip().partition(".")[2]) for cell in shown]
+            assert np.all(np.abs(np.array(shown, dtype=float) - told[name]) < steps), f"{page}: {name} is {told[name]}"
+        (nis, samples, lost) = re.findall(r"mean NIS ([\d.]+) \(1 is right\), (\d+) samples, (\d+) lost", text)[0]
+        assert float(nis) == pytest.approx(result["nis_mean"], abs=0.0021), page
+        assert (int(samples), int(lost)) == (result["samples"], result["lost"]), page
+
+
 def test_the_paper_script_passes_on_the_built_in_twins_and_finds_the_truth(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code, result = run_json(capsys, "-o", tmp_path / "run.h5", "--seed", "1")
+    code, result = run_json(capsys, "-o", tmp_path / "run.h5")
     assert code == 0
+    assert_pages_state(result)
     assert result["outcome"] == "PASS"
     assert result["reason"].endswith("within limits; constancy not proved: x, y, z")
     assert [(axis["axis"], axis["proved"]) for axis in result["constancy"]] == [
