@@ -14,6 +14,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from estimator.types import Flags, Floats, Stamps
 
@@ -47,7 +48,7 @@ _READINGS_A_CORNER = 5.0
 _HIDDEN = 2.0  # times the largest change between two readings
 _TRIES = 4  # numbers of corners
 _BEYOND_S = 1e-3
-_ENOUGH_STEADY = 8  # readings
+_SHORT = 7  # readings of a parabola
 _SEEN = 4.0  # sigmas of a rest between two ramps
 _ON_A_RAMP = 0.15, 0.85  # of the steady rate
 _NEARLY_STANDS = 0.1  # of how much a rate changes: a corner at less may be at zero
@@ -131,7 +132,7 @@ def fitted(readings: Readings, first: int, last: int) -> Ramp | None:
         free = np.zeros(len(start), dtype=np.bool_)
         rested = _through_rest(readings, first, last)
         starts = itertools.chain([(start, free)], _polylines(readings, first, last, cut, len(start) // 2 - 1))
-    noise = _steady_sd(readings, first, last)
+    noise = _scatter_sd(t_s, angle_rad)
     best, least = None, np.inf
     # Two ramps in one fit nearly as well as two with a short rest between, so these are tried before.
     candidates = itertools.chain(((True, one) for one in rested), ((False, one) for one in starts))
@@ -147,18 +148,24 @@ def fitted(readings: Readings, first: int, last: int) -> Ramp | None:
     return best
 
 
-def _steady_sd(readings: Readings, first: int, last: int) -> Floats:
-    """Return the standard deviations (2,) of angles and rates, those of angles as they scatter at a steady rate.
+def _scatter_sd(t_s: Floats, angle_rad: Floats) -> Floats:
+    """Return the standard deviations (2,) of angles and rates, those of angles as they scatter about short parabolas.
 
-    They are no larger than what is taken before anything is known, and that where too few readings are steady.
+    Most of these hold no corner. Those of an axis that stands tell nothing of readings that are counts. They are no
+    larger than what is taken before anything is known.
     """
-    t_s, angle_rad = readings[:2]
-    found = []
-    for part in (slice(0, first + 1), slice(last, len(t_s))):
-        if len(t_s[part]) >= _ENOUGH_STEADY:
-            line = np.polyfit(t_s[part], angle_rad[part], 1)
-            found.append(float(np.std(angle_rad[part] - np.polyval(line, t_s[part]))))
-    return np.array([np.clip(max(found, default=np.inf), _LEAST_SD, _ANGLE_SD_RAD), _RATE_SD_RPS])
+    most = np.array([_ANGLE_SD_RAD, _RATE_SD_RPS])
+    if len(t_s) < _SHORT:
+        return most
+    t, angle = (sliding_window_view(one, _SHORT)[:: _SHORT // 2] for one in (t_s, angle_rad))
+    moves = np.ptp(angle, axis=1) > 0
+    if not moves.any():
+        return most
+    t, angle = t[moves] - t[moves].mean(axis=1, keepdims=True), angle[moves] - angle[moves].mean(axis=1, keepdims=True)
+    basis = np.linalg.qr(np.stack([np.ones_like(t), t, t * t], axis=2))[0]
+    left = angle - np.einsum("wij,wkj,wk->wi", basis, basis, angle)
+    sd = float(np.median(np.sqrt(np.sum(left**2, axis=1) / (_SHORT - basis.shape[2]))))
+    return np.clip([sd, _RATE_SD_RPS], _LEAST_SD, most)
 
 
 def _misfit(ramp: Ramp, readings: Readings, first: int, last: int, sd: Floats) -> float:

@@ -27,7 +27,7 @@ from drivers.packaged import packaged_toml
 from station.remote.attaching import running_sessions
 from station.screen.archive.archive import Archive
 from station.screen.bars import SCREENS, STOP_KEY, StopBar
-from station.screen.base import StationScreen, keys_of
+from station.screen.base import LEAST_HEIGHT, LEAST_WIDTH, StationScreen, keys_of
 from station.screen.choices import Choices, load_by_processor, twin_scale
 from station.screen.dialogs import AskDialog, ChooseDialog, HelpDialog, StationDialog
 from station.screen.figures import templated
@@ -36,6 +36,7 @@ from station.screen.sessions.link import SessionLink, sessions_on, sessions_ther
 from station.screen.sessions.live_run import LiveRun, Stage
 from station.screen.sessions.programs import SessionProcess
 from station.screen.sessions.tray import NO_RESULT, RUNNING, WAITING, Spot, Tray
+from station.screen.small import Small
 from station.screen.tabs.giving_out import offered
 from station.screen.tabs.history import HistoryScreen
 from station.screen.tabs.manual import begin_manual
@@ -296,7 +297,8 @@ class StationApp(App[None]):
 
     async def _find_sessions(self) -> None:
         if not self._begins_attached:
-            await self._choose(quiet=True)
+            if not self._is_small:
+                await self._choose(quiet=True)
             return
         found = await asyncio.to_thread(running_sessions)
         if len(found) == 1:
@@ -318,8 +320,16 @@ class StationApp(App[None]):
             self.notify("no session runs", severity="warning")
 
     async def _count_others(self) -> None:
-        if self.shown is None:
-            self.others = len(await asyncio.to_thread(running_sessions))
+        if self.shown is not None:
+            return
+        sessions = await asyncio.to_thread(running_sessions)
+        self.others = len(sessions)
+        if self._is_small and len(sessions) == 1 and self.shown is None:  # a telephone has no key for it
+            self._chosen(str(sessions[0]))
+
+    @property
+    def _is_small(self) -> bool:
+        return self.size.width < LEAST_WIDTH or self.size.height < LEAST_HEIGHT
 
     def _chosen(self, socket: str | None) -> None:
         if socket is not None:
@@ -403,6 +413,9 @@ class StationApp(App[None]):
                     run = None  # what has ended is not what is looked at
             for bar in (bar for screen in self.screen_stack for bar in screen.query(StopBar)):
                 bar.show(run, self.others, said)
+            if below is not None and below.small:
+                for small in below.query(Small):  # none before it is laid out
+                    small.show_run(run, said)
 
     def _watch_terminal(self) -> None:
         """End when nobody is at the other end: a server of the screen that was killed says nothing."""

@@ -8,11 +8,11 @@ from textual.app import ComposeResult
 from textual.binding import Binding
 from textual.containers import VerticalScroll
 from textual.screen import Screen
-from textual.widgets import Footer, Input, Static
+from textual.widgets import Footer, Input
 
-from station.errors import sentence
 from station.screen.bars import StopBar, TopBar
 from station.screen.seen_app import SeenApp
+from station.screen.small import Small
 
 LEAST_WIDTH, LEAST_HEIGHT = 80, 24
 _TALL, _LARGE = 34, (200, 52)
@@ -47,7 +47,7 @@ class StationScreen(Screen[None]):
             yield from self.body()
         yield from self.row_below()
         yield Footer(show_command_palette=False)
-        yield Static(sentence("screen.too_small", width=LEAST_WIDTH, height=LEAST_HEIGHT), id="small")
+        yield Small((LEAST_WIDTH, LEAST_HEIGHT))
         yield StopBar()
 
     def body(self) -> ComposeResult:

@@ -148,6 +148,8 @@ def bench_text(table: str, seed: int) -> str:
         start, stop = text.index("[table]"), text.index("[[imu]]")
         text = text[:start] + _AEROSMITH_TABLE + text[stop:]
         text = re.sub(r"^start = .*$", 'start = ["3 deg"]', text, flags=re.MULTILINE)
+        # One axis shows nothing of the scale factors of the gyros beside it: their limit says nothing of reversals.
+        text = re.sub(r"^scale_factor_error = .*\n", "", text, flags=re.MULTILINE)
     else:
         names = {"rtu": "rtu_stim300", "galil": "galil_xsens", "acutrol": "acutrol_vectornav"}
         text = (BENCHES / f"{names[table]}.toml").read_text()

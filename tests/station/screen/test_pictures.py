@@ -20,6 +20,7 @@ from station.screen.choices import Choices
 from station.screen.sessions.live_run import Stage
 from station.screen.sessions.tray import Spot, Tray
 from station.screen.tabs.facts import FactsDialog
+from station.views.figures import clock
 
 Compare = Callable[..., bool]
 Before = Callable[[Pilot[None]], Awaitable[None]]
@@ -278,10 +279,22 @@ def test_a_tray(place: Path, snap_compare: Compare, size: tuple[int, int], press
     assert snap_compare(app, terminal_size=size, run_before=before)
 
 
-def test_a_terminal_that_is_too_small_keeps_stop_in_sight(place: Path, snap_compare: Compare) -> None:
-    with Replay("pass", 20.0):
+@pytest.mark.parametrize("size", [(41, 42), (84, 18)], ids=["390x844 pixels", "844x390 pixels"])
+@pytest.mark.parametrize(("until_s", "shown"), [(20.0, ""), (math.inf, "PASS")], ids=["running", "ended"])
+def test_a_telephone_shows_verdict_step_time_left_and_stop(
+    place: Path, snap_compare: Compare, size: tuple[int, int], until_s: float, shown: str
+) -> None:
+    with Replay("pass", until_s):
         app = StationApp(CHOICES, attach=True)
-        assert snap_compare(app, terminal_size=(60, 15), run_before=attached(app, 19.0))
+
+        async def before(pilot: Pilot[None]) -> None:
+            await until(pilot, lambda: (run := app.shown) and run.snapshot and run.snapshot.elapsed_s >= 19.0)
+            last = app.shown and app.shown.snapshot
+            assert last
+            wanted = shown or f"{clock(last.remaining_s)} left"
+            await until(pilot, lambda: wanted in str(app.screen.query_one("#small").render()))
+
+        assert snap_compare(app, terminal_size=size, run_before=before)
 
 
 def test_without_colours_every_state_is_a_word(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import threading
 from pathlib import Path
 
@@ -195,5 +196,26 @@ def test_a_label_of_a_step_says_nothing_of_the_run(place: Path, label: str) -> N
             await until(pilot, lambda: "sent; waiting" in said_by_bar(app))
             session.vanish()
             await until(pilot, lambda: "TABLE NOT SEEN AT REST: USE THE EMERGENCY STOP" in said_by_bar(app))
+
+        driven(app, drive)
+
+
+def test_the_bar_says_nothing_of_a_run_that_is_not_the_one_on_the_screen(place: Path, runs: Path) -> None:
+    """A PASS from History stood above a green "the run has ended: FAULT, table at rest"."""
+    with Replay("fault", math.inf):
+        app = StationApp(Choices(bench="bench.toml", script="short.toml", folder=runs), attach=True)
+
+        def said() -> str:
+            return str(app.screen.query_one(StopBar).render())
+
+        async def drive(pilot: Pilot[None]) -> None:
+            await until(pilot, lambda: "the run has ended: FAULT" in said())
+            await pilot.press("f5")
+            await until(pilot, lambda: app.current_mode == "history" and app.screen.query_one("DataTable").row_count)
+            await pilot.press("enter")
+            await until(pilot, lambda: app.current_mode == "result" and app.screen.query("#figures"))
+            await until(pilot, lambda: said() and "FAULT" not in said())
+            await pilot.press("f3")
+            await until(pilot, lambda: "the run has ended: FAULT" in said())
 
         driven(app, drive)

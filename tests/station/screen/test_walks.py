@@ -160,6 +160,42 @@ async def walk(address: str) -> None:
         assert all(asked.startswith(("http://127.0.0.1:", "data:")) for asked in page.asked), page.asked
 
 
+@pytest.mark.full
+@pytest.mark.skipif(not (shutil.which("chromium") or shutil.which("chromium-browser")), reason="Chromium is not there")
+@pytest.mark.parametrize("size", [(390, 844), (844, 390)])
+def test_a_telephone_shows_step_time_left_stop_and_the_verdict(bench: Path, size: tuple[int, int]) -> None:
+    pytest.importorskip("textual_serve")
+    words = command(
+        "run", "--host", "--operator", "A. Operator", "--serial-number", "SN-0042", *OPTIONS, "--scale", "1"
+    )
+    with ctrl_c_of_children():
+        run = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        server = subprocess.Popen(command("ui", "--web", "0"), stdout=subprocess.PIPE, text=True)
+    with run, server:
+        try:
+            assert server.stdout is not None
+            address = re.search(r"http://\S+", server.stdout.readline())
+            assert address is not None
+            asyncio.run(glance(address[0], size))
+        finally:
+            server.send_signal(signal.SIGINT)
+            run.wait(60)
+
+
+async def glance(address: str, size: tuple[int, int]) -> None:
+    """Look at a run from a telephone until it has ended; nothing is pressed."""
+    from browser import Browser
+
+    async with Browser(size) as page:
+        width, height = size
+        await page.do(
+            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False
+        )
+        await page.open(address)
+        await page.see("STOP", " left", "done")
+        await page.see("ESTIMATED")  # the bench states no limits
+
+
 SIZES = ((1280, 800), (1920, 1080), (1000, 700), (2560, 1440), (1280, 720), (1366, 768), (1024, 768), (3840, 2160))
 
 
