@@ -26,7 +26,7 @@ from textual.worker import WorkType
 from drivers.packaged import packaged_toml
 from station.remote.attaching import running_sessions
 from station.screen.archive.archive import Archive
-from station.screen.bars import SCREENS, STOP_KEY, StopBar
+from station.screen.bars import SCREENS, STOP_KEY, Small, StopBar
 from station.screen.base import LEAST_HEIGHT, LEAST_WIDTH, StationScreen, keys_of
 from station.screen.choices import Choices, load_by_processor, twin_scale
 from station.screen.dialogs import AskDialog, ChooseDialog, HelpDialog, StationDialog
@@ -36,7 +36,6 @@ from station.screen.sessions.link import SessionLink, sessions_on, sessions_ther
 from station.screen.sessions.live_run import LiveRun, Stage
 from station.screen.sessions.programs import SessionProcess
 from station.screen.sessions.tray import NO_RESULT, RUNNING, WAITING, Spot, Tray
-from station.screen.small import Small
 from station.screen.tabs.giving_out import offered
 from station.screen.tabs.history import HistoryScreen
 from station.screen.tabs.manual import begin_manual
