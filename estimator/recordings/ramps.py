@@ -11,7 +11,7 @@ change of rate with more corners. The fewest corners that the readings agree wit
 
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -48,6 +48,7 @@ _READINGS_A_CORNER = 5.0
 _HIDDEN = 2.0  # times the largest change between two readings
 _TRIES = 4  # numbers of corners
 _BEYOND_S = 1e-3
+_BELIEVED_RAD = 3e-5  # rms: counts of an encoder do not scatter where it turns by whole ones between readings
 _SHORT = 7  # readings of a parabola
 _SEEN = 4.0  # sigmas of a rest between two ramps
 _ON_A_RAMP = 0.15, 0.85  # of the steady rate
@@ -118,7 +119,8 @@ def fitted(readings: Readings, first: int, last: int) -> Ramp | None:
 
     Beyond them the rate is steady. Where fewer than three readings are beyond them, the rate goes on changing as it did
     there; that is taken for a ramp only if rates are means: others are right between corners as they are.
-    Readings count by their half widths, and by how far they lie off.
+    Readings count by their half widths, and by how far they lie off. If even the best fit is bad the instants of its
+    corners are as good as unknown (``sd_s``).
     """
     t_s, angle_rad, rate_rps, _, window_s = readings
     cut = first + 1 < _FEWEST, len(t_s) - last < _FEWEST
@@ -141,18 +143,17 @@ def fitted(readings: Readings, first: int, last: int) -> Ramp | None:
         if ramp is None or (stands and ramp.t_s[2] - ramp.t_s[1] <= _SEEN * ramp.sd_s):
             continue
         misfit = _misfit(ramp, readings, first, last, noise)
-        if misfit < _FITS:
+        if misfit < _FITS or misfit * noise[0] < _BELIEVED_RAD:
             return ramp
         if misfit < least:
             best, least = ramp, misfit
-    return best
+    return None if best is None else replace(best, sd_s=LONGEST_S)  # none of these is what happened
 
 
 def _scatter_sd(t_s: Floats, angle_rad: Floats) -> Floats:
     """Return the standard deviations (2,) of angles and rates, those of angles as they scatter about short parabolas.
 
-    Most of these hold no corner. Those of an axis that stands tell nothing of readings that are counts. They are no
-    larger than what is taken before anything is known.
+    Most of these hold no corner. They are no larger than what is taken before anything is known.
     """
     most = np.array([_ANGLE_SD_RAD, _RATE_SD_RPS])
     if len(t_s) < _SHORT:
@@ -165,7 +166,7 @@ def _scatter_sd(t_s: Floats, angle_rad: Floats) -> Floats:
     basis = np.linalg.qr(np.stack([np.ones_like(t), t, t * t], axis=2))[0]
     left = angle - np.einsum("wij,wkj,wk->wi", basis, basis, angle)
     sd = float(np.median(np.sqrt(np.sum(left**2, axis=1) / (_SHORT - basis.shape[2]))))
-    return np.clip([sd, _RATE_SD_RPS], _LEAST_SD, most)
+    return np.asarray(np.clip([sd, _RATE_SD_RPS], _LEAST_SD, most))
 
 
 def _misfit(ramp: Ramp, readings: Readings, first: int, last: int, sd: Floats) -> float:
