@@ -19,6 +19,7 @@ LISTEN_S = 2.0
 _OPEN_S = 5.0
 _READINGS = 10
 _OTHERS_S = 1.0  # in which another master that commands an enabled table is seen to do so
+_LOOKS = (0.07, 0.11, 0.19, 0.23, 0.4)  # parts of it between two looks at what drives were told
 _RATE_OFF = 0.02
 _LEAST_PERIOD_S = 1e-5
 _LOOK_AT_TABLE = "are protocol, link, baud rate, parity and the axes' addresses those of the controller?"
@@ -158,8 +159,7 @@ async def _check_table(opened: OpenBench, time_scale: float) -> DeviceCheck:
                     elsewhere if status.enabled else f"axis {axis} turns at {dps:.2f} deg/s: stop it first"
                 )
         if told and enabled:
-            await asyncio.sleep(_OTHERS_S * max(time_scale, 1.0))
-            check.wrong += _told_by_others(told, await _orders(table, bench.table.gimbals))
+            check.wrong += await _others(table, bench.table.gimbals, told, time_scale)
         slow = sum(axis.round_trip_s for axis in check.axes)
         if slow * bench.table.poll_rate_hz > 1:
             check.wrong.append(sentence("check.too_slow", slow_ms=slow * 1e3, poll_rate_hz=bench.table.poll_rate_hz))
@@ -169,6 +169,20 @@ async def _check_table(opened: OpenBench, time_scale: float) -> DeviceCheck:
 async def _orders(table: Turntable, axes: Sequence[str]) -> dict[str, Mapping[str, float]]:
     """Return by axis what drives were told last, nothing where the protocol cannot tell."""
     return {axis: await table.orders(axis) for axis in axes} if isinstance(table, TellsOrders) else {}
+
+
+async def _others(
+    table: Turntable, axes: Sequence[str], told: Mapping[str, Mapping[str, float]], time_scale: float
+) -> list[str]:
+    """Return in words what drives were told while this station told them nothing, at the first look that shows any.
+
+    The looks are unevenly apart: a master that commands to and fro may have come back to the same order by one of them.
+    """
+    for part in _LOOKS:
+        await asyncio.sleep(part * _OTHERS_S * max(time_scale, 1.0))
+        if found := _told_by_others(told, await _orders(table, axes)):
+            return found
+    return []
 
 
 def _told_by_others(before: Mapping[str, Mapping[str, float]], now: Mapping[str, Mapping[str, float]]) -> list[str]:
