@@ -110,7 +110,7 @@ def assert_pages_state(result: dict[str, Any]) -> None:
             steps = [1.1 * 10.0 ** -len(cell.strip().partition(".")[2]) for cell in shown]
             assert np.all(np.abs(np.array(shown, dtype=float) - told[name]) < steps), f"{page}: {name} is {told[name]}"
         (nis, samples, lost) = re.findall(r"mean NIS ([\d.]+) \(1 is right\), (\d+) samples, (\d+) lost", text)[0]
-        assert float(nis) == pytest.approx(result["nis_mean"], abs=0.0021), page
+        assert float(nis) == pytest.approx(result["nis_mean"], abs=0.0006), page
         assert (int(samples), int(lost)) == (result["samples"], result["lost"]), page
 
 

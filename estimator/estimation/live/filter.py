@@ -1,6 +1,7 @@
 """The live Kalman filter: filterpy, fed one orthogonally compressed block at a time."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,8 @@ import numpy as np
 from estimator.geometry.array import SensorArray
 from estimator.geometry.model import Prior, regressor_maps
 from estimator.types import Floats
+
+_TINY = 1e-9  # in units of the columns, rad/s for most: above their rounding, far below what tells of any state
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,9 +137,21 @@ class LiveFilter:
         return x, np.array([p[width * i : width * i + 4, width * i : width * i + 4] for i in range(m)])
 
 
+@lru_cache(maxsize=64)
+def _slopes(rows: int, columns: int) -> Floats:
+    """Return Legendre polynomials over a block (rows, columns), very small, and zero in place of the constant one."""
+    slopes = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, rows), columns - 1) * _TINY
+    slopes[:, 0] = 0.0
+    return np.asarray(slopes)
+
+
 def _compressed(regressors: Floats, z: Floats) -> tuple[Floats, Floats]:
-    """Return outputs turned by an orthogonal transform, and what it makes of the regressors: a triangle of few rows."""
-    q, r = np.linalg.qr(regressors)
+    """Return outputs turned by an orthogonal transform, and what it makes of the regressors: a triangle of few rows.
+
+    At rest the columns of the body rate are constant. Which directions complete the transform would then be rounding,
+    so that the NIS of a recording differed between processors. The slope and the bends of the block complete it.
+    """
+    q, r = np.linalg.qr(regressors + _slopes(*regressors.shape))
     if r[0, 0] < 0:  # so that the first row is the mean itself, not its negative
         q, r = -q, -r
     return q.T @ z, r
