@@ -146,12 +146,13 @@ def _slopes(rows: int, columns: int) -> Floats:
 
 
 def _compressed(regressors: Floats, z: Floats) -> tuple[Floats, Floats]:
-    """Return outputs turned by an orthogonal transform, and what it makes of the regressors: a triangle of few rows.
+    """Turn outputs (rows, m) or (rows,) and regressors (rows, c) by the same orthogonal transform to c rows or fewer.
 
     At rest the columns of the body rate are constant. Which directions complete the transform would then be rounding,
-    so that the NIS of a recording differed between processors. The slope and the bends of the block complete it.
+    so that the NIS of a recording differed between processors. The slope and the bends of the block complete it. They
+    choose the transform only: what it is applied to are the regressors themselves.
     """
     q, r = np.linalg.qr(regressors + _slopes(*regressors.shape))
     if r[0, 0] < 0:  # so that the first row is the mean itself, not its negative
-        q, r = -q, -r
-    return q.T @ z, r
+        q = -q
+    return q.T @ z, q.T @ regressors
