@@ -1,5 +1,6 @@
 """Prints a report: PDF/A-3b of its HTML, the same bytes for the same report."""
 
+import warnings
 from pathlib import Path
 
 from drivers.packaged import packaged_text
@@ -13,8 +14,11 @@ def print_pdf(html: str, pdf: Path) -> bytes:
     Raises UsageError if Pango is not installed.
     """
     try:
-        from weasyprint import HTML
-        from weasyprint.urls import URLFetcher
+        with warnings.catch_warnings():
+            # Without this library WeasyPrint subsets fonts by fontTools, as well.
+            warnings.filterwarnings("ignore", "HarfBuzz-Subset", DeprecationWarning)
+            from weasyprint import HTML
+            from weasyprint.urls import URLFetcher
     except (ImportError, OSError) as error:
         raise UsageError(sentence("report.no_pdf", why=str(error).splitlines()[0])) from None
     from matplotlib import get_data_path
