@@ -8,6 +8,9 @@ motion is that of the twin's model, not what the station or a controller says.
     python tests/bench/guard.py --times 12 --without-guard --watchdog 1   the drives' own watchdog alone
     python tests/bench/guard.py --times 10 --kill group         everything in the station's process group
     python tests/bench/guard.py --times 10 --kill hosted        a session as the operator's screen starts it
+    python tests/bench/guard.py --times 10 --kill stopped       the guard has been stopped (SIGSTOP) before
+    python tests/bench/guard.py --times 10 --kill held          nobody reads what station and guard write to stderr
+    python tests/bench/guard.py --times 10 --kill forked        a child of the station's has its end of the guard's pipe
     python tests/bench/guard.py --times 10 --table BINARY       against a table of others, which logs its motion
 
 A table has to be at rest within its braking time, from the rate that it had, and one second; without a guard also the
@@ -49,6 +52,18 @@ _EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
 _ACCELERATION_RPS2 = math.radians(50)  # of all the tables here, also when they brake
 _GRACE_S, _WAIT_S = 1.0, 20.0
 _LOOK_S = 0.002
+KILLS = ("process", "group", "hosted", "stopped", "held", "forked")
+_FORKS_ON_SIGNAL = """
+import os, signal, time
+
+def fork(number, frame):
+    if os.fork() == 0:
+        time.sleep(60)
+        os._exit(0)
+
+signal.signal(signal.SIGUSR1, fork)
+"""
+"""A plug-in that has the station fork a child without ``exec``, as ``multiprocessing`` may."""
 USUAL = ("modbus", "rtu", "galil", "acutrol")
 AXES = {"numbered": "z", "aerosmith": "z"}
 
@@ -223,6 +238,25 @@ def alive(pid: int) -> bool:
         return False
 
 
+def fill(pipe: int) -> None:
+    """Write to a pipe until it takes no more: whoever writes to it then waits for a reader."""
+    os.set_blocking(pipe, False)
+    with suppress(BlockingIOError):
+        while True:
+            os.write(pipe, b" ")
+    os.set_blocking(pipe, True)
+
+
+async def forked(pid: int) -> int:
+    """Have a station that loaded ``_FORKS_ON_SIGNAL`` fork; return the child's number."""
+    children = Path(f"/proc/{pid}/task/{pid}/children")
+    before = set(children.read_text().split())
+    os.kill(pid, signal.SIGUSR1)
+    while not (new := set(children.read_text().split()) - before):
+        await asyncio.sleep(_LOOK_S)
+    return int(new.pop())
+
+
 def cost_of(pid: int) -> tuple[float, float]:
     """Return resident megabytes, and seconds of processor time."""
     status = Path(f"/proc/{pid}/status").read_text()
@@ -253,9 +287,16 @@ async def kill_once(
     options = [word for name, link in table.links.items() for word in ("--link", f"{name}={link}")]
     words: list[str | Path] = ["run", "--bench", table.bench, *options, "--device", imu]
     words += ["--script", script, "-o", recording, "--json", *(["--host"] if how == "hosted" else [])]
+    if how == "forked":
+        plugin = folder / "forks.py"
+        plugin.write_text(_FORKS_ON_SIGNAL)
+        words += ["--plugin", plugin]
     said = folder / "said"
+    unread, stderr = os.pipe()
     with said.open("wb") as output:
-        run = subprocess.Popen(command(*words), stdout=output, stderr=output, start_new_session=True)
+        errors = stderr if how == "held" else output
+        run = subprocess.Popen(command(*words), stdout=output, stderr=errors, start_new_session=True)
+    child = 0
 
     async def until_turning() -> None:
         while not table.turning():
@@ -273,6 +314,13 @@ async def kill_once(
             run.send_signal(signal.SIGSTOP)  # or it would start another
             for pid in guards:
                 os.kill(pid, signal.SIGKILL)
+        if how == "stopped":
+            for pid in guards:
+                os.kill(pid, signal.SIGSTOP)
+        elif how == "held":
+            fill(stderr)
+        elif how == "forked":
+            child = await forked(run.pid)
         rate_rps = table.fastest_rps()
         killed = time.monotonic()
         if how == "group":
@@ -289,6 +337,10 @@ async def kill_once(
     for pid in guards:
         while alive(pid) and time.monotonic() < killed + 90:
             await asyncio.sleep(0.01)
+    for end in (unread, stderr):
+        os.close(end)
+    if child:
+        os.kill(child, signal.SIGKILL)
     log = guard_log_of(recording)
     return Kill(
         protocol=protocol,
@@ -352,7 +404,7 @@ def main() -> int:
     parser.add_argument("--protocols", default=",".join(USUAL), help="also numbered, a plug-in, and aerosmith")
     parser.add_argument("--table", metavar="BINARY", help="a table of others, in place of twins")
     parser.add_argument("--watchdog", type=float, default=0.0, help="of the drives, in s")
-    parser.add_argument("--kill", choices=("process", "group", "hosted"), default="process")
+    parser.add_argument("--kill", choices=KILLS, default="process")
     parser.add_argument("--without-guard", action="store_true")
     arguments = parser.parse_args()
     with asyncio.Runner(loop_factory=ScaledLoop) as runner:

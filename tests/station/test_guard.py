@@ -32,7 +32,9 @@ def killed(protocol: str, folder: Path, after_s: float = 0.3, *, how: str = "pro
         return runner.run(main())
 
 
-@pytest.mark.parametrize(("protocol", "how"), [("modbus", "process"), ("rtu", "group")])
+@pytest.mark.parametrize(
+    ("protocol", "how"), [("modbus", "stopped"), ("rtu", "group"), ("galil", "held"), ("acutrol", "forked")]
+)
 def test_a_table_whose_station_is_killed_in_motion_is_stopped_and_switched_off(
     protocol: str, how: str, tmp_path: Path
 ) -> None:

@@ -47,6 +47,7 @@ class Guard:
         order = Order(
             table=self._table.packed,
             locks=self._table.locks,
+            pid=os.getpid(),
             who=f"the station (process {os.getpid()})",
             log=self._log,
             time_scale=self._time_scale,

@@ -5,13 +5,17 @@ is called on. Run as ``python -m station.run.guard.process``; standard input is 
 """
 
 import asyncio
+import ctypes
 import os
 import pickle
+import queue
 import signal
 import sys
+import threading
 import time
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from contextlib import suppress
+from functools import partial
 from typing import Any
 
 import serial  # noqa: F401  a serial link imports it when it is opened, which would be late
@@ -26,6 +30,8 @@ from station.run.guard.words import ARM, DISMISS, READY, Order
 
 _SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP", "SIGPIPE")
 _GIVE_UP_S, _PAUSE_S = 60.0, 0.5
+_LAST_WORDS_S = 1.0  # for the terminal and the disk, by the wall's clock
+_PR_SET_PDEATHSIG = 1
 _OOM_STEPS = range(-1000, 1000, 100)
 
 
@@ -34,6 +40,7 @@ def main() -> None:
     for name in _SIGNALS:
         signal.signal(getattr(signal, name), signal.SIG_IGN)
     _ask_to_be_spared()
+    _ask_to_be_continued()
     size = int.from_bytes(_read(4), "big")
     order: Order = pickle.loads(_read(size))
     with asyncio.Runner(loop_factory=lambda: ScaledLoop(order.time_scale)) as runner:
@@ -65,37 +72,84 @@ def _ask_to_be_spared() -> None:
         return
 
 
+def _ask_to_be_continued() -> None:
+    """Have the kernel continue this process at the station's death, should somebody have stopped it (SIGSTOP)."""
+    with suppress(OSError, AttributeError):  # not Linux
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGCONT), 0, 0, 0)
+
+
 async def _guard(order: Order) -> None:
     try:
         table = unpacked_table(order.table)
     except Exception as error:  # what stands in a plug-in
         os.write(2, f"station: the guard cannot make the table's driver: {type(error).__name__}: {error}\n".encode())
         return
+    log = _Log(order)
     os.write(1, READY)
-    if await _station_dies():
+    if await _station_dies(order.pid):
         with inherited(order.locks, f"guard of {order.who}, which has died: it stops the table"):
-            await _act(order, table)
+            await _act(order, table, log)
+        log.close()
 
 
-async def _station_dies() -> bool:
-    """Return at the station's death whether the table was its own then, or false when this guard is dismissed."""
+async def _station_dies(pid: int) -> bool:
+    """Return at the station's death whether the table was its own then, or false when this guard is dismissed.
+
+    The death shows at the pipe and, on Linux, at the process: a child of the station's that was forked without
+    ``exec`` keeps the pipe open.
+    """
     loop = asyncio.get_running_loop()
-    armed, told = False, asyncio.Event()
+    told, ended = asyncio.Event(), asyncio.Event()
+    os.set_blocking(0, False)
     loop.add_reader(0, told.set)
+    process = _process(pid)
+
+    def see_end() -> None:
+        loop.remove_reader(process)
+        ended.set()
+        told.set()
+
+    if process >= 0:
+        loop.add_reader(process, see_end)
+    armed = False
     while True:
         await told.wait()
         told.clear()
-        data = os.read(0, 64)
-        if DISMISS in data:
+        words, closed = _words()
+        if DISMISS in words:
             return False
-        armed = armed or ARM in data
-        if not data:
+        armed = armed or ARM in words
+        if closed or ended.is_set():
             loop.remove_reader(0)
             return armed
 
 
-async def _act(order: Order, table: Turntable) -> None:
-    say = _Log(order)
+def _process(pid: int) -> int:
+    """Return a descriptor that can be read once the station has ended, -1 where there is no such thing."""
+    if not hasattr(os, "pidfd_open"):
+        return -1
+    try:
+        process = os.pidfd_open(pid)
+    except OSError:  # an old kernel, or it has ended: the pipe tells that
+        return -1
+    if os.getppid() != pid:  # it has ended, and its number may be another process's
+        os.close(process)
+        return -1
+    return process
+
+
+def _words() -> tuple[bytes, bool]:
+    """Return all that the station has said, and whether the pipe is closed."""
+    words = b""
+    with suppress(BlockingIOError):
+        while data := os.read(0, 64):
+            words += data
+        return words, True
+    return words, False
+
+
+async def _act(order: Order, table: Turntable, say: "_Log") -> None:
+    """Bring the table to rest and take its power off, again and again for a minute."""
     say(f"{order.who} has died with the table in its hands: the guard stops it")
     loop = asyncio.get_running_loop()
     began_s = loop.time()
@@ -125,19 +179,57 @@ class _Log:
     """Says what is done, on the terminal and in a file beside the recording, if that can be written."""
 
     def __init__(self, order: Order) -> None:
-        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
-        self._file = -1
-        with suppress(OSError):
-            file = os.open(order.log, flags, 0o666)
-            check_own(order.log, file)  # others may be able to write to the folder
-            self._file = file
+        self._terminal = _Sink(lambda: 2)
+        self._file = _Sink(partial(_opened_log, order.log))
 
     def __call__(self, text: str) -> None:
         now = time.time()
         stamp = time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(now)) + f".{int(now % 1 * 1000):03d}Z"
-        for file, line in ((2, f"station: {text}\n"), (self._file, f"{stamp} {text}\n")):
+        self._terminal.write(f"station: {text}\n")
+        self._file.write(f"{stamp} {text}\n")
+
+    def close(self) -> None:
+        """Wait until all is written, but not for long."""
+        limit_s = time.monotonic() + _LAST_WORDS_S
+        for sink in (self._file, self._terminal):
+            sink.close(limit_s)
+
+
+class _Sink:
+    """Writes lines to one place in a thread of its own.
+
+    A terminal that is held (Ctrl-S), a pipe that nobody reads or a disk that hangs must not keep a table turning.
+    """
+
+    def __init__(self, opened: Callable[[], int]) -> None:
+        """``opened`` returns the descriptor to write to, at the first line."""
+        self._opened = opened
+        self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._write_all, daemon=True)
+        self._thread.start()
+
+    def write(self, line: str) -> None:
+        self._lines.put(line)
+
+    def close(self, limit_s: float) -> None:
+        """End after the lines so far; wait for that until an instant of the monotonic clock."""
+        self._lines.put("")
+        self._thread.join(max(limit_s - time.monotonic(), 0.0))
+
+    def _write_all(self) -> None:
+        file = None
+        while line := self._lines.get():
             with suppress(OSError):  # the terminal may be gone, the disk full
+                file = self._opened() if file is None else file
                 os.write(file, line.encode())
+
+
+def _opened_log(path: str) -> int:
+    """Open the file that tells what a guard did; OSError where it cannot be this user's own."""
+    flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
+    file = os.open(path, flags, 0o666)
+    check_own(path, file)  # others may be able to write to the folder
+    return file
 
 
 if __name__ == "__main__":

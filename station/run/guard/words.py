@@ -10,12 +10,14 @@ READY, ARM, DISMISS = b"r", b"a", b"d"
 class Order:
     """What a guard is told.
 
-    ``table`` is a packed driver (``drivers.tables.recipe``), ``locks`` the descriptors that lock its links,
-    ``who`` names the station, ``log`` is the file for what the guard did, and ``time_scale`` how fast the clock runs.
+    ``table`` is a packed driver (``drivers.tables.recipe``), ``locks`` the descriptors that lock its links, ``pid`` is
+    the station's process, ``who`` names it, ``log`` is the file for what the guard did, and ``time_scale`` is how fast
+    the clock runs.
     """
 
     table: bytes
     locks: tuple[int, ...]
+    pid: int
     who: str
     log: str
     time_scale: float
