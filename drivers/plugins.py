@@ -20,6 +20,8 @@ T = TypeVar("T")
 GIVEN = "STATION_PLUGINS"
 """The environment variable that hands Python files to all processes of a command: whole paths, separated as in PATH."""
 
+_MOST_STEPS = 1000  # of folders and links on the way to a file
+
 
 class PluginError(ValueError):
     """Something from outside cannot be used; one line with its name, the place and the reason."""
@@ -29,21 +31,21 @@ def load_files(paths: Iterable[Path] = ()) -> list[ModuleType]:
     """Import the files that ``GIVEN`` names and these, each once; PluginError if that fails.
 
     The operator has named those of ``GIVEN``. These others a bench file names, or they stand beside it: they must be
-    files that nobody but the operator and the administrator can change.
+    files that nobody but the operator and the administrator can change, and so must all that leads to them.
     """
     given = [Path(file) for file in os.environ.get(GIVEN, "").split(os.pathsep) if file]
     if here := [str(path) for path in given if not path.is_absolute()]:  # the working folder decides nothing
         raise PluginError(f"{GIVEN} has {', '.join(here)}: give the whole path")
     named = dict.fromkeys(path.resolve() for path in given)
-    found = [path for path in dict.fromkeys(path.resolve() for path in paths) if path not in named]
-    for path in found:
+    beside = [path for path in paths if path.resolve() not in named]
+    for path in beside:
         if reason := _changed_by_others(path):
             raise PluginError(
                 f"plug-in {path} is not loaded: {reason}, and it is code that would run as you. Copy it to a folder "
                 "that only you may write to; or, if you have looked at it and trust who may change it, name it: "
                 f"--plugin {path}"
             )
-    return [load_file(path) for path in (*named, *found)]
+    return [load_file(path) for path in (*named, *dict.fromkeys(path.resolve() for path in beside))]
 
 
 def load_file(path: Path) -> ModuleType:
@@ -65,27 +67,52 @@ def load_file(path: Path) -> ModuleType:
 
 
 def _changed_by_others(path: Path) -> str:
-    """Return how another user than this one and root could change a file, empty if none could.
+    """Return how another user than this one and root could change what is behind a name, empty if none could.
 
-    A folder with the sticky bit, such as /tmp, lets nobody replace files of others. A group of the user alone, which
-    many systems make for each user, is the user.
+    Whoever may write to a folder can rename what is in it, also a folder or a link on the way to the file. A folder
+    with the sticky bit, such as /tmp, lets nobody replace what others own. A group of the user alone, which many
+    systems make for each user, is the user.
     """
     if os.name != "posix":
         return ""
     try:
-        seen = [(what, place.stat()) for what, place in (("it", path), ("its folder", path.parent))]
+        seen = [(place, place.lstat()) for place in _on_the_way(path)]
     except OSError:
         return ""  # what is not there is told by who loads it
-    for what, state in seen:
+    for place, state in reversed(seen):
+        what = "it" if place == path.absolute() else str(place)
         if state.st_uid not in (0, os.geteuid()):
             return f"{what} belongs to {_user(state.st_uid)}"
-        if stat.S_ISDIR(state.st_mode) and state.st_mode & stat.S_ISVTX:
+        if stat.S_ISLNK(state.st_mode) or (stat.S_ISDIR(state.st_mode) and state.st_mode & stat.S_ISVTX):
             continue
         if state.st_mode & stat.S_IWOTH:
             return f"every user of this computer may write to {what}"
         if state.st_mode & stat.S_IWGRP and not _private(state.st_gid, state.st_uid):
             return f"a group of users may write to {what}"
     return ""
+
+
+def _on_the_way(path: Path) -> Iterator[Path]:
+    """Yield every folder and link that leads to a file, and the file; OSError for one that is not there."""
+    left = [*reversed(path.absolute().parts)]
+    here = Path(left.pop())
+    yield here
+    for _ in range(_MOST_STEPS):
+        if not left:
+            return
+        place = here / left.pop()
+        if place.name == "..":
+            here = here.parent
+            continue
+        yield place
+        if not place.is_symlink():
+            here = place
+            continue
+        target = place.readlink()
+        left += reversed(target.parts)
+        if target.is_absolute():
+            here = Path(left.pop())
+    raise OSError(f"{path} does not come to an end")
 
 
 def _user(uid: int) -> str:

@@ -47,14 +47,23 @@ def test_a_plug_in_of_ones_own_is_loaded(plugins: Path) -> None:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="rights are those of POSIX")
-@pytest.mark.parametrize("what", ["the file", "its folder", "a file of another", "a folder of another"])
+@pytest.mark.parametrize(
+    "what",
+    ["the file", "its folder", "a file of another", "a folder of another", "a folder above", "a link of another"],
+)
 def test_a_plug_in_that_others_can_change_is_not_run(plugins: Path, what: str) -> None:
     if "another" in what and os.geteuid() != 0:
         pytest.skip("only root can give a file away")
     target = plugins if "folder" in what else plugins / "mine.py"
-    if "another" in what:
+    if what == "a folder above":
+        target = plugins.parent
+    elif what == "a link of another":  # to a script of one's own
+        elsewhere = plugins.rename(plugins.with_name("elsewhere"))
+        plugins.symlink_to(elsewhere)
+        os.chown(plugins, 54321, 54321, follow_symlinks=False)
+    elif "another" in what:
         os.chown(target, 54321, 54321)
-    else:
+    if "another" not in what:
         target.chmod(0o777)
     code, said, ran = planned(plugins)
     assert (code, ran) == (2, False)
