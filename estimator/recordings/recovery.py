@@ -40,23 +40,36 @@ def recover(path: Path) -> None:
     A new file takes the recording's place when all is in it, so whoever is killed meanwhile changes nothing. What the
     recording held is kept beside it, unless all of that is in the new file. A recording with more samples than its
     journal keeps its rows, and takes counts that only the journal has. It stays as it is, and the log says why, if the
-    journal is of another run, if nothing can be made of it, or if it is damaged and has no more samples. A journal is
-    removed if all its samples are in the recording.
+    journal is of another run or another user, if nothing can be made of it, or if it is damaged and has no more
+    samples. A journal is removed if all its samples are in the recording.
 
     Raises RecordingError if the run has not ended, or nothing can be written there.
     """
     journal = journal_of(path)
     if not journal.is_file():
         return
-    with _alone_in(path.parent), suppress(FileNotFoundError), journal.open("rb") as file:  # gone: another was faster
-        if not lock(file, alone=False):
-            raise RecordingError(f"{path} is being written: its run has not ended")
-        try:
+    try:
+        _check_owner(path, journal.stat())
+        with _alone_in(path.parent), journal.open("rb") as file:
+            _check_owner(path, os.fstat(file.fileno()))
+            if not lock(file, alone=False):
+                raise RecordingError(f"{path} is being written: its run has not ended")
             _log.warning(_fold(path, journal, file))
-        except RecordingError:
-            raise
-        except Exception as error:  # a journal is a file that anybody may have made
-            _log.warning(f"{journal} is not used: {first_line(error)}")
+    except RecordingError:
+        raise
+    except FileNotFoundError:
+        return  # another was faster
+    except Exception as error:  # a journal is a file that anybody may have made
+        _log.warning(f"{journal} is not used: {first_line(error)}")
+
+
+def _check_owner(path: Path, journal: os.stat_result) -> None:
+    """Check that a journal is of the owner of the recording beside it, of this user or of root; ValueError if not.
+
+    Who may read a recording knows its number, and in a shared folder anybody can put a journal beside it.
+    """
+    if os.name == "posix" and path.exists() and journal.st_uid not in (path.stat().st_uid, os.geteuid(), 0):
+        raise ValueError(sentence("recordings.other_owner", path=path.name))
 
 
 def _fold(path: Path, journal: Path, file: BinaryIO) -> str:

@@ -450,6 +450,18 @@ def test_a_journal_of_another_run_is_named_and_nothing_is_touched(
     assert {file.name: file.read_bytes() for file in path.parent.iterdir()} == before
 
 
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() != 0, reason="only root can give a file away")
+def test_a_journal_that_another_user_made_with_the_number_of_a_recording_is_not_used(
+    dead: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = shutil.copytree(dead, tmp_path / "x") / "run.h5"
+    os.chown(path.with_name("run.h5.journal"), 54321, 54321)
+    before = {file.name: file.read_bytes() for file in path.parent.iterdir()}
+    assert rows_of(path) == 30
+    assert "it belongs to another user than run.h5" in caplog.text
+    assert {file.name: file.read_bytes() for file in path.parent.iterdir()} == before
+
+
 @pytest.mark.parametrize("which", ["both", "the journal", "the recording"])
 def test_files_from_before_there_were_numbers_are_recovered(dead: Path, tmp_path: Path, which: str) -> None:
     path = shutil.copytree(dead, tmp_path / "x") / "run.h5"
