@@ -2,6 +2,7 @@
 
 import argparse
 import asyncio
+import gc
 import json
 import signal
 import sys
@@ -179,6 +180,7 @@ def command_import(arguments: argparse.Namespace) -> int:
 def clock(bench: Bench, scale: float | None) -> asyncio.Runner:
     """Return what runs loops of one clock; virtual or paced time if every link leads to a twin in memory."""
     if not needs_only_memory(bench):
+        gc.freeze()  # what there is by now stays: looking through it again would hold the loop up for 0.2 s
         return asyncio.Runner(loop_factory=partial(ScaledLoop, scale or 1.0))
     return asyncio.Runner(loop_factory=VirtualLoop if scale is None else partial(PacedLoop, scale))
 

@@ -106,6 +106,7 @@ class Acquisition:
         self._half_width_ns, self._rate_window_ns = 0, 0
         self.host = HostWatch(time_scale)
         self._sync: asyncio.Future[Any] | None = None
+        self._enough_rows = asyncio.Event()
         writer.add_table(self._bench.table.gimbals, self._bench.table.uncertainty)
         for imu in self._imus:
             self._add_sources(imu)
@@ -163,8 +164,17 @@ class Acquisition:
             self.writer.add_table(table.gimbals, table.uncertainty, row.rate_window_ns)
         self.writer.append_rows("table", {key: np.array([value]) for key, value in columns.items()})
         self._half_width_ns = max(self._half_width_ns, row.half_width_ns)
-        self.live.add_row(row)
+        if self.live.add_row(row):
+            self._enough_rows.set()
         self.monitor.row = row
+
+    async def keep_estimating(self) -> None:
+        """Feed the live filters until cancelled, in a thread."""
+        loop = asyncio.get_running_loop()
+        while True:
+            await self._enough_rows.wait()
+            self._enough_rows.clear()
+            await loop.run_in_executor(None, self.live.advance)
 
     def end_step(self, label: str, start_ns: int, end_ns: int) -> None:
         self.writer.append_text("steps", {"t_start_ns": start_ns, "t_end_ns": end_ns}, "label", label)
@@ -305,7 +315,7 @@ class Acquisition:
 
     def _take_histories(self, fewest: int) -> None:
         for name, source in self.live.sources.items():
-            for group, columns in source.history.take(fewest).items():
+            for group, columns in source.take_history(fewest).items():
                 self.writer.append_rows(f"{group}/{name}", columns)
 
     def causes(self) -> list[str]:

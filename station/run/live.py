@@ -1,8 +1,12 @@
 """The estimate while the run goes on: samples wait for the table's readings, then feed the live filters."""
 
+import threading
+from collections import deque
+
 import numpy as np
 
 from drivers.types import Floats, Stamps
+from estimator.estimation.live.filter import Innovation
 from estimator.estimation.live.source import LiveSource
 from estimator.geometry.kinematics import Site, body_rate
 from estimator.recordings.growing_rows import GrowingRows
@@ -15,12 +19,18 @@ _HELD_NS = 60_000_000_000  # of body rates, for samples that come late
 
 
 class LiveEstimate:
-    """All sources of a run on one table."""
+    """All sources of a run on one table.
+
+    ``advance`` may work in a thread: fitting a ramp takes a quarter of a second, and whoever reads the table, keeps the
+    journal or stops a run does not wait for it.
+    """
 
     def __init__(self, gimbals: tuple[str, ...], site: Site | None) -> None:
         self.rates = BodyRates(gimbals, site)
         self.sources: dict[str, LiveSource] = {}
-        self._rows: list[TableRow] = []
+        self._rows: deque[TableRow] = deque()
+        self._working = threading.Lock()
+        self._keeping = threading.Lock()
         self._gimbals, self._site = gimbals, site
         self._kept_rows: GrowingRows | None = None
         self._window_ns = 0
@@ -35,13 +45,19 @@ class LiveEstimate:
     def readings(self, uncertainty: TableUncertainty | None) -> TableReadings:
         """Return the readings of the table that have been kept."""
         assert self._kept_rows is not None
-        t_ns, angle_rad, rate_rps, half_ns = (self._kept_rows[name] for name in ("t_ns", "angle", "rate", "half_ns"))
+        with self._keeping:
+            kept = [self._kept_rows[name] for name in ("t_ns", "angle", "rate", "half_ns")]
+        t_ns, angle_rad, rate_rps, half_ns = kept
         return TableReadings(t_ns, angle_rad, rate_rps, self._gimbals, uncertainty, half_ns, self._window_ns)
 
-    def add_row(self, row: TableRow) -> None:
-        """Take in one row of table readings; now and then use the samples that they cover."""
+    def add_row(self, row: TableRow) -> bool:
+        """Keep a row of table readings; return whether there are enough for ``advance``."""
         self._rows.append(row)
-        if len(self._rows) >= _ROWS_AT_ONCE:
+        return len(self._rows) >= _ROWS_AT_ONCE
+
+    def advance(self) -> None:
+        """Take in the rows, and use the samples that they cover."""
+        with self._working:
             self._take_rows()
             for source in self.sources.values():
                 source.advance(self.rates)
@@ -53,19 +69,22 @@ class LiveEstimate:
 
     def finish(self) -> None:
         """Use what is left."""
-        self._take_rows()
-        self.rates.finish()
-        for source in self.sources.values():
-            source.advance(self.rates, everything=True)
+        with self._working:
+            self._take_rows()
+            self.rates.finish()
+            for source in self.sources.values():
+                source.advance(self.rates, everything=True)
 
     def _take_rows(self) -> None:
-        if self._rows:
-            columns = _columns(self._rows)
-            self.rates.add(*columns)
+        rows = [self._rows.popleft() for _ in range(len(self._rows))]
+        if not rows:
+            return
+        columns = _columns(rows)
+        self.rates.add(*columns)
+        with self._keeping:
             if self._kept_rows is not None:
                 self._kept_rows.append(*columns[:-1])
             self._window_ns = columns[-1]
-            self._rows.clear()
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -75,20 +94,24 @@ class LiveEstimate:
     @property
     def nis_mean(self) -> float:
         """Mean normalised innovation squared per degree of freedom over all sources."""
-        total = sum(s.filter.nis_sum for s in self.sources.values())
-        dof = sum(s.filter.nis_dof for s in self.sources.values())
-        return total / dof if dof else float("nan")
+        sums = [source.nis() for source in self.sources.values()]
+        dof = sum(own for _, own in sums)
+        return sum(total for total, _ in sums) / dof if dof else float("nan")
 
     @property
     def recent(self) -> int:
         """How many innovations the last half minute of all sources has."""
-        return sum(one.dof for source in self.sources.values() for one in source.history.recent)
+        return sum(one.dof for one in self._recent())
 
     @property
     def nis_recent(self) -> float:
         """Mean normalised innovation squared per degree of freedom over the last half minute of all sources."""
-        recent = [innovation for source in self.sources.values() for innovation in source.history.recent]
-        return sum(one.nis for one in recent) / self.recent if self.recent else float("nan")
+        recent = self._recent()
+        dof = sum(one.dof for one in recent)
+        return sum(one.nis for one in recent) / dof if dof else float("nan")
+
+    def _recent(self) -> list[Innovation]:
+        return [one for source in self.sources.values() for one in source.recent_innovations()]
 
     @property
     def whiteness(self) -> float:

@@ -250,7 +250,7 @@ class Session:
         monitor, acquisition = self._monitor, self._acquisition
         async with asyncio.TaskGroup() as group:
             self._guard.start()
-            services = [serve(group, acquisition.keep_flushing())]
+            services = [serve(group, acquisition.keep_flushing()), serve(group, acquisition.keep_estimating())]
             for imu in self._open.imus:
                 self._check_serial(imu.config.name, (await acquisition.open(imu)).serial)
                 services.append(serve(group, acquisition.acquire(imu)))

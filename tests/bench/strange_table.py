@@ -22,6 +22,7 @@ import argparse
 import asyncio
 import contextlib
 import json
+import math
 import os
 import socket
 import sys
@@ -132,8 +133,10 @@ class Case:
             return "" if self.outcome in ("PASS", "FAIL") else self.outcome or "no verdict"
         if not self.struck_s:
             return "not struck"
+        if self.kind in FROZEN and self.phase != "homing" and self.outcome != "FAULT":
+            return "not seen"
         if self.kind in TRUE_UNTIL_THE_END:
-            return "not seen" if self.outcome != "FAULT" else ""
+            return "" if self.outcome == "FAULT" and math.isfinite(self.rest_s) else "not seen"
         if self.outcome not in ("PASS", "FAIL") and self.rest_s > AT_REST_S:
             return f"at rest after {self.rest_s:.2f} s"
         if self.kind in FROZEN and self.phase != "homing" and "keeps turning" in self.reason:

@@ -157,7 +157,8 @@ def test_every_effect_that_can_be_live_gives_the_batch_estimate_however_the_samp
             part = slice(used, until)
             source.add(ImuBlock(data.t_ns[part], data.t_ns[part], data.rate_rps[part], warm[part]))
             used = until
-        live.add_row(TableRow(t_ns, reference.angle_rad[row], reference.rate_rps[row], 0))
+        if live.add_row(TableRow(t_ns, reference.angle_rad[row], reference.rate_rps[row], 0)):
+            live.advance()
     rest = slice(used, None)
     source.add(ImuBlock(data.t_ns[rest], data.t_ns[rest], data.rate_rps[rest], warm[rest]))
     live.finish()

@@ -36,8 +36,9 @@ def fed(live: LiveEstimate, from_s: int, until_s: int) -> None:
         rate[:, 2] = 0.4
         source.add(ImuBlock(t_ns, t_ns, rate + 1e-3 * noise.normal(size=rate.shape), np.full(len(t_ns), 25.0)))
         for row_ns in range(second * 1_000_000_000, (second + 1) * 1_000_000_000, TABLE_NS):
-            live.add_row(TableRow(row_ns, np.array([0.4e-9 * row_ns]), np.array([0.4]), 0))
-        source.history.take(50)
+            if live.add_row(TableRow(row_ns, np.array([0.4e-9 * row_ns]), np.array([0.4]), 0)):
+                live.advance()
+        source.take_history(50)
 
 
 def test_a_live_estimate_needs_no_more_memory_the_longer_it_runs() -> None:

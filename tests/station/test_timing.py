@@ -41,7 +41,8 @@ def test_rates_are_known_through_ramps_of_a_controller_that_tells_mean_rates(ram
         angle_rad, times = round(motion.at(t)[0] / count) * count, (round(t * 1e9), round((told - window_s / 2) * 1e9))
         state = AxisState(times[0], angle_rad, times[1], round(mean_rps / count) * count, 0, round(window_s * 1e9))
         for row in aligner.add({"z": state}):
-            live.add_row(row)
+            if live.add_row(row):
+                live.advance()
     live.finish()
     t_s = np.arange(3.0, 12.0, 0.001)
     t_ns = np.round(t_s * 1e9).astype(np.int64)

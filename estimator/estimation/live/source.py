@@ -4,6 +4,7 @@ A session runs it while the table turns; ``filter_nis`` runs it over a recording
 """
 
 import hashlib
+import threading
 from collections import deque
 from dataclasses import dataclass
 from typing import Any, Protocol, Self
@@ -88,7 +89,11 @@ class History:
 
 
 class LiveSource:
-    """One source: samples not yet used, its filter, what the filter said."""
+    """One source: samples not yet used, its filter, what the filter said.
+
+    ``advance`` may work in another thread than all the rest. What the filter came to and what it said are changed by a
+    whole block at once, under ``lock``.
+    """
 
     def __init__(
         self,
@@ -120,7 +125,8 @@ class LiveSource:
         self._t: Stamps = np.empty(0, dtype=np.int64)
         self._y: Floats = np.empty((0, len(array)))
         self._temperature_c: Floats = np.empty(0)
-        self._new: list[SampleBlock] = []
+        self._new: deque[SampleBlock] = deque()
+        self.lock = threading.RLock()
         self._recent: tuple[Floats, ...] = ()
         self._recent_at = -1
 
@@ -144,7 +150,8 @@ class LiveSource:
 
     def decoded(self) -> tuple[Floats, Floats]:
         """Return the states (m, 4) and their sigmas."""
-        x, p = self.filter.state()
+        with self.lock:
+            x, p = self.filter.state()
         pairs = [decode(xi, pi) for xi, pi in zip(x, p, strict=True)]
         return np.array([s for s, _ in pairs]), np.array([np.sqrt(np.diag(c)) for _, c in pairs])
 
@@ -153,10 +160,26 @@ class LiveSource:
 
         They are worked out once for each handful of blocks.
         """
-        if self._recent_at != self.history.blocks:
-            x = np.array([one.normalised for one in self.history.recent]).reshape(-1, len(self.array))
-            self._recent, self._recent_at = (x, *self.decoded()), self.history.blocks
-        return self._recent
+        with self.lock:
+            if self._recent_at != self.history.blocks:
+                x = np.array([one.normalised for one in self.history.recent]).reshape(-1, len(self.array))
+                self._recent, self._recent_at = (x, *self.decoded()), self.history.blocks
+            return self._recent
+
+    def recent_innovations(self) -> tuple[Innovation, ...]:
+        """Return the innovations of the last half minute."""
+        with self.lock:
+            return tuple(self.history.recent)
+
+    def nis(self) -> tuple[float, int]:
+        """Return the sum of the normalised innovations squared, and of their degrees of freedom."""
+        with self.lock:
+            return self.filter.nis_sum, self.filter.nis_dof
+
+    def take_history(self, fewest: int = 1) -> dict[str, dict[str, Any]]:
+        """Return what ``History.take`` does."""
+        with self.lock:
+            return self.history.take(fewest)
 
     def keep_blocks(self) -> None:
         """Sum the rows by block from now on, for estimates under coloured noise."""
@@ -164,7 +187,8 @@ class LiveSource:
 
     def blocks(self) -> Blocks:
         """Return the blocks of the rows used so far; none before the first, or if they are not kept."""
-        return (self._sums or BlockSums(len(self.array), 0, BLOCK_S, self._period_s)).blocks()
+        with self.lock:
+            return (self._sums or BlockSums(len(self.array), 0, BLOCK_S, self._period_s)).blocks()
 
     def _sum(self, rates: BodyRates, part: slice) -> None:
         self._sums = self._sums or BlockSums(len(self.array), rates.starts_ns, BLOCK_S, self._period_s)
@@ -175,14 +199,14 @@ class LiveSource:
 
     def _take_new(self) -> None:
         """Join what has come; samples that the device calls invalid (NaN), or that cannot be, are left out."""
-        if not self._new:
+        new = [self._new.popleft() for _ in range(len(self._new))]
+        if not new:
             return
-        t_ns = np.concatenate([block.t_ns for block in self._new])
-        rate, _ = possible(np.vstack([block.rate_rps for block in self._new]))
+        t_ns = np.concatenate([block.t_ns for block in new])
+        rate, _ = possible(np.vstack([block.rate_rps for block in new]))
         good = np.isfinite(rate).all(axis=1)
-        temperature = np.concatenate([block.temperature_c for block in self._new])
+        temperature = np.concatenate([block.temperature_c for block in new])
         self._temperature_c = np.concatenate([self._temperature_c, temperature[good]])
-        self._new.clear()
         self._t = np.concatenate([self._t, t_ns[good]])
         self._y = np.vstack([self._y, rate[good]])
 
@@ -199,13 +223,14 @@ class LiveSource:
             block = self._block(rates, part)
         if block is None:
             return
-        innovation = self.filter.update(*block)
         t_ns, history = int(self._t[part.stop - 1]), self.history
-        history.add(t_ns, block[4], innovation)
-        if history.blocks % _KEEP_EVERY == 0:
-            history.add_state(t_ns, *self.decoded())
-        if self._keeps_blocks:
-            self._sum(rates, part)
+        with self.lock:
+            innovation = self.filter.update(*block)
+            history.add(t_ns, block[4], innovation)
+            if history.blocks % _KEEP_EVERY == 0:
+                history.add_state(t_ns, *self.decoded())
+            if self._keeps_blocks:
+                self._sum(rates, part)
 
     def _block(
         self, rates: BodyRates, part: slice
