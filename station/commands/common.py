@@ -29,7 +29,7 @@ from station.render.printing import print_result, refuse, result_object
 from station.render.progress import RunProgress
 from station.render.terminal import print_rendered, stdout
 from station.run.early_end import check_early_end
-from station.run.event_loop.detached_output import lasting_streams
+from station.run.event_loop.detached_output import lasting_streams, patient_streams
 from station.run.event_loop.loops import PacedLoop, ScaledLoop, VirtualLoop, run_to_end
 from station.run.event_loop.signals import ignore_hang_up
 from station.run.outcome import Outcome
@@ -196,6 +196,7 @@ async def drive(
 ) -> Result:
     """Run a script on a bench into a recording, with its progress on stderr, and for whom a host lets look on."""
     async with AsyncExitStack() as stack:
+        stack.enter_context(patient_streams())
         if host is not None:
             await stack.enter_async_context(host)
         opened = await stack.enter_async_context(open_bench(bench, time_scale=options.time_scale))

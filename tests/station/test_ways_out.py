@@ -6,6 +6,7 @@ import asyncio
 import os
 import random
 import signal
+import subprocess
 import sys
 from collections.abc import Coroutine, Generator, Iterator
 from contextlib import contextmanager
@@ -16,6 +17,8 @@ from typing import Any
 import h5py
 import pytest
 from faults import BENCHES
+from guard import fill
+from support import command
 from test_run import bench_file, events
 
 import station
@@ -272,6 +275,19 @@ def test_no_key_of_a_terminal_leaves_the_table_turning(tmp_path: Path, number: s
     assert at_rest
     assert result.verdict.reason.startswith(f"stopped by {name} in step")
     assert events(result.recording)[-1] == "table at rest"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="pipes and terminals of POSIX")
+def test_a_run_does_not_wait_for_a_terminal_that_is_held_or_a_pipe_that_nobody_reads(tmp_path: Path) -> None:
+    (tmp_path / "script.toml").write_text(SCRIPT)
+    unread, stderr = os.pipe()
+    fill(stderr)
+    words = command("run", "--script", tmp_path / "script.toml", "-o", tmp_path / "run.h5")
+    ended = subprocess.run(words, stdout=subprocess.DEVNULL, stderr=stderr, timeout=60, check=False)
+    os.close(unread)
+    os.close(stderr)
+    assert ended.returncode in (Outcome.PASS.exit_code, Outcome.FAIL.exit_code)
+    assert events(tmp_path / "run.h5")[-1] == "table at rest"
 
 
 def test_a_table_that_brakes_for_half_a_minute_is_stopped_and_not_cut_off(tmp_path: Path) -> None:

@@ -1,10 +1,16 @@
-"""Output that outlives its terminal: what nobody can read any more is dropped, and nothing fails for it."""
+"""Output that a run does not depend on: its far end may be gone, or take no more for as long as it likes."""
 
 import os
+import queue
 import sys
+import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, TextIO, cast
+
+_MOST_WAITING = 1 << 16  # characters; what comes while so many wait is dropped
+_LAST_WORDS_S = 1.0
 
 
 class _LastingStream:
@@ -36,6 +42,49 @@ class _LastingStream:
         return getattr(self._stream, name)
 
 
+class _PatientStream:
+    """A text stream that is written by a thread of its own, so that nobody waits for its far end.
+
+    The thread writes to the descriptor itself: who prints later must not wait for a lock that it holds.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        """UnsupportedOperation, an OSError, if the stream has no descriptor."""
+        self._stream = stream
+        self._descriptor = stream.fileno()
+        stream.flush()
+        self._waiting = 0
+        self._texts: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._write_all, name="output", daemon=True)
+        self._thread.start()
+
+    def write(self, text: str) -> int:
+        if text and self._waiting + len(text) <= _MOST_WAITING:
+            self._waiting += len(text)
+            self._texts.put(text)
+        return len(text)
+
+    def flush(self) -> None:
+        """Do nothing: what was written is on its way."""
+
+    def end(self, limit_s: float) -> None:
+        """Let the thread end after what was written; wait for that until an instant of the monotonic clock."""
+        self._texts.put("")
+        self._thread.join(max(limit_s - time.monotonic(), 0.0))
+
+    def _write_all(self) -> None:
+        errors = self._stream.errors or "replace"
+        while text := self._texts.get():
+            with suppress(OSError):  # its far end is gone
+                data = memoryview(text.encode(self._stream.encoding, errors))
+                while data:
+                    data = data[os.write(self._descriptor, data) :]
+            self._waiting -= len(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
 @contextmanager
 def lasting_streams() -> Iterator[None]:
     """Let stdout and stderr outlive their far ends."""
@@ -48,3 +97,27 @@ def lasting_streams() -> Iterator[None]:
             if stream is not None:
                 stream.flush()
         sys.stdout, sys.stderr = before
+
+
+@contextmanager
+def patient_streams() -> Iterator[None]:
+    """Let nobody wait for stdout and stderr: a terminal may be held (Ctrl-S, a lost connection), a pipe unread.
+
+    What they have not taken a second after the end is lost, and what comes while 64 KiB wait.
+    """
+    before = sys.stdout, sys.stderr
+    patient = []
+    try:
+        for name in ("stdout", "stderr"):
+            stream = getattr(sys, name)
+            if stream is None or os.name != "posix":
+                continue
+            with suppress(OSError):  # without a descriptor it is in memory
+                patient.append(_PatientStream(stream))
+                setattr(sys, name, patient[-1])
+        yield
+    finally:
+        sys.stdout, sys.stderr = before
+        limit_s = time.monotonic() + _LAST_WORDS_S
+        for own in patient:
+            own.end(limit_s)
