@@ -158,7 +158,12 @@ class RecordingWriter:
             self.journal.write([*attributes, *joined])
 
     def flush(self) -> None:
-        """Append what is pending and hand it to the operating system.
+        """Append what is pending and hand it to the operating system; RecordingError as ``flushing``."""
+        for _ in self.flushing():
+            pass
+
+    def flushing(self) -> Iterator[None]:
+        """Do what ``flush`` does in parts, one a group: rows may be appended between them, and wait if they are late.
 
         Raises RecordingError when the disk is full. A write that fails within HDF5 leaves a file that cannot be read,
         or ends the process; so what is pending goes into room that was kept back, which then cannot be had again, and
@@ -170,7 +175,7 @@ class RecordingWriter:
             raise RecordingError(sentence("recordings.file_limit", path=self.path))
         free = shutil.disk_usage(self.path.parent).free
         if free > wanted + _PLENTY_BYTES:
-            self._write()
+            yield from self._writing()
             return
         if free + self._ballast.held_bytes < wanted + _CLOSING_BYTES:
             self._pending.clear()
@@ -197,9 +202,13 @@ class RecordingWriter:
         return sum(rows.nbytes for blocks in self._pending.values() for block in blocks for rows in block.values())
 
     def _write(self) -> None:
-        with _told_of(self.path):
-            for group, blocks in self._pending.items():
-                lengths = {}
+        for _ in self._writing():
+            pass
+
+    def _writing(self) -> Iterator[None]:
+        for group in tuple(self._pending):
+            with _told_of(self.path):
+                blocks, lengths = self._pending[group], {}
                 for name, rows in _joined(blocks).items():
                     path = f"{group}/{name}"
                     if path not in self._datasets:
@@ -208,7 +217,9 @@ class RecordingWriter:
                         lengths[path] = _extend(self._datasets[path], self._lengths.get(path, 0), rows)
                 # At once: what was interrupted is written over, from where it began, the next time.
                 self._lengths, self._pending[group] = {**self._lengths, **lengths}, []
-            self._pending = {}
+            yield
+        self._pending = {group: blocks for group, blocks in self._pending.items() if blocks}
+        with _told_of(self.path):
             self._file.flush()
 
     def close(self) -> None:

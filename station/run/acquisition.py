@@ -250,16 +250,22 @@ class Acquisition:
                 self.host.look()
             if self.monitor.phase is Phase.RUNNING and (slowed := self.host.slowed()):
                 self.event(EventKind.NOTE, slowed)
-            if not virtual:
-                self._note_arrived()
-            await loop.run_in_executor(None, self.writer.write_journal)
+            await self._write_journal()
             if self._sync is not None and not self._sync.done():
                 continue  # a write into the recording now could wait for the disk, and everything for that write
             if loop.time() >= flush_due_s:
                 flush_due_s = loop.time() + _FLUSH_S * self._host_scale
-                self.writer.flush()
+                for _ in self.writer.flushing():
+                    if not virtual:
+                        await self._write_journal()
             if not virtual and journal is not None and journal.unsynced:
                 self._sync = loop.run_in_executor(None, journal.sync)
+
+    async def _write_journal(self) -> None:
+        loop = asyncio.get_running_loop()
+        if not is_virtual(loop):
+            self._note_arrived()
+        await loop.run_in_executor(None, self.writer.write_journal)
 
     def _note_arrived(self) -> None:
         """Keep in the journal the samples that a source holds back until it can time them."""
