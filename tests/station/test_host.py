@@ -100,9 +100,8 @@ def test_a_program_that_was_stopped_and_goes_on_blames_no_device(tmp_path: Path)
         station = subprocess.Popen(
             command("run", "--json", *options, *twin.options("table", "array")), stdout=subprocess.PIPE, text=True
         )
-        deadline_s = time.monotonic() + 30.0
-        while not turning(tmp_path / "run.h5.journal"):
-            assert time.monotonic() < deadline_s
+        while not turning(tmp_path / "run.h5.journal"):  # on a busy computer that takes a minute
+            assert station.poll() is None
             time.sleep(0.1)  # looks at a file that another process writes
         os.kill(station.pid, signal.SIGSTOP)
         time.sleep(1.5)  # what is tried
