@@ -137,6 +137,8 @@ class LiveSource:
     def advance(self, rates: BodyRates, *, everything: bool = False) -> None:
         """Use the samples that the table's readings cover, in whole blocks, at the end also the last part."""
         self._take_new()
+        if rates.starts_ns > rates.final_until_ns:
+            return  # no rate is known yet, not even from when on
         early = int(np.searchsorted(self._t, rates.starts_ns, side="left"))
         until_ns = rates.final_until_ns if everything else rates.final_until_ns - _MARGIN_NS
         ready = int(np.searchsorted(self._t, until_ns, side="right"))
