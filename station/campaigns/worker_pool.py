@@ -11,6 +11,7 @@ from concurrent.futures import Future, as_completed
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
+from multiprocessing.util import Finalize
 from typing import Any, Generic, TypeVar
 
 from pebble import ProcessExpired, ProcessPool
@@ -20,6 +21,7 @@ from station.campaigns import ONE_BLAS_THREAD
 
 T = TypeVar("T")
 R = TypeVar("R")
+_BEFORE_ALL = 1000  # other finalizers of a process have at most 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +117,8 @@ def _begin() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that files are closed and subprocesses ended
+    # The first thing at its end: a process that leaves by itself is not to be told to in the middle of that.
+    Finalize(None, signal.signal, args=(signal.SIGTERM, signal.SIG_IGN), exitpriority=_BEFORE_ALL)
     end_with_parent()
     use_effects()
 
