@@ -12,19 +12,14 @@ in the terminal to the line on the session's socket, at random instants.
 from __future__ import annotations
 
 import argparse
-import fcntl
 import json
 import os
-import pty
 import random
 import select
 import signal
 import socket
-import struct
 import subprocess
-import sys
 import tempfile
-import termios
 import threading
 import time
 from contextlib import suppress
@@ -32,55 +27,13 @@ from pathlib import Path
 
 import numpy as np
 from support import command
+from terminal import Terminal
 
 from station.bench.bench import default_bench_text
 
-STOP = b"\x1b[20~"  # F9
-_FIRST_PICTURE = b"History"
-
-
-class Terminal:
-    """A program in a pseudo-terminal whose output is read and thrown away."""
-
-    def __init__(self, arguments: list[str], columns: int, rows: int, **variables: str) -> None:
-        """Start it."""
-        self.began_s = time.monotonic()
-        self.bytes = 0
-        self.first_s = float("nan")
-        self.pid, self._fd = pty.fork()
-        if self.pid == 0:
-            os.environ.update({"TERM": "xterm-256color", "COLORTERM": "truecolor", "LANG": "C.UTF-8", **variables})
-            os.execv(sys.executable, arguments)
-        fcntl.ioctl(self._fd, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
-        threading.Thread(target=self._read, daemon=True).start()
-
-    def press(self, key: bytes) -> None:
-        """Write a key."""
-        os.write(self._fd, key)
-
-    def cpu_s(self) -> float:
-        """Return the processor time that it has used."""
-        fields = Path(f"/proc/{self.pid}/stat").read_text().rsplit(")", 1)[1].split()
-        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-    def close(self) -> None:
-        """End it."""
-        os.kill(self.pid, signal.SIGKILL)
-        os.waitpid(self.pid, 0)
-        os.close(self._fd)
-
-    def _read(self) -> None:
-        seen = b""
-        while True:
-            try:
-                data = os.read(self._fd, 65536)
-            except OSError:
-                return
-            if np.isnan(self.first_s):
-                seen += data
-                if _FIRST_PICTURE in seen:
-                    self.first_s = time.monotonic() - self.began_s
-            self.bytes += len(data)
+_FIRST_PICTURE = "History"
+_FEW_CELLS = 10
+"""So many cells at least have dots where a curve is drawn."""
 
 
 class Relay:
@@ -131,12 +84,10 @@ def files(folder: Path, seconds: float) -> list[str]:
 
 def first_picture(columns: int, rows: int, folder: Path) -> float:
     """Return the seconds from the start of the process to the first picture."""
-    terminal = Terminal(command("ui", "--folder", folder), columns, rows, XDG_STATE_HOME=str(folder / "state"))
-    deadline = time.monotonic() + 20
-    while np.isnan(terminal.first_s) and time.monotonic() < deadline:
-        time.sleep(0.01)
-    terminal.close()
-    return terminal.first_s
+    variables = {"XDG_STATE_HOME": str(folder / "state")}
+    with Terminal(command("ui", "--folder", folder), columns, rows, variables) as terminal:
+        terminal.wait_for(_FIRST_PICTURE, limit_s=20)
+        return time.monotonic() - terminal.began_s
 
 
 def main() -> None:
@@ -176,19 +127,22 @@ def measure(run: subprocess.Popen[bytes], folder: Path, columns: int, rows: int,
         time.sleep(0.05)
     relay = Relay(session, folder / "seen")
     seen = {name: str(folder / "seen") for name in ("XDG_RUNTIME_DIR", "XDG_STATE_HOME", "TMPDIR")}
-    terminal = Terminal(command("ui", "--attach", "--folder", folder), columns, rows, **seen)
+    terminal = Terminal(command("ui", "--attach", "--folder", folder), columns, rows, seen)
     time.sleep(12)  # the session homes, the estimates begin
     cpu_s, began_s, sent = terminal.cpu_s(), time.monotonic(), terminal.bytes
     time.sleep(arguments.seconds)
     span_s = time.monotonic() - began_s
     share, kilobytes = (terminal.cpu_s() - cpu_s) / span_s, (terminal.bytes - sent) / span_s / 1e3
     print(f"{columns} x {rows}: {share:.1%} of a core, {kilobytes:.1f} kB/s to the terminal, over {span_s:.0f} s")
+    cells = terminal.charts()
+    drawn = [name for name, count in cells.items() if count >= _FEW_CELLS]
+    print(f"charts with a curve: {len(drawn)} of {len(cells)} in sight; cells with dots: {cells}")
     latencies = []
     for _ in range(arguments.tries):
         time.sleep(random.uniform(0.05, 0.25))
         relay.arrived.clear()
         pressed_s = time.monotonic()
-        terminal.press(STOP)
+        terminal.press("f9")
         if not relay.arrived.wait(5):
             raise SystemExit("STOP did not arrive within 5 s")
         latencies.append(relay.stops[-1] - pressed_s)
