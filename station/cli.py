@@ -23,6 +23,7 @@ from station.campaigns import ONE_BLAS_THREAD
 from station.computer.facilities import missing_facility
 from station.errors import EXIT_ABORTED, EXIT_FAULT, EXIT_USAGE, UsageError, sentence
 from station.exports import GROUP as EXPORTS
+from station.render.lines import tell
 
 _NO_ROOM = ("can't start new thread", "failed to map segment")
 _MODULES = dict.fromkeys(("run", "twin", "import"), "station.commands.common")
@@ -46,7 +47,8 @@ class _Forms:
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
-        self.exit(EXIT_USAGE, f"station: {message}\ntry: {self.prog} --help\n")
+        tell(f"station: {message}\ntry: {self.prog} --help", sys.stderr)
+        self.exit(EXIT_USAGE)
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         """Check a choice; name the nearest one where it is mistyped."""
@@ -96,7 +98,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     # Before any command imports numpy. Matrices here are small: threads of the linear algebra library gain nothing,
     # and on a busy machine they wait for each other for seconds.
     if missing := missing_facility():
-        print(f"station: {missing}", file=sys.stderr)
+        tell(f"station: {missing}", sys.stderr)
         return EXIT_USAGE
     os.environ.update(ONE_BLAS_THREAD)
     os.environ["PYTHONSAFEPATH"] = "1"  # no process that is started, of a pool or a screen, imports from its folder
@@ -115,7 +117,7 @@ def _carry_out(command: str, arguments: argparse.Namespace) -> int:
         # The libraries behind the commands cost a second: --help does without.
         module = importlib.import_module(_MODULES.get(command, f"station.commands.{command}"))
         for problem in use_effects(getattr(arguments, "plugin", [])):
-            print(f"station: {problem}", file=sys.stderr)
+            tell(f"station: {problem}", sys.stderr)
         return int(getattr(module, f"command_{command}")(arguments))
     except (UsageError, EstimatorError, DeviceError, PluginError) as error:
         return _refuse(error, module, arguments)
@@ -147,7 +149,7 @@ def _refuse(error: Exception, module: ModuleType | None, arguments: argparse.Nam
 
     A command whose result has other keys than a calibration's has ``refused(reason, arguments)``, which makes it.
     """
-    print(f"station: {harmless(str(error))}", file=sys.stderr)
+    tell(f"station: {harmless(str(error))}", sys.stderr)
     fault = isinstance(error, DeviceError)
     if getattr(arguments, "json", False):
         from station.render.printing import empty_object

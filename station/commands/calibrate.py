@@ -28,6 +28,7 @@ from station.bench.units import USUAL, Units
 from station.campaigns.campaigns import run_all
 from station.errors import UsageError
 from station.render import printing
+from station.render.lines import tell
 from station.render.template import rendered
 from station.render.terminal import print_rendered, stdout
 from station.run.outcome import Outcome, Verdict, ended_of, judge_recorded
@@ -103,7 +104,7 @@ def command_calibrate(arguments: argparse.Namespace) -> int:
         shown = ", ".join(Path(name).name for name in skipped[:_MOST_SKIPPED])
         more = f" and {len(skipped) - _MOST_SKIPPED} more" if len(skipped) > _MOST_SKIPPED else ""
         told = f"skipped {files} of the station that hold{'' if len(skipped) > 1 else 's'} no recording: {shown}{more}"
-        print(harmless(told), file=sys.stderr if arguments.json else sys.stdout)
+        tell(harmless(told), sys.stderr if arguments.json else sys.stdout)
     return worst
 
 
@@ -193,7 +194,8 @@ def _print(ends: Sequence[End], *, in_lines: bool, details: bool) -> int:
         _print_overview(judged, folder)
         counts = Counter(str(end.verdict.outcome) for _, end in judged)
         counts["not estimated"] = len(ends) - len(judged)
-        print(f"{len(ends)} recordings: " + ", ".join(f"{count} {what}" for what, count in counts.items() if count))
+        told = ", ".join(f"{count} {what}" for what, count in counts.items() if count)
+        tell(f"{len(ends)} recordings: {told}")
     else:
         for name, end in judged:
             printing.print_result(end.verdict, end.calibration, Path(name), end.units, details=details)
@@ -203,7 +205,7 @@ def _print(ends: Sequence[End], *, in_lines: bool, details: bool) -> int:
             printing.print_repeatability(_repeats(runs), str(runs[0][1].attributes["device_serial"]), runs[0][1].units)
     alone = len(judged) - sum(len(runs) for runs in series if len(runs) > 1)
     if alone and len(judged) > 1:
-        print(rendered("station.render", "compared.txt", {"alone": alone, "judged": len(judged)}), end="")
+        tell(rendered("station.render", "compared.txt", {"alone": alone, "judged": len(judged)}).strip())
     worst = max((end.verdict.outcome.exit_code for _, end in judged), default=0)
     sys.stdout.flush()  # what failed comes last, wherever the two streams lead
     failed = [(name, reason) for name, reason in ends if isinstance(reason, str)]

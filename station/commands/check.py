@@ -15,7 +15,7 @@ from station.computer.look import look_at_computer
 from station.computer.timekeeping import ClockWatch
 from station.opening import open_bench
 from station.opening.checking import DeviceCheck, check_bench
-from station.render.terminal import print_rendered, stdout
+from station.render.terminal import print_all, print_rendered, stdout
 from station.run.outcome import Outcome
 from station.views.json_values import json_object
 
@@ -24,7 +24,8 @@ def print_computer(findings: Sequence[Finding]) -> None:
     """Print what was found about the computer, with the command that helps below each line."""
     for finding in findings:
         mark = "[red]" if finding.wrong else "[yellow]"
-        stdout().print(f"{mark}{escape(finding.about)}[/] {escape(finding.text)}", highlight=False, soft_wrap=True)
+        line = f"{mark}{escape(finding.about)}[/] {escape(finding.text)}"
+        print_all(stdout(), [(line, {"highlight": False})])
         if finding.command:
             stdout().print(f"    {escape(finding.command)}", highlight=False, soft_wrap=True)
 

@@ -25,6 +25,7 @@ from station.errors import EXIT_USAGE, UsageError, sentence
 from station.opening import needs_only_memory, open_bench, serve_twins, with_links
 from station.remote.after_run import tell_program
 from station.remote.hosting import Host, introduction
+from station.render.lines import tell
 from station.render.printing import print_result, refuse, result_object
 from station.render.progress import RunProgress
 from station.render.terminal import print_rendered, stdout
@@ -64,7 +65,7 @@ def _run(arguments: argparse.Namespace) -> int:
         scale = arguments.scale or (1.0 if arguments.host else None)  # virtual time has no sockets
         host = Host(scale or 1.0) if arguments.host else None
         if host is not None and (note := peer_note()):
-            print(f"note: {note}", file=sys.stderr)
+            tell(f"note: {note}", sys.stderr)
         options = RunOptions(
             arguments.reset_fault,
             arguments.end_early,
@@ -86,9 +87,9 @@ def _run(arguments: argparse.Namespace) -> int:
         told = {"bench": bench.station, "script": script.name, "operator": operator, "serial_number": serial}
         problem = tell_program(bench.after_run, {**_run_object(result), **told})
         if problem:
-            print(f"note: after_run: {problem}; the result stands in {path}", file=sys.stderr)
+            tell(f"note: after_run: {problem}; the result stands in {path}", sys.stderr)
     for note in result.notes:
-        print(f"note: {harmless(note)}", file=sys.stderr)
+        tell(f"note: {harmless(note)}", sys.stderr)
     if arguments.json:
         print(json.dumps(_run_object(result)))
     else:
@@ -170,10 +171,10 @@ def command_import(arguments: argparse.Namespace) -> int:
         print(json.dumps({"recording": str(output), "samples": samples, "refused": refused, "notes": notes}))
     else:
         for note in imported.notes:
-            print(f"note: {harmless(note)}")
+            tell(f"note: {harmless(note)}")
         print(f"{output}: {', '.join(f'{n} samples of {name}' for name, n in samples.items())}", flush=True)
         for entry in refused:
-            print(harmless(f"refused {entry['name']}: {entry['reason']}"), file=sys.stderr)
+            tell(harmless(f"refused {entry['name']}: {entry['reason']}"), sys.stderr)
     return EXIT_USAGE if imported.lost_files else 0
 
 

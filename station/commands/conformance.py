@@ -29,6 +29,7 @@ from station.bench.imu import ImuConfig
 from station.errors import UsageError
 from station.init.gyros import GYROS, built_in_channels
 from station.opening import OpenBench, open_bench
+from station.render.lines import tell
 from station.render.template import rendered
 from station.run.event_loop.loops import VirtualLoop
 from station.run.outcome import Outcome
@@ -351,10 +352,10 @@ def command_conformance(arguments: argparse.Namespace) -> int:
         off |= {spec.name} if wrong and suite == "units" else set()
         if not arguments.json:
             word = "skip" if skipped else "FAIL" if wrong else "pass"
-            print(f"{word}  {spec.name}, {suite}{': ' if wrong else ''}{wrong}", flush=True)
+            tell(f"{word}  {spec.name}, {suite}{': ' if wrong else ''}{wrong}")
     well, unmet = not any(finding["wrong"] for finding in told), [one.name for one in found if not one.checked_against]
     if arguments.json:
         print(json.dumps({"ok": well, "findings": told, "experimental": unmet}))
     elif unmet:
-        print(f"EXPERIMENTAL: {', '.join(unmet)}; checked_against of a record names what others made that it met")
+        tell(f"EXPERIMENTAL: {', '.join(unmet)}; checked_against of a record names what others made that it met")
     return (Outcome.PASS if well else Outcome.FAIL).exit_code

@@ -15,6 +15,7 @@ from station.exports.exported import Exported, exported_of
 from station.exports.formats import FORMATS, Format
 from station.exports.written import Written
 from station.render import printing
+from station.render.lines import tell
 from station.render.terminal import print_rendered, stdout
 from station.run.outcome import Outcome, Verdict
 
@@ -48,7 +49,7 @@ def command_export(arguments: argparse.Namespace) -> int:
         _print_result(exported, details=arguments.details)
         print(f"{arguments.format}: {arguments.output}")
     for line in written.not_held:
-        print(f"not in {arguments.format}: {line}", file=sys.stderr)
+        tell(f"not in {arguments.format}: {line}", sys.stderr)
     _print_cautions(exported, details=arguments.details)
     return Outcome.PASS.exit_code
 
@@ -66,9 +67,9 @@ def _print_cautions(exported: Exported, *, details: bool) -> None:
     """Say on stderr what speaks against using the calibration; without ``details`` of its notes only how many."""
     notes = len(exported.calibration.notes)
     for line in exported.cautions if details else exported.failure:
-        print(f"note: {line}", file=sys.stderr)
+        tell(f"note: {line}", sys.stderr)
     if notes and not details:
-        print(f"{notes} note{'s' if notes > 1 else ''} of the calibration: --details", file=sys.stderr)
+        tell(f"{notes} note{'s' if notes > 1 else ''} of the calibration: --details", sys.stderr)
 
 
 def refused(reason: str, arguments: argparse.Namespace) -> dict[str, str | None]:
@@ -103,7 +104,7 @@ def _export_all(arguments: argparse.Namespace, folder: Path) -> int:
         for name, file in files.items():
             print(f"{name}: {file}")
     for name, reason in refused.items():
-        print(f"not written: {name}: {reason}", file=sys.stderr)
+        tell(f"not written: {name}: {reason}", sys.stderr)
     _print_cautions(exported, details=arguments.details)
     return Outcome.PASS.exit_code if files else EXIT_USAGE
 

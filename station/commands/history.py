@@ -20,9 +20,11 @@ from estimator.estimation.control_charts import control_chart
 from estimator.geometry.model import STATES
 from estimator.untrusted import harmless
 from station.errors import UsageError
+from station.render.history_printed import recordings_shown
+from station.render.lines import tell
 from station.render.progress import TracingProgress
 from station.render.template import rendered
-from station.render.terminal import print_rendered, stdout
+from station.render.terminal import print_all, print_rendered, stdout
 from station.screen.archive.archive import Archive
 from station.screen.archive.entries import Entry, comparable, moves
 from station.screen.archive.validity import validity_on
@@ -62,10 +64,11 @@ def command_history(arguments: argparse.Namespace) -> int:
     serials = set() if arguments.gauge else {entry.serial for entry in shown}  # ten thousand figures take a while
     moved = moves(entry for entry in every if entry.serial in serials)
     charted = comparable(entries) if arguments.serial else []
+    rows = [_row(entry, folder, moved.get(entry.file, [])) for entry in shown]
     found = {
         "folder": str(folder),
         "found": len(entries),
-        "recordings": [_row(entry, folder, moved.get(entry.file, [])) for entry in shown],
+        "recordings": rows,
         "charts": [_chart(runs) for runs in charted if sum(not run.failed for run in runs) > 1],
     }
     if arguments.gauge:
@@ -75,9 +78,12 @@ def command_history(arguments: argparse.Namespace) -> int:
     elif arguments.csv:
         print(harmless(rendered("station.render", "history.csv", {**found, "states": STATES})), end="")
     else:
+        console = stdout()
+        if not arguments.gauge:
+            print_all(console, recordings_shown(rows, console))
         name = "gauge.rich" if arguments.gauge else "history.rich"
         print_rendered(
-            stdout(),
+            console,
             "station.render",
             name,
             {**found, "serial": arguments.serial, "states": STATES, "figures_in": told_figures},
@@ -112,9 +118,9 @@ def _print_valid(arguments: argparse.Namespace, folder: Path) -> int:
         told = {"serial": arguments.serial, "day": day.isoformat(), "valid": valid, "reason": found.reason or None}
         print(json.dumps({**told, "recording": row}))
     elif found.entry is not None and valid:
-        print(harmless(f"{recording}: measured {found.entry.when}, valid for {arguments.serial} on {day}"))
+        tell(harmless(f"{recording}: measured {found.entry.when}, valid for {arguments.serial} on {day}"))
     else:
-        print(harmless(f"none: {found.reason}"))
+        tell(harmless(f"none: {found.reason}"))
     return 0 if valid else 1
 
 
@@ -125,7 +131,7 @@ async def _listed(folder: Path, quiet: bool) -> list[Entry]:
         async for entry in archive.entries(folder):
             found.append(entry)
             if archive.unread:
-                bar = bar or stack.enter_context(TracingProgress(quiet))
+                bar = bar or stack.enter_context(TracingProgress(quiet, transient=True))
                 left = archive.unread
                 bar.show(len(found) / (len(found) + left), f"reading {folder}: {left} left")
     await archive.close()

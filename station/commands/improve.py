@@ -24,6 +24,7 @@ from station.bench.bench import Bench
 from station.bench.imu import ImuConfig
 from station.bench.units import Units
 from station.errors import UsageError
+from station.render.lines import tell
 from station.render.template import rendered
 from station.render.terminal import print_rendered, stdout
 from station.run.outcome import Outcome
@@ -211,7 +212,7 @@ def _why_not(search: Search, bench: Bench, wanted: Wanted, gyros: tuple[tuple[st
 
 
 def _refuse(reason: str, as_json: bool) -> int:
-    print(f"station: {reason}", file=sys.stderr)
+    tell(f"station: {reason}", sys.stderr)
     if as_json:
         print(json.dumps({"reached": False, "reason": reason, "script": None}))
     return Outcome.FAIL.exit_code

@@ -21,6 +21,7 @@ from station.commands.investigate import Limits, following_script, write_next
 from station.errors import EXIT_ABORTED, EXIT_USAGE, UsageError
 from station.exports.investigation_file import write_investigation
 from station.render.investigation_printed import exit_code_of, loop_object, print_loop, runs_object
+from station.render.lines import tell
 from station.render.progress import TracingProgress
 from station.run.closed_loop import CALIBRATION, EXPLORATION, NEXT, VERIFICATION, Driven, Loop, Round
 from station.run.event_loop.loops import run_to_end
@@ -65,7 +66,7 @@ class _Driver:
         """Drive a script; return whether it came to its end, else the verdict is in ``stopped``."""
         loop, number = self._loop, len(self._loop.runs) + 1
         if not self.arguments.json:
-            print(f"run {number}, {purpose}: {script.name}, {script.duration_s:.0f} s", file=sys.stderr)
+            tell(f"run {number}, {purpose}: {script.name}, {script.duration_s:.0f} s", sys.stderr)
         began_s = self._now_s()
         options = RunOptions(self.arguments.reset_fault, time_scale=self.arguments.scale or 1.0)
         path = loop.folder / f"{number}-{purpose}.h5"
@@ -158,7 +159,7 @@ def _end(loop: Loop | None, code: int, reason: str, as_json: bool) -> int:
     """Say on stderr why there is no report, and where the recordings are that there are."""
     kept = loop is not None and loop.folder.is_dir()
     where = f"; recordings are kept in {loop.folder}" if loop and kept else ""
-    print(f"station: {reason}{where}", file=sys.stderr)
+    tell(f"station: {reason}{where}", sys.stderr)
     if as_json:
         empty = {"verdict": None, "reason": reason, "runs": runs_object(loop) if loop else []}
         print(json.dumps({**empty, "folder": str(loop.folder) if loop and kept else None}))

@@ -13,6 +13,7 @@ from station.bench.bench import load_bench
 from station.commands.improve import improve, quantity, script_text
 from station.errors import UsageError, sentence
 from station.opening import with_links
+from station.render.lines import tell
 from station.render.plan_printed import print_early_late, print_plan
 from station.render.template import rendered
 from station.render.terminal import stdout
@@ -64,7 +65,7 @@ def _write_early_late(arguments: argparse.Namespace, plan: Plan) -> int:
     offered = early_late_plan(plan)
     if offered is None:
         reason = sentence("script.no_early_late", script=plan.script.name, length_s=plan.script.duration_s)
-        print(f"station: {reason}", file=sys.stderr)
+        tell(f"station: {reason}", sys.stderr)
         if arguments.json:
             print(json.dumps({"reached": False, "reason": reason, "script": None}))
         return Outcome.FAIL.exit_code

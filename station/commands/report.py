@@ -7,8 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from estimator.untrusted import harmless
 from station.atomic_write import check_new_file, free_path, write_whole
 from station.errors import EXIT_USAGE, UsageError
+from station.render.lines import tell
 
 if TYPE_CHECKING:
     from station.report.document import Report
@@ -73,7 +75,7 @@ def command_report(arguments: argparse.Namespace) -> int:
         _print_result(recorded, standing, details=arguments.details)
         _print_documents(report, html, made, recorded.path)
     if problem:
-        print(f"station: {problem}; the report is kept in {html}", file=sys.stderr)
+        tell(f"station: {problem}; the report is kept in {html}", sys.stderr)
         return EXIT_USAGE
     return 0
 
@@ -109,21 +111,18 @@ def _print_result(recorded: "Recorded", standing: "Standing", *, details: bool) 
 
 def _print_documents(report: "Report", html: Path, made: Sequence[str | None], recording: Path) -> None:
     """Print what was written, what it is not, and what to do next; ``made`` are PDF and digital certificate."""
-    from rich.markup import escape
-
     from station.render.printing import next_after_report
-    from station.render.terminal import print_all, stdout
 
     standing = report.standing
-    print(f"{standing.title} No. {report.number}")
+    tell(harmless(f"{standing.title} No. {report.number}"))
     if standing.warning:
-        print_all(stdout(), [(escape(standing.warning), {"highlight": False})])
+        tell(harmless(standing.warning))
     print(f"report: {html}")
     for what, path in zip(("PDF", "digital calibration certificate"), made, strict=True):
         if path:
             print(f"{what}: {path}")
     for step in next_after_report(standing.verdict, recording):
-        print(f"next: {step}")
+        tell(f"next: {step}")
 
 
 def refused(reason: str, arguments: argparse.Namespace) -> dict[str, str | None]:

@@ -19,6 +19,7 @@ from estimator.observations.coverage import coverage_object, not_proved
 from estimator.observations.rests import RestNoise
 from station.bench.units import Units
 from station.errors import EXIT_USAGE
+from station.render.lines import tell
 from station.render.terminal import print_rendered, stdout
 from station.run.outcome import Outcome, Verdict
 from station.views.figures import OUTCOME_STYLES, StateUnit, state_figures
@@ -165,7 +166,7 @@ def next_after_report(verdict: Verdict | None, recording: Path) -> list[str]:
 
 def refuse(reason: str, as_json: bool, outcome: Outcome | None = None, recording: str | None = None) -> int:
     """Say on stderr why there is no result, and as JSON an empty one; return the exit code."""
-    print(f"station: {reason}", file=sys.stderr)
+    tell(f"station: {reason}", sys.stderr)
     if as_json:
         print(json.dumps(empty_object(reason, outcome and str(outcome), recording)))
     return outcome.exit_code if outcome else EXIT_USAGE

@@ -30,12 +30,17 @@ class Bar(Progress):
         begins: str,
         total: float = 1.0,
         auto_refresh: bool = True,
+        transient: bool = False,
         **fields: Any,
     ) -> None:
-        """``begins`` describes the task at first, ``fields`` are what its columns show beside that."""
+        """``begins`` describes the task at first, ``fields`` are what its columns show beside that.
+
+        A ``transient`` bar is taken away at the end.
+        """
         console = HarmlessConsole(stderr=True)
         self._quiet, self._at_once = quiet, not auto_refresh
-        super().__init__(*columns, console=console, auto_refresh=auto_refresh, disable=quiet or not console.is_terminal)
+        hidden = quiet or not console.is_terminal
+        super().__init__(*columns, console=console, auto_refresh=auto_refresh, transient=transient, disable=hidden)
         self._shown_share = 0.0
         self._task = self.add_task(begins, total=total, **fields)
 
@@ -78,10 +83,10 @@ class TracingProgress(Bar):
 
     _EVERY = 0.25
 
-    def __init__(self, quiet: bool) -> None:
-        """Show nothing if quiet."""
+    def __init__(self, quiet: bool, *, transient: bool = False) -> None:
+        """Show nothing if quiet; a ``transient`` bar is taken away at the end."""
         columns = (TextColumn("{task.percentage:>3.0f} %"), _green_bar(), TextColumn("{task.description}"))
-        super().__init__(quiet, *columns, begins="tracing")
+        super().__init__(quiet, *columns, begins="tracing", transient=transient)
 
     def show(self, share: float, text: str) -> None:
         """Show how much is done, 0 to 1, and what is being done."""

@@ -1,6 +1,5 @@
 """What a person sees in the terminal, from templates: lines with the markup of rich, and tables."""
 
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, TypeAlias
 
@@ -13,14 +12,11 @@ from rich.table import Column, Table
 from rich.text import Text, TextType
 
 from estimator.untrusted import harmless
+from station.render.lines import LINE_WIDTH, glued, unglued
 from station.render.template import rendered
 
 _PIPE_WIDTH = 120
 _ANY_WIDTH = 10_000
-_LINE_WIDTH = 80
-_GLUE = "\ue000"  # a character without a meaning, and no space: rich breaks no line at it
-_WHOLE = re.compile(r"[+-]?\d[\d.]*(?: (?:±|\+-) \d[\d.]*)? (?:%|[a-zA-Z][\w/()]*)|`[^`]{1,60}`")
-"""What is not broken: a figure with its uncertainty and its unit, and what is to be typed."""
 _DIM = "dim"
 Shown: TypeAlias = tuple[RenderableType, dict[str, Any]]
 """A line or a table, and how Console.print is to print it."""
@@ -59,11 +55,11 @@ def print_all(console: Console, shown: Iterable[Shown]) -> None:
 def _wrapped(line: str, console: Console, *, markup: bool) -> list[Text]:
     """Return a line as lines that fit, without spaces at their ends."""
     text = Text.from_markup(line, emoji=False) if markup else Text(line)
-    text.plain = _WHOLE.sub(lambda found: found[0].replace(" ", _GLUE), text.plain)
-    broken = list(text.wrap(console, min(console.width, _LINE_WIDTH))) or [text]
+    text.plain = glued(text.plain)
+    broken = list(text.wrap(console, min(console.width, LINE_WIDTH))) or [text]
     for part in broken:
         part.rstrip()
-        part.plain = part.plain.replace(_GLUE, " ")
+        part.plain = unglued(part.plain)
     return broken
 
 

@@ -91,9 +91,10 @@ def test_no_name_steers_a_terminal_or_is_a_formula(
 
 
 def test_a_device_that_moved_is_told_at_once(series: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    moved = [line for line in history(capsys, series).splitlines() if "b of gyro1" in line]
-    assert len(moved) == 1
-    assert "2026-12-02" in moved[0]
+    lines = history(capsys, series).splitlines()
+    (moved,) = [line for line in lines if "b of gyro1" in line]
+    assert moved.startswith("! day-11.h5 moved: ")
+    assert [line.split()[0] for line in lines if "PASS !" in line] == ["2026-12-02"]
     (only,) = [each for each in json.loads(history(capsys, series, "--json"))["recordings"] if each["moved"]]
     assert (only["file"], [(m["gyro"], m["state"]) for m in only["moved"]]) == ("day-11.h5", [("gyro1", "b_rps")])
     assert only["moved"][0]["since"] == "day-10.h5"
