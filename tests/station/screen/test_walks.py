@@ -189,7 +189,7 @@ async def glance(address: str, size: tuple[int, int]) -> None:
     async with Browser(size) as page:
         width, height = size
         await page.do(
-            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False
+            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=True
         )
         await page.open(address)
         await page.see("STOP", " left", "done")
