@@ -1,9 +1,10 @@
 """What the charts show: a run as it goes, the states of a gyro over time and over calibrations, a script's motion."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from drivers.units import split_quantity
 from station.run.snapshot import GyroSnapshot, Snapshot
 from station.screen.sessions.live_run import LiveRun, Trend
 from station.views.figures import STATE_FIGURES, StateUnit, number, told_figures
@@ -31,6 +32,18 @@ class Curve(NamedTuple):
     sds: Sequence[float] = ()
 
 
+class StateLimit(NamedTuple):
+    """The largest size of a state, SI, infinite for none; ``written`` is it as the bench file has it, if known."""
+
+    size: float = math.inf
+    written: str = ""
+
+    def text(self, state: StateUnit) -> str:
+        """Return the limit as it was written; without its unit if that is the one the state is shown in."""
+        number, unit = split_quantity(self.written) or (self.size * state.factor, state.unit)
+        return f"{number:.5g}" if unit == state.unit else self.written
+
+
 class Drawing(NamedTuple):
     """One chart: words of its title with their styles, curves, the range of values (None: that of the curves).
 
@@ -56,9 +69,9 @@ def run_drawing(name: str, run: LiveRun, gyro: GyroSnapshot) -> Drawing:
     limits = run.hello.get("limits") or {}
     if name in STATE_CHARTS:
         index = STATE_CHARTS.index(name)
-        limit = limits.get(_LIMITS[index])
-        trend, figures = run.trends.get(gyro.name) or Trend(), told_figures(limits.get("units"))
-        found = state_drawing(index, trend, math.inf if limit is None else limit, figures=figures)
+        trend = run.trends.get(gyro.name) or Trend()
+        figures = told_figures(limits.get("units"))
+        found = state_drawing(index, trend, _told_limit(limits, _LIMITS[index]), figures=figures)
     else:
         found = _seen(name, run, gyro, [float(limits[key]) for key in ("nis_low", "nis_high") if limits.get(key)])
     return found._replace(marks=marks, span=(0.0, run.seen[-1].elapsed_s))
@@ -91,6 +104,13 @@ def _seen(name: str, run: LiveRun, gyro: GyroSnapshot, nis_limits: Sequence[floa
     return Drawing(words, curves)
 
 
+def _told_limit(limits: Mapping[str, Any], key: str) -> StateLimit:
+    """Return a limit of what a session tells; one of another version may not tell how it was written."""
+    size, written = limits.get(key), limits.get("written")
+    text = written.get(key, "") if isinstance(written, Mapping) else ""
+    return StateLimit() if size is None else StateLimit(float(size), str(text))
+
+
 def _axes_drawing(run: LiveRun, snapshot: Snapshot) -> Drawing:
     """Return the gimbals, the outermost outside, each with a hand at its angle, zero on top, and the way to go."""
     steps = [s for s in run.hello["script"]["steps"] if s["start_s"] <= snapshot.elapsed_s]
@@ -118,12 +138,12 @@ def _arc(radius: float, begin_rad: float, end_rad: float, style: str) -> Curve:
 def state_drawing(
     index: int,
     trend: Trend,
-    limit: float,
+    limit: StateLimit,
     over: str = "s",
     figures: Sequence[StateUnit] = STATE_FIGURES,
     began_utc_s: float | None = None,
 ) -> Drawing:
-    """Return how a state of a gyro narrowed, between one sigma below and above it; ``limit`` in SI.
+    """Return how a state of a gyro narrowed, between one sigma below and above it.
 
     ``figures`` are the states in the units of the bench.
 
@@ -141,16 +161,17 @@ def state_drawing(
     since = -math.inf if days else end - _RECENT * (end - start)
     reach = max(_LEAST_SIGMAS * sd, *(abs(value - centre) + s for t, value, s in scaled if t >= since)) * _MARGIN or 1.0
     times, values, sds = zip(*(row for row in scaled if row[2] < reach), strict=True)
-    words.append((f"{number(centre, state.digits)} ± {number(sd, state.digits)}", "line"))
+    words.append((state.figure(trend.values[-1][index], trend.sds[-1][index]), "line"))
     if sd > _SHOWN_BY_MOTION * scaled[0][2] and not days:
         words.append(("no motion has shown it yet", "band"))
     edges = [Curve(times, [v + sign * s for v, s in zip(values, sds, strict=True)], "band") for sign in (1, -1)]
     curves = [Curve(times, values, sds=sds)] if days else [*edges, Curve(times, values)]
     margin = (0.05 * (end - start) or 1.0) if days else 0.0
     near: list[float] = []
-    if math.isfinite(limit := limit * state.factor):
-        near = [at for at in (limit, -limit) if abs(at - centre) < 3 * reach]
-        words.append((f"limit ±{limit:.5g}", "limit"))
+    if math.isfinite(limit.size):
+        size = limit.size * state.factor
+        near = [at for at in (size, -size) if abs(at - centre) < 3 * reach]
+        words.append((f"limit ±{limit.text(state)}", "limit"))
     values_range = min([centre - reach, *near]), max([centre + reach, *near])
     return Drawing(
         words,

@@ -33,6 +33,10 @@ class StateUnit:
         """Return a value in SI as digits in the unit."""
         return number(value * self.factor, self.digits, signed=signed)
 
+    def figure(self, value: float, sd: float) -> str:
+        """Return a value and its sigma, both in SI, as digits in the unit."""
+        return f"{self.text(value)} ± {self.text(sd)}"
+
     def fitted(self, sds: Iterable[float]) -> Self:
         """Return the same unit with so many digits that the smallest of some sigmas, in SI, has two that count."""
         known = [sd * self.factor for sd in sds if 0 < sd < math.inf]

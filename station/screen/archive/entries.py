@@ -92,16 +92,18 @@ class Entry:
 class Whole:
     """A recording opened: its entry and everything that the result screen shows of it.
 
-    ``sizes`` are the limits of the four states in SI, infinite where there is none; ``curves`` the live estimates by
-    gyro, ``investigation`` the newest that is kept beside it, as JSON. ``samples`` and ``lost`` are None without a
-    calibration, ``noise`` then the mean angle random walk in rad/s/rtHz and what 95 % of the expectation of the bias
-    instability lies below in rad/s, None if no noise was found. ``broken`` are the limits that are: their cells, what
-    helps, and of which row, state, and whether of its sigma they are; ``because`` is what may be behind that.
+    ``sizes`` are the limits of the four states in SI, infinite where there is none, and ``written`` as the bench file
+    has them, empty where that is not known; ``curves`` are the live estimates by gyro, ``investigation`` the newest
+    that is kept beside it, as JSON. ``samples`` and ``lost`` are None without a calibration, ``noise`` then the mean
+    angle random walk in rad/s/rtHz and what 95 % of the expectation of the bias instability lies below in rad/s, None
+    if no noise was found. ``broken`` are the limits that are: their cells, what helps, and of which row, state, and
+    whether of its sigma they are; ``because`` is what may be behind that.
     ``attributes`` are those of the file.
     """
 
     entry: Entry
     sizes: tuple[float, ...] = NO_LIMITS
+    written: tuple[str, ...] = ("",) * len(NO_LIMITS)
     samples: int | None = None
     lost: int | None = None
     nis_mean: float = math.nan

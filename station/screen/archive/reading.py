@@ -148,7 +148,7 @@ def _judged(whole: Whole, bench: str) -> Whole:
 
     with suppress(EstimatorError, BenchError):
         limits = read_limits(bench)
-        whole = replace(whole, sizes=limits.sizes)
+        whole = replace(whole, sizes=limits.sizes, written=limits.written_sizes)
         found = limit_lines(read_calibration(whole.entry.path, trusted=True), limits)
         lines = [line for line in found if not line.within]
         before, named, after = whole.entry.texts["reason"].partition("; ".join(line.broken for line in lines) or "\0")

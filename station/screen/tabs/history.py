@@ -1,6 +1,7 @@
 """History: the recordings of a folder, by device and date; how a state of a device went over its calibrations."""
 
 import time
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import ClassVar
@@ -11,13 +12,13 @@ from textual.binding import Binding
 from textual.containers import Horizontal
 from textual.widgets import DataTable, Input, Label, Static
 
-from station.screen.archive.entries import NO_LIMITS, Entry
+from station.screen.archive.entries import Entry
 from station.screen.base import Field, StationScreen
 from station.screen.charts import Charts
-from station.screen.drawings import STATE_CHARTS, Drawing, state_drawing
+from station.screen.drawings import STATE_CHARTS, Drawing, StateLimit, state_drawing
 from station.screen.figures import templated
 from station.screen.sessions.live_run import Trend
-from station.views.figures import OUTCOME_STYLES
+from station.views.figures import OUTCOME_STYLES, told_figures
 
 _COLUMNS = ("when", "device", "script", "outcome", "operator", "accepted", "file")
 _SHOWN_EVERY_S = 0.5
@@ -42,7 +43,8 @@ class HistoryScreen(StationScreen):
         self._shown: list[Entry] = []
         self._reading = False
         self._sorted = 0
-        self._limits = NO_LIMITS
+        self._limits = [StateLimit()] * len(STATE_CHARTS)
+        self._units: Mapping[str, str] = {}
         self._trend = Trend()
         self._began_utc_s = 0.0  # the first calibration of the trend
 
@@ -109,7 +111,9 @@ class HistoryScreen(StationScreen):
         newest = next((entry for entry in self._entries if entry.gyros), None)
         self._show()
         if newest is not None:
-            self._limits = (await self.station.archive.read(newest.path)).sizes
+            whole = await self.station.archive.read(newest.path)
+            self._limits = list(map(StateLimit, whole.sizes, whole.written))
+            self._units = newest.units
             self.redraw()
 
     def _show(self) -> None:
@@ -160,7 +164,8 @@ class HistoryScreen(StationScreen):
         index = STATE_CHARTS.index(name)
         if not self._trend.values:
             return None
-        return state_drawing(index, self._trend, self._limits[index], "days", began_utc_s=self._began_utc_s)
+        figures = told_figures(self._units)
+        return state_drawing(index, self._trend, self._limits[index], "days", figures, self._began_utc_s)
 
 
 def _cells(entry: Entry) -> list[Text]:

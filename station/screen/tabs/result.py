@@ -20,7 +20,7 @@ from station.screen.archive.entries import INVESTIGATION, Entry, Whole, last_com
 from station.screen.base import StationScreen
 from station.screen.charts import Charts
 from station.screen.dialogs import AskDialog, ChooseDialog
-from station.screen.drawings import STATE_CHARTS, Drawing, state_drawing
+from station.screen.drawings import STATE_CHARTS, Drawing, StateLimit, state_drawing
 from station.screen.figures import templated
 from station.screen.sessions.programs import ask
 from station.screen.tabs.facts import fill_in
@@ -262,8 +262,16 @@ class ResultScreen(StationScreen):
         if whole is None or not whole.curves:
             return None
         index = STATE_CHARTS.index(name)
-        curve = list(whole.curves.values())[self.gyro % len(whole.curves)]
-        return state_drawing(index, curve, whole.sizes[index], figures=told_figures(whole.entry.units))
+        gyro, curve = list(whole.curves.items())[self.gyro % len(whole.curves)]
+        limit = StateLimit(whole.sizes[index], whole.written[index])
+        drawing = state_drawing(index, curve, limit, figures=told_figures(whole.entry.units))
+        calibrated = next((found for found in whole.entry.gyros if found.name == gyro), None)
+        if calibrated is None:
+            return drawing
+        # The course is that of the live filter; the figure is that of the calibration, as in the table beside it.
+        state, _, *others = drawing.words
+        figure = told_figures(whole.entry.units)[index].figure(calibrated.values[index], calibrated.sds[index])
+        return drawing._replace(words=[state, (figure, "line"), *others])
 
 
 def _investigation(found: Mapping[str, Any]) -> list[RenderableType]:

@@ -6,10 +6,13 @@ A recorded session speaks, so that a busy machine changes nothing; ``full`` has 
 from __future__ import annotations
 
 import os
+import re
+import shutil
 from pathlib import Path
 
+import h5py
 import pytest
-from streams import TINY, Replay
+from streams import STREAMS, TINY, Replay
 from support import command
 from terminal import Terminal
 
@@ -88,3 +91,28 @@ def test_charts_are_drawn_in_a_run_that_a_key_started(place: Path, size: tuple[i
         terminal.wait_for("READY  the table")
         terminal.press("f7")
         wait_for_charts(terminal, run_charts(size))
+
+
+UNITS = '\n[units]\nmisalignment = "mrad"\n'
+
+
+def test_a_result_has_one_figure_a_state_its_unit_and_its_limit_as_written(place: Path) -> None:
+    (place / "recordings").mkdir()
+    shutil.copy(STREAMS / "first.h5", place / "recordings")
+    with h5py.File(place / "recordings/first.h5", "r+") as file:
+        file.attrs["bench"] = str(file.attrs["bench"]) + UNITS
+    variables = {name: os.environ[name] for name in ("XDG_RUNTIME_DIR", "XDG_STATE_HOME", "TMPDIR")}
+    with Terminal(command("ui", "--folder", "recordings"), 200, 60, variables=variables) as terminal:
+        terminal.press("f5")
+        terminal.wait_for("1 recordings in")
+        in_history = terminal.wait_for("limit ±0.5 deg/s")
+        assert "sigma_j (mrad)" in in_history
+        terminal.press("enter")
+        text = terminal.wait_for(lambda text: "States and their sigmas" in text and text.count("limit ±") == 4)
+    for words in ("limit ±10000 ", "limit ±0.5 deg/s ", "limit ±0.5 deg "):
+        assert words in text
+    first, *_ = (line.split() for line in text.splitlines() if line.startswith(" gyro1"))
+    for at, name in enumerate(STATE_CHARTS):
+        titled = re.search(rf"─ {name} \(\S+\) (\S+) ± (\S+)", text)
+        assert titled is not None
+        assert titled.groups() == tuple(first[1 + 2 * at : 3 + 2 * at])
