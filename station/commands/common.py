@@ -83,11 +83,6 @@ def _run(arguments: argparse.Namespace) -> int:
         return refuse(str(error), arguments.json)
     except DeviceError as error:
         return refuse(str(error), arguments.json, Outcome.FAULT)
-    if bench.after_run:
-        told = {"bench": bench.station, "script": script.name, "operator": operator, "serial_number": serial}
-        problem = tell_program(bench.after_run, {**_run_object(result), **told})
-        if problem:
-            tell(f"note: after_run: {problem}; the result stands in {path}", sys.stderr)
     for note in result.notes:
         tell(f"note: {harmless(note)}", sys.stderr)
     if arguments.json:
@@ -102,6 +97,14 @@ def _run(arguments: argparse.Namespace) -> int:
 
             with suppress(*MISSHAPEN, KeyboardInterrupt):  # the run has ended, whatever becomes of this
                 print_rendered(stdout(), "station.render", "moved.rich", {"moves": asyncio.run(moved(path))})
+    if bench.after_run:
+        sys.stdout.flush()  # the result is told by then, however long the program takes
+        told = {"bench": bench.station, "script": script.name, "operator": operator, "serial_number": serial}
+        if sys.stderr.isatty():
+            tell(f"after_run: {bench.after_run[0]} is given the result", sys.stderr)
+        problem = tell_program(bench.after_run, {**_run_object(result), **told})
+        if problem:
+            tell(f"note: after_run: {problem}; the result stands in {path}", sys.stderr)
     return result.verdict.outcome.exit_code
 
 

@@ -1,30 +1,56 @@
 """The program of a bench file that is given the result of each run, for instance to tell a factory's system."""
 
 import json
+import os
+import signal
 import subprocess
+import tempfile
 from collections.abc import Mapping, Sequence
-from typing import Any
+from contextlib import suppress
+from typing import IO, Any
 
 from estimator.untrusted import harmless
 
 LIMIT_S = 60.0
 """How long the program may take; then it is ended."""
+_LAST_BYTES = 4096
 
 
 def tell_program(command: Sequence[str], result: Mapping[str, Any], limit_s: float = LIMIT_S) -> str:
     """Start a program with the result as one JSON object on its standard input, and wait until it ends.
 
-    Return what went wrong in words, empty if its exit code was 0. What it prints is shown only if it failed.
+    Return what went wrong in words, empty if its exit code was 0. What it prints is shown only if it failed. What it
+    leaves running is not waited for, but is ended with it if it takes too long, or at Ctrl-C.
     """
-    try:
-        done = subprocess.run(
-            command, input=json.dumps(result), capture_output=True, text=True, errors="replace", timeout=limit_s
-        )
-    except subprocess.TimeoutExpired:
-        return f"{command[0]} did not end within {limit_s:g} s, and was ended"
-    except (OSError, ValueError) as error:
-        return f"{command[0]} could not be started: {getattr(error, 'strerror', None) or error}"
-    if done.returncode == 0:
-        return ""
-    last_line = (done.stderr.strip() or done.stdout.strip()).rpartition("\n")[2]
-    return harmless(f"{command[0]} ended with exit code {done.returncode}{': ' if last_line else ''}{last_line}")
+    with tempfile.TemporaryFile() as printed:
+        try:
+            program = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=printed, stderr=subprocess.STDOUT, start_new_session=True
+            )
+        except (OSError, ValueError) as error:
+            return f"{command[0]} could not be started: {getattr(error, 'strerror', None) or error}"
+        try:
+            program.communicate(json.dumps(result).encode(), timeout=limit_s)
+        except subprocess.TimeoutExpired:
+            _end(program)
+            return f"{command[0]} did not end within {limit_s:g} s, and was ended"
+        except KeyboardInterrupt:
+            _end(program)
+            return f"{command[0]} was ended by Ctrl-C"
+        if program.returncode == 0:
+            return ""
+        last_line = _last_line(printed)
+    return harmless(f"{command[0]} ended with exit code {program.returncode}{': ' if last_line else ''}{last_line}")
+
+
+def _end(program: subprocess.Popen[bytes]) -> None:
+    """End a program and what it has started in its session."""
+    with suppress(ProcessLookupError, PermissionError):
+        os.killpg(program.pid, signal.SIGKILL)
+    program.wait()
+
+
+def _last_line(printed: IO[bytes]) -> str:
+    size = printed.seek(0, os.SEEK_END)
+    printed.seek(max(size - _LAST_BYTES, 0))
+    return printed.read().decode(errors="replace").strip().rpartition("\n")[2]
