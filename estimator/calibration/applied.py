@@ -31,7 +31,8 @@ def applied(
         rates_rps = np.asarray(outputs_rps, dtype=np.float64)
     if rates_rps.ndim != 2 or rates_rps.shape[1] != len(names):
         shape = " x ".join(map(str, rates_rps.shape))
-        raise CompensationError(f"outputs of {', '.join(names)} are {len(names)} columns in this order, not {shape}")
+        wanted = f"N x {len(names)}: {', '.join(names)}, in this order"
+        raise CompensationError(f"give the outputs as an array of {wanted}; this one is {shape}")
     if t_s is None and "time" in needs_of(compensation):
         raise CompensationError("the effects of these gyros cannot be undone without t_s, the instants of the samples")
     instants_s = np.zeros(len(rates_rps)) if t_s is None else np.asarray(t_s, dtype=np.float64)

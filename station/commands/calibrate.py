@@ -202,7 +202,9 @@ def _print(ends: Sequence[End], *, in_lines: bool, details: bool) -> int:
     series = _comparable(ends)
     for runs in series:
         if len(runs) > 1:
-            printing.print_repeatability(_repeats(runs), str(runs[0][1].attributes["device_serial"]), runs[0][1].units)
+            _, first = runs[0]
+            device, script = (str(first.attributes.get(key, "")) for key in ("device_serial", "script"))
+            printing.print_repeatability(_repeats(runs), device, script, first.units)
     alone = len(judged) - sum(len(runs) for runs in series if len(runs) > 1)
     if alone and len(judged) > 1:
         tell(rendered("station.render", "compared.txt", {"alone": alone, "judged": len(judged)}).strip())
@@ -257,4 +259,4 @@ def _reasons(verdict: Verdict) -> list[str]:
         first, *others = (line.broken for line in verdict.broken)
         return [*verdict.because, f"{first}, and {len(others)} more limits not kept" if others else first]
     told = verdict.reason.replace("; but ", "; ").split("; ")
-    return told[1:] if verdict.outcome is Outcome.PASS else told
+    return told[1:] if verdict.outcome in _ESTIMATED else told  # what every such run has

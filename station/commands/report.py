@@ -5,7 +5,7 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from estimator.untrusted import harmless
 from station.atomic_write import check_new_file, free_path, write_whole
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from station.report.document import Report
     from station.report.formal import Formal
     from station.report.recorded import Recorded
-    from station.report.standing import Standing
+    from station.run.outcome import Verdict
     from station.screen.archive.register import Document
 
 
@@ -26,11 +26,13 @@ def command_report(arguments: argparse.Namespace) -> int:
     keys = [Path(name) for name in (arguments.sign, arguments.certificate) if name]
     # numpy, h5py and matplotlib are slow to import: what is wrong with the arguments was said before.
     from station.exports.exported import raw_sha256
+    from station.render.printing import next_after_report
     from station.report.dcc import check_facts, make_dcc, read_key, sign
     from station.report.document import make_report
     from station.report.formal import read_formal
     from station.report.recorded import read_recorded
     from station.report.traced import read_traced
+    from station.run.outcome import ended_of
     from station.screen.archive.register import check_number, enter
 
     if keys:
@@ -46,17 +48,7 @@ def command_report(arguments: argparse.Namespace) -> int:
     enter(_document(recorded, formal, report))
     write_whole(html, report.html)
     standing = report.standing
-    said = {
-        "title": standing.title,
-        "number": report.number,
-        "replaces": formal.certificate_replaces,
-        "outcome": None if standing.verdict is None else str(standing.verdict.outcome),
-        "reason": None if standing.verdict is None else standing.verdict.reason,
-        "certificate": standing.certificate,
-        "simulated": standing.simulated,
-        "recording": arguments.recording,
-        "sha256": report.hashes,
-    }
+    verdict = standing.verdict or ended_of(recorded.recording.attributes)  # without limits it was not judged here
     problem, printed = "", None
     try:
         if pdf is not None:
@@ -70,14 +62,38 @@ def command_report(arguments: argparse.Namespace) -> int:
         problem = str(error)
     made = [str(path) if path is not None and path.exists() else None for path in (pdf, dcc)]
     if arguments.json:
-        print(json.dumps({**said, "html": str(html), "pdf": made[0], "dcc": made[1]}))
+        print(
+            json.dumps(
+                {
+                    **_said(report, formal, verdict),
+                    "recording": arguments.recording,
+                    "html": str(html),
+                    "pdf": made[0],
+                    "dcc": made[1],
+                }
+            )
+        )
     else:
-        _print_result(recorded, standing, details=arguments.details)
-        _print_documents(report, html, made, recorded.path)
+        _print_result(recorded, verdict, details=arguments.details)
+        _print_documents(report, html, made, next_after_report(verdict, recorded.path))
     if problem:
         tell(f"station: {problem}; the report is kept in {html}", sys.stderr)
         return EXIT_USAGE
     return 0
+
+
+def _said(report: "Report", formal: "Formal", verdict: "Verdict | None") -> dict[str, Any]:
+    """Return what a report says of itself, for other programs."""
+    return {
+        "title": report.standing.title,
+        "number": report.number,
+        "replaces": formal.certificate_replaces,
+        "outcome": None if verdict is None else str(verdict.outcome),
+        "reason": None if verdict is None else verdict.reason,
+        "certificate": report.standing.certificate,
+        "simulated": report.standing.simulated,
+        "sha256": report.hashes,
+    }
 
 
 def _document(recorded: "Recorded", formal: "Formal", report: "Report") -> "Document":
@@ -93,26 +109,24 @@ def _document(recorded: "Recorded", formal: "Formal", report: "Report") -> "Docu
     )
 
 
-def _print_result(recorded: "Recorded", standing: "Standing", *, details: bool) -> None:
-    """Print what the report says first: the verdict and the states."""
+def _print_result(recorded: "Recorded", verdict: "Verdict | None", *, details: bool) -> None:
+    """Print what comes first: how the run ended or was judged, None for data of no run, and the states."""
     from station.bench.units import Units
     from station.render.printing import print_calibration, print_verdict
     from station.report.standing import limits_of
     from station.run.outcome import Outcome, Verdict
 
     limits = limits_of(recorded)
-    if standing.verdict is not None:
-        print_verdict(standing.verdict, details=details)
+    if verdict is not None:
+        print_verdict(verdict, details=details)
     if recorded.calibration is not None:
-        verdict = standing.verdict or Verdict(Outcome.ESTIMATED, "")
+        judged = verdict or Verdict(Outcome.ESTIMATED, "")
         units = limits.units if limits is not None else Units()
-        print_calibration(recorded.calibration, verdict, units, details=details)
+        print_calibration(recorded.calibration, judged, units, details=details)
 
 
-def _print_documents(report: "Report", html: Path, made: Sequence[str | None], recording: Path) -> None:
+def _print_documents(report: "Report", html: Path, made: Sequence[str | None], steps: Sequence[str]) -> None:
     """Print what was written, what it is not, and what to do next; ``made`` are PDF and digital certificate."""
-    from station.render.printing import next_after_report
-
     standing = report.standing
     tell(harmless(f"{standing.title} No. {report.number}"))
     if standing.warning:
@@ -121,7 +135,7 @@ def _print_documents(report: "Report", html: Path, made: Sequence[str | None], r
     for what, path in zip(("PDF", "digital calibration certificate"), made, strict=True):
         if path:
             print(f"{what}: {path}")
-    for step in next_after_report(standing.verdict, recording):
+    for step in steps:
         tell(f"next: {step}")
 
 

@@ -108,11 +108,17 @@ def _rest(rests: Sequence[RestNoise]) -> Mapping[str, str] | None:
     }
 
 
-def print_repeatability(repeats: Sequence[Repeatability], device: str, units: Units) -> None:
-    """Print how the states of a device scatter over its runs, beside the scatter that their sigmas promise."""
+def print_repeatability(repeats: Sequence[Repeatability], device: str, script: str, units: Units) -> None:
+    """Print how the states of a device scatter over its runs of a script, beside what their sigmas promise."""
     if not repeats:
         return
-    values = {"repeats": repeats, "device": device, "size": _size, "state_figures": state_figures(units)}
+    values = {
+        "repeats": repeats,
+        "device": device,
+        "script": script,
+        "size": _size,
+        "state_figures": state_figures(units),
+    }
     print_rendered(stdout(), "station.render", "repeatability.rich", values)
 
 

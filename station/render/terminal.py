@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, TypeAlias
 
 from markupsafe import Markup
+from rich.box import SIMPLE_HEAD
 from rich.console import Console, ConsoleOptions, OverflowMethod, RenderableType, RenderResult
 from rich.markup import escape
 from rich.measure import Measurement
@@ -126,12 +127,18 @@ def rich_table(
     *,
     fold: bool = False,
     centred: bool = False,
+    frameless: bool = False,
 ) -> Table:
     """Return a table; ``align`` has "l" or "r" for each column, "d" for a dim "r", the last for all others.
 
-    With ``fold`` cells are broken into lines where there is no room, not cut. ``centred`` is the title.
+    With ``fold`` cells are broken into lines where there is no room, not cut. ``centred`` is the title. A ``frameless``
+    table has a line below its heads alone.
     """
     table = FittingTable(title=title, title_style="bold", title_justify="center" if centred else "left")
+    if frameless:
+        table.box = SIMPLE_HEAD
+        table.show_edge = False
+        table.pad_edge = False
     overflow: OverflowMethod = "fold" if fold else "ellipsis"
     for head, side in zip(heads, align.ljust(len(heads), align[-1:] or "l"), strict=True):
         style = _DIM if side == "d" else None

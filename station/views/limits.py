@@ -97,10 +97,11 @@ class LimitLine:
         """What usually helps where it is broken."""
         if self.of_u:
             return "Uncertainty too large. Use a longer or better script: `station plan --improve` finds one."
-        return {
-            MEAN_NIS: "mean NIS: station investigate looks for what the model lacks",
-            SAMPLES_LOST: "losses: station check tells of each link",
-        }.get(self.what, "" if self.note else "a state: the device is beyond its tolerance, or mounted another way")
+        if self.what == MEAN_NIS:
+            return "Mean NIS: `station investigate` looks for what the model lacks."
+        if self.what == SAMPLES_LOST:
+            return "Samples lost: `station check` tells of each link."
+        return "" if self.note else "A state is beyond its limit: out of tolerance, or mounted another way."
 
 
 def _apart(value: float, bound: float) -> tuple[str, str]:

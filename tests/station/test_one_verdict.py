@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from station.scripts.script import Script, load_script
 REST = '[[step]]\nkind = "rest"\nduration = "6 s"\n'
 TURN = '[[step]]\nkind = "rotate"\naxis = "{}"\nrate = "20 deg/s"\nacceleration = "30 deg/s2"\nduration = "8 s"\n'
 LOOSE = (("100 ppm", "10000 ppm"), ('sd_bias = "5 deg/h"', 'sd_bias = "500 deg/h"'), ("100 urad", "10000 urad"))
-EXIT_CODES = {"PASS": 0, "MANUAL": 0, "FAIL": 1, "ABORTED": 3, "FAULT": 4}
+EXIT_CODES = {"PASS": 0, "ESTIMATED": 0, "MANUAL": 0, "FAIL": 1, "ABORTED": 3, "FAULT": 4}
 FAULT = '\n[twin.fault]\naxis = "y"\nat = "22 s"\nkind = "fault"\n'
 WANDER = ('bias_instability = "0.5 deg/h"', 'bias_instability = "25 deg/h"')
 
@@ -72,6 +73,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("PASS", bench_text(), 0.0),
         ("PASS-wander", bench_text(WANDER), 0.0),
         ("FAIL", bench_text(small), 0.0),
+        ("ESTIMATED", re.sub(r"(?ms)^\[limits\].*?(?=^\[)", "", bench_text()), 0.0),
         ("FAULT", bench_text(fault=FAULT), 0.0),
         ("ABORTED", bench_text(), 28.0),
         ("ABORTED-early", bench_text(), 0.5),
@@ -110,7 +112,9 @@ def test_the_runs_are_of_every_outcome(runs: Path) -> None:
     assert {outcome_of(path) for path in runs.iterdir()} == set(EXIT_CODES)
 
 
-@pytest.mark.parametrize("name", ["ABORTED", "ABORTED-early", "FAIL", "FAULT", "MANUAL", "PASS", "PASS-wander"])
+@pytest.mark.parametrize(
+    "name", ["ABORTED", "ABORTED-early", "ESTIMATED", "FAIL", "FAULT", "MANUAL", "PASS", "PASS-wander"]
+)
 def test_calibrate_says_how_the_run_ended_and_its_nis(
     folder: Path, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
@@ -188,12 +192,12 @@ def test_a_folder_is_compared_by_the_rule_of_history(folder: Path, capsys: pytes
         file.attrs["device_serial"] = "SN-2"
     with h5py.File(folder / "PASS-investigation.h5", "w") as file:
         file.attrs.update({"format": "turntable-investigation", "format_version": 1})
-    for name in ("ABORTED", "ABORTED-early", "FAULT", "MANUAL", "FAIL"):
+    for name in ("ABORTED", "ABORTED-early", "ESTIMATED", "FAULT", "MANUAL", "FAIL"):
         (folder / f"{name}.h5").unlink()
     assert main(["calibrate", str(folder)]) == 0
     said = capsys.readouterr()
     assert said.out.count("Repeatability") == 1
-    assert "Repeatability of SN-1 over 2 runs" in said.out
+    assert "Repeatability of SN-1 over 2 runs of short:" in said.out
     assert "1 of 3 recordings compared with no other" in said.out
     assert "skipped 1 file of the station that holds no recording: PASS-investigation.h5" in said.out
     assert "station:" not in said.err
