@@ -43,7 +43,7 @@ def command_report(arguments: argparse.Namespace) -> int:
         check_facts(formal)
     traced = read_traced(Path(arguments.investigation) if arguments.investigation else None, recorded)
     if formal.certificate_number:
-        check_number(formal.certificate_number, raw_sha256(recorded.path))
+        check_number(formal.certificate_number, raw_sha256(recorded.path), recorded.path.absolute().parent)
     report = make_report(recorded, traced, formal)
     enter(_document(recorded, formal, report))
     write_whole(html, report.html)

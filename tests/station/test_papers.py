@@ -121,6 +121,23 @@ def test_a_number_is_used_for_one_recording_only(run: Path, capsys: pytest.Captu
     assert issue(other, numbered(other, "C-18"), "r.html")[0] == 0
 
 
+def test_a_number_stays_used_where_the_register_of_a_user_is_lost(
+    run: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert issue(run, numbered(run, "C-17"), "first.html")[0] == 0
+    (run.parent / "second").mkdir()
+    other = certified(run.parent / "second", seed=8).rename(run.with_name("other.h5"))
+    moved = run.parent.rename(run.parent.with_name("moved"))
+    monkeypatch.setenv("XDG_STATE_HOME", str(moved / "of another user"))
+    run, other = moved / run.name, moved / other.name
+    with (moved / "documents.jsonl").open("a") as documents:
+        documents.write("[1]\n{}\nno line of ours\n")
+    assert issue(other, numbered(other, "C-17"), "r.html") == (2, "")
+    assert "'C-17' is the number of the document of" in capsys.readouterr().err
+    assert issue(run, numbered(run, "C-17"), "again.html")[0] == 0
+    assert issue(other, numbered(other, "C-18"), "r.html")[0] == 0
+
+
 def test_of_two_that_take_a_number_at_the_same_time_one_gets_it(run: Path) -> None:
     recordings = [run]
     for seed in (8, 9, 10):

@@ -1,19 +1,25 @@
-"""Register of the documents that this user issued on this computer, so that a number is used for one recording only.
+"""Registers of documents, so that a number is used for one recording only.
 
-It is kept among what programs remember of this user, as the indexes of recordings are. Unlike those it cannot be made
-anew from the recordings, so it is never dropped, and a damaged one is told.
+One is of this user on this computer, among what programs remember of a user, as the indexes of recordings are. Unlike
+those it cannot be made anew from the recordings, so it is never dropped, and a damaged one is told. The other is a list
+beside the recordings. It goes where they go, knows the documents of every user of the folder, and outlives the first.
 """
 
+import json
+import os
 import sqlite3
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from contextlib import closing, contextmanager, suppress
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from station.errors import UsageError
 from station.screen.memory import is_of_this_user_alone, state_folder
 
 _PATIENCE_S = 5.0  # for another station, which writes for some milliseconds
+LIST = "documents.jsonl"
+"""Name of the list beside the recordings: a document a line, as JSON."""
+_MOST_BYTES = 1 << 24  # of a list: some 50,000 documents
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS documents (
     number TEXT PRIMARY KEY,
@@ -41,33 +47,62 @@ def register_file() -> Path:
     return state_folder() / "documents.sqlite"
 
 
-def check_number(number: str, data_sha256: str) -> None:
-    """See that no other recording has a document of this number.
+def check_number(number: str, data_sha256: str, folder: Path) -> None:
+    """See that no other recording has a document of this number; ``folder`` is that of the recording.
 
     Raises UsageError that names the other recording, or that the register cannot be read.
     """
     with _register() as register:
-        _check(register, number, data_sha256)
+        _check(register, number, data_sha256, folder)
 
 
 def enter(document: Document) -> None:
     """Enter a document, in place of an earlier one of the same number and recording; UsageError as ``check_number``."""
+    folder = Path(document.recording).parent
     with _register() as register:
         register.execute("BEGIN IMMEDIATE")
-        _check(register, document.number, document.data_sha256)
+        _check(register, document.number, document.data_sha256, folder)
         register.execute(
             "REPLACE INTO documents VALUES (?, ?, ?, ?, ?)",
             (document.number, document.data_sha256, document.recording, document.title, document.replaces),
         )
+        _add(document, folder)
 
 
-def _check(register: sqlite3.Connection, number: str, data_sha256: str) -> None:
+def _check(register: sqlite3.Connection, number: str, data_sha256: str, folder: Path) -> None:
     query = "SELECT recording FROM documents WHERE number = ? AND data_sha256 <> ?"
-    for (recording,) in register.execute(query, (number, data_sha256)):
+    others = [recording for (recording,) in register.execute(query, (number, data_sha256))]
+    others += [one.recording for one in _listed(folder) if one.number == number and one.data_sha256 != data_sha256]
+    for recording in others:
         raise UsageError(
             f"certificate.number: {number!r} is the number of the document of {recording}: "
             "give this one a number of its own, or leave it out"
         )
+
+
+def _listed(folder: Path) -> Iterator[Document]:
+    """Yield the documents of the list in a folder; none of a list that is no file, too long or not to be read.
+
+    A line that is damaged is left out: others may write there.
+    """
+    try:
+        with open(os.open(folder / LIST, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
+            lines = file.read(_MOST_BYTES).splitlines()
+    except OSError:
+        return
+    for line in lines:
+        with suppress(ValueError, TypeError, RecursionError):
+            yield Document(**json.loads(line))
+
+
+def _add(document: Document, folder: Path) -> None:
+    """Add a document to the list in a folder, unless it is there; a folder that cannot be written into has none."""
+    known = {(one.number, one.data_sha256) for one in _listed(folder)}
+    if (document.number, document.data_sha256) in known:
+        return
+    flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
+    with suppress(OSError), open(os.open(folder / LIST, flags, 0o644), "ab", buffering=0) as file:
+        file.write(json.dumps(asdict(document)).encode() + b"\n")
 
 
 @contextmanager
