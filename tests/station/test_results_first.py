@@ -116,6 +116,8 @@ def test_each_state_has_one_unit_and_a_limit_is_told_as_written(
     assert main(["report", str(folder / "own.h5"), "-o", str(tmp_path / "own.html")]) == 0
     text = (tmp_path / "own.html").read_text(encoding="utf-8")
     assert "mrad" in text
+    assert re.search(r"<var>b</var>, °/s", text)  # among the numbers of the correction, too
+    assert not re.search(r"<var>b</var>, °/h", text)
     assert "1570.8" not in text
     assert "0.09°" in text or "0.09 °" in text
     capsys.readouterr()
