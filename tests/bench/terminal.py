@@ -73,9 +73,9 @@ class Terminal:
             **(variables or {}),
         }
         self.pid, self._fd = pty.fork()
-        if self.pid == 0:
+        if self.pid == 0:  # the size before the program: it must not begin at another
+            fcntl.ioctl(pty.STDOUT_FILENO, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
             os.execve(arguments[0], arguments, environment)
-        fcntl.ioctl(self._fd, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
         threading.Thread(target=self._read, daemon=True).start()
 
     def __enter__(self) -> Terminal:
