@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from printed import blocks_of, not_printed
 
 from sims.physics.hidden import KINDS
+from station.cli import main
 
 ROOT = Path(__file__).parents[2]
 PAGES = ROOT / "docs/pages"
@@ -45,6 +47,29 @@ def test_readmes_are_short_and_their_links_lead_somewhere(readme: Path) -> None:
 def test_no_page_or_picture_fetches_anything_from_elsewhere() -> None:
     for path in [*PAGES.rglob("*.md"), *PAGES.rglob("*.svg"), *PAGES.rglob("*.css")]:
         assert not re.search(r"""(?:src=|url\()["']?(?:https?:)?//""", path.read_text(encoding="utf-8")), path
+
+
+PLANS = [
+    pytest.param(block, id=block[0].removeprefix("$ "), marks=[pytest.mark.full] if "--improve" in block[0] else [])
+    for block in blocks_of(PAGES / "guide/scripts.md")
+    if block[0].startswith("$ station plan")
+]
+
+
+def test_the_guide_shows_plans() -> None:
+    assert len(PLANS) == 3
+
+
+@pytest.mark.parametrize("block", PLANS)
+def test_plans_of_the_guide_are_what_the_command_prints(
+    block: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name, value in {"COLUMNS": "80", "FORCE_COLOR": "1", "NO_COLOR": "1"}.items():
+        monkeypatch.setenv(name, value)
+    assert main(block[0].split()[2:]) == 0
+    printed = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out).splitlines()
+    assert not not_printed(block[1:], printed)
 
 
 def test_every_hidden_effect_stands_on_the_page_of_the_twins() -> None:
