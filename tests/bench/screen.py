@@ -128,15 +128,15 @@ def measure(run: subprocess.Popen[bytes], folder: Path, columns: int, rows: int,
     relay = Relay(session, folder / "seen")
     seen = {name: str(folder / "seen") for name in ("XDG_RUNTIME_DIR", "XDG_STATE_HOME", "TMPDIR")}
     terminal = Terminal(command("ui", "--attach", "--folder", folder), columns, rows, seen)
-    time.sleep(12)  # the session homes, the estimates begin
+    time.sleep(20)  # the session homes, the estimates begin, each chart has been drawn
+    cells = terminal.charts()  # now: to read what is drawn in all of the time would take minutes
+    drawn = [name for name, count in cells.items() if count >= _FEW_CELLS]
+    print(f"charts with a curve: {len(drawn)} of {len(cells)} in sight; cells with dots: {cells}")
     cpu_s, began_s, sent = terminal.cpu_s(), time.monotonic(), terminal.bytes
     time.sleep(arguments.seconds)
     span_s = time.monotonic() - began_s
     share, kilobytes = (terminal.cpu_s() - cpu_s) / span_s, (terminal.bytes - sent) / span_s / 1e3
     print(f"{columns} x {rows}: {share:.1%} of a core, {kilobytes:.1f} kB/s to the terminal, over {span_s:.0f} s")
-    cells = terminal.charts()
-    drawn = [name for name, count in cells.items() if count >= _FEW_CELLS]
-    print(f"charts with a curve: {len(drawn)} of {len(cells)} in sight; cells with dots: {cells}")
     latencies = []
     for _ in range(arguments.tries):
         time.sleep(random.uniform(0.05, 0.25))
