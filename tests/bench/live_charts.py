@@ -38,15 +38,19 @@ class Tally:
         self.looked = 0
         self.filled = 0
 
-    def look(self, name: str, terminal: Terminal, seconds: float) -> None:
-        """Look for a while until a chart in sight has a curve; print and count what was seen."""
+    def look(self, name: str, terminal: Terminal, seconds: float, *, text_may_fill: bool = False) -> None:
+        """Look for a while until a chart in sight has a curve; print and count what was seen.
+
+        With ``text_may_fill`` it is enough that no chart is in sight and the room is taken by text.
+        """
         deadline_s = time.monotonic() + seconds
         good = False
         while not good and time.monotonic() < deadline_s:
             time.sleep(0.5)
             rows = terminal.rows()
             charts = terminal.charts()
-            good = any(cells >= _FEW_CELLS for cells in charts.values()) and empty_share(rows) <= _MOST_EMPTY
+            filled = any(cells >= _FEW_CELLS for cells in charts.values()) or (text_may_fill and not charts)
+            good = filled and empty_share(rows) <= _MOST_EMPTY
         self.looked += 1
         self.filled += good
         drawn = sum(cells >= _FEW_CELLS for cells in charts.values())
@@ -70,7 +74,7 @@ def main() -> int:
                 terminal.wait_for("Operator")
                 terminal.press("A. Operator", "enter", "SN-0042")
                 terminal.wait_for("READY  the table", limit_s=120)
-                tally.look(f"{size} Prepare", terminal, arguments.seconds)
+                tally.look(f"{size} Prepare", terminal, arguments.seconds, text_may_fill=True)
                 terminal.press("f7")
                 terminal.wait_for("script begins", limit_s=120)
                 tally.look(f"{size} Run", terminal, arguments.seconds)
@@ -80,7 +84,7 @@ def main() -> int:
             ) as terminal:
                 tally.look(f"{size} Run, attached", terminal, arguments.seconds)
             stop_sessions(Path(folder))
-    print(f"{tally.filled} of {tally.looked} live screens have filled charts; load {os.getloadavg()[0]:.1f}")
+    print(f"{tally.filled} of {tally.looked} live screens are filled, with curves; load {os.getloadavg()[0]:.1f}")
     return int(tally.filled < tally.looked)
 
 
