@@ -793,7 +793,7 @@ def test_a_calibration_corrects_arrays_and_frames(record: Record) -> None:
     for wrong, said in (({"t_s": t_s}, "temperature"), ({**given, "device": "other"}, "no calibrated device")):
         with pytest.raises(CompensationError, match=said):
             calibration.apply(data.rate_rps, **wrong)
-    with pytest.raises(CompensationError, match="4 columns"):
+    with pytest.raises(CompensationError, match="an array of N x 4"):
         calibration.apply(data.rate_rps[:, :3], **given)
 
 
