@@ -40,6 +40,7 @@ _LEAST_RPS = 0.0175  # nor are smaller ones
 _QUIET = 2  # intervals without change that end a ramp
 _FEWEST = 3  # readings of steady rate on either side
 _ROUNDS, _STEPS = 4, 8
+_MOVES = 1e-8  # s, rad/s, rad: a step that moves no parameter by more ends a round
 _TAIL = 3.0  # a few readings are far off, as a rate that is a mean over a corner
 _INWARD = 0.02  # of a ramp
 _FITS = 3.0  # sigmas rms; what fits worse is no ramp
@@ -312,22 +313,27 @@ def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, las
     prior[held] = 1 / _LEAST_SD
     p, sd = start, np.array([_ANGLE_SD_RAD, _RATE_SD_RPS])
     most = sd
-    for step in range(_ROUNDS * _STEPS):
-        residual, jacobian, _ = _weighed(p, readings, sd, _TAIL if step >= _STEPS else np.inf)
-        if step == _STEPS and np.mean(residual**2) > _HOPELESS**2:
-            return None
-        rows = np.vstack([jacobian, np.diag(prior)])  # their products may be singular in floating point
-        if step and step % _STEPS == 0:
+    for lap in range(_ROUNDS):
+        tail = _TAIL if lap else np.inf
+        if lap:
+            residual, jacobian, _ = _weighed(p, readings, sd, tail)
+            if lap == 1 and np.mean(residual**2) > _HOPELESS**2:
+                return None
             # What angles and rates are known to is seen in how they scatter, less what the fit took of that.
+            rows = np.vstack([jacobian, np.diag(prior)])
             taken = np.sum(np.linalg.qr(rows)[0][: len(jacobian)] ** 2, axis=1)
             squares, freedom = (one.reshape(2, -1).sum(axis=1) for one in (residual**2, 1 - taken))
             sd = np.clip(sd * np.sqrt(squares / np.maximum(freedom, 1e-9)), _LEAST_SD, most)
-            continue
-        moved = np.linalg.lstsq(rows, np.concatenate([residual, prior * (start - p)]), rcond=None)[0]
-        shortest = float(np.diff(p[:k]).min())
-        p = p + moved * min(1.0, 0.5 * shortest / max(np.abs(moved[:k]).max(), 1e-12))
-        if not np.all(np.diff(p[:k]) > 0):
-            return None
+        for _ in range(_STEPS):
+            residual, jacobian, _ = _weighed(p, readings, sd, tail)
+            rows = np.vstack([jacobian, np.diag(prior)])  # their products may be singular in floating point
+            moved = np.linalg.lstsq(rows, np.concatenate([residual, prior * (start - p)]), rcond=None)[0]
+            shortest = float(np.diff(p[:k]).min())
+            p = p + moved * min(1.0, 0.5 * shortest / max(np.abs(moved[:k]).max(), 1e-12))
+            if not np.all(np.diff(p[:k]) > 0):
+                return None
+            if np.abs(moved).max() < _MOVES:
+                break
     off = _weighed(p, readings, most, np.inf)[0] ** 2
     near = np.tile((t_s > t_s[first] - 1e-9) & (t_s < t_s[last] + 1e-9), 2)
     if not max(float(np.mean(off)), float(np.mean(off[near]))) < _FITS**2:
@@ -364,8 +370,8 @@ def _weighed(p: Floats, readings: Readings, sd: Floats, tail: float) -> tuple[Fl
     angle, rate, slopes = _model(p, t_s, window_s)
     off = np.concatenate([angle_rad - angle, rate_rps - p[-1] * rate])
     # Angle and rate are asked for one after the other: the first may be off by half widths of both.
-    beside = [_turned(p, t_s + way * half_width_s, window_s) for way in (-2, 2)]
-    may = np.max([np.abs(np.concatenate([a - angle, p[-1] * (r - rate)])) for a, r in beside], axis=0)
+    angles, rates = _turned(p, t_s + np.array([[-2.0], [2.0]]) * half_width_s, window_s)
+    may = np.abs(np.hstack([angles - angle, p[-1] * (rates - rate)])).max(axis=0)
     known = np.repeat(sd, len(t_s))
     excess = np.minimum(np.abs(off), may)
     share = min(float(np.sum(excess**2) / max(np.sum(may**2), 1e-30)), 1 / 3)
@@ -419,29 +425,44 @@ def _model(p: Floats, t_s: Floats, window_s: float = 0.0) -> tuple[Floats, Float
     """Return the same and the slopes (2 n, parameters) of both."""
     k = len(p) // 2 - 1
     corners, rates, scale = p[:k], p[k : 2 * k], p[-1]
-    angle, rate = _turned(p, t_s, window_s)
-    d_angle, d_rate = np.zeros((len(t_s), len(p))), np.zeros((len(t_s), len(p)))
-    d_angle[:, 2 * k] = 1.0
-    d_angle[:, k] += np.minimum(t_s - corners[0], 0.0)
-    d_angle[:, 0] -= rates[0] * (t_s < corners[0])
-    d_angle[:, 2 * k - 1] += np.maximum(t_s - corners[-1], 0.0)
-    d_angle[:, k - 1] -= rates[-1] * (t_s > corners[-1])
-    d_rate[:, k] += t_s < corners[0]
-    d_rate[:, 2 * k - 1] += t_s >= corners[-1]
-    for i, slope in enumerate((np.diff(rates) / np.diff(corners)).tolist()):
-        a, length = corners[i], corners[i + 1] - corners[i]
-        since = np.clip(t_s - a, 0.0, length)
-        x = since / length
-        inside = (t_s >= a) & (t_s < corners[i + 1])
-        # Rate within: rates[i] (1 - x) + rates[i + 1] x, with x = (t - a) / length.
-        d_rate[inside, k + i] += (1 - x)[inside]
-        d_rate[inside, k + i + 1] += x[inside]
-        d_rate[inside, i] += (-slope * (1 - x))[inside]
-        d_rate[inside, i + 1] += (-slope * x)[inside]
-        d_angle[:, k + i] += since - 0.5 * since * x
-        d_angle[:, k + i + 1] += 0.5 * since * x
-        d_angle[:, i] += -rates[i] * (t_s >= a) - slope * (since - 0.5 * since * x) + 0.0
-        d_angle[:, i + 1] += np.where(t_s >= corners[i + 1], rates[i + 1], 0.0) - slope * 0.5 * since * x
+    d_angle, d_rate = _slopes(corners, rates, t_s)
+    angle = p[2 * k] + rates @ d_angle[k : 2 * k]
+    rate = rates @ d_rate[k : 2 * k]
     if window_s:
-        d_rate = (d_angle - _model(p, t_s - window_s)[2][: len(t_s)]) / window_s
-    return angle, rate, np.vstack([d_angle, np.column_stack([scale * d_rate[:, :-1], rate])])
+        before, _ = _slopes(corners, rates, t_s - window_s)
+        d_rate = (d_angle - before) / window_s
+        rate = rates @ d_rate[k : 2 * k]
+    slopes = np.empty((len(p), 2 * len(t_s)))
+    slopes[:, : len(t_s)] = d_angle
+    slopes[:-1, len(t_s) :] = scale * d_rate[:-1]
+    slopes[-1, len(t_s) :] = rate
+    return angle, rate, slopes.T
+
+
+def _slopes(corners: Floats, rates: Floats, t_s: Floats) -> tuple[Floats, Floats]:
+    """Return slopes (parameters, n) of angles and of rates; those by the rates at corners are what these count."""
+    k = len(corners)
+    lengths = np.diff(corners)[:, None]
+    bends = np.diff(rates)[:, None] / lengths
+    begun = t_s >= corners[:, None]
+    inside = begun[:-1] & ~begun[1:]
+    since = np.clip(t_s - corners[:-1, None], 0.0, lengths)
+    x = since / lengths
+    # Rate within: rates[i] (1 - x) + rates[i + 1] x, with x = (t - corners[i]) / length.
+    share_after = np.where(inside, x, 0.0)
+    share_before = np.where(inside, 1 - x, 0.0)
+    turned_after = 0.5 * since * x
+    turned_before = since - turned_after
+    d_angle, d_rate = np.zeros((2, 2 * k + 2, len(t_s)))
+    for slopes, before, after in ((d_angle, turned_before, turned_after), (d_rate, share_before, share_after)):
+        slopes[: k - 1] -= bends * before
+        slopes[1:k] -= bends * after
+        slopes[k : 2 * k - 1] += before
+        slopes[k + 1 : 2 * k] += after
+    d_angle[0] -= rates[0]
+    d_angle[k] += np.minimum(t_s - corners[0], 0.0)
+    d_angle[2 * k - 1] += np.maximum(t_s - corners[-1], 0.0)
+    d_angle[2 * k] = 1.0
+    d_rate[k] += ~begun[0]
+    d_rate[2 * k - 1] += begun[-1]
+    return d_angle, d_rate
