@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pickle
 import sys
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,6 +26,7 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 sys.path.insert(0, str(Path(__file__).parent / "bench"))
 
+import forks  # noqa: E402
 
 LONGEST = [
     "test_processes",
@@ -59,6 +61,13 @@ LONGEST = [
     "test_runs_on_wires",
 ]
 """Files that take long, begun first so that no worker is left alone with one; those of real time before all others."""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Offer tests and their workers a server that forks commands of the station."""
+    stack = ExitStack()
+    stack.enter_context(forks.offered())
+    config.add_cleanup(stack.close)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

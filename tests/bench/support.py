@@ -6,13 +6,13 @@ import json
 import os
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import forks
 import numpy as np
 
 from estimator.geometry.array import SensorArray, tetrahedron
@@ -95,13 +95,18 @@ def changed(text: str, *changes: tuple[str, str], most: int = -1) -> str:
 
 
 def station(*arguments: str | Path, cwd: Path | None = None, timeout: float = 100) -> subprocess.CompletedProcess[str]:
-    """Run the command line in a process of its own."""
-    return subprocess.run(command(*arguments), capture_output=True, text=True, cwd=cwd, timeout=timeout, check=False)
+    """Run the command line in a process of its own, a fork where there is a server of forks."""
+    return subprocess.run(forked(*arguments), capture_output=True, text=True, cwd=cwd, timeout=timeout, check=False)
 
 
 def command(*arguments: str | Path) -> list[str]:
     """Return the command line as a process would be started with."""
-    return [sys.executable, "-m", "station.cli", *map(str, arguments)]
+    return [forks.PYTHON, "-m", "station.cli", *map(str, arguments)]
+
+
+def forked(*arguments: str | Path) -> list[str]:
+    """Return the same for a fork, where there is a server of them: for what is not about starts, SIGKILL or SIGSTOP."""
+    return [forks.interpreter(), *command(*arguments)[1:]]
 
 
 @contextmanager
@@ -124,7 +129,7 @@ class TwinProcess:
     def __init__(self, *arguments: str | Path) -> None:
         """Start it and wait until it is ready."""
         self.process = subprocess.Popen(
-            command("twin", *arguments), stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"}
+            forked("twin", *arguments), stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"}
         )
         self.links: dict[str, str] = {}
         assert self.process.stdout is not None

@@ -7,7 +7,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from support import command
+from support import forked
 
 from station.bench.bench import load_bench
 from station.bench.descriptions import DESCRIPTIONS, DescriptionError, load_description
@@ -128,7 +128,7 @@ def test_init_asks_for_the_description(tmp_path: Path) -> None:
     table = ["", "modbus", *[""] * 18]
     answers = [*table, "described", "nothing", "four.toml", "tetrahedron", *[""] * 5, "no", *[""] * 12]
     done = subprocess.run(
-        command("init", "bench.toml"),
+        forked("init", "bench.toml"),
         input="\n".join(answers),
         capture_output=True,
         text=True,

@@ -16,7 +16,7 @@ from typing import Any
 
 import h5py
 import pytest
-from support import TwinProcess, command
+from support import TwinProcess, command, forked
 
 from station.bench.bench import default_bench_text
 from station.run.event_loop.loops import PacedLoop
@@ -52,7 +52,7 @@ def texts(path: Path) -> list[str]:
 def test_a_scale_that_no_computer_keeps_up_with_is_not_kept_and_that_is_told(tmp_path: Path, scale: int) -> None:
     options = written(tmp_path, 20.0, 40.0)
     done = subprocess.run(
-        command("run", "--json", "--scale", str(scale), *options), capture_output=True, text=True, check=False
+        forked("run", "--json", "--scale", str(scale), *options), capture_output=True, text=True, check=False
     )
     said: dict[str, Any] = json.loads(done.stdout)
     assert said["outcome"] == "ESTIMATED", said["reason"]
@@ -65,7 +65,7 @@ def test_a_run_at_a_scale_that_is_kept_says_nothing_of_it(tmp_path: Path) -> Non
     options = written(tmp_path, 4.0, 6.0)
     began_s = time.monotonic()
     done = subprocess.run(
-        command("run", "--json", "--scale", "4", *options), capture_output=True, text=True, check=False
+        forked("run", "--json", "--scale", "4", *options), capture_output=True, text=True, check=False
     )
     assert json.loads(done.stdout)["outcome"] == "ESTIMATED"
     assert time.monotonic() - began_s > 10.0 / 4  # it is no virtual time

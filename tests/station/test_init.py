@@ -13,7 +13,7 @@ from itertools import product
 from pathlib import Path
 
 import pytest
-from support import command, ctrl_c_of_children
+from support import command, ctrl_c_of_children, forked
 
 from drivers.imus.registry import IMUS
 from drivers.tables.registry import TABLES
@@ -28,7 +28,7 @@ def init(*arguments: str | Path) -> int:
 def answered(folder: Path, *answers: str, options: tuple[str, ...] = ()) -> subprocess.CompletedProcess[str]:
     """Answer the questions through a pipe."""
     typed = "\n".join(answers) + "\n"
-    arguments = command("init", "bench.toml", *options)
+    arguments = forked("init", "bench.toml", *options)
     return subprocess.run(arguments, input=typed, capture_output=True, text=True, cwd=folder, timeout=60, check=False)
 
 

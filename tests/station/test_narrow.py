@@ -15,7 +15,7 @@ from pathlib import Path
 import h5py
 import pyte
 import pytest
-from support import command
+from support import command, forked
 
 from station.cli import main
 
@@ -64,7 +64,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("words", [("calibrate", "--details"), ("plan",)])
 def test_no_figure_is_cut_at_80_columns(words: tuple[str, ...], recording: Path) -> None:
     files = [str(recording)] if words[0] == "calibrate" else []
-    lines = shown(command(*words, *files))
+    lines = shown(forked(*words, *files))
     tables = [line for line in lines if "│" in line]
     assert len(tables) > 8
     assert not [line for line in lines if "…" in line]

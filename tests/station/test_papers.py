@@ -6,7 +6,6 @@ import json
 import os
 import re
 import subprocess
-import sys
 from html import unescape
 from pathlib import Path
 
@@ -14,6 +13,7 @@ import h5py
 import pytest
 from certified import certified
 from lxml import etree
+from support import forked
 
 from station.cli import main
 
@@ -146,7 +146,7 @@ def test_of_two_that_take_a_number_at_the_same_time_one_gets_it(run: Path) -> No
         recordings.append(certified(folder, seed=seed))
     children = [
         subprocess.Popen(
-            [sys.executable, "-m", "station.cli", "report", str(one), "--meta", str(numbered(one, "C-17")), "--json"],
+            forked("report", one, "--meta", numbered(one, "C-17"), "--json"),
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             env=os.environ,

@@ -11,6 +11,7 @@ import time
 from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
 
+import forks
 import h5py
 import pytest
 from textual.pilot import Pilot
@@ -33,7 +34,10 @@ class HistoryFirst(StationApp):
 
 @pytest.fixture
 def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """An empty working folder with a bench and a short script; nothing remembered, no sessions, UTC."""
+    """An empty working folder with a bench and a short script; nothing remembered, no sessions, UTC.
+
+    What a screen in this process asks other commands is answered by forks.
+    """
     with tempfile.TemporaryDirectory(prefix="st-") as sockets:  # a socket's address must be short
         for name, value in {
             "XDG_RUNTIME_DIR": sockets,
@@ -43,6 +47,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         }.items():
             monkeypatch.setenv(name, value)
         monkeypatch.setattr(tempfile, "tempdir", None)
+        monkeypatch.setattr(sys, "executable", forks.interpreter())
         monkeypatch.delenv("NO_COLOR", raising=False)
         monkeypatch.chdir(tmp_path)
         time.tzset()
