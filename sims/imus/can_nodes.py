@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import can
@@ -69,6 +70,28 @@ class _Told:
         self.temperature_c, self.force_mps2 = temperature_c, force_mps2
 
 
+@dataclass(frozen=True, slots=True)
+class _Field:
+    """What a signal can hold: whole numbers alone, and the ranges that a value has to lie in."""
+
+    whole: bool
+    ranges: tuple[tuple[float, float], ...]
+
+    @classmethod
+    def of(cls, signal: SignalReader) -> "_Field":
+        """Return what the converter's DBC says of a signal."""
+        field = signal.message.get_signal_by_name(signal.name)
+        ranges: list[tuple[float, float]] = []
+        if not field.is_float:
+            least, steps = -(2 ** (field.length - 1)) if field.is_signed else 0, 2**field.length - 1
+            most = least + steps - (steps >> 50)  # the end of 64 bits is beyond the digits of a float
+            low, high = sorted(raw * field.scale + field.offset for raw in (least, most))
+            ranges.append((low, high))
+        if field.minimum is not None and field.maximum is not None and field.minimum < field.maximum:
+            ranges.append((field.minimum, field.maximum))
+        return cls(not field.is_float, tuple(ranges))
+
+
 class _Node:
     """One channel: its messages in the order in which they win the bus."""
 
@@ -77,7 +100,7 @@ class _Node:
         self._signals = signals
         by_key: dict[tuple[int, bool], Any] = {signal.key: signal.message for signal in signals.all}
         self._messages = [(key, by_key[key]) for key in sorted(by_key)]
-        self._fields = {id(signal): signal.message.get_signal_by_name(signal.name) for signal in signals.all}
+        self._fields = {id(signal): _Field.of(signal) for signal in signals.all}
         of_a_sample = {signal.key for signal in signals.all if signal is not signals.temperature}
         self._rare = set(by_key) - of_a_sample
         self.tells_temperature_apart = signals.temperature is None or signals.temperature.key in self._rare
@@ -110,15 +133,9 @@ class _Node:
     def _put(self, signal: SignalReader, value: float) -> None:
         """Keep a value in SI for sending, within the converter's range."""
         field = self._fields[id(signal)]
-        if math.isnan(value) and not field.is_float:
+        if field.whole and math.isnan(value):
             return  # it has no word for that
         scaled = signal.unscaled(value)
-        if not field.is_float:
-            least, steps = -(2 ** (field.length - 1)) if field.is_signed else 0, 2**field.length - 1
-            most = least + steps - (steps >> 50)  # the end of 64 bits is beyond the digits of a float
-            ends = sorted(raw * field.scale + field.offset for raw in (least, most))
-            scaled = min(max(scaled, ends[0]), ends[1])
-        low, high = field.minimum, field.maximum
-        if low is not None and high is not None and low < high:
+        for low, high in field.ranges:
             scaled = min(max(scaled, low), high)
         self._values[signal.key][signal.name] = scaled

@@ -77,20 +77,25 @@ class Body:
         return np.column_stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
 
     def up_in_turn(self, period_s: float) -> Callable[[Floats], Floats]:
-        """Return ``up`` for who asks for one instant after the other: worked out ahead until the motion changes."""
+        """Return ``up`` for who asks for the next instants, a period apart: worked out ahead until the motion changes.
+
+        Instants that are not a period apart are worked out by themselves.
+        """
         count = max(round(_AHEAD_S / period_s), 1)
         first_s, ahead, revision = math.inf, np.empty((0, 3)), -1
 
         def up(t_s: Floats) -> Floats:
             nonlocal first_s, ahead, revision
-            if len(t_s) != 1:
+            n, now_s = len(t_s), float(t_s[0])
+            if abs(float(t_s[-1]) - now_s - (n - 1) * period_s) > _SAME_INSTANT_S:
                 return self.up(t_s)
-            place = (float(t_s[0]) - first_s) / period_s
-            row = round(place) if 0 <= place < count - 0.5 else 0
+            place = (now_s - first_s) / period_s
+            row = round(place) if 0 <= place < len(ahead) - n + 0.5 else 0
             if revision != self.revision or abs(place - row) * period_s > _SAME_INSTANT_S:
-                first_s, row = float(t_s[0]), 0
-                ahead, revision = self.up(first_s + period_s * np.arange(count, dtype=np.float64)), self.revision
-            return ahead[row : row + 1]
+                first_s, row = now_s, 0
+                coming = np.arange(max(count, n), dtype=np.float64)
+                ahead, revision = self.up(first_s + period_s * coming), self.revision
+            return ahead[row : row + n]
 
         return up
 

@@ -55,6 +55,17 @@ def test_up_in_turn_is_up_while_the_table_turns() -> None:
     assert max(off(rig, up, 1.0 + i * PERIOD_S) for i in range(400)) < EXACT
 
 
+@pytest.mark.parametrize("count", [3, 7, 300])
+def test_up_in_turn_is_up_at_several_instants_at_once(count: int) -> None:
+    rig = Rig()
+    rig.turn()
+    up = rig.body.up_in_turn(PERIOD_S)
+    for first in range(0, 400, count):
+        at = 1.0 + PERIOD_S * np.arange(first, first + count)
+        rig.now_s = float(at[0])
+        assert np.abs(up(at) - rig.body.up(at)).max() < EXACT
+
+
 def test_up_in_turn_heeds_a_command_that_comes_between_two_instants() -> None:
     rig = Rig()
     up = rig.body.up_in_turn(PERIOD_S)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import math
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import h5py
@@ -53,13 +55,18 @@ def bench_with(folder: Path, name: str, fault: str = "") -> Bench:
     return load_bench(path)
 
 
-def begun_s(folder: Path, bench: Bench, script: Script) -> float:
-    """Return when on the loop's clock the first step begins."""
-    result, _ = run(folder, bench, Script(script.name, script.steps[:1]))
-    with h5py.File(result.recording) as file:
-        texts = list(file["events/text"][()])
-        begun = float(file["events/t_ns"][texts.index(b"script begins")]) * 1e-9
-    result.recording.unlink()
+@pytest.fixture(scope="module")
+def begun_s(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], float]:
+    """Return when on the loop's clock a first step of rest begins on a bench without faults."""
+
+    @cache
+    def begun(name: str) -> float:
+        folder = tmp_path_factory.mktemp(name)
+        result, _ = run(folder, bench_with(folder, name), Script("begin", (Rest(1.0),)))
+        with h5py.File(result.recording) as file:
+            texts = list(file["events/text"][()])
+            return float(file["events/t_ns"][texts.index(b"script begins")]) * 1e-9
+
     return begun
 
 
@@ -74,13 +81,12 @@ def begun_s(folder: Path, bench: Bench, script: Script) -> float:
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", PROTOCOLS)
 def test_the_table_stands_soon_after_its_readings_do_not_change_any_more(
-    tmp_path: Path, name: str, kind: str, after_s: float
+    tmp_path: Path, begun_s: Callable[[str], float], name: str, kind: str, after_s: float
 ) -> None:
-    plain = bench_with(tmp_path, name)
-    axis = plain.table.gimbals[-1]
+    axis = bench_with(tmp_path, name).table.gimbals[-1]
     turn = Rotate(axis, 20 * DEG, 19.0, 20 * DEG, "turn")
     script = Script("freeze", (Rest(1.0), turn, Rest(1.0)))
-    frozen_s = begun_s(tmp_path, plain, script) + 1.0 + after_s
+    frozen_s = begun_s(name) + 1.0 + after_s
     fault = f'[twin.fault]\naxis = "{axis}"\nat = "{frozen_s} s"\nkind = "{kind}"'
     result, turned_s = run(tmp_path, bench_with(tmp_path, name, fault), script)
     assert result.verdict.outcome is Outcome.FAULT, result.verdict.reason

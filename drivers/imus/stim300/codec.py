@@ -5,6 +5,7 @@ import struct
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -37,7 +38,7 @@ _STATED_CRC = struct.Struct("<I")
 _REVERSED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Layout:
     """What a datagram holds besides the gyro cluster, and how it pads its CRC."""
 
@@ -46,14 +47,14 @@ class Layout:
     temperature: bool = False
     extra: bool = False  # PPS or AUX group
 
-    @property
+    @cached_property
     def groups(self) -> tuple[tuple[str, int, int], ...]:
         """Groups in their order: name, how many numbers, and of how many bytes each. A status byte follows each."""
         clusters = ["gyro", *(name for name in ("accelerometer", "inclinometer") if getattr(self, name))]
         temperatures = [(f"{name}_temperature", 3, 2) for name in clusters if self.temperature]
         return (*((name, 3, 3) for name in clusters), *temperatures, *([("extra", 1, 3)] if self.extra else []))
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Bytes from the id to the CRC, without line termination."""
         return 1 + sum(numbers * width + 1 for _, numbers, width in self.groups) + 3 + 4
