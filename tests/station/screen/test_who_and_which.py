@@ -141,19 +141,17 @@ async def test_a_script_that_is_set_while_the_last_is_looked_at_is_read(place: P
         await until(pilot, lambda: "next" in shown(app, "plan") and "WAIT" not in shown(app, "ready"), 30)
 
 
-@pytest.mark.parametrize("at", ["bench", "script", "operator", "start", None])
-def test_a_scanned_serial_number_goes_to_its_field_wherever_the_focus_is(place: Path, at: str | None) -> None:
-    async def scan() -> None:
-        app = app_on(place, bench="bench.toml", operator="A. Turing")
-        async with app.run_test() as pilot:
-            await asked(pilot, app)
-            before = {name: value(app, name) for name in ("bench", "script", "operator")}
+@driven
+async def test_a_scanned_serial_number_goes_to_its_field_wherever_the_focus_is(place: Path) -> None:
+    app = app_on(place, bench="bench.toml", operator="A. Turing")
+    async with app.run_test() as pilot:
+        await asked(pilot, app)
+        before = {name: value(app, name) for name in ("bench", "script", "operator")}
+        for number, at in enumerate(["bench", "script", "operator", "start", None], 43):
             app.screen.query_one("#start", Button).disabled = False
             app.screen.set_focus(app.screen.query_one(f"#{at}") if at else None)
-            for key in (*keys("SN-0043"), "enter"):  # all at once, as a scanner
+            for key in (*keys(f"SN-00{number}"), "enter"):  # all at once, as a scanner
                 app.post_message(events.Key(key, {"minus": "-"}.get(key, key) if key != "enter" else "\r"))
-            await until(pilot, lambda: value(app, "serial") == "SN-0043")
-            assert {name: value(app, name) for name in before} == before
-            assert app.shown is None  # no run has begun by the Enter of a scan
-
-    asyncio.run(scan())
+            await until(pilot, lambda: value(app, "serial") == f"SN-00{number}")  # noqa: B023  awaited here
+            assert {name: value(app, name) for name in before} == before, at
+            assert app.shown is None, at  # no run has begun by the Enter of a scan
