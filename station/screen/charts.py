@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Callable, Sequence
+from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, cast
 
@@ -38,7 +39,7 @@ class Charts(Grid):
     async def _bring(self) -> None:
         kind = (await asyncio.to_thread(import_module, "station.screen.chart")).Chart
         if self.is_attached and not self._charts:
-            self._charts = [kind(self.draw, name) for name in self._names]
+            self._charts = [kind(partial(self.draw, at), name) for at, name in enumerate(self._names)]
             await self.mount(*self._charts)
             self.on_resize()
             self.draw()

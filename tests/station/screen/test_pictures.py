@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 import os
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from functools import partial
 from pathlib import Path
 
 import pytest
 from conftest import HistoryFirst, driven, keys, until
+from pytest_textual_snapshot import SVGImageExtension
 from streams import Replay
+from syrupy.assertion import SnapshotAssertion
 from textual import events
 from textual.pilot import Pilot
 from textual.widgets import Footer, OptionList
@@ -24,14 +27,54 @@ from station.views.figures import clock
 
 Compare = Callable[..., bool]
 Before = Callable[[Pilot[None]], Awaitable[None]]
+Settled = Callable[[Pilot[None], str], Awaitable[None]]
+Pictures = Callable[[StationApp, Mapping[str, tuple[int, int]], Before, Settled], list[str]]
 
 SMALL, WIDE, LARGE = (80, 24), (120, 40), (200, 60)
-_SIZE_NAMES = ["80x24", "120x40", "200x60"]
-SIZES = pytest.mark.parametrize("size", [SMALL, WIDE, LARGE], ids=_SIZE_NAMES)
+SIZES = {"80x24": SMALL, "120x40": WIDE, "200x60": LARGE}
+_DRAWS_S, _SAME = 0.1, 3
+TELEPHONE = {"390x844 pixels": (41, 42), "844x390 pixels": (84, 18)}
 LARGER_IN_FULL = pytest.mark.parametrize(
-    "size", [SMALL, *(pytest.param(size, marks=pytest.mark.full) for size in (WIDE, LARGE))], ids=_SIZE_NAMES
+    "size", [SMALL, *(pytest.param(size, marks=pytest.mark.full) for size in (WIDE, LARGE))], ids=SIZES
 )
 CHOICES = Choices(bench="bench.toml", script="short.toml", folder=Path("recordings"))
+
+
+@pytest.fixture
+def pictures(snapshot: SnapshotAssertion) -> Pictures:
+    """Return what drives an app, resizes it again and again, and returns the names of pictures that are not as kept.
+
+    ``settled(pilot, name)`` waits at a size, or does what else belongs to the picture of that name.
+    """
+    kept = snapshot.use_extension(SVGImageExtension)
+
+    def compare(app: StationApp, sizes: Mapping[str, tuple[int, int]], before: Before, settled: Settled) -> list[str]:
+        seen: dict[str, str] = {}
+
+        async def drive() -> None:
+            first = next(iter(sizes.values()))
+            async with app.run_test(size=first, tooltips=True, notifications=True) as pilot:
+                await before(pilot)
+                for name, size in sizes.items():
+                    if app.size != size:
+                        await pilot.resize_terminal(*size)
+                    await settled(pilot, name)
+                    seen[name] = await at_rest(pilot)
+
+        asyncio.run(drive())
+        return [name for name, picture in seen.items() if kept(name=name) != picture]
+
+    return compare
+
+
+async def at_rest(pilot: Pilot[None]) -> str:
+    """Return the picture of an app that draws nothing more."""
+    seen: list[str] = []
+    while len(seen) < _SAME or len({*seen[-_SAME:]}) > 1:
+        await pilot.wait_for_scheduled_animations()
+        await pilot.pause(_DRAWS_S)
+        seen.append(pilot.app.export_screenshot(title=pilot.app.title, simplify=True))
+    return seen[-1]
 
 
 def attached(app: StationApp, elapsed_s: float, *pressed: str) -> Before:
@@ -70,7 +113,7 @@ def test_prepare_says_what_is_not_green(place: Path, snap_compare: Compare) -> N
     assert snap_compare(app, terminal_size=SMALL, run_before=before)
 
 
-@SIZES
+@pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
 def test_prepare_is_ready_when_all_is_green(place: Path, snap_compare: Compare, size: tuple[int, int]) -> None:
     app = StationApp(CHOICES)
 
@@ -105,11 +148,14 @@ def test_screens_without_anything_to_show(place: Path, snap_compare: Compare, ke
     assert snap_compare(app, terminal_size=SMALL, run_before=before)
 
 
-@SIZES
-def test_a_run(place: Path, snap_compare: Compare, size: tuple[int, int]) -> None:
+def test_a_run(place: Path, pictures: Pictures) -> None:
+    async def settled(pilot: Pilot[None], name: str) -> None:
+        await drawn(pilot, app)
+        await pilot.press("right", "left")  # draws the charts anew
+
     with Replay("pass", 36.0):
         app = StationApp(CHOICES, attach=True)
-        assert snap_compare(app, terminal_size=size, run_before=attached(app, 35.0))
+        assert pictures(app, SIZES, attached(app, 35.0), settled) == []
 
 
 @LARGER_IN_FULL
@@ -221,11 +267,7 @@ def test_a_result(recordings: Path, snap_compare: Compare, name: str, size: tupl
     assert snap_compare(app, terminal_size=size, run_before=before)
 
 
-@pytest.mark.parametrize(
-    "size",
-    [SMALL, *(pytest.param(size, marks=pytest.mark.full) for size in (WIDE, LARGE))],
-    ids=["80x24", "120x40", "200x60"],
-)
+@LARGER_IN_FULL
 def test_the_facts_of_a_certificate(recordings: Path, snap_compare: Compare, size: tuple[int, int]) -> None:
     app = HistoryFirst(Choices(folder=Path("recordings"), operator="A. Operator"))
     (recordings / "first-certificate.toml").write_text(
@@ -245,21 +287,22 @@ def test_the_facts_of_a_certificate(recordings: Path, snap_compare: Compare, siz
     assert snap_compare(app, terminal_size=size, run_before=before)
 
 
-@SIZES
-def test_history(recordings: Path, snap_compare: Compare, size: tuple[int, int]) -> None:
+def test_history(recordings: Path, pictures: Pictures) -> None:
     app = HistoryFirst(Choices(folder=Path("recordings")))
 
     async def before(pilot: Pilot[None]) -> None:
         await until(pilot, lambda: "4 recordings in recordings   (" in str(app.screen.query_one("#folder").render()))
         await pilot.press("down", "down")
-        await drawn(pilot, app)
         await until(pilot, lambda: "2 calibrations" in str(app.screen.query_one("#trend").render()))
 
-    assert snap_compare(app, terminal_size=size, run_before=before)
+    async def settled(pilot: Pilot[None], name: str) -> None:
+        await drawn(pilot, app)
+
+    assert pictures(app, SIZES, before, settled) == []
 
 
 @pytest.mark.parametrize(
-    ("size", "pressed"), [(SMALL, "tab"), (WIDE, "tab"), (LARGE, "tab"), (SMALL, "f7")], ids=[*_SIZE_NAMES, "next"]
+    ("size", "pressed"), [(SMALL, "tab"), (WIDE, "tab"), (LARGE, "tab"), (SMALL, "f7")], ids=[*SIZES, "next"]
 )
 def test_a_tray(place: Path, snap_compare: Compare, size: tuple[int, int], pressed: str) -> None:
     ended = [("SN-0041", "FAIL"), ("SN-0042", "PASS"), ("SN-0043", "FAULT"), ("SN-0044", "skipped")]
@@ -279,22 +322,22 @@ def test_a_tray(place: Path, snap_compare: Compare, size: tuple[int, int], press
     assert snap_compare(app, terminal_size=size, run_before=before)
 
 
-@pytest.mark.parametrize("size", [(41, 42), (84, 18)], ids=["390x844 pixels", "844x390 pixels"])
 @pytest.mark.parametrize(("until_s", "shown"), [(20.0, ""), (math.inf, "PASS")], ids=["running", "ended"])
 def test_a_telephone_shows_verdict_step_time_left_and_stop(
-    place: Path, snap_compare: Compare, size: tuple[int, int], until_s: float, shown: str
+    place: Path, pictures: Pictures, until_s: float, shown: str
 ) -> None:
+    async def before(pilot: Pilot[None]) -> None:
+        await until(pilot, lambda: (run := app.shown) and run.snapshot and run.snapshot.elapsed_s >= 19.0)
+
+    async def settled(pilot: Pilot[None], name: str) -> None:
+        last = app.shown and app.shown.snapshot
+        assert last
+        wanted = shown or f"{clock(last.remaining_s)} left"
+        await until(pilot, lambda: wanted in str(app.screen.query_one("#small").render()))
+
     with Replay("pass", until_s):
         app = StationApp(CHOICES, attach=True)
-
-        async def before(pilot: Pilot[None]) -> None:
-            await until(pilot, lambda: (run := app.shown) and run.snapshot and run.snapshot.elapsed_s >= 19.0)
-            last = app.shown and app.shown.snapshot
-            assert last
-            wanted = shown or f"{clock(last.remaining_s)} left"
-            await until(pilot, lambda: wanted in str(app.screen.query_one("#small").render()))
-
-        assert snap_compare(app, terminal_size=size, run_before=before)
+        assert pictures(app, TELEPHONE, before, settled) == []
 
 
 def test_without_colours_every_state_is_a_word(
