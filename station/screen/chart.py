@@ -5,13 +5,14 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 from datetime import datetime
 from itertools import pairwise
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 from textual.app import ComposeResult
 from textual.binding import Binding
 from textual.containers import Grid
 from textual.content import Content
+from textual.geometry import Region
 from textual.strip import Strip
 from textual_hires_canvas import Canvas
 from textual_plot import HiResMode, PlotWidget
@@ -28,6 +29,12 @@ _LABEL_WIDTH, _TICK_WIDTH, _MARGIN, _DIAL_REACH = 9, 6, 0.06, 1.08
 
 class _Canvas(Canvas):
     """A canvas whose lines always have a style: those without one end the app where colours are taken away."""
+
+    def refresh(self, *regions: Region, repaint: bool = True, layout: bool = False, recompose: bool = False) -> Self:
+        """Ask once for all dots: each that is set asks for the whole canvas to be painted."""
+        if self._repaint_required and not (regions or layout or recompose):
+            return self
+        return super().refresh(*regions, repaint=repaint, layout=layout, recompose=recompose)
 
     def render_line(self, y: int) -> Strip:
         strip = super().render_line(y)
