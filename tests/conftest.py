@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import os
-import pickle
 import sys
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
 if TYPE_CHECKING:
+    from shared import Traced
+
     from estimator.calibration.error_model import ErrorModel
     from estimator.tracing.investigation import Investigation
 
@@ -82,28 +82,14 @@ def state_of_nobody(tmp_path_factory: pytest.TempPathFactory) -> None:
 
 
 @pytest.fixture(scope="session")
-def asymmetry(tmp_path_factory: pytest.TempPathFactory) -> tuple[Investigation, ErrorModel]:
-    """Return what is found in ``three_recordings(4, ASYMMETRY)``, the third to verify, and the model of the type.
+def traced_asymmetry(tmp_path_factory: pytest.TempPathFactory) -> Traced:
+    """Return what is found in ``three_recordings(4, ASYMMETRY)``; the files are to be read only."""
+    from shared import made_once, trace_asymmetry
 
-    Made once for all workers.
-    """
-    from support import ASYMMETRY, three_recordings
+    return made_once(tmp_path_factory, "asymmetry", trace_asymmetry)
 
-    from estimator.tracing.investigate import investigate
-    from estimator.tracing.type_model import error_model_of
 
-    base = tmp_path_factory.getbasetemp()
-    folder = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
-    with (folder / "asymmetry.lock").open("w") as lock:
-        if os.name == "posix":
-            import fcntl
-
-            fcntl.flock(lock, fcntl.LOCK_EX)  # elsewhere two workers may both make it
-        path = folder / f"asymmetry-{'all' if os.name == 'posix' else os.getpid()}.pickle"
-        if not path.exists():
-            calibration, exploration, verification = three_recordings(4, ASYMMETRY)
-            found = investigate([calibration, exploration], [verification])
-            assert found.model is not None
-            path.write_bytes(pickle.dumps((replace(found, model=None), error_model_of(found.model))))
-        made: tuple[Investigation, ErrorModel] = pickle.loads(path.read_bytes())
-    return made
+@pytest.fixture(scope="session")
+def asymmetry(traced_asymmetry: Traced) -> tuple[Investigation, ErrorModel]:
+    """Return what is found in ``three_recordings(4, ASYMMETRY)``, the third to verify, and the model of the type."""
+    return traced_asymmetry.found, traced_asymmetry.model

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
@@ -40,6 +40,9 @@ from station.scripts.script import Rest, Script, check, load_script, paper_scrip
 from station.views.figures import human, probability
 from station.views.investigation import investigation_view
 
+if TYPE_CHECKING:
+    from shared import Traced
+
 DEG = np.pi / 180
 KEYS = {"verdict", "added", "rivals", "unexplained", "before", "after", "in_sample", "next_script", "models", "gyros"}
 
@@ -71,20 +74,9 @@ def investigated(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> 
     return code, captured.out, captured.err
 
 
-@pytest.fixture(scope="module")
-def asymmetric(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """Three recordings of gyros whose scale factors differ by direction."""
-    return files(tmp_path_factory.mktemp("asymmetric"), ASYMMETRY)
-
-
-def test_what_the_model_lacks_is_named_and_its_size_is_right(
-    asymmetric: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    first, second, third = asymmetric
-    results, picture = tmp_path / "results.h5", tmp_path / "residual.png"
-    code, text, _ = investigated(capsys, first, second, "--verify", third, "--json", "-o", results, "--plot", picture)
-    found = json.loads(text)
-    assert code == 0
+def test_what_the_model_lacks_is_named_and_its_size_is_right(traced_asymmetry: Traced) -> None:
+    found = json.loads(traced_asymmetry.said)
+    assert traced_asymmetry.code == 0
     assert found["verdict"] == "added"
     assert set(found) >= KEYS
     (added,) = found["added"]
@@ -103,9 +95,9 @@ def test_what_the_model_lacks_is_named_and_its_size_is_right(
     assert [model["effects"] for model in found["models"]] == [[], ["scale_asymmetry"]]
     assert set(found["gyros"]["gyro1"]) >= {"before", "after", "moved_sigmas", "phases"}
     assert found["next_script"] is None
-    assert found["verification"] == [str(third)]
-    assert picture.read_bytes().startswith(b"\x89PNG")
-    with h5py.File(results) as file:
+    assert found["verification"] == [str(traced_asymmetry.recordings[2])]
+    assert traced_asymmetry.picture.read_bytes().startswith(b"\x89PNG")
+    with h5py.File(traced_asymmetry.results) as file:
         kept = json.loads(str(file["investigation"].attrs["json"]))
         assert kept["added"] == found["added"]
         assert len(file["investigation/residual"]) >= 1
@@ -174,9 +166,9 @@ def test_clean_recordings_need_nothing(tmp_path: Path, capsys: pytest.CaptureFix
     ],
 )
 def test_bad_input_ends_with_2_and_without_a_verdict(
-    asymmetric: list[Path], capsys: pytest.CaptureFixture[str], arguments: list[str], says: str
+    traced_asymmetry: Traced, capsys: pytest.CaptureFixture[str], arguments: list[str], says: str
 ) -> None:
-    code, text, error = investigated(capsys, *(a.format(*asymmetric) for a in arguments), "--json")
+    code, text, error = investigated(capsys, *(a.format(*traced_asymmetry.recordings) for a in arguments), "--json")
     assert code == 2
     assert says in error
     assert json.loads(text)["verdict"] is None

@@ -6,6 +6,8 @@ import asyncio
 import json
 import re
 import shutil
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -84,6 +86,16 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "runs"
 
 
+@pytest.fixture(scope="module")
+def written(runs: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A copy of the runs into which their calibrations were written, and what was printed of it."""
+    folder = tmp_path_factory.mktemp("written") / "runs"
+    shutil.copytree(runs, folder)
+    with redirect_stdout(StringIO()) as said:
+        assert main(["calibrate", str(folder), "--write", "--jobs", "1"]) == 4
+    return folder, said.getvalue()
+
+
 @pytest.fixture
 def folder(runs: Path, tmp_path: Path) -> Path:
     """A copy of the runs, that a test may write into."""
@@ -145,12 +157,11 @@ def test_a_bias_that_wanders_does_not_make_two_figures_of_one_nis(
 
 
 def test_calibrate_history_report_and_the_folder_give_one_outcome_and_one_nis(
-    folder: Path, capsys: pytest.CaptureFixture[str]
+    written: tuple[Path, str], capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
+    folder, overview = written
     paths = sorted(folder.iterdir())
-    assert main(["calibrate", str(folder), "--write"]) == 4
-    overview = capsys.readouterr().out
-    code, objects = asked(capsys, "calibrate", str(folder))
+    code, objects = asked(capsys, "calibrate", str(folder), "--jobs", "1")
     assert code == 4
     _, (listed,) = asked(capsys, "history", str(folder))
     rows = {row["file"]: row for row in listed["recordings"]}
@@ -163,7 +174,7 @@ def test_calibrate_history_report_and_the_folder_give_one_outcome_and_one_nis(
         assert found["nis_mean"] is None or f"{found['nis_mean']:.3f}" in line
         if path.stem == "ABORTED-early":  # which holds nothing to report
             continue
-        _, (told,) = asked(capsys, "report", str(path))
+        _, (told,) = asked(capsys, "report", str(path), "-o", str(tmp_path / f"{path.stem}.html"))
         assert told["outcome"] == outcome_of(path)
         if outcome_of(path) in ("PASS", "FAIL"):
             assert repr(found["nis_mean"]) in Path(told["html"]).read_text(encoding="utf-8")
@@ -194,21 +205,21 @@ def test_a_folder_is_compared_by_the_rule_of_history(folder: Path, capsys: pytes
         file.attrs.update({"format": "turntable-investigation", "format_version": 1})
     for name in ("ABORTED", "ABORTED-early", "ESTIMATED", "FAULT", "MANUAL", "FAIL"):
         (folder / f"{name}.h5").unlink()
-    assert main(["calibrate", str(folder)]) == 0
+    assert main(["calibrate", str(folder), "--jobs", "1"]) == 0
     said = capsys.readouterr()
     assert said.out.count("Repeatability") == 1
     assert "Repeatability of SN-1 over 2 runs of short:" in said.out
     assert "1 of 3 recordings compared with no other" in said.out
     assert "skipped 1 file of the station that holds no recording: PASS-investigation.h5" in said.out
     assert "station:" not in said.err
-    _, objects = asked(capsys, "calibrate", str(folder))
+    _, objects = asked(capsys, "calibrate", str(folder), "--jobs", "1")
     assert ["repeatability" in found for found in objects] == [False, True, False]
     assert main(["calibrate", str(folder / "PASS-investigation.h5")]) == 2  # named by itself it is a mistake
 
 
-def test_one_line_a_recording_and_reasons_after_it(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    main(["calibrate", str(folder)])
-    lines = capsys.readouterr().out.partition("Repeatability")[0].splitlines()
+def test_one_line_a_recording_and_reasons_after_it(written: tuple[Path, str]) -> None:
+    folder, overview = written
+    lines = overview.partition("Repeatability")[0].splitlines()
     table = [line for line in lines if line.startswith("│")]
     assert len(table) == len(list(folder.iterdir()))
     assert all(
