@@ -10,7 +10,7 @@ import pytest
 from faults import BENCHES
 
 from station.bench.bench import load_bench
-from station.opening import open_bench
+from station.opening import open_bench, with_links
 from station.run.event_loop.loops import VirtualLoop
 from station.run.outcome import Outcome
 from station.run.session import Session
@@ -37,7 +37,7 @@ def test_a_line_that_runs_a_script_also_stops_it(tmp_path: Path, one_way_ms: int
     path = tmp_path / "bench.toml"
     fault = f'\n[twin.fault]\nlatency = "{one_way_ms} ms"\n'
     path.write_text((BENCHES / "two_triads.toml").read_text() + fault)
-    bench = load_bench(path)
+    bench = with_links(load_bench(path), {}, ["first"])
     turn = Rotate(bench.table.gimbals[-1], 20 * DEG, 12.0, 20 * DEG, "turn")
 
     async def main() -> str:

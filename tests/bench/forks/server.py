@@ -32,7 +32,10 @@ import station.commands
 from station.campaigns import ONE_BLAS_THREAD
 
 PROGRAM = "station.cli"
-ALSO = ("scipy.linalg", "scipy.optimize", "scipy.signal", "scipy.special", "scipy.stats")
+ALSO = (
+    *("scipy.linalg", "scipy.optimize", "scipy.signal", "scipy.special", "scipy.stats"),
+    *("cantools", "filterpy.kalman", "matplotlib.backends.backend_svg", "station.report.document"),
+)
 """What commands import when they come to need it."""
 OF_THE_START = ("PYTHON", "LC_", "LANG", "OPENBLAS_", "OMP_", "MKL_", "MPL", "HOME", "XDG_CONFIG_", "XDG_CACHE_", "LD_")
 """Beginnings of the variables that act while Python starts or libraries are imported."""
