@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from estimator.geometry.polyline import modelled, turned
 from estimator.types import Flags, Floats, Stamps
 
 WINDOW_S = 3.0
@@ -342,7 +343,7 @@ def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, las
     # A reading at a corner tells nothing of a shorter ramp, whatever its slopes say of a longer one.
     shorter = p.copy()
     shorter[[0, k - 1]] += _INWARD * (p[k - 1] - p[0]) * np.array([1, -1]) * ~held[[0, k - 1]]
-    slopes = _model(shorter, t_s, window_s)[2] / doubt[:, None]
+    slopes = modelled(shorter, t_s, window_s)[2] / doubt[:, None]
     factor = np.linalg.qr(np.vstack([slopes, np.diag(prior)]), mode="r")
     variance = np.sum(np.linalg.inv(factor) ** 2, axis=1)[:k] * max(float(np.mean(residual**2)), 1.0)
     if not np.all(np.isfinite(variance)):  # readings too coarse to keep its corners apart
@@ -352,8 +353,8 @@ def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, las
     off_rps, doubt = (residual * doubt)[len(t_s) :], doubt[len(t_s) :]
     inside = (t_s > p[0]) & (t_s < p[k - 1] + window_s)
     share = np.where(inside, 0.0, _RATE_SD_RPS**2 / (_RATE_SD_RPS**2 + doubt**2))
-    angle, rate = _turned(p, p[:k])
-    reading_rps = p[-1] * _turned(p, t_s)[1] + share * off_rps
+    angle, rate = turned(p, p[:k])
+    reading_rps = p[-1] * turned(p, t_s)[1] + share * off_rps
     # A corner at which the slope hardly changes may be anywhere: it counts by what it does to the rate.
     bends = np.abs(np.diff(np.diff(p[k : 2 * k]) / np.diff(p[:k]), prepend=0.0, append=0.0))
     sd_s = float(np.max(np.sqrt(variance) * bends / bends.max()))
@@ -367,10 +368,10 @@ def _weighed(p: Floats, readings: Readings, sd: Floats, tail: float) -> tuple[Fl
     of angles and rates whose instants are known; ``tail`` degrees of freedom their distribution has (Student's t).
     """
     t_s, angle_rad, rate_rps, half_width_s, window_s = readings
-    angle, rate, slopes = _model(p, t_s, window_s)
+    angle, rate, slopes = modelled(p, t_s, window_s)
     off = np.concatenate([angle_rad - angle, rate_rps - p[-1] * rate])
     # Angle and rate are asked for one after the other: the first may be off by half widths of both.
-    angles, rates = _turned(p, t_s + np.array([[-2.0], [2.0]]) * half_width_s, window_s)
+    angles, rates = turned(p, t_s + np.array([[-2.0], [2.0]]) * half_width_s, window_s)
     may = np.abs(np.hstack([angles - angle, p[-1] * (rates - rate)])).max(axis=0)
     known = np.repeat(sd, len(t_s))
     excess = np.minimum(np.abs(off), may)
@@ -398,71 +399,8 @@ def _start(t_s: Floats, angle_rad: Floats, rate_rps: Floats, first: int, last: i
     steep = float(np.median(slope[np.abs(slope) >= 0.5 * np.abs(slope).max()]))
     length = min(abs((after - before) / steep), t_s[last] - t_s[first])
     # The two lines of the angles, before and after, meet in the middle of the ramp.
-    turned = angle_rad[last] - angle_rad[first]
-    middle_s = (after * t_s[last] - before * t_s[first] - turned) / (after - before)
+    way_rad = angle_rad[last] - angle_rad[first]
+    middle_s = (after * t_s[last] - before * t_s[first] - way_rad) / (after - before)
     middle_s = float(np.clip(middle_s, t_s[first] + 0.25 * length, t_s[last] - 0.25 * length))
     corners = [middle_s - 0.5 * length, middle_s + 0.5 * length]
     return np.concatenate([corners, [before, after], [angle_rad[first] - before * (t_s[first] - corners[0])], [1.0]])
-
-
-def _turned(p: Floats, t_s: Floats, window_s: float = 0.0) -> tuple[Floats, Floats]:
-    """Return angles and rates (n,) of a ramp at instants, the rates as means over the window before them.
-
-    ``p``: corners, rates at them, angle at the first corner, scale of the rate readings.
-    """
-    k = len(p) // 2 - 1
-    corners, rates = p[:k], p[k : 2 * k]
-    angle = p[2 * k] + rates[0] * np.minimum(t_s - corners[0], 0.0) + rates[-1] * np.maximum(t_s - corners[-1], 0.0)
-    for i, slope in enumerate((np.diff(rates) / np.diff(corners)).tolist()):
-        since = np.clip(t_s - corners[i], 0.0, corners[i + 1] - corners[i])
-        angle = angle + rates[i] * since + 0.5 * slope * since**2
-    if window_s:
-        return angle, (angle - _turned(p, t_s - window_s)[0]) / window_s
-    return angle, np.interp(t_s, corners, rates)
-
-
-def _model(p: Floats, t_s: Floats, window_s: float = 0.0) -> tuple[Floats, Floats, Floats]:
-    """Return the same and the slopes (2 n, parameters) of both."""
-    k = len(p) // 2 - 1
-    corners, rates, scale = p[:k], p[k : 2 * k], p[-1]
-    d_angle, d_rate = _slopes(corners, rates, t_s)
-    angle = p[2 * k] + rates @ d_angle[k : 2 * k]
-    rate = rates @ d_rate[k : 2 * k]
-    if window_s:
-        before, _ = _slopes(corners, rates, t_s - window_s)
-        d_rate = (d_angle - before) / window_s
-        rate = rates @ d_rate[k : 2 * k]
-    slopes = np.empty((len(p), 2 * len(t_s)))
-    slopes[:, : len(t_s)] = d_angle
-    slopes[:-1, len(t_s) :] = scale * d_rate[:-1]
-    slopes[-1, len(t_s) :] = rate
-    return angle, rate, slopes.T
-
-
-def _slopes(corners: Floats, rates: Floats, t_s: Floats) -> tuple[Floats, Floats]:
-    """Return slopes (parameters, n) of angles and of rates; those by the rates at corners are what these count."""
-    k = len(corners)
-    lengths = np.diff(corners)[:, None]
-    bends = np.diff(rates)[:, None] / lengths
-    begun = t_s >= corners[:, None]
-    inside = begun[:-1] & ~begun[1:]
-    since = np.clip(t_s - corners[:-1, None], 0.0, lengths)
-    x = since / lengths
-    # Rate within: rates[i] (1 - x) + rates[i + 1] x, with x = (t - corners[i]) / length.
-    share_after = np.where(inside, x, 0.0)
-    share_before = np.where(inside, 1 - x, 0.0)
-    turned_after = 0.5 * since * x
-    turned_before = since - turned_after
-    d_angle, d_rate = np.zeros((2, 2 * k + 2, len(t_s)))
-    for slopes, before, after in ((d_angle, turned_before, turned_after), (d_rate, share_before, share_after)):
-        slopes[: k - 1] -= bends * before
-        slopes[1:k] -= bends * after
-        slopes[k : 2 * k - 1] += before
-        slopes[k + 1 : 2 * k] += after
-    d_angle[0] -= rates[0]
-    d_angle[k] += np.minimum(t_s - corners[0], 0.0)
-    d_angle[2 * k - 1] += np.maximum(t_s - corners[-1], 0.0)
-    d_angle[2 * k] = 1.0
-    d_rate[k] += ~begun[0]
-    d_rate[2 * k - 1] += begun[-1]
-    return d_angle, d_rate
