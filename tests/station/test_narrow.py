@@ -100,14 +100,14 @@ def folder(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 )
 def test_no_line_is_longer_than_a_terminal(words: str, folder: Path) -> None:
     name, *others = words.split()
-    lines = shown(command(name, *(others or ["."])), folder)
+    lines = shown(forked(name, *(others or ["."])), folder)
     for line in lines:
         assert len(line) <= COLUMNS, line
 
 
 def test_a_recording_is_one_line_of_the_history_with_its_date_and_names_whole(folder: Path) -> None:
     screen = pyte.Screen(COLUMNS, 24)
-    pyte.ByteStream(screen).feed(written(command("history", "."), folder))
+    pyte.ByteStream(screen).feed(written(forked("history", "."), folder))
     lines = [line.rstrip() for line in screen.display]
     for script, name in (("paper-360s", "run-20261121-101500.h5"), ("short", "run-20261121-101501.h5")):
         (line,) = [line for line in lines if name in line]
