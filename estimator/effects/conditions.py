@@ -1,8 +1,7 @@
 """What gyros on a table go through: all that the regressor of an effect may depend on."""
 
-import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -35,7 +34,7 @@ class Conditions:
     not known. Without a table there are no ``gimbals``. ``w_rps`` holds Earth rate only where there is a ``site``.
     ``delayed_rps`` gives, for a delay in s, the body rate (N, 3) that long ago, as means over the samples that the
     output errors are means of; None where conditions are of a plan. ``causal``: nothing that is to come is known.
-    ``reference_c``: temperature at which effects of it are nothing.
+    ``reference_c``: temperature at which effects of it are nothing. ``known`` holds what ``once`` has worked out.
     """
 
     t_s: Floats
@@ -51,6 +50,7 @@ class Conditions:
     delayed_rps: Callable[[float], Floats] | None = None
     causal: bool = False
     reference_c: float = REFERENCE_C
+    known: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def warming_kps(self) -> Floats:
@@ -75,6 +75,26 @@ class Conditions:
     def period_s(self) -> float:
         """Spacing of the grid."""
         return float(self.t_s[1] - self.t_s[0])
+
+    def once(self, key: Hashable, work: Callable[[], Floats]) -> Floats:
+        """Return what ``work`` gives under these conditions, which nobody may change: worked out once for each key.
+
+        A key holds all that the values depend on beside the conditions.
+        """
+        if key not in self.known:
+            values = work()
+            values.flags.writeable = False
+            self.known[key] = values
+        found: Floats = self.known[key]
+        return found
+
+    def thinned(self, first: int, stride: int) -> "Conditions":
+        """Return every so many rows from the first one on: one object, so that what is known of them is shared."""
+        key = "thinned", first, stride
+        if key not in self.known:
+            self.known[key] = self.rows(slice(first, None, stride))
+        found: Conditions = self.known[key]
+        return found
 
     def rows(self, chosen: slice | NDArray[np.intp]) -> Self:
         """Return those at some instants; what was before is not known of them."""
@@ -119,17 +139,34 @@ def smoothed_slope(t_s: Floats, temperature_c: Floats) -> Floats:
     return (temperature_c - follow(temperature_c, SLOPE_S / (SLOPE_S + step_s))) / SLOPE_S
 
 
-def follow(values: Floats, shares: Floats, width: float = math.inf) -> Floats:
-    """Return what follows values (N,): at each by a share (N,) of how far behind it was, which is no more than a width.
+def follow(values: Floats, shares: Floats) -> Floats:
+    """Return what follows values (N,): at each instant it stays behind by a share of how far behind it was.
 
-    It begins at the first that is finite. What is not finite stays as it is, and is passed over.
+    ``shares`` are (N,), or (1,) if they are all the same. It begins at the first value that is finite. What is not
+    finite stays as it is, and is passed over.
     """
     out = np.array(values, dtype=np.float64)
-    held = math.nan
-    for row, (x, share) in enumerate(zip(out.tolist(), shares.tolist(), strict=True)):
-        if math.isfinite(x):
-            held = out[row] = x + share * min(max(held - x, -width), width) if math.isfinite(held) else x
+    finite = np.isfinite(out)
+    shares = np.broadcast_to(shares, out.shape)
+    if finite.all():
+        return _follow_finite(out, shares)
+    out[finite] = _follow_finite(out[finite], shares[finite])
     return out
+
+
+def _follow_finite(x: Floats, share: Floats) -> Floats:
+    """Return what follows finite values (N,).
+
+    y[n] - share[n] y[n-1] = (1 - share[n]) x[n] is a lower triangular system with one band below its diagonal.
+    """
+    from scipy.linalg.blas import dtbsv  # solves such systems; scipy.signal takes half a second to import
+
+    if not len(x):
+        return x
+    bands = np.ones((2, len(x)), order="F")
+    bands[1, :-1] = -share[1:]
+    right = (1 - share) * (x - x[0])
+    return np.asarray(x[0] + dtbsv(1, bands, right, lower=1, diag=1, overwrite_x=1))
 
 
 def body_acceleration(

@@ -5,12 +5,14 @@ Three of these remember: ``lag(x, c)`` follows x as a first-order lag of c secon
 play of c follows its drive (Krasnosel'skii, Pokrovskii 1989); ``last(x, c)`` is the sign that x had last beyond c,
 ``last(x)`` beyond a twentieth of its largest size: of the recording, or so far where conditions are causal. Terms of
 one law are separated by semicolons, each with a coefficient of its own. Memory passes over what is not finite.
+
+A law is parsed and compiled once; its variables are worked out once for each gyro under the same conditions.
 """
 
 import ast
 import re
-from collections.abc import Callable, Mapping
-from functools import lru_cache, partial
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -23,6 +25,7 @@ from estimator.types import Floats
 LAST_SHARE = 0.05
 """Share of the largest size beyond which a sign counts."""
 _MOST_CHARACTERS = 200
+_EVEN = 1e-6  # share by which steps of time may differ and still be the same
 _CHARACTERS = re.compile(r"[A-Za-z0-9_.+\-*/(),; ]*")  # no comments, no line ends: laws stand in source code
 
 VARIABLES: Mapping[str, tuple[str, str, str]] = {
@@ -32,6 +35,11 @@ VARIABLES: Mapping[str, tuple[str, str, str]] = {
 }
 """What a law may name: what it depends on, its unit, and what it is."""
 _NEEDS = {"temperature": "temperature", "gravity": "specific force", "angle": "gimbals"}
+_OF_GYROS = {"u": "p", "a": "p", "aj": "j", "ak": "k", "gs": "p", **{f"u_{axis}": "p" for axis in AXES}}
+"""Variables that differ from gyro to gyro, and by which of its axes."""
+
+Compiled = Callable[[Any], Floats]
+"""A term of a law: its value (N,), or (), from what gives the value of each variable by name (``Variables``)."""
 
 
 class LawError(ValueError):
@@ -40,10 +48,15 @@ class LawError(ValueError):
 
 def columns_of(law: str, conditions: Conditions, axes: Axes) -> Floats:
     """Return the terms (N, terms) of a law for a gyro; LawError for a text that is none."""
-    known = _Values(conditions, axes)
-    return np.column_stack([np.broadcast_to(evaluated(tree, known), conditions.t_s.shape) for tree in parsed(law)])
+    variables = Variables(conditions, axes)
+    terms = compiled(law)
+    columns = np.empty((len(conditions.t_s), len(terms)))
+    for column, term in zip(columns.T, terms, strict=True):
+        column[:] = term(variables)
+    return columns
 
 
+@lru_cache(4096)
 def needs_of(law: str) -> frozenset[str]:
     """Return what conditions must offer for a law."""
     names = variables_of(law)
@@ -61,14 +74,14 @@ def settled(law: str, above_k: float) -> tuple[Floats, Floats] | None:
     steady = {"T": np.asarray(above_k), "t": np.asarray(np.inf)}
     with np.errstate(all="ignore"):
         none, one, other = (
-            np.array([evaluated(tree, {**steady, "u": np.asarray(u)}) for tree in parsed(law)])
-            for u in (0.0, 1.0, -2.0)
+            np.array([term({**steady, "u": np.asarray(u)}) for term in compiled(law)]) for u in (0.0, 1.0, -2.0)
         )
     gain = one - none
     linear = np.isfinite(gain) & np.isclose(other, none - 2 * gain)
     return (none, gain) if linear.all() else None
 
 
+@lru_cache(4096)
 def variables_of(law: str) -> tuple[str, ...]:
     """Return the variables that a law names, in the order in which they come."""
     return tuple(dict.fromkeys(name for tree in parsed(law) for name in _names(tree)))
@@ -78,6 +91,7 @@ def _names(tree: ast.expr) -> list[str]:
     return [node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and node.id in VARIABLES]
 
 
+@lru_cache(4096)
 def functions_of(law: str) -> frozenset[str]:
     """Return the functions that a law calls; "/" for a quotient by something that is no number."""
     nodes = [node for tree in parsed(law) for node in ast.walk(tree)]
@@ -93,7 +107,7 @@ def axes_of(law: str) -> tuple[str, ...]:
 
 def of_each_gyro(law: str) -> bool:
     """Return whether a law differs from gyro to gyro: it names something along or about the sense axis."""
-    return any(name in ("u", "a", "aj", "ak", "gs") or name.startswith("u_") for name in variables_of(law))
+    return not _OF_GYROS.keys().isdisjoint(variables_of(law))
 
 
 def in_words(law: str) -> str:
@@ -152,65 +166,106 @@ _PLAIN: Mapping[str, Callable[[Any], Any]] = {
 }
 
 
-class _Values:
-    """The variables of a law under some conditions, worked out when they are asked for."""
+class Variables:
+    """The variables of laws for one gyro under some conditions, each worked out when it is first asked for."""
 
     def __init__(self, conditions: Conditions, axes: Axes) -> None:
-        self.causal, self.t_s = conditions.causal, conditions.t_s
+        self.causal = conditions.causal
         self._conditions, self._axes = conditions, axes
 
     def __getitem__(self, name: str) -> Floats:
-        c, p = self._conditions, self._axes.p
-        if name in ("u", "wx", "wy", "wz"):
-            return np.asarray(c.w_rps @ p if name == "u" else c.w_rps[:, AXES.index(name[1])])
-        if name in ("a", "aj", "ak"):
-            return np.asarray(c.wdot_rps2 @ getattr(self._axes, name[1:] or "p"))
-        if name == "jolt":
+        axis = _OF_GYROS.get(name)
+        key = name if axis is None else (name, getattr(self._axes, axis).tobytes())
+        return self._conditions.once(key, lambda: np.array(_variable(name, self._conditions, self._axes)))
+
+    @property
+    def steps_s(self) -> Floats:
+        """Time (N,) since the instant before, or (1,) if it is always the same."""
+        return self._conditions.once("steps", lambda: _steps_s(self._conditions.t_s))
+
+
+def _variable(name: str, c: Conditions, axes: Axes) -> Floats:
+    """Return a variable (N,) under conditions, for a gyro with these axes."""
+    match name:
+        case "u":
+            return np.asarray(c.w_rps @ axes.p)
+        case "wx" | "wy" | "wz":
+            return c.w_rps[:, AXES.index(name[1])]
+        case "a" | "aj" | "ak":
+            return np.asarray(c.wdot_rps2 @ getattr(axes, _OF_GYROS[name]))
+        case "jolt":
             return np.asarray(np.linalg.norm(c.wdot_rps2, axis=1))
-        if name == "speed":
+        case "speed":
             return np.asarray(np.linalg.norm(c.w_rps, axis=1))
-        if name in ("T", "Tdot"):
-            warm = np.zeros(len(c.t_s)) if c.temperature_c is None else c.temperature_c - c.reference_c
-            return np.asarray(warm) if name == "T" else c.warming_kps
-        if name == "t":
+        case "T":
+            return np.zeros(len(c.t_s)) if c.temperature_c is None else c.temperature_c - c.reference_c
+        case "Tdot":
+            return c.warming_kps
+        case "t":
             return np.asarray(c.t_s - c.t_s[0])
-        if name in ("gx", "gy", "gz", "gs"):
-            force = c.specific_force_mps2 / GRAVITY_MPS2
-            return np.asarray(force @ p if name == "gs" else force[:, AXES.index(name[1])])
-        what, axis = name.split("_")
-        column = c.gimbals.index(axis)
-        if what == "angle":
-            return np.asarray(c.angle_rad[:, column])
-        if what == "rate":
-            return np.asarray(c.rate_rps[:, column])
-        part = np.zeros((len(c.t_s), 3))
-        part[:, AXES.index(axis)] = c.rate_rps[:, column]
-        return np.asarray(into_body(part, c.angle_rad[:, column + 1 :], c.gimbals[column + 1 :]) @ p)
+        case "gs":
+            return np.asarray(c.specific_force_mps2 / GRAVITY_MPS2 @ axes.p)
+        case "gx" | "gy" | "gz":
+            return c.specific_force_mps2[:, AXES.index(name[1])] / GRAVITY_MPS2
+    what, axis = name.split("_")
+    column = c.gimbals.index(axis)
+    match what:
+        case "angle":
+            return c.angle_rad[:, column]
+        case "rate":
+            return c.rate_rps[:, column]
+    return np.asarray(c.once(f"turning about {axis}", lambda: _turning_about(axis, c)) @ axes.p)
 
 
-def evaluated(node: ast.expr, known: Any) -> Floats:
-    """Return the value (N,) of a checked tree under known conditions; numbers as they are."""
-    value = partial(evaluated, known=known)
+def _turning_about(axis: str, c: Conditions) -> Floats:
+    """Return the part of the body rate (N, 3), in body axes, that an axis of the table makes."""
+    column = c.gimbals.index(axis)
+    part = np.zeros((len(c.t_s), 3))
+    part[:, AXES.index(axis)] = c.rate_rps[:, column]
+    return into_body(part, c.angle_rad[:, column + 1 :], c.gimbals[column + 1 :])
+
+
+@lru_cache(4096)
+def compiled(law: str) -> tuple[Compiled, ...]:
+    """Return the terms of a law as functions; LawError for a text that is none."""
+    return tuple(_compiled(tree) for tree in parsed(law))
+
+
+def _compiled(node: ast.expr) -> Compiled:
+    """Return a checked tree as a function."""
     match node:
-        case ast.Constant(value=number):
-            return np.asarray(float(number))  # type: ignore[arg-type]
+        case ast.Constant(value=int() | float() as number):
+            constant = np.asarray(float(number))
+            return lambda known: constant
         case ast.Name(id=name):
-            return np.asarray(known[name])
+            return lambda known: np.asarray(known[name])
         case ast.UnaryOp(operand=operand):
-            return -value(operand)
+            positive = _compiled(operand)
+            return lambda known: -positive(known)
+        case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=int() as power)):
+            base = _compiled(left)
+            return lambda known: np.asarray(base(known) ** power)
         case ast.BinOp(left=left, op=op, right=right):
-            return _COMBINED[type(op)](value(left), value(right))
-        case ast.Call(func=ast.Name(id="lag"), args=[inner, ast.Constant(value=constant)]):
-            return lagged(value(inner), known.t_s, float(constant))  # type: ignore[arg-type]
-        case ast.Call(func=ast.Name(id="play"), args=[inner, ast.Constant(value=constant)]):
-            return played(value(inner), float(constant))  # type: ignore[arg-type]
-        case ast.Call(func=ast.Name(id="last"), args=[inner, *limit]):
-            x = value(inner)
-            so_far = LAST_SHARE * np.maximum.accumulate(_finite_sizes(x)) if known.causal else None
-            return last_sign(x, value(limit[0]) if limit else so_far)
-        case ast.Call(func=ast.Name(id=name), args=[inner]):
-            return np.asarray(_PLAIN[name](value(inner)))
+            combine, first, second = _COMBINED[type(op)], _compiled(left), _compiled(right)
+            return lambda known: combine(first(known), second(known))
+        case ast.Call(func=ast.Name(id=name), args=[inner, *numbers]):
+            return _call(name, _compiled(inner), [ast.literal_eval(number) for number in numbers])
     raise LawError(ast.unparse(node))
+
+
+def _call(name: str, inner: Compiled, numbers: Sequence[float]) -> Compiled:
+    """Return a function of laws applied to a compiled argument."""
+    match name, numbers:
+        case "lag", [lag_s]:
+            return lambda known: follow(inner(known), np.exp(-known.steps_s / float(lag_s)))
+        case "play", [width]:
+            return lambda known: played(inner(known), float(width))
+        case "last", [limit]:
+            return lambda known: last_sign(inner(known), np.asarray(float(limit)))
+        case "last", []:
+            return lambda known: _last_of_all(inner(known), causal=known.causal)
+    plain = _PLAIN[name]
+    return lambda known: np.asarray(plain(inner(known)))
 
 
 _COMBINED: Mapping[type[ast.operator], Callable[[Floats, Floats], Floats]] = {
@@ -218,25 +273,41 @@ _COMBINED: Mapping[type[ast.operator], Callable[[Floats, Floats], Floats]] = {
     ast.Sub: np.subtract,
     ast.Mult: np.multiply,
     ast.Div: np.divide,
-    ast.Pow: np.power,
 }
 
 
 def lagged(values: Floats, t_s: Floats, lag_s: float) -> Floats:
     """Return values (N,) at instants (N,) through a first-order lag that begins settled."""
-    from scipy.signal import lfilter
+    return follow(values, np.exp(-_steps_s(t_s) / lag_s))
 
-    steps = np.diff(t_s)
-    if len(steps) and np.ptp(steps) < 1e-6 * steps[0] and np.isfinite(values).all():
-        keep = np.exp(-steps[0] / lag_s)
-        slow, _ = lfilter([1 - keep], [1, -keep], values - values[0], zi=[0.0])
-        return np.asarray(slow + values[0])
-    return follow(values, np.exp(-np.maximum(np.diff(t_s, prepend=t_s[:1]), 0.0) / lag_s))
+
+def _steps_s(t_s: Floats) -> Floats:
+    """Return the time (N,) since the instant before, or (1,) if it is always the same."""
+    steps_s = np.diff(t_s)
+    if len(steps_s) and np.ptp(steps_s) < _EVEN * steps_s[0]:
+        return steps_s[:1]
+    return np.maximum(np.diff(t_s, prepend=t_s[:1]), 0.0)
 
 
 def played(values: Floats, width: float) -> Floats:
-    """Return what follows values (N,) with a play of ``width`` in all, beginning in its middle."""
-    return follow(values, np.ones(len(values)), 0.5 * width)
+    """Return what follows values (N,) with a play of ``width`` in all, beginning in its middle.
+
+    It begins at the first value that is finite. What is not finite stays as it is, and is passed over.
+    """
+    out = np.array(values, dtype=np.float64)
+    finite = np.flatnonzero(np.isfinite(out))
+    x = out[finite]
+    # From one instant to the next the play is limited to half a width about the value. Limits one after the other are
+    # limits again, so those over 1, 2, 4, ... instants follow from each other, until all say the same of any start.
+    low, high = x - 0.5 * width, x + 0.5 * width
+    low[:1] = high[:1] = x[:1]
+    reach = 1
+    while reach < len(x) and np.any(low < high):
+        ends = low[reach:], high[reach:]
+        low[reach:], high[reach:] = np.clip(low[:-reach], *ends), np.clip(high[:-reach], *ends)
+        reach *= 2
+    out[finite] = low
+    return out
 
 
 def last_sign(values: Floats, limit: Floats | None = None) -> Floats:
@@ -246,6 +317,12 @@ def last_sign(values: Floats, limit: Floats | None = None) -> Floats:
     sign = np.where(beyond, np.sign(values), 0.0)
     last = np.maximum.accumulate(np.where(sign != 0, np.arange(len(sign)), -1))
     return np.asarray(np.where(last >= 0, sign[np.maximum(last, 0)], 0.0))
+
+
+def _last_of_all(values: Floats, *, causal: bool) -> Floats:
+    """Return the last sign (N,) of values; ``causal``: the largest value is that of those so far."""
+    so_far = LAST_SHARE * np.maximum.accumulate(_finite_sizes(values)) if causal else None
+    return last_sign(values, so_far)
 
 
 def _finite_sizes(values: Floats) -> Floats:

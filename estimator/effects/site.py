@@ -14,8 +14,13 @@ _MISSED = 0.3  # by which the length of Earth rate may come out larger than it i
 
 def _of_the_base(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
     """Return the columns of Earth rate as three components in the base frame."""
+    return conditions.once("axes of the base", lambda: _base_in_body(conditions)) @ axes.p
+
+
+def _base_in_body(conditions: Conditions) -> Floats:
+    """Return the three axes of the base in body axes (N, 3, 3): instant, axis of the base, component."""
     turned = [into_body(base, conditions.angle_rad, conditions.gimbals) for base in np.eye(3)]
-    return np.column_stack([component @ axes.p for component in turned])
+    return np.stack(turned, axis=1)
 
 
 RECORDS = EARTH_RATE, G_SENSITIVITY = family(

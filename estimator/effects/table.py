@@ -30,9 +30,16 @@ def _tilting(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
     The outermost axis defines the base. With a small rotation d that takes an axis to where it is, R' becomes
     (1 + d x) R' (1 - d x), and the error of the body rate w becomes R' error + d x w - R' (d x (w before)).
     """
+    if len(conditions.gimbals) < 2:
+        return np.empty((len(conditions.t_s), 0))
+    return conditions.once("errors of tilted axes", lambda: _all_tilted(conditions)) @ axes.p
+
+
+def _all_tilted(conditions: Conditions) -> Floats:
+    """Return the errors of the body rate (N, tilts, 3) per radian of each tilt of each inner axis."""
     gimbals = conditions.gimbals
-    tilts = [_tilted(conditions, inner, d) @ axes.p for inner in range(1, len(gimbals)) for d in _tilts(gimbals[inner])]
-    return np.stack(tilts, axis=1) if tilts else np.empty((len(conditions.t_s), 0))
+    tilts = [_tilted(conditions, inner, d) for inner in range(1, len(gimbals)) for d in _tilts(gimbals[inner])]
+    return np.stack(tilts, axis=1)
 
 
 def _tilts_of(gimbals: Sequence[str], settings: Settings) -> tuple[Parameter, ...]:

@@ -54,6 +54,26 @@ def test_what_remembers_obeys_its_equation() -> None:
     np.testing.assert_array_equal(last_sign(np.array([0.0, 1.0, 0.01, -2.0, 0.0])), [0, 1, 1, -1, -1])
 
 
+def test_what_remembers_passes_over_what_is_not_known() -> None:
+    random = np.random.default_rng(3)
+    t_s = np.cumsum(random.uniform(0.5, 1.5, 3000)) * 0.01
+    x = np.cumsum(random.standard_normal(3000))
+    lost = random.random(3000) < 0.1
+    lost[0] = True
+    x[lost] = np.nan
+    kept = np.exp(-np.diff(t_s, prepend=t_s[0]) / 3.0)
+    lag, play = np.nan, np.nan
+    expected = []
+    for value, share in zip(x.tolist(), kept.tolist(), strict=True):
+        if np.isfinite(value):
+            lag = value if np.isnan(lag) else value + share * (lag - value)
+            play = value if np.isnan(play) else float(np.clip(play, value - 0.9, value + 0.9))
+        expected.append((lag, play) if np.isfinite(value) else (np.nan, np.nan))
+    found = np.column_stack([lagged(x, t_s, 3.0), played(x, 1.8)])
+    np.testing.assert_allclose(found, expected, rtol=1e-10)
+    assert np.array_equal(np.isnan(found).all(axis=1), lost)
+
+
 @pytest.mark.parametrize(
     "text",
     ["", "u.__class__", "__import__('os')", "lambda: u", "u if u else 1", "open(u)", "q", "lag(u, u)", "u" * 300],
