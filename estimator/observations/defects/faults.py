@@ -79,9 +79,9 @@ def without_stuck(data: ImuData) -> tuple[ImuData, list[Fault]]:
         lengths = np.diff(np.append(starts, len(column)))
         usual = max(float(np.quantile(lengths, 0.99)), 1.0)
         low, high = np.nanmin(column), np.nanmax(column)
-        for start, length in zip(starts.tolist(), lengths.tolist(), strict=True):
-            if length < max(least, _UNUSUAL * usual) or length > 0.9 * len(column) or column[start] in (low, high):
-                continue
+        stuck = (lengths >= max(least, _UNUSUAL * usual)) & (lengths <= 0.9 * len(column))
+        stuck &= (column[starts] != low) & (column[starts] != high)
+        for start, length in zip(starts[stuck].tolist(), lengths[stuck].tolist(), strict=True):
             if rate is data.rate_rps:
                 rate = data.rate_rps.copy()
             rate[start : start + length, i] = np.nan
