@@ -191,14 +191,14 @@ def _doubt(model: Augmented, name: str, gram: Floats, columns: NDArray[np.intp])
 def _whiteness(parts: Sequence[Floats]) -> tuple[float, float]:
     """Return the autocorrelation from one block to the next, and the probability of as much at twenty lags."""
     from scipy.fft import idct
-    from scipy.stats import chi2
+    from scipy.special import chdtrc  # of the chi-square distribution; scipy.stats takes a second to import
 
     series = [np.asarray(idct(part, norm="ortho")) for part in parts]
     n = sum(len(x) for x in series)
     power = max(sum(float(x @ x) for x in series), 1e-300)
     lags = np.arange(1, min(_LAGS, max(len(x) for x in series) - 1) + 1)
     rho = np.array([sum(float(x[lag:] @ x[:-lag]) for x in series) for lag in lags]) / power
-    return float(rho[0]), float(chi2.sf(n * (n + 2) * np.sum(rho**2 / (n - lags)), len(lags)))
+    return float(rho[0]), float(chdtrc(len(lags), n * (n + 2) * np.sum(rho**2 / (n - lags))))
 
 
 def _spectrum(gyro: _Gyro, parts: Sequence[Floats]) -> Spectrum:
