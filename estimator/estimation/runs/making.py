@@ -14,7 +14,7 @@ from estimator.effects.scale import SCALE_ASYMMETRY, SCALE_CUBIC, SCALE_QUADRATI
 from estimator.effects.thermal import THERMAL_BIAS, THERMAL_SCALE
 from estimator.errors import InvestigationError
 from estimator.estimation.runs.measured import even_grid, means_by_samples, means_by_turns, weighed
-from estimator.estimation.runs.run import BLOCK_S, FEWEST_TURNS, Run
+from estimator.estimation.runs.run import BLOCK_S, FEWEST_TURNS, Run, block_means
 from estimator.estimation.runs.surroundings import GRID_S, conditions_of, force_at, temperature_at
 from estimator.geometry.kinematics import EARTH_RATE_RPS, GRAVITY_MPS2
 from estimator.observations.defects.faults import Fault, held_samples, saturations, split_faulty, without_stuck
@@ -140,7 +140,7 @@ def _run(recording: Recording, source: str, data: ImuData, block_s: float, order
         weight,
         stretch,
         grid,
-        lambda columns: columns.reshape(b, steps, -1).mean(axis=1),
+        lambda columns: block_means(columns, b),
         recording,
         order,
         held,
@@ -211,7 +211,7 @@ def _run_of_turns(recording: Recording, turns: Turns, source: str, data: ImuData
         rows.weight / rows.weight.max(),
         np.zeros(len(t_s), dtype=np.intp),
         grid,
-        lambda columns: columns.reshape(len(t_s), len(columns) // len(t_s), -1).mean(axis=1),
+        lambda columns: block_means(columns, len(t_s)),
         recording,
         order,
         1,

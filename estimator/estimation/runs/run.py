@@ -93,7 +93,7 @@ class Run:
     def state_columns(self) -> Floats:
         """Return the regressors (m, b, 4) of the states of every gyro."""
         one = np.column_stack([np.ones(len(self.t_s)), self.w_rps])
-        return np.asarray(np.einsum("bj,mij->mbi", one, regressor_maps(self.array)))
+        return np.asarray(one @ regressor_maps(self.array).transpose(0, 2, 1))
 
     @property
     def step_s(self) -> float:
@@ -115,18 +115,20 @@ class Run:
         """Return the run with a fifth of its grid: a few instants in each block do where many functions are tried."""
         blocks = len(self.t_s)
         stride = 5 if len(self.grid.t_s) // blocks % 5 == 0 else 1
-        thinned = self.grid.rows(slice(stride // 2, None, stride))
-
-        def fold(columns: Floats) -> Floats:
-            return np.asarray(columns.reshape(blocks, len(thinned.t_s) // blocks, -1).mean(axis=1))
-
-        return replace(self, grid=thinned, fold=fold)
+        thinned = self.grid.thinned(stride // 2, stride)
+        return replace(self, grid=thinned, fold=lambda columns: block_means(columns, blocks))
 
     def stretches(self) -> list[slice]:
         """Return the blocks of each stretch."""
         edges = np.flatnonzero(np.diff(self.stretch)) + 1
         starts = np.concatenate([[0], edges, [len(self.stretch)]])
         return [slice(int(a), int(b)) for a, b in pairwise(starts.tolist())]
+
+
+def block_means(columns: Floats, blocks: int) -> Floats:
+    """Return the means (blocks, c) of columns (N, c) over as many blocks of the same number of rows."""
+    parts = columns.reshape(blocks, len(columns) // blocks, -1)
+    return np.asarray(np.einsum("bsc->bc", parts) / parts.shape[1])
 
 
 def with_gyro(runs: Sequence[Run], name: str) -> list[tuple[int, Run, int]]:

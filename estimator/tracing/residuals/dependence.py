@@ -46,6 +46,7 @@ class Regressors:
         self._runs = [run.coarse() for run in runs]
         candidates = [c for c in candidates_of(runs)[0] if (c.theta is None or c.by_size) and c.run is None]
         of = {c.name: c.depends_on or c.effect.record.depends_on for c in candidates}
+        self._known: dict[tuple[str, int, int | None], Floats] = {}
         self._candidates = sorted((c for c in candidates if of[c.name]), key=lambda c: _VARIABLES.index(of[c.name]))
         self.count = sum(len(c.effect.parameters) for c in self._candidates)
         self.where: Mapping[str, Columns] = {
@@ -55,9 +56,13 @@ class Regressors:
 
     def columns(self, number: int, gyro: int) -> Floats:
         """Return the columns (b, q) of a gyro of run ``number``."""
-        run = self._runs[number]
-        columns = [c.effect.columns(run.grid, run.array, gyro) * c.effect.largest for c in self._candidates]
-        return run.fold(np.hstack([np.empty((len(run.grid.t_s), 0)), *columns]))
+        columns = [np.empty((len(self._runs[number].t_s), 0))]
+        for candidate in self._candidates:
+            key = candidate.name, number, None if candidate.alike else gyro
+            if key not in self._known:
+                self._known[key] = self._runs[number].columns(candidate.effect, gyro) * candidate.effect.largest
+            columns.append(self._known[key])
+        return np.hstack(columns)
 
 
 def dependences(
@@ -70,7 +75,7 @@ def dependences(
     ``rest`` is the residual, of ``count`` degrees of freedom, which its squares exceed by ``doubt`` if it is more than
     noise; what a variable takes up for certain is, in any case. ``groups`` holds the columns of each variable.
     """
-    from scipy.stats import f
+    from scipy.special import fdtrc  # of the F distribution; scipy.stats takes a second to import
 
     total = float(gram[rest, rest])
     found = []
@@ -79,7 +84,7 @@ def dependences(
         left = max(count - rank, 1.0)
         # So many columns would take up so much of noise: what is beyond that is the dependence.
         chance = (rank + group.doubt) * max(total - power, 1e-12 * total) / left
-        p_value = float(f.sf(power / chance, rank, left)) if rank else 1.0
+        p_value = float(fdtrc(rank, left, power / chance)) if rank else 1.0
         found.append((variable, power - chance, p_value))
     shown = [beyond for _, beyond, p_value in found if p_value < _BY_CHANCE]
     excess = max([total - count if total - count > doubt else 0.0, *shown])
