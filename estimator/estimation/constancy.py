@@ -86,7 +86,7 @@ def _beside(joint: Joint, columns: Sequence[Mapping[Key, Floats]], change: _Chan
             there = change.size * ((run.t_s >= first_s) & (run.t_s < last_s))
             part = run.weighed((own[change.key] * there)[:, None], i)
             its = spectra[gyro]
-            spectra[gyro] = replace(its, columns=[*its.columns], products=[one.copy() for one in its.products])
+            spectra[gyro] = replace(its, columns=[*its.columns], products=its.products.copy())
             spectra[gyro].subtract([part[stretch.blocks] for stretch in its.stretches])
     evidence, terms = settled(joint.runs, spectra, joint.evidence.shapes, joint.laws)
     return float(np.sqrt(max(2 * (evidence.of(terms) - joint.evidence.of(terms)), 0.0)))

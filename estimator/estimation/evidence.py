@@ -6,12 +6,16 @@ prior of mean zero whose scale, the same for all parameters of an effect, is som
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.estimation.spectra import GyroSpectra, NoiseShapes, Stretch, Z
 from estimator.types import Floats
+
+Numbers = NDArray[np.intp]
+"""Numbers of columns."""
 
 _HARDLY = 0.2  # rtHz
 _MATTERS = 9.0  # natural logarithm of how much less probable than the best a noise model may be and still count
@@ -43,7 +47,12 @@ class Term:
     @property
     def precision(self) -> Floats:
         """Expected precision of each parameter (c,): that of its scale, times its size where sizes differ."""
-        return 1 / (self.scale * np.array(self.sizes or [1.0] * len(self.columns))) ** 2
+        return 1 / (self.scale * self.relative_sizes) ** 2
+
+    @property
+    def relative_sizes(self) -> Floats:
+        """Scales of the columns (c,), 1 where they do not differ."""
+        return np.array(self.sizes) if self.sizes else np.ones(len(self.columns))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,7 +113,7 @@ def log_mean(values: Floats, log_weights: Floats | None = None) -> float:
 
 
 class Evidence:
-    """The products of all columns of every gyro under every noise model, and what follows from them."""
+    """What recordings say under every noise model, worked out of the products of columns of all gyros."""
 
     def __init__(
         self,
@@ -112,7 +121,7 @@ class Evidence:
         shapes: NoiseShapes,
         excess: Mapping[tuple[str, int], Profile] | None = None,
     ) -> None:
-        """Take in the columns that the gyros have; ``excess`` by gyro and run is what noise has beyond its models."""
+        """Take in the gyros; ``excess`` by gyro and run is what noise has beyond its models."""
         self.gyros, self.shapes = list(gyros), shapes
         self._all = shapes
         self.excess = dict(excess or {})
@@ -123,16 +132,12 @@ class Evidence:
     def without(self, fold: Callable[[int, Stretch], bool]) -> "Evidence":
         """Return that of all stretches but those that ``fold`` names by their number."""
         kept = [[n for n, stretch in enumerate(gyro.stretches) if not fold(n, stretch)] for gyro in self.gyros]
-        gyros = [
-            replace(
-                gyro,
-                stretches=[gyro.stretches[n] for n in own],
-                columns=[gyro.columns[n] for n in own],
-                products=[gyro.products[n] for n in own],
-            )
-            for gyro, own in zip(self.gyros, kept, strict=True)
-        ]
+        gyros = [gyro.only(own) for gyro, own in zip(self.gyros, kept, strict=True)]
         return Evidence(gyros, self.shapes, self.excess)
+
+    def under(self, noise: int) -> "Evidence":
+        """Return that under one of the noise models alone."""
+        return Evidence(self.gyros, self.shapes.select(np.arange(len(self.shapes)) == noise), self.excess)
 
     def narrow(self, models: Sequence[Sequence[Term]]) -> None:
         """Keep the noise models that matter beside one of some sets of terms, and those of biases that hardly move."""
@@ -144,19 +149,26 @@ class Evidence:
         self.refresh()
 
     def refresh(self) -> None:
-        """Take in columns that were added to the gyros since."""
+        """Take in noise models or an excess that are others now."""
         self.noise_logs = np.zeros((len(self.gyros), len(self.shapes)))
-        self.grams: list[Floats] = []
+        self._densities: list[Floats] = []
         for gyro, log in zip(self.gyros, self.noise_logs, strict=True):
-            densities = [self.density(gyro, stretch) for stretch in gyro.stretches]
-            self.grams.append(gyro.gram(densities))
-            for stretch, density in zip(gyro.stretches, densities, strict=True):
+            densities = [np.empty((len(self.shapes), 0))]
+            for stretch in gyro.stretches:
+                density = self.density(gyro, stretch)
                 log -= 0.5 * np.log(density) @ stretch.counts
+                densities.append(density)
+            self._densities.append(np.hstack(densities))
 
     def density(self, gyro: GyroSpectra, stretch: Stretch) -> Floats:
         """Return the variance (G, bands) of a coefficient over that of white noise, what is beyond the models in it."""
         more = self.excess.get((gyro.name, stretch.run), _EVEN)
         return self.shapes.density(stretch) * more.at(stretch.band_hz)
+
+    def gram(self, rows: Numbers, columns: Numbers) -> Floats:
+        """Return the products (gyros, G, ...) of columns under each noise model, for numbers as they broadcast."""
+        pairs = zip(self.gyros, self._densities, strict=True)
+        return np.array([gyro.gram(densities, rows, columns) for gyro, densities in pairs])
 
     def allow_for_misfit(self, rich: Sequence[Term]) -> None:
         """Count as noise, by gyro, run and band, what all that is known together leaves beyond the noise.
@@ -195,22 +207,22 @@ class Evidence:
         """Return by gyro what a model leaves by band (5, n): run, frequency, noise, squares over it, their freedom."""
         own = [replace(term, shared=False) for term in terms]
         best = np.argmax(self.noise_weights(own), axis=0)
-        columns = np.array([*range(Z), *(c for t in own for c in t.columns)])
-        wide = np.append(columns, Z)
+        columns = np.array([*_columns(own), Z])
+        precision = _precision(own)
         found = []
-        for gyro, gram, model in zip(self.gyros, self.grams, best.tolist(), strict=True):
-            precision = np.concatenate([1 / gyro.prior, _precision(own)])
-            inner = np.linalg.inv(gram[model][np.ix_(columns, columns)] + np.diag(precision))
-            left = np.append(-inner @ gram[model][columns, Z], 1.0)
-            parts = []
-            for stretch, products in zip(gyro.stretches, gyro.products, strict=True):
-                density = self.density(gyro, stretch)[model]
-                chosen = products[:, wide[:, None], wide]
-                squares = np.maximum(np.einsum("i,bij,j->b", left, chosen, left), 0.0) / density
-                fitted = np.einsum("ij,bji->b", inner, chosen[:, :-1, :-1]) / density
-                freedom = np.maximum(stretch.used * stretch.counts - fitted, 0.05 * stretch.counts)
-                parts.append(np.array([0 * density + stretch.run, stretch.band_hz, density, squares, freedom]))
-            found.append(np.hstack(parts))
+        for gyro, densities, model in zip(self.gyros, self._densities, best.tolist(), strict=True):
+            density = densities[model]
+            products = gyro.products[:, columns[:, None], columns]
+            gram = np.tensordot(1 / density, products, 1)
+            covariance = np.linalg.inv(gram[:-1, :-1] + np.diag(np.concatenate([1 / gyro.prior, precision])))
+            left = np.append(-covariance @ gram[:-1, -1], 1.0)  # what of each column is in what is left
+            squares = np.maximum(products @ left @ left, 0.0) / density
+            fitted = np.tensordot(products, np.pad(covariance, ((0, 1), (0, 1))), 2) / density
+            counts = np.concatenate([stretch.counts for stretch in gyro.stretches])
+            used = np.concatenate([stretch.used * stretch.counts for stretch in gyro.stretches])
+            run = np.concatenate([np.full(len(stretch.counts), stretch.run) for stretch in gyro.stretches])
+            hz = np.concatenate([stretch.band_hz for stretch in gyro.stretches])
+            found.append(np.array([run, hz, density, squares, np.maximum(used - fitted, 0.05 * counts)]))
         return found
 
     def of(self, terms: Sequence[Term]) -> float:
@@ -243,20 +255,22 @@ class Evidence:
         weight = self.noise_weight(terms) if weight is None else weight
         each = np.broadcast_to(weight.reshape(len(weight), -1), (len(weight), len(self.gyros)))
         own, shared = _split(terms)
-        columns = np.array([*range(Z), *(c for t in own for c in t.columns)])
-        rest = np.array([*(c for t in shared for c in t.columns), Z])
-        h, parts = len(rest) - 1, []
-        for gyro, gram, its in zip(self.gyros, self.grams, each.T, strict=True):
+        columns = _columns(own)
+        m, h = len(columns), sum(len(term.columns) for term in shared)
+        asked = np.array([*columns, *(c for term in shared for c in term.columns), Z])
+        parts = []
+        for gyro, densities, its in zip(self.gyros, self._densities, each.T, strict=True):
             matter = np.flatnonzero(its > 1e-4)
+            gram = gyro.gram(densities[matter], asked[:, None], asked)
             precision = np.diag(np.concatenate([1 / gyro.prior, _precision(own)]))
-            inner = np.linalg.inv(gram[np.ix_(matter, columns, columns)] + precision)
-            across = gram[np.ix_(matter, columns, rest)]
+            inner = np.linalg.inv(gram[:, :m, :m] + precision)
+            across = gram[:, :m, m:]
             gain = inner @ across
-            left = gram[np.ix_(matter, rest, rest)] - across.transpose(0, 2, 1) @ gain
+            left = gram[:, m:, m:] - across.transpose(0, 2, 1) @ gain
             chance = its[matter] / its[matter].sum()
             parts.append((chance, inner, gain, left, left if weight.ndim == 1 else chance @ left.swapaxes(0, 1)))
         prior = np.diag(_precision(shared))
-        found = Posterior([*columns.tolist(), *rest[:-1].tolist()], [], [])
+        found = Posterior(asked[:-1].tolist(), [], [])
         of_all = np.sum([said for *_, said in parts], axis=0)
         for chance, inner, gain, left, said in parts:
             # What the other gyros say of shared terms they say under their own noise.
@@ -278,81 +292,164 @@ class Evidence:
 
 
 class Base:
-    """States and own terms of a model eliminated once, so that each further term costs little."""
+    """A model of which states and own terms are eliminated once, so that each further term costs little.
 
-    def __init__(self, evidence: Evidence, terms: Sequence[Term]) -> None:
-        """``reduced`` is then by gyro (G, c, c): the products of all columns beside states and own terms."""
+    With the states and own terms m, what is left of the products of other columns a and b is
+    G_ab - G_ma' (G_mm + precision)^-1 G_mb, for each gyro and under each noise model.
+    """
+
+    def __init__(self, evidence: Evidence, terms: Sequence[Term], others: Sequence[int] = ()) -> None:
+        """Take in a model; ``others`` are the columns that are asked about beside those of its terms."""
         own, self._shared = _split(terms)
-        columns = [*range(Z), *(c for t in own for c in t.columns)]
-        self._prior, self._logs = evidence.shapes.log_prior, evidence.noise_logs.copy()
-        self.reduced: list[Floats] = []
-        for gyro, gram, log in zip(evidence.gyros, evidence.grams, self._logs, strict=True):
-            precision = np.concatenate([1 / gyro.prior, _precision(own)])
-            reduced, gained = _eliminated(gram, columns, slice(None), precision)
-            self.reduced.append(reduced)
-            log += gained
-        self._log = np.asarray(self._logs.sum(axis=0))
+        model = np.array(_columns(own))
+        self._last = np.array([*(c for term in self._shared for c in term.columns), Z])
+        asked = np.array([*others, *self._last], dtype=np.intp)
+        precision = np.array([np.concatenate([1 / gyro.prior, _precision(own)]) for gyro in evidence.gyros])
+        block = evidence.gram(model[:, None], model) + (precision[:, :, None] * np.eye(len(model)))[:, None]
+        self._across = evidence.gram(model[:, None], asked)
+        self._gain = np.linalg.solve(block, self._across)
+        self._place = np.zeros(int(asked.max()) + 1, dtype=np.intp)
+        self._place[asked] = np.arange(len(asked))
+        self._evidence, self._prior = evidence, evidence.shapes.log_prior
+        self._logs = evidence.noise_logs + 0.5 * np.log(precision).sum(axis=1)[:, None] - 0.5 * _log_det(block)
 
     def by_gyro(self) -> Floats:
         """Return the log evidence (gyros, G) of each gyro with its own terms."""
-        return np.asarray(self._logs - 0.5 * np.array([reduced[:, Z, Z] for reduced in self.reduced]))
+        z = np.array([[Z]])
+        return np.asarray(self._logs - 0.5 * self.products(z, z)[:, :, 0, 0, 0])
 
-    def by_noise(self, more: Term | None = None) -> Floats:
-        """Return the log evidence (G,), with one more term."""
-        own, further = _split([] if more is None else [more])
-        shared = [*self._shared, *further]
-        rest = [*(c for t in shared for c in t.columns), Z]
-        log = np.array(self._log)
-        total = np.zeros((len(log), len(rest), len(rest)))
-        for reduced in self.reduced:
-            part = reduced[:, rest][:, :, rest]
-            if own:
-                part, gained = _eliminated(reduced, own[0].columns, rest, own[0].precision)
-                log += gained
-            total += part
-        return _in_all(total, shared, log)
+    def by_noise(self) -> Floats:
+        """Return the log evidence (G,)."""
+        return _without_shared(self._total(), self._shared, self._logs.sum(axis=0))
 
-    def with_functions(self, columns: NDArray[np.intp], sizes: Floats, scales: Floats) -> Floats:
+    def products(self, rows: Numbers, columns: Numbers) -> Floats:
+        """Return what is left of products beside states and own terms, (gyros, G, K, r, c).
+
+        ``rows`` (K, r) and ``columns`` (K, c) are numbers of columns, each of K sets with one of K.
+        """
+        across = self._across[..., self._place[rows]].transpose(0, 1, 3, 4, 2)
+        gain = self._gain[..., self._place[columns]].transpose(0, 1, 3, 2, 4)
+        return np.asarray(self._evidence.gram(rows[:, :, None], columns[:, None, :]) - across @ gain)
+
+    def _total(self) -> Floats:
+        """Return the products (G, h + 1, h + 1) of shared columns and z, summed over gyros."""
+        return np.asarray(self.products(self._last[None], self._last[None])[:, :, 0].sum(axis=0))
+
+    def with_functions(self, columns: Numbers, sizes: Floats, scales: Floats) -> Floats:
         """Return the log evidence (s, G) with, a gyro its own, a sum of functions of each scale (s,).
 
         The functions are ``columns`` times ``sizes`` (c,).
         """
-        rest = [*(c for t in self._shared for c in t.columns), Z]
-        logs = np.repeat(self._log[None], len(scales), axis=0)
-        totals = np.zeros((len(scales), len(self._log), len(rest), len(rest)))
-        for reduced in self.reduced:
-            block = reduced[:, columns[:, None], columns] * np.outer(sizes, sizes)
-            power, turned = np.linalg.eigh(block)
-            power = np.maximum(power, 0.0)
-            across = turned.transpose(0, 2, 1) @ (reduced[:, columns][:, :, rest] * sizes[:, None])
-            for n, scale in enumerate(scales.tolist()):
-                grown = 1 + scale**2 * power
-                logs[n] -= 0.5 * np.log(grown).sum(axis=1)
-                taken = across.transpose(0, 2, 1) @ (across * (scale**2 / grown)[:, :, None])
-                totals[n] += reduced[:, rest][:, :, rest] - taken
-        return np.array([_in_all(total, self._shared, log) for total, log in zip(totals, logs, strict=True)])
+        return self._with_own(columns[None], sizes[None], scales)[:, :, 0]
 
-    def with_term(self, term: Term) -> tuple[float, Term]:
-        """Return the log evidence with one more term, over its scales, and the term at its most probable scale."""
-        scaled = [term.scaled(scale) for scale in SCALES.tolist()]
-        values = np.array([log_mean(self.by_noise(one), self._prior) for one in scaled])
-        return log_mean(values) - term.log_tries, scaled[int(np.argmax(values))]
+    def with_each(self, terms: Sequence[Term]) -> list[tuple[float, Term]]:
+        """Return for each of some terms the log evidence with it, over its scales, and it at its best scale.
+
+        Terms of the same width are worked out together.
+        """
+        found: dict[str, tuple[float, Term]] = {}
+        alike = groupby(sorted(terms, key=_form), key=_form)
+        for (shared, _), group in alike:
+            of_form = list(group)
+            columns = np.array([term.columns for term in of_form], dtype=np.intp)
+            sizes = np.array([term.relative_sizes for term in of_form])
+            values = (self._with_shared if shared else self._with_own)(columns, sizes, SCALES)
+            values = np.logaddexp.reduce(values + self._prior[:, None], axis=1)
+            best = np.argmax(values, axis=0)
+            means = np.logaddexp.reduce(values, axis=0) - np.log(len(SCALES))
+            for term, value, scale in zip(of_form, means.tolist(), SCALES[best].tolist(), strict=True):
+                found[term.name] = (value - term.log_tries, term.scaled(scale))
+        return [found[term.name] for term in terms]
+
+    def _with_own(self, columns: Numbers, sizes: Floats, scales: Floats) -> Floats:
+        """Return the log evidence (s, G, K) with each of K terms that every gyro has to itself, at scales (s,).
+
+        A term is its ``columns`` (K, p) times ``sizes`` (K, p).
+        """
+        block = self.products(columns, columns) * (sizes[:, :, None] * sizes[:, None, :])
+        last = np.broadcast_to(self._last, (len(columns), len(self._last)))
+        across = self.products(columns, last) * sizes[:, :, None]
+        terms = _Scaled.of(block, across)
+        total, log = self._total()[:, None], self._logs.sum(axis=0)[:, None]
+        values = []
+        for scale in scales.tolist():
+            gained, taken = terms.at(scale)
+            values.append(_without_shared(total - taken.sum(axis=0), self._shared, log + gained.sum(axis=0)))
+        return np.array(values)
+
+    def _with_shared(self, columns: Numbers, sizes: Floats, scales: Floats) -> Floats:
+        """Return the same with each of K terms that all gyros share."""
+        last = np.broadcast_to(self._last, (len(columns), len(self._last)))
+        both = np.hstack([columns, last])
+        scale_of = np.hstack([sizes, np.ones(last.shape)])
+        total = self.products(both, both).sum(axis=0) * (scale_of[:, :, None] * scale_of[:, None, :])
+        # The shared terms of the model go first: they are the last columns but z.
+        p, h = columns.shape[1], len(self._last) - 1
+        rest = np.array([*range(p), p + h])
+        log = self._logs.sum(axis=0)[:, None]
+        if h:
+            precision = _precision(self._shared)
+            shared = total[..., p : p + h, p : p + h] + np.diag(precision)
+            beside = total[..., p : p + h, rest]
+            taken = beside.swapaxes(-1, -2) @ np.linalg.solve(shared, beside)
+            total = total[..., rest[:, None], rest] - taken
+            log = log + 0.5 * np.log(precision).sum() - 0.5 * _log_det(shared)
+        terms = _Scaled.of(total[..., :p, :p], total[..., :p, p:])
+        values = []
+        for scale in scales.tolist():
+            gained, taken = terms.at(scale)
+            values.append(log + gained - 0.5 * (total[..., p, p] - taken[..., 0, 0]))
+        return np.array(values)
 
 
-def _eliminated(
-    gram: Floats, columns: Sequence[int], rest: Sequence[int] | slice, precision: Floats
-) -> tuple[Floats, Floats]:
-    """Return the products (G, r, r) of the ``rest`` of columns beside some of this precision, and log evidence (G,)."""
-    block = gram[:, columns][:, :, columns] + np.diag(precision)
-    across = gram[:, columns][:, :, rest]
-    left = gram[:, rest][:, :, rest] - across.transpose(0, 2, 1) @ np.linalg.solve(block, across)
-    return left, 0.5 * np.log(precision).sum() - 0.5 * np.linalg.slogdet(block)[1]
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scaled:
+    """Terms whose parameters all have the same scale, turned so that their products are diagonal.
+
+    ``power`` (..., p) are the eigenvalues of their products, ``across`` (..., p, r) the products of the turned
+    columns with others.
+    """
+
+    power: Floats
+    across: Floats
+
+    @classmethod
+    def of(cls, block: Floats, across: Floats) -> "_Scaled":
+        """Return that of terms with products (..., p, p) of their own, and (..., p, r) with other columns."""
+        power, turned = np.linalg.eigh(block)
+        return cls(np.maximum(power, 0.0), turned.swapaxes(-1, -2) @ across)
+
+    def at(self, scale: float) -> tuple[Floats, Floats]:
+        """Return the log evidence (...) that the terms cost, and what they take of products (..., r, r)."""
+        grown = 1 + scale**2 * self.power
+        weighed = self.across * (scale**2 / grown)[..., None]
+        return -0.5 * np.log(grown).sum(axis=-1), self.across.swapaxes(-1, -2) @ weighed
 
 
-def _in_all(total: Floats, shared: Sequence[Term], log: Floats) -> Floats:
-    """Return the log evidence (G,) when shared terms go too; ``total`` (G, h + 1, h + 1) has their products and z's."""
-    left, gained = _eliminated(total, list(range(total.shape[1] - 1)), [-1], _precision(shared))
-    return np.asarray(log + gained - 0.5 * left[:, 0, 0])
+def _form(term: Term) -> tuple[bool, int]:
+    """Return what terms have in common that can be worked out together."""
+    return term.shared, len(term.columns)
+
+
+def _without_shared(total: Floats, shared: Sequence[Term], log: Floats) -> Floats:
+    """Return the log evidence (...) when shared terms are eliminated, too.
+
+    ``total`` (..., h + 1, h + 1) has the products of their columns and of z, which is the last; ``log`` (...) is the
+    log evidence so far.
+    """
+    left = total[..., -1, -1]
+    if shared:
+        precision = _precision(shared)
+        block = total[..., :-1, :-1] + np.diag(precision)
+        across = total[..., :-1, -1:]
+        left = left - (across.swapaxes(-1, -2) @ np.linalg.solve(block, across))[..., 0, 0]
+        log = log + 0.5 * np.log(precision).sum() - 0.5 * _log_det(block)
+    return np.asarray(log - 0.5 * left)
+
+
+def _log_det(block: Floats) -> Floats:
+    """Return the logarithms (...) of the determinants of positive matrices (..., c, c)."""
+    return np.asarray(np.linalg.slogdet(block)[1])
 
 
 def _normal(log: Floats) -> Floats:
@@ -362,6 +459,11 @@ def _normal(log: Floats) -> Floats:
 
 def _split(terms: Sequence[Term]) -> tuple[list[Term], list[Term]]:
     return [t for t in terms if not t.shared], [t for t in terms if t.shared]
+
+
+def _columns(own: Sequence[Term]) -> list[int]:
+    """Return the columns of the states and of terms that each gyro has to itself."""
+    return [*range(Z), *(column for term in own for column in term.columns)]
 
 
 def _precision(terms: Sequence[Term]) -> Floats:

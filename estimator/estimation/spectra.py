@@ -26,11 +26,11 @@ _LEAST = 0.05  # expectation of no coloured noise at most, where the data sheet 
 _TURN_ON, _TURN_ON_EXPECTED = np.array([0.0, 0.2, 2.0, 50.0]), np.array([0.45, 0.2, 0.2, 0.15])
 
 
-def cosines(columns: Floats) -> Floats:
-    """Return the orthonormal cosine transform of columns (b, c) over rows."""
+def cosines(values: Floats, axis: int = 0) -> Floats:
+    """Return the orthonormal cosine transform of values along an axis, by default of columns (b, c) over rows."""
     from scipy.fft import dct
 
-    return np.asarray(dct(columns, axis=0, norm="ortho"))
+    return np.asarray(dct(values, axis=axis, norm="ortho"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,10 +130,11 @@ def _expected(sizes: Floats, stated: float) -> tuple[Floats, Floats]:
 
 @dataclass(slots=True, eq=False)
 class GyroSpectra:
-    """One gyro over all runs: its columns in the cosine domain, and their products by stretch and band.
+    """One gyro over all runs: its columns in the cosine domain, and their products by band.
 
     ``columns`` holds for each stretch (b, c): the four states first, then z, then those of effects as they are added;
-    ``products`` (bands, c, c) likewise. All are over the white noise of one block, of which ``arw`` is the density.
+    ``products`` (bands of all stretches, c, c) likewise. All are over the white noise of one block, of which ``arw`` is
+    the density.
     """
 
     name: str
@@ -141,7 +142,7 @@ class GyroSpectra:
     arw: float
     stretches: list[Stretch]
     columns: list[Floats]
-    products: list[Floats] = field(default_factory=list)
+    products: Floats = field(default_factory=lambda: np.empty((0, 0, 0)))
 
     def parts(self, runs: Sequence[Run], columns: Callable[[int, int], Floats]) -> list[Floats]:
         """Return columns (b, c) of each stretch as they count; ``columns`` gives those of a run by number and gyro."""
@@ -153,30 +154,60 @@ class GyroSpectra:
 
     def add(self, new: Sequence[Floats]) -> None:
         """Add columns (b, c), one array for each stretch, in the time domain and in rad/s."""
-        for i, (stretch, part) in enumerate(zip(self.stretches, new, strict=True)):
-            turned = cosines(part) * (np.sqrt(stretch.length_s) / self.arw)
-            old = self.columns[i]
-            both = np.hstack([old, turned])
-            c0, c1 = old.shape[1], both.shape[1]
-            products = np.empty((len(stretch.counts), c1, c1))
-            products[:, :, c0:] = border = stretch.by_band(both, turned)
-            products[:, c0:, :] = border.transpose(0, 2, 1)
-            if c0:
-                products[:, :c0, :c0] = self.products[i]
-            self.columns[i], self.products[i : i + 1] = both, [products]
+        count = self.columns[0].shape[1]
+        self.put(np.arange(count, count + new[0].shape[1]), [cosines(part) for part in new])
+
+    def put(self, numbers: NDArray[np.intp], turned: Sequence[Floats]) -> None:
+        """Set the columns with these numbers (k,), which may lie beyond those that there are.
+
+        ``turned`` holds for each stretch (b, k): columns in the cosine domain, in rad/s.
+        """
+        self.widen(int(numbers.max(initial=-1)) + 1)
+        for stretch, bands, own, new in zip(self.stretches, self.bands(), self.columns, turned, strict=True):
+            own[:, numbers] = new * (np.sqrt(stretch.length_s) / self.arw)
+            border = stretch.by_band(own, own[:, numbers])
+            self.products[bands, :, numbers] = border
+            self.products[bands, numbers, :] = border.transpose(0, 2, 1)
+
+    def widen(self, count: int) -> None:
+        """Make room for so many columns; those that are new are zero."""
+        old, more = self.products.shape[1], count - self.columns[0].shape[1]
+        if more > 0:
+            self.columns = [np.pad(own, ((0, 0), (0, more))) for own in self.columns]
+            products = np.zeros((sum(len(stretch.counts) for stretch in self.stretches), count, count))
+            products[: len(self.products), :old, :old] = self.products
+            self.products = products
 
     def subtract(self, parts: Sequence[Floats]) -> None:
         """Take a column (b, 1) of each stretch, in rad/s, off the output error."""
-        for i, (stretch, part) in enumerate(zip(self.stretches, parts, strict=True)):
+        for i, (stretch, bands, part) in enumerate(zip(self.stretches, self.bands(), parts, strict=True)):
             self.columns[i] = self.columns[i].copy()
             self.columns[i][:, Z] -= cosines(part)[:, 0] * (np.sqrt(stretch.length_s) / self.arw)
             border = stretch.by_band(self.columns[i], self.columns[i][:, [Z]])[:, :, 0]
-            self.products[i][:, :, Z] = self.products[i][:, Z, :] = border
+            self.products[bands, :, Z] = self.products[bands, Z, :] = border
 
-    def gram(self, densities: Sequence[Floats]) -> Floats:
-        """Return the weighed products (G, c, c), summed over stretches of which the density (G, bands) is given."""
-        pairs = zip(self.products, densities, strict=True)
-        return np.asarray(sum(np.tensordot(1 / density, products, 1) for products, density in pairs))
+    def bands(self) -> list[slice]:
+        """Return which bands are those of each stretch."""
+        ends = np.cumsum([0, *(len(stretch.counts) for stretch in self.stretches)])
+        return [slice(first, last) for first, last in pairwise(ends.tolist())]
+
+    def only(self, keep: Sequence[int]) -> "GyroSpectra":
+        """Return the gyro with only the stretches of these numbers."""
+        bands = self.bands()
+        products = [self.products[:0], *(self.products[bands[n]] for n in keep)]
+        return replace(
+            self,
+            stretches=[self.stretches[n] for n in keep],
+            columns=[self.columns[n] for n in keep],
+            products=np.concatenate(products),
+        )
+
+    def gram(self, densities: Floats, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Floats:
+        """Return the products (G, ...) of columns, summed over all bands, of which the densities (G, bands) are given.
+
+        Numbers of ``rows`` and ``columns`` are taken in pairs, as they broadcast.
+        """
+        return np.tensordot(1 / densities, self.products[:, rows, columns], 1)
 
 
 Z = 4
@@ -194,44 +225,50 @@ def gyro_spectra(runs: Sequence[Run], arw: Mapping[str, float] | None = None) ->
     found = []
     for name in names:
         stretches: list[Stretch] = []
-        parts: list[Floats] = []
+        turned: list[Floats] = []
         prior = None
         for number, run, i in with_gyro(runs, name):
             prior = run.prior.variances()
             both = run.weighed(np.column_stack([run.state_columns()[i], run.z_rps[:, i]]), i)
-            for blocks in run.stretches():
-                if blocks.stop - blocks.start >= (_FEWEST_TURNS if run.stated_rps else _FEWEST):
-                    used = float(np.mean(run.weight[blocks] > 0))
-                    stretches.append(replace(Stretch.of(number, blocks, run.length_s, alone), used=used))
-                    parts.append(both[blocks])
+            for blocks in stretches_used(run):
+                used = float(np.mean(run.weight[blocks] > 0))
+                stretches.append(replace(Stretch.of(number, blocks, run.length_s, alone), used=used))
+                turned.append(cosines(both[blocks]))
         if prior is None or not stretches:
             continue
         stated = [runs[s.run].stated_rps * np.sqrt(s.length_s) for s in stretches]
-        white = arw[name] if arw is not None else max(_white(parts, stretches), min(stated))
-        stretches = _levelled(parts, stretches, white)
+        white = arw[name] if arw is not None else max(_white(turned, stretches), min(stated))
+        stretches = _levelled(turned, stretches, white)
         stretches = [replace(s, level=max(s.level, (d / white) ** 2)) for s, d in zip(stretches, stated, strict=True)]
-        gyro = GyroSpectra(name, prior, white, stretches, [np.empty((len(p), 0)) for p in parts])
-        gyro.add(parts)
+        gyro = GyroSpectra(name, prior, white, stretches, [np.empty((len(part), 0)) for part in turned])
+        gyro.put(np.arange(Z + 1), turned)
         found.append(gyro)
     return found
 
 
-def _levelled(parts: Sequence[Floats], stretches: Sequence[Stretch], white: float) -> list[Stretch]:
+def stretches_used(run: Run) -> list[slice]:
+    """Return the blocks of each stretch of a run that is long enough to have a spectrum."""
+    fewest = _FEWEST_TURNS if run.stated_rps else _FEWEST
+    return [blocks for blocks in run.stretches() if blocks.stop - blocks.start >= fewest]
+
+
+def _levelled(turned: Sequence[Floats], stretches: Sequence[Stretch], white: float) -> list[Stretch]:
     """Return stretches with the level of the white noise of their run, where that is not the level of all by chance."""
     levels = {}
     for run in {stretch.run for stretch in stretches}:
         own = [n for n, stretch in enumerate(stretches) if stretch.run == run]
-        ratio = _white([parts[n] for n in own], [stretches[n] for n in own]) / white
-        known = sum(len(parts[n]) for n in own) / 2
+        ratio = _white([turned[n] for n in own], [stretches[n] for n in own]) / white
+        known = sum(len(turned[n]) for n in own) / 2
         levels[run] = ratio**2 if abs(np.log(ratio)) > _UNLIKE / np.sqrt(known) else 1.0
     return [replace(stretch, level=levels[stretch.run]) for stretch in stretches]
 
 
-def _white(parts: Sequence[Floats], stretches: Sequence[Stretch]) -> float:
-    """Return the angle random walk (rad/s/rtHz) from the upper half of the frequencies."""
-    rows = np.vstack(
-        [np.sqrt(s.length_s) * cosines(part)[len(part) // 2 :] for part, s in zip(parts, stretches, strict=True)]
-    )
+def _white(turned: Sequence[Floats], stretches: Sequence[Stretch]) -> float:
+    """Return the angle random walk (rad/s/rtHz) from the upper half of the frequencies.
+
+    ``turned`` has the cosines (b, 5) of states and output error by stretch.
+    """
+    rows = np.vstack([np.sqrt(s.length_s) * part[len(part) // 2 :] for part, s in zip(turned, stretches, strict=True)])
     rest = rows[:, Z] - rows[:, :Z] @ np.linalg.lstsq(rows[:, :Z], rows[:, Z], rcond=1e-10)[0]
     free = 1 - rows.shape[1] / max(len(rows), 2 * rows.shape[1])  # what the states take of a few rows
     return float(max(np.median(np.abs(rest)) / 0.6745 / np.sqrt(free), 1e-9))

@@ -37,7 +37,7 @@ class OpenWorld:
     @classmethod
     def beside(cls, evidence: Evidence, model: Sequence[Term], columns: Columns, sizes: Floats) -> Self:
         """Return that of a model; ``columns``, times ``sizes`` (c,) of 1 rad/s rms, are the functions there may be."""
-        base = Base(evidence, model)
+        base = Base(evidence, model, columns.tolist())
         closed = log_mean(base.by_noise(), evidence.shapes.log_prior)
         if not len(columns):
             return cls(closed, np.full(len(SIZES_RPS), -np.inf))
@@ -60,10 +60,11 @@ def something_beside(search: Search, model: Sequence[Term]) -> OpenWorld:
     return OpenWorld.beside(search.evidence, model, *functions_of(search))
 
 
-def unnamed(search: Search, size_rps: float) -> Term:
-    """Return the sum of functions that may act without a name, of this size, as a term."""
+def unnamed(search: Search) -> list[Term]:
+    """Return the sum of functions that may act without a name, as a term of each of the sizes that it may have."""
     columns, sizes = functions_of(search)
-    return Term("open", tuple(columns.tolist()), False, size_rps, sizes=tuple(sizes.tolist()))
+    term = Term("open", tuple(columns.tolist()), False, sizes=tuple(sizes.tolist()))
+    return [term.scaled(size_rps) for size_rps in SIZES_RPS.tolist()]
 
 
 def functions_of(search: Search) -> tuple[Columns, Floats]:
@@ -72,9 +73,10 @@ def functions_of(search: Search) -> tuple[Columns, Floats]:
     columns = np.array([c for term in plain for c in term.columns], dtype=np.intp)
     squares, seconds = np.zeros(len(columns)), 0.0
     for gyro in search.evidence.gyros:
-        for stretch, part in zip(gyro.stretches, gyro.columns, strict=True):
-            squares += np.sum(part[1:, columns] ** 2, axis=0) * gyro.arw**2
-            seconds += len(part) * stretch.length_s
+        for stretch, bands in zip(gyro.stretches, gyro.bands(), strict=True):
+            beside_mean = slice(bands.start + 1, bands.stop)  # the mean of a stretch is a band of its own
+            squares += gyro.products[beside_mean, columns, columns].sum(axis=0) * gyro.arw**2
+            seconds += len(stretch.band) * stretch.length_s
     rms = np.sqrt(squares / seconds)
     seen = rms > 1e-9 * rms.max(initial=1e-30)
     return columns[seen], 1 / rms[seen]
@@ -108,12 +110,14 @@ def _likeness(evidence: Evidence, term: Term, columns: Columns, beside: Sequence
     """Return the share of the squares of columns (c,) that a term's own put out beside others, over all gyros."""
     best = int(np.argmax(evidence.noise_weight(beside)))
     mine = np.array(term.columns)
+    both = np.array([*mine, *columns])
+    left = Base(evidence.under(best), beside, both.tolist()).products(both[None], both[None])[:, 0, 0]
     shown, whole = np.zeros(len(columns)), np.full(len(columns), 1e-300)
-    for reduced in Base(evidence, beside).reduced:
-        own = reduced[best]
-        across = own[np.ix_(mine, columns)]
-        inner = own[np.ix_(mine, mine)] + (1e-12 * np.trace(own[np.ix_(mine, mine)]) + 1e-30) * np.eye(len(mine))
-        whole += own[columns, columns]
+    p = len(mine)
+    for products in left:
+        across = products[:p, p:]
+        inner = products[:p, :p] + (1e-12 * np.trace(products[:p, :p]) + 1e-30) * np.eye(p)
+        whole += np.diag(products)[p:]
         shown += np.sum(across * np.linalg.solve(inner, across), axis=0)
     return np.asarray(shown / whole)
 

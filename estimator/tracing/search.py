@@ -88,9 +88,12 @@ class Search:
 
     def leave_out_unexcited(self) -> list[Candidate]:
         """Leave out the candidates of which not even the largest plausible size would show; return them."""
-        grams, known = self.evidence.grams, [(c, list(term.columns)) for c, term in self.known.values()]
-        squares = [(c, sum(float(gram[0, own, own].max()) for gram in grams)) for c, own in known if own]
-        out = [candidate for candidate, square in squares if square < _UNEXCITED**2]
+        out = []
+        for candidate, term in self.known.values():
+            columns = np.array(term.columns, dtype=np.intp)
+            squares = self.evidence.gram(columns, columns)[:, 0]  # (gyros, p), under the first noise model
+            if len(columns) and float(squares.max(axis=1).sum()) < _UNEXCITED**2:
+                out.append(candidate)
         self.forget([candidate.name for candidate in out])
         return out
 
@@ -153,14 +156,18 @@ class Search:
         return {name: score for name, score in self._scored[key].items() if name not in chosen}
 
     def _score(self, terms: Sequence[Term]) -> dict[str, tuple[float, Term]]:
-        base = Base(self.evidence, terms)
-        found = {}
         taken = {t.name for t in terms}
-        for name, (candidate, term) in self.known.items():
-            if name not in taken and name not in self._barred and not candidate.depends_on:
-                value, scaled = base.with_term(term)
-                likelier = candidate.likelier if candidate.beside in taken else 0.0
-                found[name] = (value + candidate.log_prior + likelier, scaled)
+        tried = {
+            name: (candidate, term)
+            for name, (candidate, term) in self.known.items()
+            if name not in taken and name not in self._barred and not candidate.depends_on
+        }
+        base = Base(self.evidence, terms, [column for _, term in tried.values() for column in term.columns])
+        scores = base.with_each([term for _, term in tried.values()])
+        found = {}
+        for (name, (candidate, _)), (value, scaled) in zip(tried.items(), scores, strict=True):
+            likelier = candidate.likelier if candidate.beside in taken else 0.0
+            found[name] = (value + candidate.log_prior + likelier, scaled)
         return found
 
     def _suspects(self, options: Mapping[str, float], bare: float) -> tuple[Suspect, ...]:
@@ -214,20 +221,28 @@ class Search:
         """Return the effects that could put out what this one does, within chance, whatever was expected of them."""
         if part.term.shared or part.tone is not None:
             return []
-        base = Base(self.evidence, [t for t in terms if t.name != part.candidate.name])
         best = int(np.argmax(self.evidence.noise_weight(terms)))
-        all_sizes, mine = self.evidence.posterior(terms).of(part.term), np.array(part.term.columns)
+        sizes = self.evidence.posterior(terms).of(part.term)[:, :, None]  # (gyros, p, 1)
+        others = [
+            (candidate, term)
+            for name, (candidate, term) in self.known.items()
+            if not (term.shared or candidate.depends_on or name == part.candidate.name)
+        ]
+        asked = [*part.term.columns, *(column for _, term in others for column in term.columns)]
+        kept = [t for t in terms if t.name != part.candidate.name]
+        base = Base(self.evidence.under(best), kept, asked)
+
+        def products(one: Term, other: Term) -> Floats:
+            columns = (np.array([term.columns], dtype=np.intp) for term in (one, other))
+            return base.products(*columns)[:, 0, 0]
+
+        mine = (sizes.swapaxes(1, 2) @ products(part.term, part.term) @ sizes).sum()
         found = []
-        for name, (candidate, term) in self.known.items():
-            if term.shared or candidate.depends_on or name == part.candidate.name:
-                continue
-            theirs = np.array(term.columns)
-            left = 0.0
-            for gram, sizes in zip(base.reduced, all_sizes, strict=True):
-                cross = gram[best][np.ix_(theirs, mine)] @ sizes
-                inner = gram[best][np.ix_(theirs, theirs)] + np.eye(len(theirs)) / SCALES[0] ** 2
-                left += float(sizes @ gram[best][np.ix_(mine, mine)] @ sizes - cross @ np.linalg.solve(inner, cross))
-            if left < _COPIED * len(base.reduced):
+        for candidate, term in others:
+            cross = products(term, part.term) @ sizes
+            inner = products(term, term) + np.eye(len(term.columns)) / SCALES[0] ** 2
+            left = mine - (cross.swapaxes(1, 2) @ np.linalg.solve(inner, cross)).sum()
+            if left < _COPIED * len(sizes):
                 found.append(candidate.called)
         return list(dict.fromkeys(found))
 

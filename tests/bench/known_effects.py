@@ -65,5 +65,7 @@ def _rescaled(search: Search, chosen: Sequence[Part]) -> list[Part]:
     for number, part in enumerate(done):
         if part.tone is None:
             others = [own.term for m, own in enumerate(done) if m != number and own.tone is None]
-            done[number] = replace(part, term=Base(search.evidence, others).with_term(part.term)[1])
+            base = Base(search.evidence, others, part.term.columns)
+            ((_, term),) = base.with_each([part.term])
+            done[number] = replace(part, term=term)
     return done

@@ -11,7 +11,7 @@ from estimator.geometry.model import STATES, decode
 from estimator.tracing.augmented import Augmented, Part
 from estimator.tracing.investigation import GyroErrors
 from estimator.tracing.judging.cross_validation import by_run
-from estimator.tracing.open_world import SIZES_RPS, OpenWorld, unnamed
+from estimator.tracing.open_world import OpenWorld, unnamed
 from estimator.tracing.search import CERTAIN, Search
 from estimator.types import Floats
 
@@ -57,7 +57,7 @@ def averaged(
     sure = [c.term for c in parts if c.probability >= CERTAIN and c.tone is None]
     share = opened.by_size - np.logaddexp.reduce(opened.by_size) + np.log(max(opened.probability, 1e-30))
     base = np.logaddexp.reduce([value for _, value in sets]) - closed
-    sets += [([*sure, unnamed(search, float(s))], base + w) for s, w in zip(SIZES_RPS, share, strict=True)]
+    sets += [([*sure, term], base + w) for term, w in zip(unnamed(search), share, strict=True)]
     total = np.logaddexp.reduce([value for _, value in sets])
     weights = [(terms, np.exp(value - total)) for terms, value in sets if value > total + np.log(_MATTERS)]
     scale = sum(w for _, w in weights)
