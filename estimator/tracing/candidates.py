@@ -3,14 +3,14 @@
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import lru_cache, partial
 from itertools import pairwise
 from typing import Any, Self
 
 import numpy as np
 
 from estimator.effects.catalogue import records
-from estimator.effects.conditions import Axes, Conditions
+from estimator.effects.conditions import Axes, Conditions, follow
 from estimator.effects.constructed import CONSTRUCTED
 from estimator.effects.disturbances import SAMPLE_HOLD
 from estimator.effects.drift import BIAS_DRIFT, BIAS_STEP, WARM_UP
@@ -82,13 +82,17 @@ class Candidate:
         return self.effect.record.alike or bool(self.effect.law and not of_each_gyro(self.effect.law))
 
     def columns(self, run: Run, gyro: int) -> Floats:
-        """Return the scaled columns (b, p) of gyro number ``gyro`` of a run. A step stays for all later recordings."""
+        """Return the columns (b, p) of gyro number ``gyro`` of a run, in rad/s at the largest size of the effect."""
+        return self.regressors(run, gyro) * self.effect.largest
+
+    def regressors(self, run: Run, gyro: int) -> Floats:
+        """Return the columns (b, p) of gyro number ``gyro`` of a run. A step stays for all later recordings."""
         if self.run is not None and run.order != self.run:
-            return np.full((len(run.t_s), 1), float(run.order > self.run)) * self.effect.largest
+            return np.full((len(run.t_s), 1), float(run.order > self.run))
         p = self.sensed.get(run.array.names[gyro])
         array = run.array
         axes = Axes(array.p[gyro] if p is None else p, array.j[gyro], array.k[gyro])
-        return run.fold(self.effect.at(run.grid, axes)) * self.effect.largest
+        return run.fold(self.effect.at(run.grid, axes))
 
 
 def candidates_of(runs: Sequence[Run]) -> tuple[list[Candidate], dict[str, str]]:
@@ -209,7 +213,8 @@ def _sensed(runs: Sequence[Run]) -> dict[str, Floats]:
             one = np.column_stack([np.ones(len(run.t_s)), run.w_rps, run.columns(LATENCY.effect(), i), run.z_rps[:, i]])
             rows.append(one * run.weight[:, None])
         whole = np.vstack(rows)
-        scale = np.maximum(np.sqrt(np.mean(whole[:, :-1] ** 2, axis=0)), 1e-12)
+        scale = np.sqrt(np.mean(whole[:, :-1] ** 2, axis=0))
+        scale[scale < 1e-12] = 1.0  # about an axis that never turns nothing is known
         x = np.linalg.lstsq(whole[:, :-1] / scale, whole[:, -1], rcond=1e-3)[0] / scale
         found[name] = np.asarray(run.array.p[i] + x[1:4])
     return found
@@ -263,11 +268,13 @@ def _general(offers: frozenset[str], gimbals: tuple[str, ...], count: int) -> li
     return found + [Candidate(f"general: {name}", effect, prior, depends_on="angle") for name, effect in angles]
 
 
+@lru_cache
 def _own(name: str, columns: Callable[[Conditions, Axes], Floats], count: int) -> Effect:
     parameters = tuple(Parameter(str(n + 1), "rad/s", _PICKED_UP) for n in range(count))
     return Record(name=name, parameters=parameters, regressors=lambda settings, *where: columns(*where)).effect()
 
 
+@lru_cache
 def _law(name: str, law: str, largest: float = _PICKED_UP, *, shared: bool = False) -> Effect:
     parameters = tuple(Parameter(str(n + 1), "rad/s", largest) for n in range(law.count(";") + 1))
     return Record(name=name, parameters=parameters, law=law, shared=shared).effect()
@@ -309,11 +316,8 @@ def _of_temperature(conditions: Conditions, axes: Axes) -> Floats:
     if conditions.temperature_c is None:
         return np.zeros((len(conditions.t_s), 4))
     rise = conditions.temperature_c - 25.0
-    from scipy.signal import lfilter
-
     lags = []
     for lag_s in _LAGS_S:
-        keep = np.exp(-conditions.period_s / lag_s)
-        slow, _ = lfilter([1 - keep], [1, -keep], rise - rise[0], zi=[0.0])
-        lags.append((slow - (rise - rise[0])) / 10)
+        keep = np.full(len(rise), np.exp(-conditions.period_s / lag_s))
+        lags.append((follow(rise, keep) - rise) / 10)
     return np.column_stack([*lags, (rise / 20) ** 3])

@@ -7,6 +7,7 @@ length together are expected as often as a shorter one less some (Rissanen 1983)
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -18,7 +19,7 @@ from estimator.estimation.evidence import Term
 from estimator.estimation.runs.run import Run
 from estimator.packaged import packaged_toml
 from estimator.tracing.candidates import Candidate
-from estimator.tracing.scan import Scan, at
+from estimator.tracing.scan import Scan, at, first_of_best
 from estimator.tracing.search import Found, Search
 from estimator.types import Floats
 
@@ -92,11 +93,17 @@ def _largest(runs: Sequence[Run], law: str) -> tuple[float, ...] | None:
     effect = constructed(law)
     squares = np.zeros(len(effect.parameters))
     for run in runs:
-        columns = effect.columns(run.grid, run.array, 0)
-        squares = np.maximum(squares, np.nan_to_num(np.mean(columns**2, axis=0), nan=0.0, posinf=0.0))
+        of_run = run.grid.once(("mean squares", law), partial(_mean_squares, run, effect))
+        squares = np.maximum(squares, np.nan_to_num(of_run, nan=0.0, posinf=0.0))
     if not np.all(squares > _LARGEST_SCALE**-2):
         return None
     return tuple((_LARGEST_RPS / np.sqrt(squares)).tolist())
+
+
+def _mean_squares(run: Run, effect: Effect) -> Floats:
+    """Return the mean squares (p,) of an effect's columns."""
+    columns = effect.columns(run.grid, run.array, 0)
+    return np.asarray(np.einsum("np,np->p", columns, columns) / len(columns))
 
 
 def _range(runs: Sequence[Run], name: str) -> float:
@@ -109,9 +116,12 @@ class Composer:
 
     def __init__(self, search: Search, laws: Sequence[Candidate]) -> None:
         """Begin with none of the laws among the candidates of the search."""
-        self._search, self._laws = search, laws
-        self._coarse = [run.coarse() for run in search.runs]
-        self._turned: dict[tuple[str, float, str], Floats] = {}
+        self._search = search
+        # Each law with the constants that it is tried with.
+        self._laws = [
+            (law, [law] if law.start is None else [at(law, theta) for theta in law.start.tolist()]) for law in laws
+        ]
+        self._coarse = [columns.coarse for columns in search.columns]
         self._kept: set[str] = set()
 
     def composed(self, found: Found, most: int) -> Found:
@@ -172,15 +182,18 @@ class Composer:
         """
         search = self._search
         noise = int(np.argmax(search.evidence.noise_weight([term for _, term in known])))
-        scan = Scan(self._coarse, search.evidence, [term for _, term in base], self._turned, noise)
+        scan = Scan(self._coarse, search.evidence, [term for _, term in base], noise)
         taken = {candidate.name for candidate, _ in base}
         ranked, missing = [], self._worth(known, noise) + least - self._worth(base, noise)
-        for law in (law for law in self._laws if law.name not in taken):
-            options = [law] if law.start is None else [at(law, theta) for theta in law.start.tolist()]
-            gains = [scan.gain(option) for option in options]
-            reach = max(gains) * (1.0 if law.start is None else _BETWEEN)
+        laws = [(law, options) for law, options in self._laws if law.name not in taken]
+        all_gains = scan.gains([option for _, options in laws for option in options])
+        ends = np.cumsum([len(options) for _, options in laws])
+        for (law, options), gains in zip(laws, np.split(all_gains, ends[:-1]), strict=True):
+            best = first_of_best(gains)
+            gain = float(gains[best])
+            reach = gain * (1.0 if law.start is None else _BETWEEN)
             if reach + law.log_prior > missing:  # by no more can it be the more probable
-                ranked.append((max(gains) + law.log_prior, options[int(np.argmax(gains))]))
+                ranked.append((gain + law.log_prior, options[best]))
         ranked.sort(key=lambda pair: -pair[0])
         chosen = [scan.tuned(law) if law.start is not None else law for _, law in ranked[:_LAWS_TRIED]]
         search.forget([name for name, (c, _) in search.known.items() if c.law and name not in self._kept])

@@ -21,6 +21,7 @@ from estimator.tracing.judging.averaging import averaged, between_notes, between
 from estimator.tracing.judging.cross_validation import confirmed, judged, out_of_sample
 from estimator.tracing.open_world import something_beside, weighed_against
 from estimator.tracing.residuals.residual import Residual, residuals
+from estimator.tracing.run_columns import RunColumns
 from estimator.tracing.search import CERTAIN, Found, Search
 from estimator.tracing.verdict import added_of, beyond_noise, faults_added, surprised, unexplained_of, verdict_of
 
@@ -54,7 +55,7 @@ def investigate(
         still, turning = ("recordings", "verification run") if _at_rest(runs) else ("verification run", "recordings")
         raise InvestigationError(sentence("tracing.nothing_in_common", still=still, turning=turning))
     tell(0.1, "residual")
-    search, left_out = _prepared(runs)
+    search, left_out = _prepared([RunColumns(run) for run in runs])
     found = _trace(search, most_effects, lambda share: tell(0.1 + 0.6 * share, "tracing"))
     tell(0.75, "before and after")
     return _conclude(search, found, held_back, left_out, notes, faults, most_effects, verification)
@@ -74,10 +75,11 @@ def _same(
             )
 
 
-def _prepared(runs: Sequence[Run]) -> tuple[Search, dict[str, str]]:
-    """Return a search among all candidates, and what cannot be tried, with the reason."""
+def _prepared(columns: Sequence[RunColumns]) -> tuple[Search, dict[str, str]]:
+    """Return a search among all candidates on some runs, and what cannot be tried, with the reason."""
+    runs = [one.run for one in columns]
     span_s = max(float(run.t_s[-1] - run.t_s[0]) + run.length_s for run in runs)
-    search = Search(runs, Evidence(gyro_spectra(runs), NoiseShapes.over(span_s, several=True)))
+    search = Search(columns, Evidence(gyro_spectra(runs), NoiseShapes.over(span_s, several=True)))
     candidates, left_out = candidates_of(runs)
     search.add(candidates)
     for candidate in search.leave_out_unexcited():
@@ -120,7 +122,8 @@ def _conclude(
     faulty = faults_added(faults)
     verdict = verdict_of([*(a.effect for a in faulty), *_called(certain)], doubtful, unexplained)
     if held_back and verdict.finding in (Finding.NOTHING, Finding.ADDED) and errors.surprise > _SURPRISED:
-        with_those = _trace(_prepared([*search.runs, *held_back])[0], most)
+        all_runs = [*search.columns, *(RunColumns(run) for run in held_back)]
+        with_those = _trace(_prepared(all_runs)[0], most)
         verdict = surprised(certain, with_those, verified[1])
     gained = found.log_evidence[-1] - found.log_evidence[0]
     models = [ModelStep((), 0.0, errors.before)]

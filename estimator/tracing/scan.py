@@ -1,20 +1,23 @@
 """What is left of each gyro beside a model, and how much of it a candidate would take: cheap, before it is judged."""
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from estimator.estimation.evidence import Evidence, Term
-from estimator.estimation.runs.run import Run
-from estimator.estimation.spectra import GyroSpectra, cosines
+from estimator.estimation.runs.run import with_gyro
+from estimator.estimation.spectra import Z
 from estimator.tracing.candidates import Candidate
+from estimator.tracing.run_columns import RunColumns, of_gyro
 from estimator.tracing.tones.peaks import highest
 from estimator.types import Floats
 
 _NEAR_S = 0.005  # about where its size seems to be an effect is looked for that is exact for its size only
 _SHORTEST_S = 1e-4  # of a time constant, which is not negative
 _LONGEST_S = 0.3  # of a delay or a time constant: what is slower than this is no such
+_ROUNDING = 1e-9  # share by which gains of the same columns may differ, scanned with others
+_TOGETHER = 8  # candidates that are scanned at once: so many columns fit the cache of a processor
 
 
 def at(candidate: Candidate, theta: float) -> Candidate:
@@ -23,42 +26,78 @@ def at(candidate: Candidate, theta: float) -> Candidate:
     return replace(candidate, effect=candidate.of(theta), theta=theta)
 
 
+def first_of_best(gains: Floats) -> int:
+    """Return the number of the largest of some gains (k,); the first of those that differ by rounding only."""
+    return int(np.argmax(gains >= gains.max() * (1 - _ROUNDING)))
+
+
 class Scan:
     """What is left of each gyro beside a model, whitened: how much an effect would take of it."""
 
     def __init__(
-        self,
-        runs: Sequence[Run],
-        evidence: Evidence,
-        terms: Sequence[Term],
-        turned: dict[tuple[str, float, str], Floats],
-        noise: int | None = None,
+        self, columns: Sequence[RunColumns], evidence: Evidence, terms: Sequence[Term], noise: int | None = None
     ) -> None:
-        """``turned`` keeps the cosines of columns from one scan to the next, ``noise`` is that beside the model."""
-        self._kept = turned
+        """Take what is left beside ``terms``; ``noise`` is the noise model's number, by default the most probable."""
+        self._columns = columns
+        runs = [one.run for one in columns]
         best = int(np.argmax(evidence.noise_weight(terms))) if noise is None else noise
-        columns = [*range(4), *(c for t in terms for c in t.columns)]
-        self._runs, self._spectra = runs, evidence.gyros
-        self._roots, self._bases, self._rest = [], [], []
+        asked = [*range(Z), *(c for t in terms for c in t.columns), Z]
+        self._gyros: list[_Left] = []
         for gyro in evidence.gyros:
             density = np.concatenate([evidence.density(gyro, s)[best][s.band] for s in gyro.stretches])
             lengths_s = np.concatenate([np.full(len(s.band), s.length_s) for s in gyro.stretches])
-            root = np.sqrt(lengths_s / density) / gyro.arw
-            whole = np.vstack(gyro.columns) / np.sqrt(density)[:, None]
-            basis, _ = np.linalg.qr(whole[:, columns])
-            z = whole[:, 4]
-            self._roots.append(root)
-            self._bases.append(basis)
-            self._rest.append(z - basis @ (basis.T @ z))
+            whole = np.vstack([own[:, asked] for own in gyro.columns]) / np.sqrt(density)[:, None]
+            basis, _ = np.linalg.qr(whole[:, :-1])
+            rest = whole[:, -1] - basis @ (basis.T @ whole[:, -1])
+            where = tuple((number, i) for number, _, i in with_gyro(runs, gyro.name))
+            self._gyros.append(_Left(where, np.sqrt(lengths_s / density) / gyro.arw, basis, rest))
 
-    def _turn(self, candidate: Candidate, gyro: GyroSpectra) -> Floats:
-        alike = candidate.alike and all(run.earth_rps is None for run in self._runs)
-        source = str([s.run for s in gyro.stretches])
-        key = candidate.name, float(candidate.theta or 0.0), source if alike else gyro.name
-        if key not in self._kept:
-            parts = gyro.parts(self._runs, lambda number, own: candidate.columns(self._runs[number], own))
-            self._kept[key] = np.vstack([cosines(part) for part in parts])
-        return self._kept[key]
+    def gains(self, candidates: Sequence[Candidate]) -> Floats:
+        """Return by how much half the squares fall if one of some effects is let in (k,), each gyro by itself.
+
+        Their columns are kept for the next scan.
+        """
+        found = np.zeros(len(candidates))
+        groups: dict[tuple[int, bool], list[int]] = {}
+        for n, candidate in enumerate(candidates):
+            groups.setdefault((len(candidate.effect.parameters), candidate.alike), []).append(n)
+        for group in groups.values():
+            for start in range(0, len(group), _TOGETHER):
+                part = group[start : start + _TOGETHER]
+                found[part] = self._gains([candidates[n] for n in part], keep=True)
+        return found
+
+    def gain(self, candidate: Candidate) -> float:
+        """Return by how much half the squares fall if an effect is let in, each gyro by itself."""
+        return float(self._gains([candidate], keep=False)[0])
+
+    def _gains(self, candidates: Sequence[Candidate], *, keep: bool) -> Floats:
+        """Return the gains (k,) of candidates of the same width."""
+        own, right = self._products(candidates, keep=keep)
+        taken = np.linalg.solve(own + 1e-6 * np.eye(own.shape[-1]), right[..., None])[..., 0]
+        return np.asarray(0.5 * np.sum(right * taken, axis=(0, 2)))
+
+    def _products(self, candidates: Sequence[Candidate], *, keep: bool = False) -> tuple[Floats, Floats]:
+        """Return the products (gyros, k, p, p) of columns beside the model, and with what is left (gyros, k, p).
+
+        They are those of candidates of the same width.
+        """
+        of_runs = [[columns.of(candidate, keep=keep) for candidate in candidates] for columns in self._columns]
+        stacks: dict[tuple[tuple[int, int], ...], Floats] = {}
+        products, with_rest = [], []
+        for gyro in self._gyros:
+            # The same columns stand for all gyros that have the same.
+            alike = all(len(one) == 1 for number, _ in gyro.where for one in of_runs[number])
+            where = tuple((number, 0) for number, _ in gyro.where) if alike else gyro.where
+            if where not in stacks:
+                parts = [np.vstack([of_gyro(one, i) for one in of_runs[number]]) for number, i in where]
+                stacks[where] = np.hstack(parts)
+            new = stacks[where] * gyro.root
+            new -= (new @ gyro.basis) @ gyro.basis.T
+            each = new.reshape(len(candidates), -1, len(gyro.root))
+            products.append(each @ each.swapaxes(1, 2))
+            with_rest.append(each @ gyro.rest)
+        return np.array(products), np.array(with_rest)
 
     def size(self, candidate: Candidate) -> float:
         """Return the size of an effect, exact for its size, that leaves least: its first parameter, all gyros alike.
@@ -83,8 +122,8 @@ class Scan:
 
     def _first_size(self, candidate: Candidate) -> float:
         """Return the size by the candidate as it is: right where it is small."""
-        products = self._products(candidate)
-        own, right = sum(own[0, 0] for own, _ in products), sum(right[0] for _, right in products)
+        products, with_rest = self._products([candidate])
+        own, right = products[:, 0, 0, 0].sum(), with_rest[:, 0, 0].sum()
         sign = -1.0 if candidate.theta and candidate.theta < 0 else 1.0  # a lag of the reference is a size of its own
         return float(np.clip(sign * right / max(own, 1e-30) * candidate.effect.largest[0], -_LONGEST_S, _LONGEST_S))
 
@@ -92,40 +131,28 @@ class Scan:
         """Return how much more probable a size makes what is left, each gyro under as much noise as then is left."""
         share = abs(size) / candidate.effect.largest[0] if size else 0.0
         total = 0.0
-        for rest, (own, right) in zip(self._rest, self._products(at(candidate, size)), strict=True):
-            before = float(rest @ rest)
-            left = before - 2 * share * right[0] + share**2 * own[0, 0]
-            total -= 0.5 * len(rest) * np.log(max(left, 1e-9 * before) / before)
+        products, with_rest = self._products([at(candidate, size)])
+        for gyro, own, right in zip(self._gyros, products[:, 0, 0, 0], with_rest[:, 0, 0], strict=True):
+            before = float(gyro.rest @ gyro.rest)
+            left = before - 2 * share * right + share**2 * own
+            total -= 0.5 * len(gyro.rest) * np.log(max(left, 1e-9 * before) / before)
         return float(total)
-
-    def gain(self, candidate: Candidate) -> float:
-        """Return by how much half the squares fall if an effect is let in, each gyro by itself."""
-        total = 0.0
-        for own, right in self._products(candidate):
-            total += 0.5 * float(right @ np.linalg.solve(own + 1e-6 * np.eye(len(own)), right))
-        return total
-
-    def _products(self, candidate: Candidate) -> list[tuple[Floats, Floats]]:
-        """Return by gyro the products (p, p) of a candidate's columns beside the model, and with the rest (p,)."""
-        products = []
-        for gyro, root, basis, rest in zip(self._spectra, self._roots, self._bases, self._rest, strict=True):
-            new = self._turn(candidate, gyro) * root[:, None]
-            new = new - basis @ (basis.T @ new)
-            products.append((new.T @ new, new.T @ rest))
-        return products
 
     def width(self, candidate: Candidate) -> float:
         """Return by how much what is not linear may move before half a natural logarithm is lost."""
         assert candidate.theta is not None
-        top = self.gain(candidate)
-        step = 0.02 * candidate.theta
-        while step < candidate.theta:
-            sides = [self.gain(at(candidate, candidate.theta + sign * step)) for sign in (-1, 1)]
-            fall = top - 0.5 * sum(sides)
+        return self._width(candidate.theta, lambda theta: self.gain(at(candidate, theta)))
+
+    def _width(self, theta: float, gain: Callable[[float], float]) -> float:
+        """Return how far from ``theta`` the gain falls by one half."""
+        top = gain(theta)
+        step = 0.02 * theta
+        while step < theta:
+            fall = top - 0.5 * (gain(theta - step) + gain(theta + step))
             if fall > 0.5:
                 return float(step / np.sqrt(2 * fall))
             step *= 2
-        return float(candidate.theta)
+        return float(theta)
 
     def tuned(self, candidate: Candidate) -> Candidate:
         """Return a candidate with the most telling value of what is not linear in it."""
@@ -133,16 +160,43 @@ class Scan:
         assert start is not None
         if candidate.by_size:
             return at(candidate, self.size(candidate))
-        gains = [self.gain(at(candidate, theta)) for theta in start.tolist()]
-        best = int(np.argmax(gains))
+        options = [at(candidate, theta) for theta in start.tolist()]
+        best = first_of_best(self.gains(options))
+        known: dict[str | float | None, float] = {}
+
+        def gain(theta: float) -> float:
+            option = at(candidate, theta)
+            key = _key(option)
+            if key not in known:
+                known[key] = self.gain(option)
+            return known[key]
+
         low, high = float(start[max(best - 1, 0)]), float(start[min(best + 1, len(start) - 1)])
-        theta = highest(lambda theta: self.gain(at(candidate, theta)), low, high)
-        if self.gain(at(candidate, theta)) < gains[best]:
+        theta = highest(gain, low, high)
+        if gain(theta) < gain(float(start[best])):
             theta = float(start[best])
-        tuned = at(candidate, theta)
         # What it costs that the value was looked for: the share of its range that would do as well. Any instant of a
         # step is as probable as any other, of a time constant any ratio.
-        width = np.sqrt(2 * np.pi) * self.width(tuned)
+        width = np.sqrt(2 * np.pi) * self._width(theta, gain)
         spread = float(start[-1] - start[0])
         share = width / spread if candidate.run is not None else width / theta / candidate.range_log
-        return replace(tuned, log_tries=float(-np.log(np.clip(share, 1e-4, 1.0))))
+        return replace(at(candidate, theta), log_tries=float(-np.log(np.clip(share, 1e-4, 1.0))))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Left:
+    """One gyro beside a model, in the cosine domain: rows are the frequencies of all its stretches.
+
+    ``where`` gives each run that has the gyro, and its number there. ``root`` (rows,) is the root of each row's weight,
+    ``basis`` (rows, c) are orthonormal columns that span the model, ``rest`` (rows,) is what the model leaves.
+    """
+
+    where: tuple[tuple[int, int], ...]
+    root: Floats
+    basis: Floats
+    rest: Floats
+
+
+def _key(candidate: Candidate) -> str | float | None:
+    """Return what tells an option of a candidate from others: a law rounds its constant."""
+    return candidate.law or candidate.theta

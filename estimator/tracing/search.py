@@ -4,14 +4,16 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.effects.disturbances import TONE
 from estimator.estimation.evidence import SCALES, Base, Evidence, Term
-from estimator.estimation.runs.run import Run
+from estimator.estimation.runs.run import with_gyro
 from estimator.observations.turned import by_turns
 from estimator.tracing.augmented import Part
 from estimator.tracing.candidates import Candidate
 from estimator.tracing.investigation import Suspect
+from estimator.tracing.run_columns import RunColumns, of_gyro
 from estimator.tracing.scan import Scan
 from estimator.tracing.tones.heard import Heard
 from estimator.types import Floats
@@ -20,6 +22,7 @@ CERTAIN = 0.95
 """Posterior probability from which an effect counts as found."""
 _SET = 0.99  # rivals are as many as share this probability
 _ROUNDS = 12
+_ROOM = 32  # columns for which room is made at once
 _STOP_LOG_PRIOR = 0.0  # nothing more: as likely as all effects together, several times over
 _LOST = 0.3  # share by which the size of a lag may differ from that which it was worked out for
 _UNEXCITED = 0.5  # sigmas of an effect of the largest plausible size, all gyros and runs together
@@ -48,41 +51,53 @@ class Search:
     ``known`` are the candidates by name, each with its term; ``heard`` are the tones.
     """
 
-    def __init__(self, runs: Sequence[Run], evidence: Evidence) -> None:
-        """Begin with no candidates: ``add`` brings them in."""
-        self.runs, self.evidence = list(runs), evidence
+    def __init__(self, columns: Sequence[RunColumns], evidence: Evidence) -> None:
+        """Begin with no candidates on the runs that ``columns`` are of: ``add`` brings candidates in."""
+        self.columns, self.runs, self.evidence = list(columns), [one.run for one in columns], evidence
         self.known: dict[str, tuple[Candidate, Term]] = {}
         self.heard = Heard(self.runs, evidence)
         self._scored: dict[tuple[tuple[tuple[int, ...], float], ...], dict[str, tuple[float, Term]]] = {}
         self._barred: set[str] = set()
-        self._turned: dict[tuple[str, float, str], Floats] = {}
+        self._free: list[int] = []
 
     def add(self, candidates: Sequence[Candidate]) -> None:
         """Bring in candidates: their columns are worked out for every gyro."""
         if not candidates:
             return
-
-        def columns(number: int, gyro: int) -> Floats:
-            return np.hstack([candidate.columns(self.runs[number], gyro) for candidate in candidates])
-
         fresh = not self.known
         self._scored.clear()
-        start = self.evidence.gyros[0].columns[0].shape[1]
+        widths = [len(candidate.effect.parameters) for candidate in candidates]
+        numbers = self._numbers(sum(widths))
+        of_runs = [
+            [columns.of(candidate, keep=not candidate.law) for candidate in candidates] for columns in self.columns
+        ]
         for gyro in self.evidence.gyros:
-            gyro.add(gyro.parts(self.runs, columns))
-        for candidate in candidates:
-            stop = start + len(candidate.effect.parameters)
-            its = tuple(range(start, stop))
-            term = Term(candidate.name, its, candidate.effect.shared, log_tries=candidate.log_tries)
+            parts = [np.vstack([of_gyro(one, i) for one in of_runs[n]]) for n, _, i in with_gyro(self.runs, gyro.name)]
+            ends = np.cumsum([len(stretch.band) for stretch in gyro.stretches])
+            gyro.put(numbers, np.split(np.hstack(parts).T, ends[:-1]))
+        ends = np.cumsum(widths)
+        for candidate, its in zip(candidates, np.split(numbers, ends[:-1]), strict=True):
+            columns = tuple(its.tolist())
+            term = Term(candidate.name, columns, candidate.effect.shared, log_tries=candidate.log_tries)
             self.known[candidate.name] = (candidate, term)
-            start = stop
-        self.evidence.refresh()
         if fresh:
             rich = [term.scaled(_RICH) for c, term in self.known.values() if not c.depends_on and not term.shared]
             self.evidence.narrow([[], rich])
 
+    def _numbers(self, count: int) -> NDArray[np.intp]:
+        """Return so many numbers of columns that nothing uses."""
+        if count > len(self._free):
+            first = self.evidence.gyros[0].columns[0].shape[1]
+            last = first + max(count - len(self._free), _ROOM)
+            self._free += range(first, last)
+            for gyro in self.evidence.gyros:
+                gyro.widen(last)
+        taken, self._free = self._free[:count], self._free[count:]
+        return np.array(taken, dtype=np.intp)
+
     def forget(self, names: Sequence[str]) -> None:
-        """Leave some candidates out from now on."""
+        """Leave some candidates out from now on; columns of laws among them are free for others."""
+        self._free += [c for name in names if self.known[name][0].law for c in self.known[name][1].columns]
         self.known = {name: pair for name, pair in self.known.items() if name not in names}
         self._scored.clear()
 
@@ -249,7 +264,7 @@ class Search:
     def sharpness(self, part: Part, terms: Sequence[Term]) -> float:
         """Return the standard deviation of what is not linear in an effect, beside the other terms."""
         others = [t for t in terms if t.name != part.candidate.name]
-        return Scan(self.runs, self.evidence, others, {}).width(part.candidate)
+        return Scan(self.columns, self.evidence, others).width(part.candidate)
 
     def judged(self, name: str, chosen: Sequence[str], terms: Mapping[str, Term]) -> Part:
         """Return an effect of a model with its probability and its rivals beside the others."""
@@ -282,5 +297,5 @@ class Search:
         """Look for the most telling time constants and instants beside the effects chosen so far."""
         open_ones = [c for c, _ in self.known.values() if c.start is not None and c.name not in chosen and not c.law]
         if open_ones:
-            scan = Scan(self.runs, self.evidence, terms, self._turned)
+            scan = Scan(self.columns, self.evidence, terms)
             self.add([scan.tuned(candidate) for candidate in open_ones])

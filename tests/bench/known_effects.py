@@ -13,6 +13,7 @@ from estimator.estimation.spectra import NoiseShapes, gyro_spectra
 from estimator.recordings.recording import Recording
 from estimator.tracing.augmented import Augmented, Part
 from estimator.tracing.candidates import candidates_of
+from estimator.tracing.run_columns import RunColumns
 from estimator.tracing.scan import Scan
 from estimator.tracing.search import Search
 
@@ -26,7 +27,8 @@ def fit_known(recordings: Sequence[Recording], effects: Sequence[str]) -> Augmen
     """
     runs = runs_of_all(recordings)[0]
     span_s = max(float(run.t_s[-1] - run.t_s[0]) + run.length_s for run in runs)
-    search = Search(runs, Evidence(gyro_spectra(runs), NoiseShapes.over(span_s, several=True)))
+    evidence = Evidence(gyro_spectra(runs), NoiseShapes.over(span_s, several=True))
+    search = Search([RunColumns(run) for run in runs], evidence)
     candidates, left_out = candidates_of(runs)
     search.add([candidate for candidate in candidates if candidate.called in effects])
     parts: list[Part] = []
@@ -49,7 +51,7 @@ def _best_of(search: Search, effect: str, chosen: Sequence[Part]) -> Part:
         return search.heard.parts[-1]
     names = [part.candidate.name for part in chosen]
     open_ones = [c for c, _ in search.known.values() if c.start is not None and c.name not in names]
-    scan = Scan(search.runs, search.evidence, model, {})
+    scan = Scan(search.columns, search.evidence, model)
     search.add([scan.tuned(candidate) for candidate in open_ones])
     scores = search.scores(model, names)
     named = [name for name in scores if search.known[name][0].called == effect]

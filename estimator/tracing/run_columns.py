@@ -1,0 +1,55 @@
+"""Columns of candidates on a run in the cosine domain, worked out once for all that asks for them."""
+
+from functools import cached_property
+
+import numpy as np
+
+from estimator.effects.effect import Record
+from estimator.estimation.runs.run import Run
+from estimator.estimation.spectra import cosines, stretches_used
+from estimator.tracing.candidates import Candidate
+from estimator.types import Floats
+
+
+class RunColumns:
+    """Columns of candidates on one run as its spectra hold them, but for the noise."""
+
+    def __init__(self, run: Run) -> None:
+        """Begin with none."""
+        self.run = run
+        self._stretches = stretches_used(run)
+        self._kept: dict[tuple[str, float | None, Record], Floats] = {}
+
+    @cached_property
+    def coarse(self) -> "RunColumns":
+        """The same with a few instants in each block, which do where many functions are tried."""
+        return RunColumns(self.run.coarse())
+
+    def of(self, candidate: Candidate, *, keep: bool = False) -> Floats:
+        """Return a candidate's columns (gyros, p, rows), in rad/s at its largest size.
+
+        They are (1, p, rows) if all gyros have the same. Rows are the frequencies of one stretch after the other.
+        ``keep``: they are kept, for what is asked again.
+        """
+        elsewhere = candidate.run not in (None, self.run.order)  # whenever a step is, before and after it is constant
+        key = candidate.name, None if elsewhere else candidate.theta, candidate.effect.record
+        columns = self._kept.get(key)
+        if columns is None:
+            columns = self._worked_out(candidate)
+        if (keep or elsewhere) and not candidate.sensed:  # what gyros really sense is another thing in each search
+            self._kept[key] = columns
+        return columns * candidate.effect.largest[:, None]
+
+    def _worked_out(self, candidate: Candidate) -> Floats:
+        """Return a candidate's columns (gyros, p, rows), or (1, p, rows), per unit of its parameters."""
+        run = self.run
+        alike = candidate.alike and run.earth_rps is None
+        gyros = range(1 if alike else len(run.array))
+        columns = np.array([run.weighed(candidate.regressors(run, gyro), gyro).T for gyro in gyros])
+        turned = [cosines(columns[..., blocks], axis=-1) for blocks in self._stretches]
+        return turned[0] if len(turned) == 1 else np.concatenate([columns[..., :0], *turned], axis=-1)
+
+
+def of_gyro(columns: Floats, gyro: int) -> Floats:
+    """Return the columns (p, rows) of a gyro from (gyros, p, rows), or from (1, p, rows) if all have the same."""
+    return np.asarray(columns[gyro if len(columns) > 1 else 0])
