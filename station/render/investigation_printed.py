@@ -1,7 +1,7 @@
 """An investigation, and a closed loop of them, as a person reads it, in a terminal and on the screen."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
 from rich.console import Console
@@ -12,11 +12,13 @@ from estimator.tracing.residuals.origin import Origin
 from estimator.tracing.residuals.residual import BY_CHANCE
 from station.render.template import rendered
 from station.render.terminal import Shown, print_all, print_rendered, shown_of, stdout
-from station.run.closed_loop import Loop, Round
 from station.scripts.next_script import NextScript
 from station.views.figures import FINDING_STYLES
 from station.views.investigation import InvestigationView, investigation_view
 from station.views.json_values import named
+
+if TYPE_CHECKING:  # a loop is what runs: with it come drivers, twins and servers, half a second
+    from station.run.closed_loop import Loop, Round
 
 _LEAST_SHOWN = 0.005  # suspects less probable than this are one line together
 _MOST_SHOWN = 8
@@ -38,7 +40,7 @@ def _shown(what: InvestigationView, next_script: NextScript | None, path: Path |
     return investigation_shown(what, f"station run --script {path}", next_script.words() if next_script else "")
 
 
-def print_loop(loop: Loop) -> None:
+def print_loop(loop: "Loop") -> None:
     """Print the report: runs, what each investigation led to, the last one in full."""
     views = [investigation_view(turn.found, turn.script_file) for turn in loop.rounds]
     last = _shown(views[-1], loop.rounds[-1].following, loop.rounds[-1].script_file)
@@ -74,7 +76,7 @@ def verdict_lines(what: InvestigationView) -> list[str]:
     return rendered("station.render", "verdict.txt", {"what": what}).splitlines()
 
 
-def loop_object(loop: Loop) -> dict[str, Any]:
+def loop_object(loop: "Loop") -> dict[str, Any]:
     """Return what --json prints: the last investigation, and how it came to that."""
     last = loop.rounds[-1]
     fitted, judging = ([str(path) for path in loop.recordings(judging=j)] for j in (False, True))
@@ -89,7 +91,7 @@ def loop_object(loop: Loop) -> dict[str, Any]:
     }
 
 
-def runs_object(loop: Loop) -> list[dict[str, Any]]:
+def runs_object(loop: "Loop") -> list[dict[str, Any]]:
     """Return the runs as what --json prints."""
     return [
         {
@@ -103,7 +105,7 @@ def runs_object(loop: Loop) -> list[dict[str, Any]]:
     ]
 
 
-def _round_object(turn: Round) -> dict[str, Any]:
+def _round_object(turn: "Round") -> dict[str, Any]:
     whole = dict(investigation_view(turn.found, turn.script_file))
     kept = ("verdict", "reason", "added", "rivals", "unexplained", "before", "after", "models", "next_script")
     following = turn.following
