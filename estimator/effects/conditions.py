@@ -34,7 +34,7 @@ class Conditions:
     not known. Without a table there are no ``gimbals``. ``w_rps`` holds Earth rate only where there is a ``site``.
     ``delayed_rps`` gives, for a delay in s, the body rate (N, 3) that long ago, as means over the samples that the
     output errors are means of; None where conditions are of a plan. ``causal``: nothing that is to come is known.
-    ``reference_c``: temperature at which effects of it are nothing. ``known`` holds what ``once`` has worked out.
+    ``reference_c``: temperature at which effects of it are nothing. ``cache`` holds the values of ``once``.
     """
 
     t_s: Floats
@@ -50,7 +50,7 @@ class Conditions:
     delayed_rps: Callable[[float], Floats] | None = None
     causal: bool = False
     reference_c: float = REFERENCE_C
-    known: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
+    cache: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def warming_kps(self) -> Floats:
@@ -77,23 +77,23 @@ class Conditions:
         return float(self.t_s[1] - self.t_s[0])
 
     def once(self, key: Hashable, work: Callable[[], Floats]) -> Floats:
-        """Return what ``work`` gives under these conditions, which nobody may change: worked out once for each key.
+        """Return the array that ``work`` makes: computed on the first call with a key, then kept.
 
-        A key holds all that the values depend on beside the conditions.
+        The array is read-only. The key must hold everything but the conditions that the values depend on.
         """
-        if key not in self.known:
+        if key not in self.cache:
             values = work()
             values.flags.writeable = False
-            self.known[key] = values
-        found: Floats = self.known[key]
+            self.cache[key] = values
+        found: Floats = self.cache[key]
         return found
 
     def thinned(self, first: int, stride: int) -> "Conditions":
-        """Return every so many rows from the first one on: one object, so that what is known of them is shared."""
+        """Return the rows ``first``, ``first + stride``, ...: always the same object, so that it keeps its values."""
         key = "thinned", first, stride
-        if key not in self.known:
-            self.known[key] = self.rows(slice(first, None, stride))
-        found: Conditions = self.known[key]
+        if key not in self.cache:
+            self.cache[key] = self.rows(slice(first, None, stride))
+        found: Conditions = self.cache[key]
         return found
 
     def rows(self, chosen: slice | NDArray[np.intp]) -> Self:

@@ -246,7 +246,9 @@ def _compiled(node: ast.expr) -> Compiled:
             base = _compiled(left)
             return lambda known: np.asarray(base(known) ** power)
         case ast.BinOp(left=left, op=op, right=right):
-            combine, first, second = _COMBINED[type(op)], _compiled(left), _compiled(right)
+            combine = _COMBINED[type(op)]
+            first = _compiled(left)
+            second = _compiled(right)
             return lambda known: combine(first(known), second(known))
         case ast.Call(func=ast.Name(id=name), args=[inner, *numbers]):
             return _call(name, _compiled(inner), [ast.literal_eval(number) for number in numbers])

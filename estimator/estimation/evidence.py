@@ -343,9 +343,9 @@ class Base:
         return self._with_own(columns[None], sizes[None], scales)[:, :, 0]
 
     def with_each(self, terms: Sequence[Term]) -> list[tuple[float, Term]]:
-        """Return for each of some terms the log evidence with it, over its scales, and it at its best scale.
+        """Return for each term, in their order, the log evidence with it and the term at its most probable scale.
 
-        Terms of the same width are worked out together.
+        The log evidence is the mean over all scales. Terms with the same number of columns are computed together.
         """
         found: dict[str, tuple[float, Term]] = {}
         alike = groupby(sorted(terms, key=_form), key=_form)
@@ -353,7 +353,8 @@ class Base:
             of_form = list(group)
             columns = np.array([term.columns for term in of_form], dtype=np.intp)
             sizes = np.array([term.relative_sizes for term in of_form])
-            values = (self._with_shared if shared else self._with_own)(columns, sizes, SCALES)
+            with_each_of_form = self._with_shared if shared else self._with_own
+            values = with_each_of_form(columns, sizes, SCALES)
             values = np.logaddexp.reduce(values + self._prior[:, None], axis=1)
             best = np.argmax(values, axis=0)
             means = np.logaddexp.reduce(values, axis=0) - np.log(len(SCALES))
@@ -378,7 +379,10 @@ class Base:
         return np.array(values)
 
     def _with_shared(self, columns: Numbers, sizes: Floats, scales: Floats) -> Floats:
-        """Return the same with each of K terms that all gyros share."""
+        """Return the log evidence (s, G, K) with each of K terms that all gyros share, at scales (s,).
+
+        A term is its ``columns`` (K, p) times ``sizes`` (K, p).
+        """
         last = np.broadcast_to(self._last, (len(columns), len(self._last)))
         both = np.hstack([columns, last])
         scale_of = np.hstack([sizes, np.ones(last.shape)])

@@ -318,6 +318,6 @@ def _of_temperature(conditions: Conditions, axes: Axes) -> Floats:
     rise = conditions.temperature_c - 25.0
     lags = []
     for lag_s in _LAGS_S:
-        keep = np.full(len(rise), np.exp(-conditions.period_s / lag_s))
+        keep = np.exp([-conditions.period_s / lag_s])
         lags.append((follow(rise, keep) - rise) / 10)
     return np.column_stack([*lags, (rise / 20) ** 3])

@@ -1,4 +1,4 @@
-"""Columns of candidates on a run in the cosine domain, worked out once for all that asks for them."""
+"""Columns of candidates on a run in the cosine domain, kept for the next scan or search that needs them."""
 
 from functools import cached_property
 
@@ -12,10 +12,10 @@ from estimator.types import Floats
 
 
 class RunColumns:
-    """Columns of candidates on one run as its spectra hold them, but for the noise."""
+    """Columns of candidates on one run, in the cosine domain and not yet divided by the noise."""
 
     def __init__(self, run: Run) -> None:
-        """Begin with none."""
+        """Begin with no columns."""
         self.run = run
         self._stretches = stretches_used(run)
         self._kept: dict[tuple[str, float | None, Record], Floats] = {}
@@ -29,14 +29,14 @@ class RunColumns:
         """Return a candidate's columns (gyros, p, rows), in rad/s at its largest size.
 
         They are (1, p, rows) if all gyros have the same. Rows are the frequencies of one stretch after the other.
-        ``keep``: they are kept, for what is asked again.
+        ``keep``: the columns are kept for the next call with the same candidate.
         """
         elsewhere = candidate.run not in (None, self.run.order)  # whenever a step is, before and after it is constant
         key = candidate.name, None if elsewhere else candidate.theta, candidate.effect.record
         columns = self._kept.get(key)
         if columns is None:
             columns = self._worked_out(candidate)
-        if (keep or elsewhere) and not candidate.sensed:  # what gyros really sense is another thing in each search
+        if (keep or elsewhere) and not candidate.sensed:  # each search estimates the sensed axes anew
             self._kept[key] = columns
         return columns * candidate.effect.largest[:, None]
 

@@ -78,23 +78,23 @@ def timed() -> None:
 
 def costs(seeds: int) -> None:
     """Print what each case costs, then median and worst of all."""
-    found = []
+    all_costs = []
     for seed in range(seeds):
         for kind in FOREIGN:
             world = open_worlds.made(open_worlds.Case(kind, 1.0, seed))
-            found.append(_told(f"{kind} {seed}", cost_of([*world.fitted, world.verification])))
+            all_costs.append(_printed(f"{kind} {seed}", cost_of([*world.fitted, world.verification])))
         for effects in NAMED:
             name = " and ".join(effects) or "nothing"
-            found.append(_told(f"{name} {seed}", cost_of(recordings_of(Case(effects, 1.0, seed)))))
-    processor_s = [cost.processor_s for cost in found]
-    memory_mb = max(cost.memory_mb for cost in found)
+            all_costs.append(_printed(f"{name} {seed}", cost_of(recordings_of(Case(effects, 1.0, seed)))))
+    processor_s = [cost.processor_s for cost in all_costs]
+    memory_mb = max(cost.memory_mb for cost in all_costs)
     print(
-        f"{len(found)} cases: processor time median {np.median(processor_s):.1f} s (bar {MEDIAN_BAR_S:g}), worst "
+        f"{len(all_costs)} cases: processor time median {np.median(processor_s):.1f} s (bar {MEDIAN_BAR_S:g}), worst "
         f"{max(processor_s):.1f} s (bar {WORST_BAR_S:g}), memory {memory_mb:.0f} MB (bar {MEMORY_BAR_MB:g})"
     )
 
 
-def _told(name: str, cost: Cost) -> Cost:
+def _printed(name: str, cost: Cost) -> Cost:
     print(f"{name:32s} {cost.processor_s:5.1f} s  {cost.memory_mb:4.0f} MB  {cost.verdict}", flush=True)
     return cost
 
