@@ -11,7 +11,7 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.estimation.spectra import GyroSpectra, NoiseShapes, Stretch, Z
+from estimator.estimation.spectra import AS_MODELLED, GyroSpectra, NoiseShapes, Profile, Stretch, Z
 from estimator.types import Floats
 
 Numbers = NDArray[np.intp]
@@ -21,8 +21,6 @@ _HARDLY = 0.2  # rtHz
 _MATTERS = 9.0  # natural logarithm of how much less probable than the best a noise model may be and still count
 SCALES = np.array([10.0, 3.0, 1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001])
 """Scales of an effect's parameters, as shares of the largest plausible size; none is preferred."""
-_TELLING, _BY_CHANCE = 8.0, 1e-4
-"""Degrees of freedom in which a level of noise is looked for, and its probability by chance."""
 _OWN = 0.1  # share of the expectation on a gyro that does not follow the other gyros of its device
 
 
@@ -70,41 +68,6 @@ class Posterior:
         """Return the parameters (gyros, p) of a term."""
         first = self.columns.index(term.columns[0])
         return np.array([mean[first : first + len(term.columns)] for mean in self.means])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Profile:
-    """By how much the noise of a gyro in a run is larger than its models say: ``factor`` (f,) about ``hz`` (f,)."""
-
-    hz: Floats
-    factor: Floats
-
-    def at(self, hz: Floats) -> Floats:
-        """Return the factor (n,) at frequencies."""
-        edges = np.sqrt(self.hz[1:] * self.hz[:-1])
-        return np.asarray(self.factor[np.searchsorted(edges, hz)])
-
-    @classmethod
-    def of(cls, hz: Floats, squares: Floats, freedom: Floats, *, less: bool) -> "Profile":
-        """Return that of what is left by band (n,); 1 where that may be chance, or smaller and not ``less``.
-
-        Neighbouring bands are taken together until they tell something.
-        """
-        from scipy.special import gammainc, gammaincc  # of the chi-square; scipy.stats takes a second to import
-
-        order = np.argsort(hz)
-        hz, squares, freedom = hz[order], squares[order], freedom[order]
-        group = np.floor(np.concatenate([[0.0], np.cumsum(freedom)[:-1]]) / _TELLING).astype(np.intp)
-        _, group = np.unique(group, return_inverse=True)
-        total, count = np.maximum(np.bincount(group, squares), 1e-12), np.bincount(group, freedom)
-        ratio = total / count
-        unlike = (gammaincc(count / 2, total / 2) < _BY_CHANCE) & (ratio > 1)
-        unlike |= less & (gammainc(count / 2, total / 2) < _BY_CHANCE)
-        middle = np.exp(np.bincount(group, np.log(np.maximum(hz, 1e-12))) / np.bincount(group))
-        return cls(middle, np.where(unlike, ratio, 1.0))
-
-
-_EVEN = Profile(np.ones(1), np.ones(1))
 
 
 def log_mean(values: Floats, log_weights: Floats | None = None) -> float:
@@ -162,7 +125,7 @@ class Evidence:
 
     def density(self, gyro: GyroSpectra, stretch: Stretch) -> Floats:
         """Return the variance (G, bands) of a coefficient over that of white noise, what is beyond the models in it."""
-        more = self.excess.get((gyro.name, stretch.run), _EVEN)
+        more = self.excess.get((gyro.name, stretch.run), AS_MODELLED)
         return self.shapes.density(stretch) * more.at(stretch.band_hz)
 
     def gram(self, rows: Numbers, columns: Numbers) -> Floats:
@@ -198,7 +161,7 @@ class Evidence:
             for n, (gyro, (_, hz, _, squares, freedom)) in enumerate(zip(self.gyros, self._left(terms), strict=True)):
                 if level_only:
                     self.level[n] = max(squares.sum() / max(freedom.sum(), 1.0), (float(least[n]) / gyro.arw) ** 2)
-                profile = _EVEN if level_only else Profile.of(hz, squares, freedom, less=True)
+                profile = AS_MODELLED if level_only else Profile.of(hz, squares, freedom, less=True)
                 profile = replace(profile, factor=self.level[n] * profile.factor)
                 self.excess.update(dict.fromkeys(((gyro.name, s.run) for s in gyro.stretches), profile))
             self.refresh()

@@ -23,6 +23,8 @@ _SINGLE = 12  # so many of the lowest frequencies of a stretch have a band of th
 _WHITE = 0.6  # expected before the data: that a kind of coloured noise is too small to matter
 _STATED_SPREAD = np.log(3.0)  # how far a device's instability may be from its data sheet
 _LEAST = 0.05  # expectation of no coloured noise at most, where the data sheet states some
+_TELLING, _BY_CHANCE = 8.0, 1e-4
+"""Degrees of freedom in which a level of noise is looked for, and its probability by chance."""
 _TURN_ON, _TURN_ON_EXPECTED = np.array([0.0, 0.2, 2.0, 50.0]), np.array([0.45, 0.2, 0.2, 0.15])
 
 
@@ -126,6 +128,42 @@ def _expected(sizes: Floats, stated: float) -> tuple[Floats, Floats]:
     chance = np.exp(-0.5 * (np.log(np.maximum(values, least) / max(stated, least)) / _STATED_SPREAD) ** 2)
     chance[0] = chance[0] if stated < sizes[0] else min(chance[0], _LEAST)
     return values, chance / chance.sum()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Profile:
+    """By how much the noise of a gyro in a run is larger than its models say: ``factor`` (f,) about ``hz`` (f,)."""
+
+    hz: Floats
+    factor: Floats
+
+    def at(self, hz: Floats) -> Floats:
+        """Return the factor (n,) at frequencies."""
+        edges = np.sqrt(self.hz[1:] * self.hz[:-1])
+        return np.asarray(self.factor[np.searchsorted(edges, hz)])
+
+    @classmethod
+    def of(cls, hz: Floats, squares: Floats, freedom: Floats, *, less: bool) -> "Profile":
+        """Return that of what is left by band (n,); 1 where that may be chance, or smaller and not ``less``.
+
+        Neighbouring bands are taken together until they tell something.
+        """
+        from scipy.special import gammainc, gammaincc  # of the chi-square; scipy.stats takes a second to import
+
+        order = np.argsort(hz)
+        hz, squares, freedom = hz[order], squares[order], freedom[order]
+        group = np.floor(np.concatenate([[0.0], np.cumsum(freedom)[:-1]]) / _TELLING).astype(np.intp)
+        _, group = np.unique(group, return_inverse=True)
+        total, count = np.maximum(np.bincount(group, squares), 1e-12), np.bincount(group, freedom)
+        ratio = total / count
+        unlike = (gammaincc(count / 2, total / 2) < _BY_CHANCE) & (ratio > 1)
+        unlike |= less & (gammainc(count / 2, total / 2) < _BY_CHANCE)
+        middle = np.exp(np.bincount(group, np.log(np.maximum(hz, 1e-12))) / np.bincount(group))
+        return cls(middle, np.where(unlike, ratio, 1.0))
+
+
+AS_MODELLED = Profile(np.ones(1), np.ones(1))
+"""Noise that is what its models say."""
 
 
 @dataclass(slots=True, eq=False)
