@@ -175,12 +175,12 @@ class Evidence:
         found = []
         for gyro, densities, model in zip(self.gyros, self._densities, best.tolist(), strict=True):
             density = densities[model]
-            products = gyro.products[:, columns[:, None], columns]
-            gram = np.tensordot(1 / density, products, 1)
+            products = gyro.products[columns[:, None], columns]
+            gram = products @ (1 / density)
             covariance = np.linalg.inv(gram[:-1, :-1] + np.diag(np.concatenate([1 / gyro.prior, precision])))
             left = np.append(-covariance @ gram[:-1, -1], 1.0)  # what of each column is in what is left
-            squares = np.maximum(products @ left @ left, 0.0) / density
-            fitted = np.tensordot(products, np.pad(covariance, ((0, 1), (0, 1))), 2) / density
+            squares = np.maximum(left @ np.tensordot(left, products, 1), 0.0) / density
+            fitted = np.tensordot(np.pad(covariance, ((0, 1), (0, 1))), products, 2) / density
             counts = np.concatenate([stretch.counts for stretch in gyro.stretches])
             used = np.concatenate([stretch.used * stretch.counts for stretch in gyro.stretches])
             run = np.concatenate([np.full(len(stretch.counts), stretch.run) for stretch in gyro.stretches])

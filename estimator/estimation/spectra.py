@@ -5,6 +5,7 @@ has independent coefficients, exactly (its increments mirror at both ends); flic
 weight for each frequency, and the products of all columns, summed within narrow bands, serve every noise model.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -171,7 +172,7 @@ class GyroSpectra:
     """One gyro over all runs: its columns in the cosine domain, and their products by band.
 
     ``columns`` holds for each stretch (b, c): the four states first, then z, then those of effects as they are added;
-    ``products`` (bands of all stretches, c, c) likewise. All are over the white noise of one block, of which ``arw`` is
+    ``products`` (c, c, bands of all stretches) likewise. All are over the white noise of one block, of which ``arw`` is
     the density.
     """
 
@@ -204,16 +205,16 @@ class GyroSpectra:
         for stretch, bands, own, new in zip(self.stretches, self.bands(), self.columns, turned, strict=True):
             own[:, numbers] = new * (np.sqrt(stretch.length_s) / self.arw)
             border = stretch.by_band(own, own[:, numbers])
-            self.products[bands, :, numbers] = border
-            self.products[bands, numbers, :] = border.transpose(0, 2, 1)
+            self.products[:, numbers, bands] = border.transpose(1, 2, 0)
+            self.products[numbers, :, bands] = border.transpose(2, 1, 0)
 
     def widen(self, count: int) -> None:
         """Make room for so many columns; those that are new are zero."""
-        old, more = self.products.shape[1], count - self.columns[0].shape[1]
+        old, more = len(self.products), count - self.columns[0].shape[1]
         if more > 0:
             self.columns = [np.pad(own, ((0, 0), (0, more))) for own in self.columns]
-            products = np.zeros((sum(len(stretch.counts) for stretch in self.stretches), count, count))
-            products[: len(self.products), :old, :old] = self.products
+            products = np.zeros((count, count, sum(len(stretch.counts) for stretch in self.stretches)))
+            products[:old, :old, : self.products.shape[-1]] = self.products
             self.products = products
 
     def subtract(self, parts: Sequence[Floats]) -> None:
@@ -222,7 +223,7 @@ class GyroSpectra:
             self.columns[i] = self.columns[i].copy()
             self.columns[i][:, Z] -= cosines(part)[:, 0] * (np.sqrt(stretch.length_s) / self.arw)
             border = stretch.by_band(self.columns[i], self.columns[i][:, [Z]])[:, :, 0]
-            self.products[bands, :, Z] = self.products[bands, Z, :] = border
+            self.products[:, Z, bands] = self.products[Z, :, bands] = border.T
 
     def bands(self) -> list[slice]:
         """Return which bands are those of each stretch."""
@@ -232,12 +233,12 @@ class GyroSpectra:
     def only(self, keep: Sequence[int]) -> "GyroSpectra":
         """Return the gyro with only the stretches of these numbers."""
         bands = self.bands()
-        products = [self.products[:0], *(self.products[bands[n]] for n in keep)]
+        products = [self.products[..., :0], *(self.products[..., bands[n]] for n in keep)]
         return replace(
             self,
             stretches=[self.stretches[n] for n in keep],
             columns=[self.columns[n] for n in keep],
-            products=np.concatenate(products),
+            products=np.concatenate(products, axis=-1),
         )
 
     def gram(self, densities: Floats, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Floats:
@@ -245,7 +246,10 @@ class GyroSpectra:
 
         Numbers of ``rows`` and ``columns`` are taken in pairs, as they broadcast.
         """
-        return np.tensordot(1 / densities, self.products[:, rows, columns], 1)
+        products = self.products[rows, columns]
+        *pairs, bands = products.shape
+        summed = 1 / densities @ products.reshape(math.prod(pairs), bands).T
+        return np.asarray(summed.reshape(len(densities), *pairs))
 
 
 Z = 4

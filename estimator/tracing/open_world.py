@@ -75,7 +75,7 @@ def functions_of(search: Search) -> tuple[Columns, Floats]:
     for gyro in search.evidence.gyros:
         for stretch, bands in zip(gyro.stretches, gyro.bands(), strict=True):
             beside_mean = slice(bands.start + 1, bands.stop)  # the mean of a stretch is a band of its own
-            squares += gyro.products[beside_mean, columns, columns].sum(axis=0) * gyro.arw**2
+            squares += gyro.products[columns, columns, beside_mean].sum(axis=1) * gyro.arw**2
             seconds += len(stretch.band) * stretch.length_s
     rms = np.sqrt(squares / seconds)
     seen = rms > 1e-9 * rms.max(initial=1e-30)
