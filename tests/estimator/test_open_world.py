@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from open_worlds.answers import dependences
-from open_worlds.cases import ARRAY, HALVES, STATES, Case, cases_of, made, scene_of, sizes_of
+from open_worlds.cases import ARRAY, HALVES, KINDS, STATES, Case, cases_of, made, scene_of, sizes_of
 from open_worlds.clean import REFERENCES, CleanCase, clean_recording
-from open_worlds.effects import KINDS, last_sign, played
+from open_worlds.effects import Scene, last_sign, played
+from open_worlds.fresh_sealed import relayed
 from open_worlds.motion import DEG, motion_of
 from open_worlds.oracle import oracle_of
 
@@ -18,11 +19,20 @@ from estimator.recordings.reference import TableReadings
 CHANCE = 3.0
 
 
+def scene_without_noise(case: Case, number: int) -> Scene:
+    """Return what the effect of a case sees of one run, with an output of nothing."""
+    return scene_of(case, number, np.zeros((len(motion_of(case.scripts[number]).t_s), len(ARRAY))))
+
+
+def columns_of(case: Case, number: int) -> np.ndarray:
+    """Return the effect of a case at size 1 in one run, as each gyro feels it."""
+    scene = scene_without_noise(case, number)
+    return np.broadcast_to(case.law.law(scene), scene.output_rps.shape)
+
+
 def column_of(case: Case, number: int) -> np.ndarray:
     """Return the effect of a case at size 1 in one run, as the first gyro feels it."""
-    law = case.law.law
-    shape = (len(motion_of(case.scripts[number]).t_s), len(ARRAY))
-    return np.broadcast_to(law(scene_of(case, number, np.zeros(shape))), shape)[:, 0]
+    return columns_of(case, number)[:, 0]
 
 
 def test_a_lagged_temperature_obeys_the_equation_of_a_first_order_lag() -> None:
@@ -66,6 +76,52 @@ def test_a_play_moves_what_follows_only_when_its_gap_is_used_up() -> None:
     np.testing.assert_array_equal(played(there_and_back, 1.0), [0.0, 0.0, 3.0, 3.0, 3.0, 2.0])
 
 
+def test_a_relay_holds_between_its_two_limits() -> None:
+    up_and_down = np.array([0.0, 3.0, 5.0, 3.0, 1.0, 3.0])
+    np.testing.assert_array_equal(relayed(up_and_down, 2.0, 4.0), [1, 1, 0, 0, 1, 1])
+
+
+def test_a_ring_laser_without_dither_beats_by_the_root_of_squares_beyond_its_threshold_and_not_within() -> None:
+    case = Case("lock_in", 1.0, 0)
+    rate = scene_without_noise(case, 2).u_rps[:, 0]
+    output = rate + column_of(case, 2)
+    turning = np.abs(rate) > 2 * DEG
+    threshold_rps = np.sqrt(rate[turning] ** 2 - output[turning] ** 2)
+    np.testing.assert_allclose(threshold_rps, threshold_rps[0])
+    within = np.abs(rate) < 0.99 * threshold_rps[0]
+    assert (within & (rate != 0)).sum() > 10
+    np.testing.assert_allclose(output[within], 0.0, atol=1e-12)
+
+
+def test_heat_comes_through_a_plate_as_the_equation_of_diffusion_says() -> None:
+    case = Case("diffused_temperature", 1.0, 0)
+    scene = scene_without_noise(case, 1)
+    diffusion_s = scene.fixed.uniform(120, 270)  # the first thing that the law draws
+    cells = 40
+    share = 0.01 * cells**2 / diffusion_s  # that neighbours exchange of their difference within a sample
+    plate_c = np.zeros(cells)
+    far_c = []
+    for face_c in scene.warmth_c[:10000].tolist():
+        outer = np.concatenate([[2 * face_c - plate_c[0]], plate_c, plate_c[-1:]])
+        plate_c = plate_c + share * np.diff(outer, 2)
+        far_c.append(plate_c[-1])
+    assert far_c[-1] > 1.0
+    np.testing.assert_allclose(column_of(case, 1)[: len(far_c)] / (0.008 * DEG), far_c, atol=0.01)
+
+
+def test_a_wobbling_axis_leans_as_it_did_when_it_has_come_round() -> None:
+    case = Case("axis_wobble", 1.0, 0)
+    scene = scene_without_noise(case, 0)
+    in_body = columns_of(case, 0) @ np.linalg.pinv(ARRAY.p).T
+    in_base = np.einsum("nij,nj->ni", scene.motion.attitude, in_body)
+    tilt_rad = np.cumsum(in_base, axis=0) * 0.01
+    spun = scene.rate("z") > 0
+    angle, leaning = scene.angle("z")[spun], tilt_rad[spun]
+    rounds = [np.argmin(np.abs(angle - 2 * np.pi * turn)) for turn in range(4)]
+    assert np.ptp(leaning[:, :2], axis=0).min() > 1e-3
+    np.testing.assert_allclose(leaning[rounds], 0.0, atol=2e-5)
+
+
 def test_the_last_direction_stays_through_a_rest() -> None:
     rates = np.array([[0.0], [1.0], [0.0], [-1.0], [0.0]])
     np.testing.assert_array_equal(last_sign(rates)[:, 0], [0, 1, 1, -1, -1])
@@ -90,12 +146,32 @@ def test_who_knows_the_law_is_wrong_by_chance_only() -> None:
     assert oracle.error_rps < CHANCE * oracle.chance_rps < 0.5 * world.effect_rps
 
 
-def test_every_kind_is_in_both_halves_and_no_case_is_in_two() -> None:
+def test_every_case_is_in_one_half_and_a_newer_kind_as_a_whole() -> None:
     halves = [set(cases_of(list(KINDS), [1.0, 0.3], 4, half)) for half in HALVES]
-    assert not halves[0] & halves[1]
-    assert halves[0] | halves[1] == set(cases_of(list(KINDS), [1.0, 0.3], 4))
-    assert all({case.kind for case in half} == set(KINDS) for half in halves)
-    assert sum(kind.measured for kind in KINDS.values()) >= 36
+    everything = set(cases_of(list(KINDS), [1.0, 0.3], 4))
+    assert sum(len(half) for half in halves) == len(everything)
+    assert set().union(*halves) == everything
+    development, sealed, fresh, fresh_sealed = ({case.kind for case in half} for half in halves)
+    assert development == sealed
+    assert len(fresh) == len(fresh_sealed) == 10
+    assert not fresh & fresh_sealed
+    assert not (fresh | fresh_sealed) & development
+
+
+def test_constants_of_the_newer_laws_are_those_of_the_device_and_not_of_the_run() -> None:
+    newer = [kind for kind in KINDS if Case(kind, 1.0, 0).half.startswith("fresh")]
+    for kind in newer:
+        case = Case(kind, 1.0, 0)
+        drawn = []
+        for number in range(3):
+            scene = scene_without_noise(case, number)
+            case.law.law(scene)
+            drawn.append((scene.fixed.random(), scene.anew.random()))
+        fixed, anew = zip(*drawn, strict=True)
+        assert len(set(fixed)) == 1
+        assert anew == tuple(np.random.default_rng(case.numbers(3, number)).random() for number in range(3))
+        another = columns_of(Case(kind, 1.0, 1), 1)
+        assert not np.allclose(columns_of(case, 1), another)
 
 
 def test_a_law_in_words_tells_what_it_depends_on() -> None:

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from estimator.geometry.array import SensorArray, tetrahedron
 from estimator.recordings.recording import ImuData, Recording
-from open_worlds.effects import KINDS, Kind, Scene
+from open_worlds import effects, fresh, fresh_sealed
+from open_worlds.effects import Kind, Scene
 from open_worlds.motion import DEG, SCRIPTS, SITE, motion_of
 from sims.physics.hidden.temperature import Temperature
 from station.opening import DeviceTruth, Hidden, simulate
@@ -30,7 +31,17 @@ SHAPES = {
     "linear": {"shape": "linear", "over": "360 s"},
     "cycle": {"shape": "cycle", "over": "300 s"},
 }
-HALVES = ("development", "sealed")
+SHAPES_BY_RUN = (
+    {"shape": "cycle", "over": "300 s"},
+    {"time_constant": "90 s"},
+    {"shape": "cycle", "over": "200 s"},
+)
+"""Courses of the temperature that differ between runs, so that what has a memory is no function of time alone."""
+
+KINDS: dict[str, Kind] = {**effects.KINDS, **fresh.KINDS, **fresh_sealed.KINDS}
+HALVES = ("development", "sealed", "fresh", "fresh-sealed")
+"""Cases of the older kinds are in one of the first two, by a hash; newer kinds are in one of the others as a whole."""
+
 _QUIET_DPS = 1e-7
 
 
@@ -44,9 +55,13 @@ class Case:
 
     @property
     def half(self) -> str:
-        """The half it belongs to: of two successive seeds of a kind, a hash takes one for each."""
+        """The half it belongs to: of two successive seeds of an older kind, a hash takes one for each."""
+        if self.kind in fresh.KINDS:
+            return "fresh"
+        if self.kind in fresh_sealed.KINDS:
+            return "fresh-sealed"
         digest = hashlib.sha256(f"{self.kind}/{self.seed // 2}".encode()).digest()
-        return HALVES[(digest[0] + self.seed) % 2]
+        return HALVES[:2][(digest[0] + self.seed) % 2]
 
     @property
     def law(self) -> Kind:
@@ -57,11 +72,17 @@ class Case:
         """Return a seed for random numbers of this case."""
         return [int.from_bytes(hashlib.sha256(self.kind.encode()).digest()[:4], "big"), self.seed, *what]
 
-    @property
-    def shape(self) -> str:
-        """Course of the temperature. A linear one equals time, so only kinds that are about temperature may have it."""
-        choices = list(SHAPES) if self.law.thermal else ["exponential", "cycle"]
-        return self.law.shape or choices[self.seed % len(choices)]
+    def temperature(self, number: int) -> dict[str, str]:
+        """Return the course of the temperature in run ``number``, in words of the twin's hidden effects.
+
+        A linear one equals time, so only kinds that are about temperature may have it.
+        """
+        if self.law.shape == "by run":
+            shape = SHAPES_BY_RUN[number]
+        else:
+            choices = list(SHAPES) if self.law.thermal else ["exponential", "cycle"]
+            shape = SHAPES[self.law.shape or choices[self.seed % len(choices)]]
+        return {"rise": f"{RISE_C} degC", **shape}
 
     @property
     def has_temperature(self) -> bool:
@@ -131,7 +152,9 @@ def scene_of(case: Case, number: int, output_rps: Floats, *, quiet: bool = False
     return Scene(
         motion,
         ARRAY.p,
-        _profile(case).above(motion.t_s),
+        ARRAY.j,
+        ARRAY.k,
+        _profile(case, number).above(motion.t_s),
         output_rps,
         number,
         np.random.default_rng(case.numbers(2)),
@@ -142,8 +165,8 @@ def scene_of(case: Case, number: int, output_rps: Floats, *, quiet: bool = False
     )
 
 
-def _profile(case: Case) -> Temperature:
-    profile = Hidden.of({"temperature": {"rise": f"{RISE_C} degC", **SHAPES[case.shape]}}).temperature
+def _profile(case: Case, number: int) -> Temperature:
+    profile = Hidden.of({"temperature": case.temperature(number)}).temperature
     assert profile is not None
     return profile
 
@@ -161,7 +184,7 @@ def _simulated(case: Case, number: int, *, quiet: bool) -> Recording:
         rate_hz=RATE_HZ,
         kind="tetrahedron",
     )
-    hidden = Hidden.of({"temperature": {"rise": f"{RISE_C} degC", **SHAPES[case.shape]}})
+    hidden = Hidden.of({"temperature": case.temperature(number)})
     noise = case.numbers(4, number)
     seed = int(np.random.default_rng(noise).integers(2**31))
     return simulate(SCRIPTS[case.scripts[number]], {"array": device}, seed, site=SITE, hidden=hidden)

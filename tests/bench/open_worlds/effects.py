@@ -30,15 +30,18 @@ _G_MPS2 = 9.80665
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """One run: its motion, sense axes ``p`` (m, 3), warmth above that of its start (n,), what gyros put out (n, m).
+    """One run: its motion, warmth above that of its start (n,), what gyros put out (n, m).
 
-    ``number`` counts the runs of a session, ``fixed`` gives the same numbers in each of them, ``anew`` others. ``size``
-    is for kinds that are not in proportion to it; ``white_rps`` is the noise of a sample, and ``quiet`` asks for what
-    the effect is on the average over that noise.
+    The gyros' sense axes ``p`` and tilt axes ``j``, ``k`` (m, 3) are in body axes. ``number`` counts the runs of a
+    session, ``fixed`` gives the same numbers in each of them, ``anew`` others. ``size`` is for kinds that are not in
+    proportion to it; ``white_rps`` is the noise of a sample, and ``quiet`` asks for what the effect is on the average
+    over that noise.
     """
 
     motion: Motion
     p: Floats
+    j: Floats
+    k: Floats
     warmth_c: Floats
     output_rps: Floats
     number: int
@@ -108,6 +111,7 @@ class Kind:
     the law, true as far as they go. ``common``: all gyros have the same size. ``tilted``: it takes turns about an axis
     while another is tilted. ``thermal``: the temperature is in the recordings. ``noise``: nothing of it can be known.
     ``sized``: the law makes its size itself. ``shape`` is that of the temperature where the kind needs one.
+    ``of_table``: the table's readings err, not the gyro.
     """
 
     name: str
@@ -121,29 +125,51 @@ class Kind:
     thermal: bool = False
     noise: bool = False
     sized: bool = False
+    of_table: bool = False
     shape: str = ""
     arw_dps: float = 0.005
 
 
+Law = Callable[[Scene], Floats]
+
+
+@dataclass(frozen=True, slots=True)
+class Registry:
+    """Collects kinds by name: an instance decorates laws, each of which is registered under its function's name."""
+
+    kinds: dict[str, Kind]
+
+    def __call__(
+        self, depends_on: str, *, equivalents: str = "", parts: str = "", **flags: Any
+    ) -> Callable[[Law], Law]:
+        """Return the decorator for one law; sets are given as words, ``flags`` are fields of ``Kind``."""
+
+        def register(law: Law) -> Law:
+            self.kinds[law.__name__] = Kind(
+                name=law.__name__,
+                law=law,
+                depends_on=frozenset(depends_on.split()),
+                equivalents=frozenset(equivalents.split()),
+                parts=frozenset(parts.split()),
+                **flags,
+            )
+            return law
+
+        return register
+
+
 KINDS: dict[str, Kind] = {}
-
-
-def _kind(
-    depends_on: str, *, equivalents: str = "", parts: str = "", **flags: Any
-) -> Callable[[Callable[[Scene], Floats]], Callable[[Scene], Floats]]:
-    """Register a law under the name of its function; sets are given as words, ``flags`` are fields of ``Kind``."""
-
-    def register(law: Callable[[Scene], Floats]) -> Callable[[Scene], Floats]:
-        depends, same, leading = (frozenset(words.split()) for words in (depends_on, equivalents, parts))
-        KINDS[law.__name__] = Kind(law.__name__, law, depends, equivalents=same, parts=leading, **flags)
-        return law
-
-    return register
+_kind = Registry(KINDS)
 
 
 def column(values: NDArray[Any]) -> Floats:
     """Return values (n,) as what every gyro feels (n, 1)."""
     return np.asarray(values[:, None], dtype=np.float64)
+
+
+def along_axis(scene: Scene, axis: str) -> Floats:
+    """Return the cosine (n, m) between an axis of the table and each sense axis."""
+    return np.asarray(scene.motion.axes[:, GIMBALS.index(axis)] @ scene.p.T)
 
 
 def played(values: Floats, half_width: float) -> Floats:
@@ -419,12 +445,12 @@ def half_angle_difference(scene: Scene) -> Floats:
     return column(0.03 * DEG * np.cos(0.5 * (scene.angle("x") - scene.angle("z"))))
 
 
-@_kind("angle rate", common=True)
+@_kind("angle rate", common=True, of_table=True)
 def encoder_eccentricity(scene: Scene) -> Floats:
     return _eccentric(scene, 1)
 
 
-@_kind("angle rate", common=True)
+@_kind("angle rate", common=True, of_table=True)
 def encoder_third(scene: Scene) -> Floats:
     return _eccentric(scene, 3)
 
@@ -448,8 +474,7 @@ def _eccentric(scene: Scene, order: int) -> Floats:
     """Return the rate that an encoder with a harmonic error of the angle hides: all gyros feel it by their axes."""
     axis = scene.axis()
     share = np.cos(order * scene.angle(axis) - scene.fixed.uniform(0, 2 * np.pi))
-    along = scene.motion.axes[:, GIMBALS.index(axis)] @ scene.p.T
-    return 1.5e-3 * column(scene.rate(axis) * share) * along
+    return 1.5e-3 * column(scene.rate(axis) * share) * along_axis(scene, axis)
 
 
 # --- what was not measured
