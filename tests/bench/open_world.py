@@ -1,8 +1,10 @@
 """Effects that are not in the catalogue: what station investigate says of them, judged by the truth.
 
 python tests/bench/open_world.py                           development half, sizes 1 and 0.3
-python tests/bench/open_world.py --kinds rate_sign chirp --sizes 1 --seeds 2
-python tests/bench/open_world.py --half sealed             once, at the end
+python tests/bench/open_world.py --half fresh              ten newer kinds
+python tests/bench/open_world.py --half all --kinds rate_sign chirp --sizes 1 --seeds 2
+python tests/bench/open_world.py --half sealed             once, at the end; so is fresh-sealed
+python tests/bench/open_world.py --half fresh-sealed --oracle    whether the scripts show them: no investigation
 python tests/bench/open_world.py --clean 100               noise only: nothing may be added
 python tests/bench/open_world.py --list                    kinds, and what may honestly be said of each
 """
@@ -20,10 +22,10 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from open_worlds.answers import Answer, answer_of
-from open_worlds.cases import HALVES, cases_of
+from open_worlds.cases import HALVES, KINDS, Case, cases_of, made
 from open_worlds.clean import CleanAnswer, clean_answer_of, clean_cases, clean_score
-from open_worlds.effects import KINDS
-from open_worlds.score import by_kind, scored
+from open_worlds.oracle import Oracle, oracle_of
+from open_worlds.score import by_kind, excited, scored
 
 from station.campaigns.campaigns import run_all
 
@@ -45,6 +47,19 @@ def foreign(arguments: argparse.Namespace) -> None:
         print(f"failed: {failure.item}: {failure.reason}")
     if arguments.json:
         _store(arguments.json, answers)
+
+
+def oracle_alone(case: Case) -> tuple[Case, Oracle]:
+    """Return what who knows the law makes of a case."""
+    return case, oracle_of(case, made(case))
+
+
+def shown(arguments: argparse.Namespace) -> None:
+    cases = cases_of(arguments.kinds, arguments.sizes, arguments.seeds, arguments.half)[: arguments.most]
+    ended, failures = run_all(oracle_alone, cases, label="cases", workers=arguments.workers)
+    print("\n".join(excited([pair for pair in ended if pair is not None])))
+    for failure in failures:
+        print(f"failed: {failure.item}: {failure.reason}")
 
 
 def clean(arguments: argparse.Namespace) -> None:
@@ -72,10 +87,13 @@ if __name__ == "__main__":
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--clean", type=int, metavar="COUNT", help="so many recordings of noise instead")
     parser.add_argument("--json", type=Path, help="every answer, as JSON")
+    parser.add_argument("--oracle", action="store_true", help="errors of who knows the law, and of the states alone")
     parser.add_argument("--list", action="store_true")
     arguments = parser.parse_args()
     if arguments.list:
         listed()
+    elif arguments.oracle:
+        shown(arguments)
     elif arguments.clean:
         clean(arguments)
     else:

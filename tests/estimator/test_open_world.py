@@ -144,6 +144,7 @@ def test_who_knows_the_law_is_wrong_by_chance_only() -> None:
     world = made(case)
     oracle = oracle_of(case, world)
     assert oracle.error_rps < CHANCE * oracle.chance_rps < 0.5 * world.effect_rps
+    assert oracle.gain > 3
 
 
 def test_every_case_is_in_one_half_and_a_newer_kind_as_a_whole() -> None:

@@ -22,19 +22,26 @@ _SHARE = 0.664 / 0.775  # IEEE Std 952: a floor of 0.664 B, and that of a decade
 
 @dataclass(frozen=True, slots=True)
 class Oracle:
-    """True rms error on the verification run (rad/s) of who knows the law; ``chance_rps`` is that of noise alone.
+    """True rms errors on the verification run (rad/s) of fits that know the noise.
 
-    The latter is what the noise of these recordings makes of the states, if nothing else is there.
+    ``error_rps`` is that of the states and the law, ``states_rps`` that of the states alone, ``chance_rps`` what the
+    noise of these recordings makes of the states if nothing else is there.
     """
 
     error_rps: float
+    states_rps: float
     chance_rps: float
+
+    @property
+    def gain(self) -> float:
+        """By how much knowing the law lowers the error: a case in which it hardly does shows nothing."""
+        return self.states_rps / self.error_rps
 
 
 def oracle_of(case: Case, made: Made) -> Oracle:
-    """Return the oracle's error; NaN for a kind that is no function of what was measured."""
+    """Return the oracle's errors; that with the law is NaN for a kind that is no function of what was measured."""
     motions = [motion_of(name) for name in case.scripts]
-    squares, chances = [], []
+    squares, alone, chances = [], [], []
     for gyro in range(len(ARRAY)):
         largest = max(float(np.abs(c[:, gyro]).max()) for c in made.columns)
         designs = [
@@ -49,13 +56,19 @@ def oracle_of(case: Case, made: Made) -> Oracle:
             white.append(solve_triangular(root, _means(design), lower=True))
             truth.append(solve_triangular(root, _means(z[:, None]), lower=True))
         fitted, wanted = np.vstack(white), np.vstack(truth)[:, 0]
-        coefficients = np.linalg.lstsq(fitted, wanted, rcond=None)[0]
-        left = _output_error(made.clean, motions[2], gyro) - designs[2] @ coefficients
-        squares.append(np.mean(left**2))
+        held_out = _output_error(made.clean, motions[2], gyro)
+        squares.append(_held_out_square(fitted, wanted, designs[2], held_out))
+        alone.append(_held_out_square(fitted[:, :4], wanted, designs[2][:, :4], held_out))
         covariance = np.linalg.inv(fitted[:, :4].T @ fitted[:, :4])
         chances.append(np.mean(np.einsum("ni,ij,nj->n", designs[2][:, :4], covariance, designs[2][:, :4])))
     error = float(np.sqrt(np.mean(squares))) if case.law.measured else float("nan")
-    return Oracle(error, float(np.sqrt(np.mean(chances))))
+    return Oracle(error, float(np.sqrt(np.mean(alone))), float(np.sqrt(np.mean(chances))))
+
+
+def _held_out_square(fitted: Floats, wanted: Floats, design: Floats, held_out: Floats) -> float:
+    """Return the mean square of what a least-squares fit leaves of a run that it has not seen."""
+    coefficients = np.linalg.lstsq(fitted, wanted, rcond=None)[0]
+    return float(np.mean((held_out - design @ coefficients) ** 2))
 
 
 def _states(motion: Motion, gyro: int) -> Floats:

@@ -8,8 +8,12 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 
 from open_worlds.answers import Addition, Answer, in_dph
+from open_worlds.cases import Case
+from open_worlds.oracle import Oracle
 
 _STATED = 0.95
+_EXCITED = 3.0
+"""By how much knowing a law has to lower the error, at size 1, for a case to show anything."""
 
 
 def scored(answers: Sequence[Answer]) -> list[str]:
@@ -46,6 +50,20 @@ def by_kind(answers: Sequence[Answer]) -> list[str]:
         own = [a for a in answers if (a.case.kind, a.case.size) == (kind, size)]
         figures = [_median([in_dph(get(a)) for a in own]) for get in _FIGURES]
         lines.append(f"{kind:30s} {size:4g} " + " ".join(f"{f:7.1f}" for f in figures) + "  " + _told(own))
+    return lines
+
+
+def excited(cases: Sequence[tuple[Case, Oracle]]) -> list[str]:
+    """Return a line for each case: errors in deg/h of the states alone and of the oracle, and their ratio."""
+    lines = [f"{'kind':30s} size seed  states  oracle   ratio"]
+    for case, oracle in sorted(cases, key=lambda pair: (pair[0].kind, -pair[0].size, pair[0].seed)):
+        errors = f"{in_dph(oracle.states_rps):7.1f} {in_dph(oracle.error_rps):7.1f} {oracle.gain:7.1f}"
+        hidden = "  hardly shown" if oracle.gain < _EXCITED else ""
+        lines.append(f"{case.kind:30s} {case.size:4g} {case.seed:4d} {errors}{hidden}")
+    known = [(case, oracle) for case, oracle in cases if np.isfinite(oracle.gain)]
+    for size in sorted({case.size for case, _ in known}, reverse=True):
+        shown = [oracle.gain >= _EXCITED for case, oracle in known if case.size == size]
+        lines.append(f"size {size:g}: the law lowers the error {_EXCITED:g} times and more in {_share(shown)}")
     return lines
 
 
