@@ -5,6 +5,8 @@ python tests/bench/open_world.py --half fresh              ten newer kinds
 python tests/bench/open_world.py --half all --kinds rate_sign chirp --sizes 1 --seeds 2
 python tests/bench/open_world.py --half sealed             once, at the end; so is fresh-sealed
 python tests/bench/open_world.py --half fresh-sealed --oracle    whether the scripts show them: no investigation
+python tests/bench/open_world.py --half fresh --json new.json --compare old.json    what a change has changed
+python tests/bench/open_world.py --stored new.json --compare old.json    the same of answers that are there already
 python tests/bench/open_world.py --clean 100               noise only: nothing may be added
 python tests/bench/open_world.py --list                    kinds, and what may honestly be said of each
 """
@@ -14,20 +16,20 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from open_worlds.answers import Answer, answer_of
+from open_worlds.answers import answer_of
 from open_worlds.cases import HALVES, KINDS, Case, cases_of, made
-from open_worlds.clean import CleanAnswer, clean_answer_of, clean_cases, clean_score
+from open_worlds.clean import clean_answer_of, clean_cases, clean_score
 from open_worlds.oracle import Oracle, oracle_of
 from open_worlds.score import by_kind, excited, scored
+from open_worlds.stored import compared, load, store
 
-from station.campaigns.campaigns import run_all
+from station.campaigns.campaigns import Failure, run_all
 
 
 def listed() -> None:
@@ -39,14 +41,20 @@ def listed() -> None:
 
 
 def foreign(arguments: argparse.Namespace) -> None:
-    cases = cases_of(arguments.kinds, arguments.sizes, arguments.seeds, arguments.half)[: arguments.most]
-    ended, failures = run_all(answer_of, cases, label="cases", workers=arguments.workers)
-    answers = [a for a in ended if a is not None]
+    failures: list[Failure] = []
+    if arguments.stored:
+        answers = load(arguments.stored)
+    else:
+        cases = cases_of(arguments.kinds, arguments.sizes, arguments.seeds, arguments.half)[: arguments.most]
+        ended, failures = run_all(answer_of, cases, label="cases", workers=arguments.workers)
+        answers = [answer for answer in ended if answer is not None]
     print("\n".join([*by_kind(answers), "", *scored(answers)]))
     for failure in failures:
         print(f"failed: {failure.item}: {failure.reason}")
     if arguments.json:
-        _store(arguments.json, answers)
+        store(arguments.json, answers)
+    if arguments.compare:
+        print("\n".join(["", *compared(load(arguments.compare), answers)]))
 
 
 def oracle_alone(case: Case) -> tuple[Case, Oracle]:
@@ -70,11 +78,7 @@ def clean(arguments: argparse.Namespace) -> None:
     for failure in failures:
         print(f"failed: {failure.item}: {failure.reason}")
     if arguments.json:
-        _store(arguments.json, answers)
-
-
-def _store(path: Path, answers: Sequence[Answer] | Sequence[CleanAnswer]) -> None:
-    path.write_text(json.dumps([asdict(a) for a in answers], indent=1))
+        arguments.json.write_text(json.dumps([asdict(answer) for answer in answers], indent=1))
 
 
 if __name__ == "__main__":
@@ -87,6 +91,8 @@ if __name__ == "__main__":
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--clean", type=int, metavar="COUNT", help="so many recordings of noise instead")
     parser.add_argument("--json", type=Path, help="every answer, as JSON")
+    parser.add_argument("--stored", type=Path, metavar="JSON", help="judge these answers: no investigation")
+    parser.add_argument("--compare", type=Path, metavar="JSON", help="earlier answers: print which cases changed")
     parser.add_argument("--oracle", action="store_true", help="errors of who knows the law, and of the states alone")
     parser.add_argument("--list", action="store_true")
     arguments = parser.parse_args()

@@ -2,21 +2,61 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
-from open_worlds.answers import dependences
+from open_worlds.answers import Addition, Answer
 from open_worlds.cases import ARRAY, HALVES, KINDS, STATES, Case, cases_of, made, scene_of, sizes_of
 from open_worlds.clean import REFERENCES, CleanCase, clean_recording
 from open_worlds.effects import Scene, last_sign, played
 from open_worlds.fresh_sealed import relayed
+from open_worlds.judging import (
+    Outcome,
+    by_error_alone,
+    dependences,
+    outcome_of,
+    raised,
+    raised_as_told,
+    ratio_claims_too_much,
+    ratio_holds,
+)
 from open_worlds.motion import DEG, motion_of
 from open_worlds.oracle import oracle_of
+from open_worlds.stored import compared, load, store
 
 from estimator.estimation.calibrate import calibrate
 from estimator.geometry.model import predicted_output
 from estimator.recordings.reference import TableReadings
 
 CHANCE = 3.0
+
+
+def answer(kind: str, name: str, *, true_after: float, told_after: float = 1.0, expression: str = "") -> Answer:
+    """Return an answer with one addition, where the error was 10 and an oracle's is 2; stated: 10 to 20 times less."""
+    return Answer(
+        case=Case(kind, 1.0, 0),
+        verdict="added",
+        reason="",
+        added=(Addition(name, 0.99, bool(expression), expression),),
+        rivals=(),
+        depends_on="",
+        true_before=10.0,
+        true_after=true_after,
+        oracle=2.0,
+        chance=0.5,
+        told_before=10.0,
+        told_after=told_after,
+        ratio=10.0 / told_after,
+        low=5.0 / told_after,
+        high=20.0 / told_after,
+        scales=12,
+        biases=4,
+        biases_met=4,
+        effect=10.0,
+        cpu_s=1.0,
+        peak_mb=100.0,
+    )
 
 
 def scene_without_noise(case: Case, number: int) -> Scene:
@@ -173,6 +213,47 @@ def test_constants_of_the_newer_laws_are_those_of_the_device_and_not_of_the_run(
         assert anew == tuple(np.random.default_rng(case.numbers(3, number)).random() for number in range(3))
         another = columns_of(Case(kind, 1.0, 1), 1)
         assert not np.allclose(columns_of(case, 1), another)
+
+
+def test_a_law_is_right_by_the_error_that_it_leaves_and_not_by_the_variables_that_it_names() -> None:
+    near = answer("rate_root", "law", true_after=2.9, expression="sqrt(|rate|)")
+    far = answer("rate_root", "law", true_after=3.1, expression="sqrt(|rate|)")
+    assert (outcome_of(near), outcome_of(far)) == (Outcome.RIGHT, Outcome.WRONG)
+
+
+def test_an_effect_of_the_catalogue_is_right_as_an_equivalent_or_by_its_error() -> None:
+    assert outcome_of(answer("walk_of_one", "bias_walk", true_after=9.0)) is Outcome.RIGHT
+    assert outcome_of(answer("rate_root", "scale_asymmetry", true_after=9.0)) is Outcome.WRONG
+    lucky = answer("rate_root", "scale_asymmetry", true_after=2.0)
+    assert outcome_of(lucky) is Outcome.RIGHT
+    assert by_error_alone(lucky, lucky.added[0])
+
+
+def test_errors_of_the_table_count_as_stated_and_nothing_is_right_that_no_oracle_can_know() -> None:
+    assert outcome_of(answer("encoder_third", "law", true_after=9.0, told_after=2.0)) is Outcome.RIGHT
+    assert outcome_of(answer("rate_root", "law", true_after=9.0, told_after=2.0)) is Outcome.WRONG
+
+
+def test_growth_is_told_from_chance_and_a_claim_from_the_truth() -> None:
+    assert raised(answer("rate_root", "law", true_after=10.5))
+    assert not raised(answer("rate_root", "law", true_after=10.01))
+    assert raised_as_told(answer("rate_root", "law", true_after=1.0, told_after=10.1))
+    holds = answer("rate_root", "law", true_after=1.0, told_after=1.0)
+    boasts = answer("rate_root", "law", true_after=2.5, told_after=1.0)
+    assert (ratio_holds(holds), ratio_claims_too_much(holds)) == (True, False)
+    assert (ratio_holds(boasts), ratio_claims_too_much(boasts)) == (False, True)
+
+
+def test_stored_answers_are_judged_again_and_what_changed_is_named(tmp_path: Path) -> None:
+    old = [answer("rate_root", "law", true_after=9.0), answer("lock_in", "law", true_after=9.0)]
+    store(tmp_path / "old.json", old)
+    read = load(tmp_path / "old.json")
+    assert read == old
+    now = [answer("rate_root", "law", true_after=2.0), answer("lock_in", "law", true_after=9.0)]
+    lines = compared(read, now)
+    assert "  wrong -> right: 1" in lines
+    assert [line for line in lines if line.startswith("rate_root")]
+    assert not [line for line in lines if line.startswith("lock_in")]
 
 
 def test_a_law_in_words_tells_what_it_depends_on() -> None:

@@ -1,8 +1,8 @@
-"""What the program answers to a case, and how true that is: values that can be stored and counted."""
+"""What the program answers to a case: values that can be stored, beside the true errors of the models it ends with."""
 
 from __future__ import annotations
 
-import re
+import resource
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,63 +18,31 @@ from estimator.tracing.augmented import Augmented
 from estimator.tracing.investigate import investigate
 from estimator.tracing.investigation import Added, GyroErrors, Investigation
 from open_worlds.cases import STATES, Case, made, sizes_of
-from open_worlds.motion import DEG
 from open_worlds.oracle import oracle_of
 
 Floats = NDArray[np.float64]
 
 _SIGMAS = 1.96
-_LIKE_ORACLE = 1.5
-_RAISED = 1.02  # errors that grow by less are the same error
-_BEYOND = 2.0
-_WORDS = {
-    "temperature": "temperature",
-    "thermal": "temperature",
-    "warmth": "temperature",
-    "time": "time",
-    "since": "time",
-    "power-on": "time",
-    "lagged": "time",
-    "angle": "angle",
-    "harmonic": "angle",
-    "cos": "angle",
-    "sin": "angle",
-    "acceleration": "acceleration",
-    "wdot": "acceleration",
-    "gravity": "gravity",
-    "force": "gravity",
-    "sign": "direction",
-    "direction": "direction",
-    "play": "direction",
-    "rate": "rate",
-}
-"""What the variables of a constructed law are about, by words of its expression."""
 
 
 @dataclass(frozen=True, slots=True)
 class Addition:
-    """An effect that was added.
-
-    ``right``: it says the same as the law; or it is a leading term of it, and all that was added leaves no more than
-    an oracle; or it was built, and leaves no more than an oracle or is of what the law depends on. ``part``: it is a
-    leading term of the law.
-    """
+    """An effect that was added: a name of the catalogue, or a law that was constructed, with its expression."""
 
     name: str
     probability: float
     constructed: bool
     expression: str
-    right: bool
-    part: bool
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
     """What came of a case. Errors are in rad/s: ``true_*`` on the verification run without noise, ``told_*`` stated.
 
-    ``scales`` counts k, sigma_j, sigma_k (12) whose 95 % interval holds, ``biases`` b (4) at the zero of the effect,
-    ``biases_met`` those whose interval meets what the bias really was within the runs. ``raised``: the error is larger
-    after than before, by more than the noise of the recordings makes it.
+    ``ratio``, ``low``, ``high``: the stated improvement and its interval, NaN if none was stated. ``scales`` counts k,
+    sigma_j, sigma_k (12) whose 95 % interval holds, ``biases`` b (4) at the zero of the effect, ``biases_met`` those
+    whose interval meets what the bias really was within the runs. ``cpu_s`` is the processor time of the investigation,
+    ``peak_mb`` the most memory that its process had until it ended, other cases before it included.
     """
 
     case: Case
@@ -95,77 +63,46 @@ class Answer:
     scales: int
     biases: int
     biases_met: int
-    raised: bool
     effect: float
-    seconds: float
-
-    @property
-    def like_oracle(self) -> bool:
-        """Whether the error after is below 1.5 times that of an oracle."""
-        return self.true_after < _LIKE_ORACLE * self.oracle
-
-    @property
-    def says_what_it_depends_on(self) -> bool:
-        """Whether the answer names one of the right things: as a law, an effect or a rival, or for what is left."""
-        rivals = [name for names in self.rivals for name in names]
-        names = [self.depends_on, *(f"{a.name} {a.expression}" for a in self.added), *rivals]
-        return bool(dependences(" ".join(names)) & self.case.law.depends_on)
-
-    @property
-    def ratio_holds(self) -> bool | None:
-        """Whether the stated interval holds the true ratio before : after; None if none is stated."""
-        if not np.isfinite(self.ratio):
-            return None
-        return self.low <= self.true_before / max(self.true_after, 1e-12) <= self.high
-
-
-def dependences(text: str) -> frozenset[str]:
-    """Return what a law or a reason in words is about: of time, rate, direction, angle, acceleration, ..."""
-    words = re.findall(r"[a-z-]+", text.lower().replace("_", " "))
-    return frozenset(_WORDS[word] for word in words if word in _WORDS)
+    cpu_s: float
+    peak_mb: float
 
 
 def answer_of(case: Case) -> Answer:
-    """Return what the program answers to a case, judged by the truth."""
+    """Return what the program answers to a case, beside the truth."""
     world = made(case)
-    began = time.perf_counter()
+    began_s = time.process_time()
     found = investigate(list(world.fitted), [world.verification])
-    seconds = time.perf_counter() - began
+    cpu_s = time.process_time() - began_s
+    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     oracle = oracle_of(case, world)
-    before, after = true_errors(found, world.clean)
-    ranges = _bias_ranges(case, world.columns)
-    scales, biases, met = covered(found, ranges)
+    true_before, true_after = true_errors(found, world.clean)
+    scales, biases, biases_met = covered(found, _bias_ranges(case, world.columns))
     improvement = found.improvement
-    solved = after < _LIKE_ORACLE * oracle.error_rps
     unexplained = found.unexplained
     return Answer(
-        case,
-        str(found.finding),
-        found.reason,
-        tuple(_addition(case, a, solved) for a in found.added),
-        found.rivals,
-        "" if unexplained is None else str(unexplained.depends_on),
-        before,
-        after,
-        oracle.error_rps,
-        oracle.chance_rps,
-        found.before.rms_rps,
-        found.after.rms_rps,
-        improvement.ratio if improvement else float("nan"),
-        improvement.low if improvement else float("nan"),
-        improvement.high if improvement else float("nan"),
-        scales,
-        biases,
-        met,
-        raised(before, after, oracle.chance_rps) and bool(found.added),
-        world.effect_rps,
-        seconds,
+        case=case,
+        verdict=str(found.finding),
+        reason=found.reason,
+        added=tuple(_addition(added) for added in found.added),
+        rivals=found.rivals,
+        depends_on="" if unexplained is None else str(unexplained.depends_on),
+        true_before=true_before,
+        true_after=true_after,
+        oracle=oracle.error_rps,
+        chance=oracle.chance_rps,
+        told_before=found.before.rms_rps,
+        told_after=found.after.rms_rps,
+        ratio=improvement.ratio if improvement else float("nan"),
+        low=improvement.low if improvement else float("nan"),
+        high=improvement.high if improvement else float("nan"),
+        scales=scales,
+        biases=biases,
+        biases_met=biases_met,
+        effect=world.effect_rps,
+        cpu_s=cpu_s,
+        peak_mb=peak_mb,
     )
-
-
-def raised(before: float, after: float, chance: float) -> bool:
-    """Return whether an error grew by more than the doubt that the noise leaves of the states."""
-    return after > _RAISED * before and after**2 - before**2 > (_BEYOND * chance) ** 2
 
 
 def true_errors(found: Investigation, clean: Recording) -> tuple[float, float]:
@@ -199,16 +136,8 @@ def _of(found: Investigation, name: str) -> GyroErrors:
     return next(gyro for gyro in found.gyros if gyro.name == name)
 
 
-def _addition(case: Case, added: Added, solved: bool) -> Addition:
-    constructed = bool(getattr(added, "constructed", False))
-    expression = str(getattr(added, "expression", ""))
-    law = case.law
-    if constructed:
-        about = dependences(f"{expression} {added.effect}")
-        right = solved or (bool(about) and about <= law.depends_on)
-    else:
-        right = added.effect in law.equivalents or (solved and added.effect in law.parts)
-    return Addition(added.effect, added.probability, constructed, expression, right, added.effect in law.parts)
+def _addition(added: Added) -> Addition:
+    return Addition(added.effect, added.probability, added.constructed, added.expression)
 
 
 def covered(found: Investigation, ranges: Floats) -> tuple[int, int, int]:
@@ -241,8 +170,3 @@ def _bias_ranges(case: Case, columns: Sequence[Floats]) -> Floats:
     """Return the least and the largest bias (m, 2) of each gyro: what an effect adds, a bias takes off."""
     added = np.vstack([sizes_of(case) * c for c in columns])
     return np.column_stack([STATES[:, 1] - added.max(axis=0), STATES[:, 1] - added.min(axis=0)])
-
-
-def in_dph(rate_rps: float) -> float:
-    """Return a rate in deg/h."""
-    return rate_rps / DEG * 3600
