@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from open_worlds.answers import Addition, Answer
+from open_worlds.answers import Addition, Answer, error_of_states
 from open_worlds.cases import ARRAY, HALVES, KINDS, STATES, Case, cases_of, made, scene_of, sizes_of
 from open_worlds.clean import REFERENCES, CleanCase, clean_recording
 from open_worlds.effects import Scene, last_sign, played
@@ -177,6 +177,11 @@ def test_the_verification_run_without_noise_holds_what_the_noisy_one_holds() -> 
     np.testing.assert_allclose(without, states, atol=2e-5)  # where a ramp begins, rates are those of half a step
     noise = world.verification.sources["array"].rate_rps - effect - states
     np.testing.assert_allclose(noise.std(axis=0), 0.05 * DEG, rtol=0.05)
+
+
+def test_true_states_leave_nothing_of_a_tilted_run_without_an_effect() -> None:
+    without_effect = made(Case("anisoinertia", 0.0, 0)).clean
+    assert error_of_states(STATES, without_effect) < 2 * DEG / 3600
 
 
 def test_who_knows_the_law_is_wrong_by_chance_only() -> None:

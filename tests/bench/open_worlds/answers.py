@@ -107,23 +107,33 @@ def answer_of(case: Case) -> Answer:
 
 def true_errors(found: Investigation, clean: Recording) -> tuple[float, float]:
     """Return the rms (rad/s) that the states alone, and the last model, leave of a recording without noise."""
-    run = runs_of(clean, 1 / 100)[0][0]  # every sample: short enough for tones
+    run = _by_sample(clean)
     assert found.model is not None
+    after = [run.z_rps[:, gyro] - _predicted(found.model, run, gyro) for gyro in range(len(run.array))]
+    before = [_of(found, name).states_before for name in run.array.names]
+    return error_of_states(np.array(before), clean), _rms(after, run)
+
+
+def error_of_states(states: Floats, clean: Recording) -> float:
+    """Return the rms (rad/s) that states (m, 4) leave of a recording without noise."""
+    run = _by_sample(clean)
     columns = run.state_columns()
-    left_before, left_after = [], []
-    for gyro, name in enumerate(run.array.names):
-        states = _of(found, name).states_before
-        left_before.append(run.z_rps[:, gyro] - columns[gyro] @ _encoded(states))
-        left_after.append(run.z_rps[:, gyro] - _predicted(found.model, run, gyro))
-    return _rms(left_before), _rms(left_after)
+    left = [run.z_rps[:, gyro] - columns[gyro] @ _encoded(own) for gyro, own in enumerate(states)]
+    return _rms(left, run)
+
+
+def _by_sample(clean: Recording) -> Run:
+    return runs_of(clean, 1 / 100)[0][0]  # blocks short enough for tones
 
 
 def _predicted(model: Augmented, run: Run, gyro: int) -> Floats:
     return np.asarray(model.predict(run, 99, gyro)[0])  # the number of a run that was not fitted
 
 
-def _rms(left: Sequence[Floats]) -> float:
-    return float(np.sqrt(np.mean(np.square(left))))
+def _rms(left: Sequence[Floats], run: Run) -> float:
+    """Return the rms of what is left (m, b) of the blocks that hold samples; the others have weight 0 and no value."""
+    holds = run.weight > 0
+    return float(np.sqrt(np.mean(np.square(left)[:, holds])))
 
 
 def _encoded(states: Floats) -> Floats:
