@@ -46,7 +46,7 @@ def scored(answers: Sequence[Answer]) -> list[str]:
         "  or a leading term of the law: " + _share([is_right(a, d) or is_part(a, d) for a, d in said]),
         "  constructed: " + _share([is_right(a, d) for a, d in said if d.constructed]),
         f"  right by the error alone, under another name of the catalogue: {len(lucky)}",
-        "  wrong names: " + _counted(d.name for _, d in wrong),
+        "  wrong: " + _counted(d.expression or d.name for _, d in wrong),
         *_growth(answers),
         *_near_oracle(answers),
         *_improvement(answers),
