@@ -24,7 +24,7 @@ from estimator.types import Floats
 
 LAST_SHARE = 0.05
 """Share of the largest size beyond which a sign counts."""
-_MOST_CHARACTERS = 200
+_MOST_CHARACTERS = 2000
 _EVEN = 1e-6  # share by which steps of time may differ and still be the same
 _CHARACTERS = re.compile(r"[A-Za-z0-9_.+\-*/(),; ]*")  # no comments, no line ends: laws stand in source code
 
@@ -35,7 +35,11 @@ VARIABLES: Mapping[str, tuple[str, str, str]] = {
 }
 """What a law may name: what it depends on, its unit, and what it is."""
 _NEEDS = {"temperature": "temperature", "gravity": "specific force", "angle": "gimbals"}
-_OF_GYROS = {"u": "p", "a": "p", "aj": "j", "ak": "k", "gs": "p", **{f"u_{axis}": "p" for axis in AXES}}
+_OF_GYROS = {
+    **dict.fromkeys(("u", "a", "gs", *(f"u_{axis}" for axis in AXES)), "p"),
+    **dict.fromkeys(("uj", "aj", "gj"), "j"),
+    **dict.fromkeys(("uk", "ak", "gk"), "k"),
+}
 """Variables that differ from gyro to gyro, and by which of its axes."""
 
 Compiled = Callable[[Any], Floats]
@@ -111,7 +115,14 @@ def of_each_gyro(law: str) -> bool:
 
 
 def in_words(law: str) -> str:
-    """Return a law as a sentence's object: "bias proportional to temperature lagged by 58 s"."""
+    """Return a law as a sentence's object: "bias proportional to temperature lagged by 58 s".
+
+    A law of many terms is told by what they are about and what they do.
+    """
+    if len(parsed(law)) > _MOST_TERMS_TOLD:
+        about = " and ".join(VARIABLES[name][2] for name in variables_of(law))
+        how = next((words for name, words in _MANY.items() if name in functions_of(law)), "terms")
+        return f"bias that depends on {about} ({len(parsed(law))} {how})"
     words = [_words(tree) for tree in parsed(law)]
     return "bias proportional to " + " and to ".join(words)
 
@@ -187,8 +198,8 @@ class Variables:
 def _variable(name: str, c: Conditions, axes: Axes) -> Floats:
     """Return a variable (N,) under conditions, for a gyro with these axes."""
     match name:
-        case "u":
-            return np.asarray(c.w_rps @ axes.p)
+        case "u" | "uj" | "uk":
+            return np.asarray(c.w_rps @ getattr(axes, _OF_GYROS[name]))
         case "wx" | "wy" | "wz":
             return c.w_rps[:, AXES.index(name[1])]
         case "a" | "aj" | "ak":
@@ -203,8 +214,8 @@ def _variable(name: str, c: Conditions, axes: Axes) -> Floats:
             return c.warming_kps
         case "t":
             return np.asarray(c.t_s - c.t_s[0])
-        case "gs":
-            return np.asarray(c.specific_force_mps2 / GRAVITY_MPS2 @ axes.p)
+        case "gs" | "gj" | "gk":
+            return np.asarray(c.specific_force_mps2 / GRAVITY_MPS2 @ getattr(axes, _OF_GYROS[name]))
         case "gx" | "gy" | "gz":
             return c.specific_force_mps2[:, AXES.index(name[1])] / GRAVITY_MPS2
     what, axis = name.split("_")
@@ -339,6 +350,11 @@ _CALLS = {
     "abs": "the size of the {}",
     "sign": "the sign of the {}",
 }
+
+
+_MOST_TERMS_TOLD = 4
+_MANY = {"play": "plays", "expm1": "decays", "abs": "straight pieces", "lag": "lags"}
+"""What a law of many terms is made of, by a function that these have."""
 
 
 def _words(node: ast.expr) -> str:
