@@ -16,7 +16,7 @@ from estimator.effects.disturbances import SAMPLE_HOLD
 from estimator.effects.drift import BIAS_DRIFT, BIAS_STEP, WARM_UP
 from estimator.effects.dynamics import BANDWIDTH, LAG_S, LATENCY, late
 from estimator.effects.effect import Effect, Kind, Parameter, Record, Settings
-from estimator.effects.law import last_sign, of_each_gyro
+from estimator.effects.law import VARIABLES, functions_of, last_sign, of_each_gyro, variables_of
 from estimator.effects.site import EARTH_RATE, EARTH_RATE_UPWARD
 from estimator.effects.table import TABLE_HARMONIC
 from estimator.estimation.runs.run import Run, with_gyro
@@ -27,6 +27,7 @@ _OTHER_ORDERS = (3, 5, 6)
 _PICKED_UP, _AROUND = float(np.radians(0.5)), float(np.radians(0.05))  # largest sizes without a name, rad/s
 _STEPS = 100  # instants in a run at which a step is looked for first
 _LAGS_S = (15.0, 40.0, 120.0)
+_MEMORIES = frozenset({"lag", "play", "last"})
 _STEADY_K = 0.05  # a temperature that changes by less tells of no effect
 
 
@@ -75,6 +76,14 @@ class Candidate:
     def law(self) -> str:
         """The law of a constructed effect, empty for those of the catalogue."""
         return self.effect.law if self.effect.record is CONSTRUCTED else ""
+
+    @property
+    def label(self) -> str:
+        """What it is called among rivals: laws of the same variables, all with a memory or all without, are one."""
+        if not self.law:
+            return self.called
+        about = " and ".join(sorted(VARIABLES[name][2] for name in variables_of(self.law)))
+        return f"a law of the {about}{', with memory' if functions_of(self.law) & _MEMORIES else ''}"
 
     @property
     def alike(self) -> bool:

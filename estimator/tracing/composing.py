@@ -14,11 +14,12 @@ import numpy as np
 
 from estimator.effects.constructed import constructed
 from estimator.effects.effect import Effect
-from estimator.effects.law import needs_of
+from estimator.effects.law import axes_of, needs_of, of_each_gyro
 from estimator.estimation.evidence import Term
 from estimator.estimation.runs.run import Run
 from estimator.packaged import packaged_toml
 from estimator.tracing.candidates import Candidate
+from estimator.tracing.flexible import flexible_laws
 from estimator.tracing.scan import Scan, at, first_of_best
 from estimator.tracing.search import Found, Search
 from estimator.types import Floats
@@ -30,8 +31,10 @@ _RARE = -3.0  # log expectation of a law without a name beside the catalogue's
 _LONGER = -1.5  # of each further element of it
 _LAGS_S = np.geomspace(4.0, 400.0, 6)
 _SHARES = np.array([0.05, 0.2, 0.5])  # of the range of a variable: plays and bends that are looked for first
+_LIMITS = np.array([0.002, 0.02, 0.2])  # of the range of a variable: where its last direction begins to count
 _LARGEST_SCALE = 1e9
 _MOST_LAWS, _LAWS_TRIED = 2, 12
+_MOST_PRUNED = 6  # terms of a law that are tried to be left out; pieces of a function belong together
 _BETWEEN = 1.3  # by so much more a law may explain with a constant between those that it is tried with
 _CLEARLY = 3.0  # natural logarithm by which a law must be the more probable
 _RIVAL = -6.0  # natural logarithm of how much less probable laws may be and still be rivals, a few together
@@ -46,6 +49,9 @@ def laws_of(runs: Sequence[Run]) -> list[Candidate]:
     for length, listed in enumerate(_listed(offers, gimbals), 1):
         prior = _RARE + _LONGER * (length - 1) - float(np.log(max(len(listed), 1)))
         found += [c for law, kind in listed if (c := _candidate(runs, law, kind, prior)) is not None]
+    flexible = flexible_laws(runs, offers)
+    prior = _RARE + _LONGER * len(_LAWS) - float(np.log(max(len(flexible), 1)))
+    found += [c for law, kind in flexible if (c := _candidate(runs, law, kind, prior)) is not None]
     return found
 
 
@@ -55,7 +61,12 @@ def _listed(offers: frozenset[str], gimbals: Sequence[str]) -> Iterable[list[tup
         kinds = [(law, "") for law in one["plain"]]
         kinds += [(law, kind) for kind, texts in one.get("bent", {}).items() for law in texts]
         kinds += [(law, "lag") for law in one.get("without_temperature", ()) if "temperature" not in offers]
-        yield [(law, kind) for text, kind in kinds for law in _on_axes(text, offers, gimbals)]
+        yield [(law, _on_its_axis(kind, law)) for text, kind in kinds for law in _on_axes(text, offers, gimbals)]
+
+
+def _on_its_axis(kind: str, law: str) -> str:
+    """Return the kind of a constant, with the axis of the table that the law is about."""
+    return kind.format(axis=axes_of(law.replace("{c}", "1"))[0]) if "{axis}" in kind else kind
 
 
 def _on_axes(text: str, offers: frozenset[str], gimbals: Sequence[str]) -> list[str]:
@@ -74,7 +85,8 @@ def _candidate(runs: Sequence[Run], law: str, kind: str, prior: float) -> Candid
     """Return a law, its constant to be looked for if it has one of some kind; None where it would be nothing."""
     start = _LAGS_S
     if kind != "lag":
-        start = _SHARES * (_range(runs, kind.removeprefix("share ")) if kind.startswith("share") else 0.2)
+        what, _, name = kind.partition(" ")
+        start = (_LIMITS if what == "limit" else _SHARES) * (_range(runs, name) if name else 0.2)
     largest = _largest(runs, law.format(c=f"{start[1]:.6g}")) if start[0] > 0 else None
     if largest is None:
         return None
@@ -102,12 +114,28 @@ def _largest(runs: Sequence[Run], law: str) -> tuple[float, ...] | None:
 
 def _mean_squares(run: Run, effect: Effect) -> Floats:
     """Return the mean squares (p,) of an effect's columns."""
-    columns = effect.columns(run.grid, run.array, 0)
-    return np.asarray(np.einsum("np,np->p", columns, columns) / len(columns))
+    gyros = range(len(run.array) if of_each_gyro(effect.law) else 1)
+    columns = [effect.columns(run.grid, run.array, gyro) for gyro in gyros]
+    return np.asarray(np.max([np.einsum("np,np->p", one, one) / len(one) for one in columns], axis=0))
+
+
+def _without(candidate: Candidate, number: int) -> Candidate:
+    """Return a law without one of its terms."""
+
+    def shorter(effect: Effect) -> Effect:
+        terms = list(zip(effect.law.split(";"), effect.parameters, strict=True))
+        del terms[number]
+        law = ";".join(term for term, _ in terms).strip()
+        return constructed(law, tuple(parameter.largest for _, parameter in terms))
+
+    of, effect = candidate.of, shorter(candidate.effect)
+    name = f"law: {effect.law}"
+    return replace(candidate, name=name, effect=effect, of=None if of is None else lambda value: shorter(of(value)))
 
 
 def _range(runs: Sequence[Run], name: str) -> float:
-    values = [constructed(name).columns(run.grid, run.array, 0) for run in runs]
+    effect = constructed(name)
+    values = [effect.columns(run.grid, run.array, gyro) for run in runs for gyro in range(len(run.array))]
     return max(float(np.ptp(one)) for one in values)
 
 
@@ -143,6 +171,7 @@ class Composer:
                 break
             best = max(worths)
             model = tried[worths.index(best)]
+        model = [*self._pruned(model)]
         for one in [pair for pair in model if not pair[0].law]:
             rest = [pair for pair in model if pair is not one]
             self._kept.update(self._likely(rest, model, _RIVAL))
@@ -156,6 +185,25 @@ class Composer:
             judged = [search.judged(name, names, terms) for name in names]
         chain = (*found.log_evidence, search.evidence.of(list(terms.values())))
         return replace(found, parts=(*judged, *tones), log_evidence=chain)
+
+    def _pruned(self, model: Model) -> Model:
+        """Return a model without those terms of its laws that it is more probable without."""
+        search, best = self._search, self._worth(model)
+        pruned = list(model)
+        for place, (law, _) in enumerate(model):
+            while law.law and 1 < len(law.effect.parameters) <= _MOST_PRUNED:
+                shorter = [_without(law, number) for number in range(len(law.effect.parameters))]
+                search.add([one for one in shorter if one.name not in search.known])
+                rest = [pair for n, pair in enumerate(pruned) if n != place]
+                scores = search.scores([term for _, term in rest], [candidate.name for candidate, _ in rest])
+                tried = [[*rest[:place], (one, scores[one.name][1]), *rest[place:]] for one in shorter]
+                worths = [self._worth(one) for one in tried]
+                if max(worths) <= best:
+                    break
+                best, pruned = max(worths), tried[worths.index(max(worths))]
+                law = pruned[place][0]
+                self._kept.add(law.name)
+        return pruned
 
     def _worth(self, model: Model, noise: int | None = None) -> float:
         """Return the log evidence of a model, under all noise models or one, and how much it was expected."""

@@ -291,7 +291,7 @@ class Search:
     def _label(self, name: str) -> str:
         if name == TONE.name:
             return name
-        return self.known[name][0].called if name else "nothing"
+        return self.known[name][0].label if name else "nothing"
 
     def _refine(self, terms: Sequence[Term], chosen: Sequence[str]) -> None:
         """Look for the most telling time constants and instants beside the effects chosen so far."""

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimator.effects.constructed import CONSTRUCTED
 from estimator.effects.disturbances import SAMPLE_HOLD
 from estimator.effects.law import in_words
 from estimator.observations.defects.faults import Fault
@@ -64,8 +63,7 @@ def surprised(certain: Sequence[Part], wider: Found, residual: Residual | None) 
 
 def rivals_of(parts: Sequence[Part]) -> tuple[tuple[str, ...], ...]:
     """Return for each part the effects with a name that could stand in its place, itself among them."""
-    shown = [[rival for rival in part.rivals if rival != "nothing"] for part in parts]
-    named = [tuple("a constructed law" if r == CONSTRUCTED.name else r for r in rivals) for rivals in shown]
+    named = [tuple(rival for rival in part.rivals if rival != "nothing") for part in parts]
     return tuple(names for names in named if names)
 
 
