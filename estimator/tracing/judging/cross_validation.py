@@ -13,7 +13,8 @@ from estimator.estimation.spectra import GyroSpectra, NoiseShapes, Stretch, Z, g
 from estimator.recordings.recording import Recording
 from estimator.tracing.augmented import Augmented, Part
 from estimator.tracing.investigation import OutOfSample
-from estimator.tracing.judging.verification import Judged, Misfit, drawn, judge, phases_of, sum_of
+from estimator.tracing.judging.verification import Judged, Misfit, drawn, judge, phases_of, sum_of, with_structure
+from estimator.tracing.open_world import unnamed
 from estimator.tracing.search import Search
 
 Mask = list[NDArray[np.bool_]]
@@ -75,19 +76,53 @@ def out_of_sample(runs: Sequence[Run], model: Augmented, shapes: NoiseShapes) ->
 def confirmed(search: Search, certain: list[Part], held_back: Sequence[Run]) -> tuple[list[Part], list[str]]:
     """Return the effects that the verification run bears out, and the names of those that it does not.
 
-    The one that lowers its error least goes first, and the rest is judged again.
+    An effect must make the verification run more probable, and what is left of that run smaller: of what is probable
+    the wrong form may still predict worse than nothing. The one that is borne out least goes first, and the rest is
+    judged again. Without a verification run, what is left out of the fit takes its place.
     """
     taken_back: list[str] = []
     runs, orders = [*search.runs, *held_back], {run.order for run in held_back}
-    while held_back and any(c.tone is None for c in certain):
-        evidence, terms = together(runs, Augmented.of(search.evidence, certain), search.evidence.shapes)
-        told = _predicted(evidence, terms, [_of_recordings(runs, orders)])
-        worst = min((c for c in certain if c.tone is None), key=lambda c: told[c.term.name])
-        if told[worst.term.name] >= _CONFIRMED:
+    while named := [part for part in certain if part.tone is None]:
+        if held_back:
+            evidence, terms = together(runs, Augmented.of(search.evidence, certain), search.evidence.shapes)
+            told = _predicted(evidence, terms, [_of_recordings(runs, orders)])
+            worst = min(named, key=lambda part: told[part.term.name])
+            if told[worst.term.name] >= _CONFIRMED:
+                grown = [part for part in named if not _lowered(search, certain, part, held_back)]
+                if not grown:
+                    break
+                worst = min(grown, key=lambda part: told[part.term.name])
+        elif _lowered_in_sample(search, certain):
             break
-        certain = [c for c in certain if c is not worst]
+        else:
+            worst = min(named, key=lambda part: part.probability)
+        certain = [part for part in certain if part is not worst]
         taken_back.append(worst.called)
     return certain, taken_back
+
+
+def _lowered(search: Search, certain: Sequence[Part], part: Part, held_back: Sequence[Run]) -> bool:
+    """Return whether less is left of the verification runs, as measured, with one of some effects than without it."""
+    weight = search.evidence.noise_weight([one.term for one in certain])
+    others = [one for one in certain if one is not part]
+    without, together_with = (Augmented.of(search.evidence, own, weight) for own in (others, certain))
+    squares = 0.0
+    for number, run in enumerate(held_back, len(search.runs)):
+        for gyro in range(len(run.array)):
+            before, after = (
+                (run.z_rps[:, gyro] - model.predict(run, number, gyro)[0])[run.weight > 0]
+                for model in (without, together_with)
+            )
+            squares += float(before @ before - after @ after)
+    return squares > 0
+
+
+def _lowered_in_sample(search: Search, certain: Sequence[Part]) -> bool:
+    """Return whether some effects lower the error of steps that are left out of the fit, beyond doubt."""
+    weight = search.evidence.noise_weight([part.term for part in certain])
+    before, after = (Augmented.of(search.evidence, own, weight) for own in ((), certain))
+    improvement = judged(search, before, after, (), ()).improvement
+    return improvement is None or improvement.low >= 1
 
 
 def judged(
@@ -98,6 +133,7 @@ def judged(
     true, misfit = after.estimated(evidence.posterior(terms)), evidence.misfit
     if not held_back:
         return _cross_validated(search, before, after, true, misfit)
+    bare = _noise_beside_anything(search, after)
     tones = [part.tone.found.frequency_hz for part in after.parts if part.tone is not None]
     fine_s = min([BLOCK_S, *(1 / (_TONE_BLOCKS * hz) for hz in tones)])
     runs, first = list(held_back), len(search.runs)
@@ -105,7 +141,21 @@ def judged(
         runs = runs_of_all(verification, held_back[0].order, fine_s)[0]
         scale = len(runs[0].t_s) / len(held_back[0].t_s)
         misfit = {key: scale * squares for key, squares in misfit.items()}
-    return judge(runs, first, before, after, True, drawn(runs, first, before, after, true, misfit))
+    errors = drawn(runs, first, before, after, true, misfit)
+    return judge(runs, first, before, after, True, with_structure(runs, first, (before, after), bare, errors))
+
+
+def _noise_beside_anything(search: Search, after: Augmented) -> Augmented:
+    """Return a model with the noise that there is beside any function of what was measured.
+
+    Beside effects alone, slow errors that these do not explain would count as a bias that wanders.
+    """
+    terms = [part.term for part in after.parts if part.tone is None]
+    evidence = search.evidence
+    richest = max(unnamed(search), key=lambda term: evidence.of([*terms, term]))
+    weight = evidence.noise_weight([*terms, richest])
+    instability, walk = (float(np.sqrt(weight @ one**2)) for one in (evidence.shapes.instability, evidence.shapes.walk))
+    return replace(after, instability=instability, walk=walk)
 
 
 def _cross_validated(search: Search, before: Augmented, after: Augmented, true: Augmented, misfit: Misfit) -> Judged:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.estimation.runs.run import Run, with_gyro
 from estimator.estimation.spectra import Stretch
@@ -126,8 +127,10 @@ def drawn(
     """Return by gyro how wrong two models are on the whole of runs, the noise apart, if what all data say is ``true``.
 
     Draws are from the posterior of all recordings; what nothing fits is an error of both models, known by chance only.
+    It may as well be noise: its share that is error is open, and the same for all gyros.
     """
     sums: dict[str, Drawn] = {}
+    shares = _open_share(1)
     for name in after.names:
         g = after.names.index(name)
         random = np.random.default_rng(g)  # the same figures for the same recordings
@@ -139,10 +142,67 @@ def drawn(
             gram = columns.T @ columns
             squares = [np.einsum("mi,ij,mj->m", draws - x, gram, draws - x) for x in (old, after.mean[g])]
             left = misfit.get((name, first + number), 0.0)
-            chance = random.chisquare(_MISFIT_DOF, _DRAWN) / _MISFIT_DOF
+            chance = shares * random.chisquare(_MISFIT_DOF, _DRAWN) / _MISFIT_DOF
             own = Drawn(squares[0] + left * chance, squares[1] + left * chance, float(len(columns)))
             sums[name] = sums[name] + own if name in sums else own
     return sums
+
+
+def with_structure(
+    runs: Sequence[Run], first: int, models: tuple[Augmented, Augmented], noise: Augmented, errors: Mapping[str, Drawn]
+) -> dict[str, Drawn]:
+    """Return errors of two models by gyro, with what their phases show beyond what was drawn.
+
+    Draws say how wrong models are if the last is complete. Where the means of phases are further off than by noise,
+    something acts that it lacks, and both models are wrong by that, too. How much of it the bias wanders by itself is
+    open: from as much as beside the last model, to as little as ``noise`` has beside any function of what was measured.
+    Draws that are further off than phases show are the less likely.
+    """
+    wanders = _open_share(0)  # of all gyros alike
+    found = {}
+    for number, (name, own) in enumerate(errors.items(), 1):
+        chance = np.random.default_rng(number).standard_normal(_DRAWN)
+        log_likely, more = np.zeros(_DRAWN), []
+        for model, drawn in zip(models, (own.before, own.after), strict=True):
+            least, most = (_structure(runs, first, model, floor, name) for floor in (models[-1], noise))
+            shown = wanders * least[0] + (1 - wanders) * most[0]
+            sd = np.sqrt(most[1])
+            more.append(np.maximum(shown + chance * sd - float(drawn.mean()), 0.0))
+            log_likely -= 0.5 * (np.maximum(drawn - most[0], 0.0) / sd) ** 2
+        chosen = _by_chance(log_likely)
+        found[name] = Drawn(own.before[chosen] + more[0], own.after[chosen] + more[1], own.blocks)
+    return found
+
+
+def _open_share(seed: int) -> Floats:
+    """Return draws of a share of which nothing is known: nearly none of it, or nearly all, is as likely as half."""
+    return np.random.default_rng(seed).beta(0.5, 0.5, _DRAWN)
+
+
+def _by_chance(log_likely: Floats) -> NDArray[np.intp]:
+    """Return numbers (n,) of draws, each as often as it is likely among them."""
+    share = np.exp(log_likely - log_likely.max())
+    upto = np.cumsum(share) / share.sum()
+    return np.searchsorted(upto, (np.arange(len(share)) + 0.5) / len(share)).astype(np.intp)
+
+
+def _structure(runs: Sequence[Run], first: int, model: Augmented, noise: Augmented, name: str) -> tuple[float, float]:
+    """Return the squares of the means of a gyro's phases beyond noise, summed over blocks, and their variance."""
+    squares, doubt = 0.0, 0.0
+    sigma_rps = float(noise.arw[noise.names.index(name)])
+    for number, run, i in with_gyro(runs, name):
+        rest = run.z_rps[:, i] - model.predict(run, first + number, i)[0]
+        white = sigma_rps / np.sqrt(run.length_s)
+        for phase in phases_of(run):
+            kept = rest[phase.blocks][run.weight[phase.blocks] > 0]
+            if not len(kept):
+                continue
+            mean = np.full((len(kept), 1), 1 / np.sqrt(len(kept)))
+            expected = float(_noise(noise, mean, run, len(kept), white)[0])
+            own = float(kept.sum()) ** 2 / len(kept)
+            squares += own - expected
+            doubt += 2 * expected**2 + 4 * expected * max(own - expected, 0.0)
+    return squares, doubt
 
 
 def _draws(random: np.random.Generator, mean: Floats, covariance: Floats) -> Floats:
