@@ -17,13 +17,14 @@ from estimator.tracing.augmented import Augmented, Part
 from estimator.tracing.candidates import candidates_of
 from estimator.tracing.composing import Composer, laws_of
 from estimator.tracing.investigation import Finding, Investigation, ModelStep, OutOfSample
-from estimator.tracing.judging.averaging import averaged, between_notes, between_recordings
+from estimator.tracing.judging.averaging import averaged, beside_suspect, between_notes, between_recordings
 from estimator.tracing.judging.cross_validation import confirmed, judged, out_of_sample
 from estimator.tracing.open_world import something_beside, weighed_against
 from estimator.tracing.residuals.residual import Residual, residuals
 from estimator.tracing.run_columns import RunColumns
 from estimator.tracing.search import CERTAIN, Found, Search
 from estimator.tracing.verdict import added_of, beyond_noise, faults_added, surprised, unexplained_of, verdict_of
+from estimator.types import Floats
 
 Progress = Callable[[float, str], None]
 
@@ -121,10 +122,11 @@ def _conclude(
     unexplained = unexplained_of(fitted[1]) if opened.probability > CERTAIN else beyond_noise(search, found)
     faulty = faults_added(faults)
     verdict = verdict_of([*(a.effect for a in faulty), *_called(certain)], doubtful, unexplained)
+    gyros = averaged(search, errors.gyros, after, [*certain, *doubtful], opened, between)
     if held_back and verdict.finding in (Finding.NOTHING, Finding.ADDED) and errors.surprise > _SURPRISED:
-        all_runs = [*search.columns, *(RunColumns(run) for run in held_back)]
-        with_those = _trace(_prepared(all_runs)[0], most)
-        verdict = surprised(certain, with_those, verified[1])
+        suspected, with_it = _suspected(search, held_back, most)
+        verdict = surprised(certain, suspected, verified[1])
+        gyros = beside_suspect(gyros, with_it)
     gained = found.log_evidence[-1] - found.log_evidence[0]
     models = [ModelStep((), 0.0, errors.before)]
     models += [ModelStep(_called(certain), gained, errors.after)] if certain else []
@@ -141,7 +143,7 @@ def _conclude(
         errors.after,
         errors.improvement,
         not held_back,
-        averaged(search, errors.gyros, after, [*certain, *doubtful], opened, between),
+        gyros,
         tuple(models),
         found.suspects,
         left_out,
@@ -152,6 +154,13 @@ def _conclude(
         *fitted,
         *verified,
     )
+
+
+def _suspected(search: Search, held_back: Sequence[Run], most: int) -> tuple[Found, Augmented]:
+    """Return what is found with the verification runs among the others, and the model with it."""
+    search_of_all, _ = _prepared([*search.columns, *(RunColumns(run) for run in held_back)])
+    found = _trace(search_of_all, most)
+    return found, Augmented.of(search_of_all.evidence, found.parts)
 
 
 def _parts_notes(certain: Sequence[Part], taken_back: Sequence[str]) -> list[str]:
@@ -172,7 +181,7 @@ def _left(
 
 
 def _visible(search: Search, found: Found) -> list[Part]:
-    """Return the effects found of which at least one number is some sigmas from zero: sums of little are no cause.
+    """Return the effects found that are some sigmas from zero in a gyro: sums of little are no cause.
 
     In a few poses at a few temperatures one cause is as good as another: that the simpler one fits is no proof. Where
     runs only rest, an effect is thus a rival of all that could put out the same.
@@ -181,8 +190,7 @@ def _visible(search: Search, found: Found) -> list[Part]:
     seen = []
     for part in found.parts:
         where = model.slice_of(part.candidate.name)
-        sd = np.sqrt(np.diagonal(model.covariance, axis1=1, axis2=2))[:, where]
-        if float(np.abs(model.mean[:, where] / sd).max()) > _VISIBLE:
+        if _sigmas_from_zero(model.mean[:, where], model.covariance[:, where, where]) > _VISIBLE:
             copies = search.copies(part, found.terms) if _at_rest(search.runs) else []
             if copies:
                 rivals = tuple(dict.fromkeys((part.candidate.called, *copies)))
@@ -190,6 +198,15 @@ def _visible(search: Search, found: Found) -> list[Part]:
                 part = replace(part, probability=share, share=share, rivals=rivals)
             seen.append(part)
     return seen
+
+
+def _sigmas_from_zero(means: Floats, covariances: Floats) -> float:
+    """Return how far the parameters (gyros, p) of an effect are from zero together, in the gyro that shows it most.
+
+    Each parameter beyond the first may be a sigma off by chance.
+    """
+    squares = np.einsum("gp,gp->g", means, np.linalg.solve(covariances, means[..., None])[..., 0])
+    return float(np.sqrt(max(float(squares.max()) - (means.shape[1] - 1), 0.0)))
 
 
 def _called(parts: Sequence[Part]) -> tuple[str, ...]:

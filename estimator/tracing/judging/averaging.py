@@ -76,6 +76,22 @@ def averaged(
     return tuple(known)
 
 
+def beside_suspect(gyros: Sequence[GyroErrors], with_it: Augmented) -> tuple[GyroErrors, ...]:
+    """Return errors with states that are the mean of what was found and of what a suspect makes of them.
+
+    A verification run that shows what the others cannot leaves both open: the one is as probable as the other.
+    """
+    known = []
+    for gyro in gyros:
+        g = with_it.names.index(gyro.name)
+        states, covariance = decode(with_it.mean[g, :4], with_it.covariance[g, :4, :4])
+        mean = (gyro.states_after + states) / 2
+        variance = (gyro.sd_after**2 + np.diag(covariance)) / 2 + ((gyro.states_after - states) / 2) ** 2
+        moved = gyro.moved + (mean - gyro.states_after) / gyro.sd_before
+        known.append(replace(gyro, states_after=mean, moved=moved, sd_after=np.sqrt(variance)))
+    return tuple(known)
+
+
 def _alternatives(search: Search, parts: Sequence[Part]) -> list[tuple[list[Term], float]]:
     """Return the sets of terms that may be true where parts are open, each with its log evidence and expectation.
 
@@ -85,7 +101,7 @@ def _alternatives(search: Search, parts: Sequence[Part]) -> list[tuple[list[Term
     sets = [kept]
     for part in (c for c in parts if c.tone is None and c.probability < CERTAIN):
         scores = search.scores([c.term for c in kept], [c.candidate.name for c in kept])
-        rivals = [name for name in scores if search.known[name][0].called in part.rivals]
+        rivals = [name for name in scores if search.known[name][0].label in part.rivals]
         swapped = [replace(part, candidate=search.known[name][0], term=scores[name][1]) for name in rivals]
         sets = [[*own, *more] for own in sets for more in ([], *([one] for one in [part, *swapped]))][:_MOST_SETS]
     found = []
