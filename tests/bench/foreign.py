@@ -64,6 +64,8 @@ def judged(case: ForeignSet, folder: Path) -> tuple[str, list[str]]:
         if code:
             return "wrong", [f"import ends with {code}: {err.strip()[-300:]}"]
     code, out, err = run("calibrate", recording, "--details")
+    if "--details" in err:  # before there was one, all was printed
+        code, out, err = run("calibrate", recording)
     said += out + err
     _, printed, _ = run("calibrate", recording, "--json")
     found: dict[str, Any] = json.loads(printed) if printed.strip().startswith("{") else {}

@@ -462,7 +462,7 @@ def hand_turns(folder: Path, seed: int, random: np.random.Generator) -> ForeignS
         k_sd=0.01,
         says=[rf"(?i)\b{'xyz'[gyro]}\b.*(saturat|limit)"] if seed % 2 else [],
         never=[NO_LAW_OF_THE_RATE],
-        verdicts=QUIET | OPEN,
+        verdicts=DELAYED | OPEN,
         added=frozenset({"saturation"}),
     )
     mapping = _TOP + _TIME + _GYRO + reference + "[reference.sections]\n" + "\n".join(sections) + "\n"
