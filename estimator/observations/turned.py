@@ -20,6 +20,8 @@ REST_RPS = 2e-3
 """Several times Earth rate: what turns no faster rests."""
 _GAP_STEPS, _GAP_S = 3.5, 0.15  # between readings further apart than both nobody knows what happened
 _BOX, _BOXES = 9, 3  # steps of the finer grid in a mean over two periods, and how often one is taken
+_UNEVEN = 0.5  # of the usual step: where one is shorter, its own slope says little
+_AT_ONCE_S = 1e-6  # instants nearer than this are one
 _SLOPE_S = 0.02  # to each side of an instant, over which a turn gives its rate; never less than one reading
 
 
@@ -93,12 +95,23 @@ class Turned:
 
         step_s = 2 * period_s / _BOX
         at_s = np.arange(self.t_s[0], self.t_s[-1], step_s)
-        slopes = np.gradient(self.integral, self.t_s, axis=0)
+        slopes = self._slopes()
         columns = list(CubicHermiteSpline(self.t_s, self.integral, slopes)(at_s).T)
         for _ in range(_BOXES):
             columns = [uniform_filter1d(column, _BOX, mode="nearest") for column in columns]
         grid = float(at_s[0]), step_s, np.column_stack(columns)
         return replace(self, smooth=grid, reach_s=_BOXES * period_s)
+
+    def _slopes(self) -> Floats:
+        """Return the slopes (k, c) of the integrals: over no less than a usual step to each side, as stamps scatter."""
+        steps_s = np.diff(self.t_s)
+        usual_s = float(np.median(steps_s))
+        if not len(steps_s) or steps_s.min() > _UNEVEN * usual_s:
+            return np.asarray(np.gradient(self.integral, self.t_s, axis=0))
+        before = np.maximum(self.t_s - usual_s, self.t_s[0])
+        after = np.minimum(self.t_s + usual_s, self.t_s[-1])
+        turned = [np.interp(after, self.t_s, c) - np.interp(before, self.t_s, c) for c in self.integral.T]
+        return np.asarray(np.column_stack(turned) / (after - before)[:, None])
 
     def means(self, first_s: Floats, last_s: Floats) -> Floats:
         """Return the mean rates (n, c) from each of some instants (n,) to another, NaN where they are not known."""
@@ -108,10 +121,19 @@ class Turned:
         mean = (self._at(last_s) - self._at(first_s)) / (last_s - first_s)[:, None]
         return np.where(known[:, None], mean, np.nan)
 
+    def known(self, at_s: Floats) -> NDArray[np.bool_]:
+        """Return at which instants (n,) it is known how the body turns."""
+        inside = (at_s >= self.t_s[0]) & (at_s <= self.t_s[-1])
+        return np.asarray(inside & (self._gaps(at_s + _AT_ONCE_S, 1) == self._gaps(at_s - _AT_ONCE_S, -1)))
+
     def rates(self, at_s: Floats) -> Floats:
         """Return the rates (n, c) at instants: slopes over a reading to each side, but no less than 20 ms."""
         half_s = max(float(np.median(np.diff(self.t_s))), _SLOPE_S)
-        return self.means(np.maximum(at_s - half_s, self.t_s[0]), np.minimum(at_s + half_s, self.t_s[-1]))
+        inside = (at_s >= self.t_s[0]) & (at_s <= self.t_s[-1])
+        rates = np.full((len(at_s), self.integral.shape[1]), np.nan)
+        first_s, last_s = np.maximum(at_s - half_s, self.t_s[0]), np.minimum(at_s + half_s, self.t_s[-1])
+        rates[inside] = self.means(first_s[inside], last_s[inside])
+        return rates
 
     def _at(self, at_s: Floats) -> Floats:
         if self.smooth is not None:
