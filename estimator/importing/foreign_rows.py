@@ -6,13 +6,13 @@ from numpy.typing import NDArray
 from estimator.errors import RecordingError
 from estimator.importing.mapping.reference import Measured
 from estimator.importing.table import Table
+from estimator.recordings.reading import slopes_of
 from estimator.recordings.reference import AttitudeReadings, RateReadings, Reference, TableReadings
 from estimator.types import Floats, Stamps
 
 _NORM_OFF = 0.05  # an attitude whose length is this far from 1 is a lost one
 _LOST_STEPS = 3  # blanks over more than this many usual steps: what happened there is not known
 _LOST_NS = 150_000_000
-_SLOPE_S = 0.05  # to each side, over which an encoder's angle gives its rate
 
 
 ForeignRows = tuple[Floats, Floats]
@@ -44,12 +44,8 @@ def foreign_reference(reference: Measured, t_ns: Stamps, rows: Floats) -> Refere
 def _encoder(gimbal: str, t_ns: Stamps, angle_rad: Floats) -> TableReadings:
     """Return an encoder's angle (k,) as a table of one axis: its slope is the rate, its turns are counted."""
     known = np.isfinite(angle_rad)
-    t_ns, angle = t_ns[known], np.unwrap(angle_rad[known])
-    t_s = (t_ns - t_ns[0]) * 1e-9
-    half_s = max(_SLOPE_S, 1.5 * float(np.median(np.diff(t_s))) if len(t_s) > 1 else 0.0)
-    before, after = np.maximum(t_s - half_s, t_s[0]), np.minimum(t_s + half_s, t_s[-1])
-    rate = (np.interp(after, t_s, angle) - np.interp(before, t_s, angle)) / np.maximum(after - before, 1e-9)
-    return TableReadings(t_ns, angle[:, None], rate[:, None], (gimbal,))
+    t_ns, angle = t_ns[known], np.unwrap(angle_rad[known])[:, None]
+    return TableReadings(t_ns, angle, slopes_of(t_ns, angle), (gimbal,), own_rates=False)
 
 
 def _lost(t_ns: Stamps, whole: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -7,6 +7,7 @@ import numpy as np
 
 from estimator.observations.attitude import rates_from_attitude
 from estimator.observations.blocks import Blocks, BlockSums
+from estimator.observations.turned import Turned, by_turns
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import (
     AttitudeReadings,
@@ -66,6 +67,13 @@ def observations(recording: Recording, data: ImuData) -> Iterator[Observations]:
 def table_rows(recording: Recording, data: ImuData) -> Iterator[Observations]:
     reference = recording.reference
     assert isinstance(reference, TableReadings), "rows against a table need one"
+    if by_turns(reference):
+        turned = Turned.of_reference(reference, recording.site)
+        first_ns, last_ns = int(reference.t_ns[0]), int(reference.t_ns[-1])
+        yield from _sampled(
+            data, first_ns, last_ns, lambda t_ns: turned.rates(np.asarray(t_ns * 1e-9, dtype=np.float64))
+        )
+        return
     rates = BodyRates.of(reference, recording.site)
     yield from _sampled(data, rates.starts_ns, rates.final_until_ns, rates.at)
 

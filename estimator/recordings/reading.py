@@ -30,9 +30,10 @@ from estimator.recordings.reference import (
 )
 from estimator.recordings.safe_open import probe
 from estimator.recordings.writing import plain
-from estimator.types import Floats
+from estimator.types import Floats, Stamps
 
 T = TypeVar("T")
+_SLOPE_S = 0.05  # to each side, over which an angle gives its rate
 _REFERENCES: dict[str, Any] = {"turn_rad": Turns, "up": Poses, "rate_rps": RateReadings}
 """References by the column that only they have, in the order of looking; else they are attitudes."""
 
@@ -177,9 +178,22 @@ def _read_reference(path: Path, file: Any) -> Reference:
         if "t_ns" not in group:
             raise RecordingError(f"{where} holds no readings: the run ended before its script began")
         order = [axes.index(g) for g in gimbals]
-        t_ns, angle, rate = (_column(where, group, key) for key in ("t_ns", "angle_rad", "rate_rps"))
-        n = min(len(t_ns), len(angle), len(rate))
-        if n < 2 or angle.shape[1] != len(axes) or rate.shape[1] != len(axes):
+        t_ns, angle = (_column(where, group, key) for key in ("t_ns", "angle_rad"))
+        has_rates = "rate_rps" in group
+        n = min(len(t_ns), len(angle), len(group["rate_rps"]) if has_rates else len(t_ns))
+        if n < 2 or angle.shape[1] != len(axes):
+            raise RecordingError(f"{where} needs two rows or more and one column an axis")
+        window_ns = int(group.attrs.get("rate_window_ns", 0))
+        if has_rates:
+            rate = _column(where, group, "rate_rps")
+        else:
+            known = np.isfinite(angle[:n]).all(axis=1)
+            t_ns, angle = t_ns[:n][known], angle[:n][known]
+            n = len(t_ns)
+            if n < 2:
+                raise RecordingError(f"{where} holds fewer than two angles that are numbers")
+            rate, window_ns = _means_of(t_ns, angle)
+        if rate.shape[1] != len(axes):
             raise RecordingError(f"{where} needs two rows or more and one column an axis")
         finite = np.isfinite(angle[:n]).all(axis=1) & np.isfinite(rate[:n]).all(axis=1)
         keys = [f.name for f in fields(TableUncertainty) if f"u_{f.name}" in group.attrs]
@@ -189,7 +203,9 @@ def _read_reference(path: Path, file: Any) -> Reference:
             width = _column(where, group, "half_width_ns")
             width = np.pad(width[:n], (0, max(n - len(width), 0)), mode="edge")[finite]
         rows = t_ns[:n][finite], angle[:n, order][finite], rate[:n, order][finite]
-        return TableReadings(*rows, gimbals, stated, width, int(group.attrs.get("rate_window_ns", 0)))
+        # An import makes its rates of an encoder's angles.
+        own_rates = has_rates and "imported_from" not in file.attrs
+        return TableReadings(*rows, gimbals, stated, width, window_ns, own_rates)
     if "reference" not in file:
         raise RecordingError(f"{path} has neither /table nor /reference: nothing says how the body turned")
     where, group = f"{path}: /reference", file["reference"]
@@ -198,6 +214,33 @@ def _read_reference(path: Path, file: Any) -> Reference:
     values = {f.name: _column(where, group, f.name) for f in fields(kind) if f.name not in missing}
     reference: Reference = kind(**values, **{name: np.zeros(len(values["turn_rad"])) for name in missing})
     return reference
+
+
+def _means_of(t_ns: Stamps, angle_rad: Floats) -> tuple[Floats, int]:
+    """Return mean rates (k, axes) of a table that tells only angles (k, axes), and over how many ns before each.
+
+    One axis is compared by its angles: its rates, of instants, show the motion only.
+    """
+    if angle_rad.shape[1] == 1:
+        return slopes_of(t_ns, np.unwrap(angle_rad, axis=0)), 0
+    step_ns = max(float(np.median(np.diff(t_ns))), 1.0)
+    rows = max(round(_SLOPE_S * 1e9 / step_ns), 1)
+    angle = np.unwrap(angle_rad, axis=0)
+    before = np.maximum(np.arange(len(t_ns)) - rows, 0)
+    seconds = np.maximum(t_ns - t_ns[before], 1) * 1e-9
+    rate = (angle - angle[before]) / seconds[:, None]
+    rate[0] = rate[1]
+    return rate, round(rows * step_ns)
+
+
+def slopes_of(t_ns: Stamps, angle_rad: Floats) -> Floats:
+    """Return rates (k, axes) as slopes of angles (k, axes) over 50 ms, or a reading, to each side."""
+    t_s = np.asarray((t_ns - t_ns[0]) * 1e-9, dtype=np.float64)
+    half_s = max(_SLOPE_S, 1.5 * float(np.median(np.diff(t_s))) if len(t_s) > 1 else 0.0)
+    before = np.maximum(t_s - half_s, t_s[0])
+    after = np.minimum(t_s + half_s, t_s[-1])
+    turned = [np.interp(after, t_s, angle) - np.interp(before, t_s, angle) for angle in angle_rad.T]
+    return np.asarray(np.column_stack(turned) / np.maximum(after - before, 1e-9)[:, None])
 
 
 def _column(where: str, group: Any, key: str) -> NDArray[Any]:

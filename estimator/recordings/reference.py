@@ -57,7 +57,7 @@ class TableReadings:
     """Angles and rates (k, gimbals) that the table reported; columns as ``gimbals``, outermost first.
 
     ``half_width_ns`` (k,) is how far the instant of a reading can be off, half of its round trip; None for not at all.
-    Rates are means over the ``rate_window_ns`` that ends at their instants.
+    Rates are means over the ``rate_window_ns`` that ends at their instants; slopes of the angles if not ``own_rates``.
     """
 
     t_ns: Stamps
@@ -67,6 +67,7 @@ class TableReadings:
     uncertainty: TableUncertainty | None = None
     half_width_ns: Stamps | None = None
     rate_window_ns: int = 0
+    own_rates: bool = True
 
     @property
     def centred_rps(self) -> Floats:

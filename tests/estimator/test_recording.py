@@ -274,12 +274,24 @@ def test_a_later_or_unknown_format_version_is_refused(path: Path, version: objec
         ("table", "neither /table nor /reference"),
         ("table/t_ns", "/table holds no readings"),
         ("table/angle_rad", "/table has no angle_rad"),
-        ("table/rate_rps", "/table has no rate_rps"),
     ],
 )
 def test_a_missing_dataset_is_named(path: Path, missing: str, complaint: str) -> None:
     with pytest.raises(RecordingError, match=complaint):
         read_recording(changed(path, remove(missing)), trusted=True)
+
+
+def test_rates_of_a_table_that_tells_only_angles_come_from_these(tmp_path: Path) -> None:
+    speed_rps = np.array([3.0, -0.2, 0.1])
+    angle = (TABLE.t_ns - TABLE.t_ns[0])[:, None] * 1e-9 * speed_rps
+    angle = np.remainder(angle + np.pi, 2 * np.pi) - np.pi
+    angle[7, 1] = np.nan
+    file = tmp_path / "angles.h5"
+    write_recording(file, recording(dataclasses.replace(TABLE, angle_rad=angle)))
+    told = read_recording(changed(file, remove("table/rate_rps")), trusted=True).reference
+    assert isinstance(told, TableReadings)
+    assert len(told.t_ns) == len(TABLE.t_ns) - 1
+    np.testing.assert_allclose(told.rate_rps, np.tile(speed_rps, (len(told.t_ns), 1)), rtol=1e-9)
 
 
 @pytest.mark.parametrize(

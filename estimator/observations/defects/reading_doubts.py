@@ -18,7 +18,12 @@ _STEADY_SHARE = 0.01  # by which a mean rate may change for its scale to be judg
 
 
 def reading_doubts(readings: TableReadings) -> tuple[str, ...]:
-    """Return what is wrong with the readings of each axis, in words; nothing where angles and rates agree."""
+    """Return what is wrong with the readings of each axis, in words; nothing where angles and rates agree.
+
+    Rates that were made of the angles say nothing of these.
+    """
+    if not readings.own_rates:
+        return ()
     step_s = np.diff(readings.t_ns) * 1e-9
     near = step_s <= _GAP * np.median(step_s)
     width_s = np.zeros(len(step_s) + 1) if readings.half_width_ns is None else readings.half_width_ns * 1e-9
