@@ -4,7 +4,7 @@ All are estimated jointly (``estimator.estimation.noise_evidence``). What an eff
 motion does not show stays as wide as it typically is, and the sigmas of the states hold it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -28,10 +28,12 @@ from estimator.estimation.spectra import Z
 from estimator.estimation.undeclared import undeclared_laws
 from estimator.geometry.model import regressor_maps
 from estimator.geometry.noise import NoiseModel
+from estimator.observations.alignment import body_turned, following
 from estimator.observations.blocks import Blocks
 from estimator.observations.foreign import CLUSTER_S, COLOURED, FEWEST_CLUSTERS, at_rest
-from estimator.observations.rows import BLOCK_S, row_length_s, sample_noise, source_blocks
+from estimator.observations.rows import BLOCK_S, coarser, row_length_s, sample_noise, source_blocks
 from estimator.observations.timing import TimeOffset, expected_sd_s
+from estimator.observations.turned import by_turns
 from estimator.packaged import sentence
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import Poses, RateReadings, TableReadings, Turns
@@ -48,6 +50,7 @@ _KNOWN = 0.2  # sigma of k below which the sign of an output is known
 _TOLD = 3.0  # sigmas from which on a delay is told
 _UNSEEN = 0.7  # of what is expected of a parameter: a larger sigma says that the run did not show it
 _MOST_NAMED, _NAMED = 3, 0.1
+_REDUNDANT = 4  # gyros, of which the blocks tell what they say of each other
 _BLOCK_ROWS = 4  # fewer samples do not tell their scatter
 
 
@@ -86,10 +89,12 @@ def estimate_device(
     Raises ModelError for a model that needs what the recording lacks, TooShort for too little data.
     """
     external = is_external(recording)
-    moved, delays_s, laws, plain = _aligned(recording, sources, model)
-    runs, stated = plain.runs, sources[0][1].noise
+    moved, delays_s, laws, plain, unsettled = _aligned(recording, sources, model)
+    stated = sources[0][1].noise
     joint = plain
     covariances, notes = _clustered(plain) if external else (plain.covariances, [])
+    left_s = _delays(plain, covariances)
+    notes += unsettled
     notes += growth_notes(plain.runs)
     unseen: list[Floats] | None = None
     if excluded is not None and model is None:
@@ -131,18 +136,23 @@ def _beside_earth(joint: Joint, stated: NoiseModel | None) -> Joint:
 
 def _aligned(
     recording: Recording, sources: Sources, model: ErrorModel | None
-) -> tuple[Sources, dict[str, float], list[Law], Joint]:
-    """Return sources with their stamps moved to those of the reference, by how much, the laws, and the estimate.
+) -> tuple[Sources, dict[str, float], list[Law], Joint, list[str]]:
+    """Return sources with their stamps moved to those of the reference, by how much, the laws, the estimate, and notes.
 
-    Gauss-Newton: the offsets that are found are taken off the stamps, and estimated again until they settle.
+    Gauss-Newton, from where the motion of both is most alike: the offsets that are found are taken off the stamps, and
+    estimated again until they settle.
     """
-    moved, delays_s = list(sources), dict.fromkeys((name for name, _ in sources), 0.0)
+    # A model that holds a delay tells it itself.
+    timed = not at_rest(recording.reference) and not isinstance(recording.reference, Turns)
+    timed &= model is None or all(known.record.acts is not Acts.STAMPS for known in model.effects)
+    begun_s = {name: _delay_by_motion(recording, data) if timed else 0.0 for name, data in sources}
+    delays_s = dict(begun_s)
+    moved = _shifted(sources, delays_s)
     for step in range(_MOST_STEPS):
         runs = [_run(recording, number, *pair) for number, pair in enumerate(moved)]
         laws = _model_laws(model, recording, runs)
-        timed = not at_rest(recording.reference) and not isinstance(recording.reference, Turns)
-        timed &= not any(law.effect.acts is Acts.STAMPS for law in laws)
-        laws += [_delay_law(recording, *pair) for pair in delays_s.items()] if timed else []
+        if timed:
+            laws += [_delay_law(recording, name, delay_s - begun_s[name]) for name, delay_s in delays_s.items()]
         joint = joint_estimate(runs, laws, sources[0][1].noise)
         steps_s = {}
         for name, (step_s, sd_s) in _delays(joint, joint.covariances).items():
@@ -153,10 +163,27 @@ def _aligned(
             if abs(step_s) >= max(_SETTLED_S, 0.01 * sd_s):
                 steps_s[name] = float(np.clip(step_s, -_LARGEST_STEP_S, _LARGEST_STEP_S))
         if not steps_s or step == _MOST_STEPS - 1:
+            notes = [
+                sentence("estimation.delay_unsettled", source=name, step_ms=1e3 * step_s, steps=_MOST_STEPS)
+                for name, step_s in steps_s.items()
+            ]
             break
         delays_s = {name: delay_s + steps_s.get(name, 0.0) for name, delay_s in delays_s.items()}
-        moved = [(name, replace(data, t_ns=data.t_ns - round(delays_s[name] * 1e9))) for name, data in sources]
-    return moved, delays_s, laws, joint
+        moved = _shifted(sources, delays_s)
+    return moved, delays_s, laws, joint, notes
+
+
+def _delay_by_motion(recording: Recording, data: ImuData) -> float:
+    """Return where to begin to look for a delay in s; that of a table's own readings is as good as none."""
+    if not by_turns(recording.reference):
+        return 0.0
+    line = following(data, recording.reference, recording.site)
+    return line.delay_s if line is not None else 0.0
+
+
+def _shifted(sources: Sources, delays_s: Mapping[str, float]) -> Sources:
+    """Return sources with their stamps so much earlier."""
+    return [(name, replace(data, t_ns=data.t_ns - round(delays_s[name] * 1e9))) for name, data in sources]
 
 
 def effect_notes(gyros: Sequence[GyroCalibration]) -> list[str]:
@@ -210,7 +237,7 @@ def _hz(known: KnownEffect) -> float | None:
 
 
 def _delay_law(recording: Recording, source: str, taken_off_s: float) -> Law:
-    """Return the offset of a source, of which so much is taken off already."""
+    """Return the offset of a source from where it is expected, of which so much is taken off already."""
     reference, sd_s, line = recording.reference, expected_sd_s(), ""
     if isinstance(reference, TableReadings):
         stated = reference.uncertainty
@@ -268,27 +295,36 @@ def _estimated(
     columns, expected = joint.columns[number], expected_of(joint.laws)
     x, own = np.array([joint.means[g][:4] for g in gyros]), np.array([joint.means[g][4:] for g in gyros])
     values = own + expected
-    if isinstance(recording.reference, (TableReadings, RateReadings)):
+    blocks, begin_s = None, 0.0
+    coarse = run.turns and coarser(recording.reference, data)
+    if isinstance(recording.reference, (TableReadings, RateReadings)) and not (coarse and m < _REDUNDANT):
         blocks = source_blocks(recording, data, block_s)
+        begin_s = float(recording.reference.t_ns[0]) * 1e-9
         if at_rest(recording.reference):
             blocks = replace(blocks, w_rps=np.zeros_like(blocks.w_rps))
         said_rps = np.einsum("mbp,mp->mb", columns, values)
         if said_rps.any():
-            at_s = blocks.t_s + float(recording.reference.t_ns[0]) * 1e-9
+            at_s = blocks.t_s + begin_s
             said = np.column_stack([np.interp(at_s, run.t_s, one) for one in said_rps])
             blocks = replace(blocks, z_rps=blocks.z_rps - said)
+    if blocks is not None and not coarse:
         noise_rps = _sample_noise_of(blocks, data, x)
         squares, dof = _block_squares(blocks, data, x, noise_rps)
         samples = int(blocks.rows.sum()) * m
     else:
-        blocks, full = None, int((run.weight > 0).sum())
+        full = int((run.weight > 0).sum())
         white = joint.white[gyros.start : gyros.stop]
         length_s = run.length_s if run.stated_rps else row_length_s(recording, data)
         noise_rps = white / np.sqrt(length_s)
         explained = np.einsum("mbi,mi->bm", run.state_columns(), x) + np.einsum("mbp,mp->bm", columns, own)
         left_rps = (run.z_rps - explained) * run.weight[:, None]
         squares = float(np.sum((left_rps / white) ** 2)) * run.length_s
-        dof, samples = max((full - 4) * m, 0), round(full * run.length_s / length_s) * m
+        dof = max((full - 4) * m, 0)
+        body = body_turned(recording.reference, recording.site)
+        if body is None:
+            samples = round(full * run.length_s / length_s) * m
+        else:
+            samples = int(body.known(np.asarray(data.t_ns * 1e-9, dtype=np.float64)).sum()) * m
     effects = [_values(joint, v, covariances[g]) for g, v in zip(gyros, values, strict=True)]
     its = x, lines, [joint.noise[g] for g in gyros], effects, noise_rps, samples, squares, dof
     return SourceEstimate(run.source, data, *its, blocks, joint.expected_nis, run.growth_s, offset)

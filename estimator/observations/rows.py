@@ -13,6 +13,7 @@ from estimator.recordings.reference import (
     AttitudeReadings,
     BodyRates,
     RateReadings,
+    Reference,
     TableReadings,
     Turns,
 )
@@ -26,6 +27,7 @@ _CHUNK_ROWS = 65536
 _COARSE = 1e-4  # variance of the errors of a rate reference, in that of the rate, that would lessen the slope
 _COARSE_MEAN = 1e-5  # what is left of it in means
 _MEANS_S = (0.1, 0.2, 0.5, 1.0)
+_FINE = 1.5  # steps of the samples: a reference whose steps are longer does not tell the rate at each sample
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,6 +150,17 @@ def row_length_s(recording: Recording, data: ImuData) -> float:
     if length_s or len(data.t_ns) < 2:
         return length_s or BLOCK_S
     return float(np.median(np.diff(data.t_ns))) * 1e-9
+
+
+def coarser(reference: Reference, data: ImuData) -> bool:
+    """Return whether another instrument's readings are so far apart that they do not tell the rate at each sample."""
+    if not by_turns(reference):
+        return False
+    if not isinstance(reference, RateReadings):
+        return True
+    if len(reference.t_ns) < 2 or len(data.t_ns) < 2:
+        return True
+    return bool(np.median(np.diff(reference.t_ns)) > _FINE * np.median(np.diff(data.t_ns)))
 
 
 def sample_noise(data: ImuData) -> Floats:

@@ -1,0 +1,290 @@
+"""How outputs follow a reference: the delay between the two, and what a line through all of them leaves.
+
+Both sides are means over the same intervals. The delay is looked for over all that is plausible before it is refined,
+so it does not depend on where a search begins. Intervals that do not fit, as of a spike or a limit, do not count.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.geometry.kinematics import Site
+from estimator.observations.turned import Turned, by_turns
+from estimator.recordings.recording import ImuData
+from estimator.recordings.reference import BodyRates, Poses, Reference, TableReadings, Turns
+from estimator.types import Flags, Floats
+
+LONGEST_S = 0.3
+"""Longest delay between gyros and reference that is looked for, either way."""
+_STEP_S = 0.01  # of the delays that are tried first
+_REFINED = 1e-3  # of two such steps: how closely the best delay is found
+_LENGTH_S, _PERIODS = 0.05, 3  # of an interval: so long, and no fewer sampling periods
+_SLOW_S = 0.5  # means over so long tell how sensitive gyros are to slow motion
+_FILTER_S, _HARDLY = 0.2, 1e-3  # time constant of a filter, and how much an expectation of it counts
+_MOST, _FEWEST = 6000, 40  # intervals that are used of a long recording, and without which nothing is told
+_TURNS_RPS = float(np.radians(0.5))  # rms of a body rate that tells a delay
+_FITS = 4.0  # standard deviations from the line beyond which an interval does not count
+_ROUNDS = 2
+_ALLOWED = 0.02  # share of the rate: an interval that is off by less counts, however quiet the others are
+_INNER = 0.7  # of the outputs' range: what is nearer to its ends may be at a limit, and does not count
+_ENDS = 1e-3  # share of the outputs beyond each end of their range
+_USUAL = 0.9  # quantile of the rates beyond which an interval has no more weight
+_MIDDLE, _AT_MOST = (0.05, 0.95), 0.15  # share of the range of nearly all outputs that an interval may be off
+_SEEN = 1e-3  # of the rate about the axis that turns most: one that turns by less is not seen
+_LEAST_NOISE_RPS = 1e-6
+_SD_OF_MEDIAN = 1.4826
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Following:
+    """Outputs as a line of the body rate: ``y = [1, w(t - delay_s)] @ rows``, rows (4, m).
+
+    ``scatter_rps`` (m,) is the usual distance of a mean from it, as a standard deviation; ``turned`` is the body.
+    """
+
+    delay_s: float
+    rows: Floats
+    scatter_rps: Floats
+    turned: Turned
+    means: "_Means"
+
+    def follows(self) -> Floats:
+        """Return the share (m,) of the square of each output about its mean that the line explains.
+
+        Intervals that are off by far more than nearly all others are those of a reference that jumps.
+        """
+        left = np.abs(self.means.outputs - self.rows[0] - self.means.rates(self.delay_s) @ self.rows[1:])
+        shares = np.zeros(left.shape[1])
+        for gyro, (own, output) in enumerate(zip(left.T, self.means.outputs.T, strict=True)):
+            known = np.isfinite(own)
+            if not known.any():
+                continue
+            known &= own <= _FITS * float(np.quantile(own[known], _USUAL))
+            squares = float(np.var(output[known]))
+            if squares > 0:
+                shares[gyro] = max(1 - float(np.mean(own[known] ** 2)) / squares, 0.0)
+        return shares
+
+    def turning(self) -> Floats:
+        """Return the covariance (3, 3) of the body rate, as means over intervals."""
+        rates = self.means.rates(self.delay_s)
+        known = rates[np.isfinite(rates).all(axis=1)]
+        return np.asarray(np.cov(known.T, bias=True))
+
+    def slow_rows(self) -> Floats:
+        """Return rows (3, m) for motion so slow that neither side's filter matters: beside its first two derivatives.
+
+        Means of the one side, or a controller that smooths its rates, make the other look more or less sensitive to
+        what is fast.
+        """
+        means = self.means.longer(max(_SLOW_S, self.means.length_s)) or self.means
+        step_s = means.length_s
+        before, here, after = (means.rates(self.delay_s + by) for by in (step_s, 0.0, -step_s))
+        columns = np.column_stack([np.ones(len(here)), here, (after - before) / 2, after - 2 * here + before])
+        left = np.abs(means.outputs - self.rows[0] - here @ self.rows[1:])
+        rows = self.rows[1:].copy()
+        for gyro, own in enumerate(left.T):
+            good = np.isfinite(own) & np.isfinite(columns).all(axis=1)
+            if good.sum() < _FEWEST:
+                continue
+            good &= own <= _FITS * float(np.quantile(own[good], _USUAL))
+            rows[:, gyro] = _least(columns[good], means.outputs[good, gyro], step_s)[1:4]
+        return rows
+
+    def expected_rps(self, t_s: Floats) -> Floats:
+        """Return what the outputs (n, m) should be at instants of samples (n,), NaN where that is not known."""
+        return np.asarray(self.rows[0] + self.turned.rates(t_s - self.delay_s) @ self.rows[1:])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Means:
+    """Mean outputs (n, m) over intervals of ``length_s`` from ``first_s`` (n,) on.
+
+    ``most_rps`` (m,) is how much an interval may be off and count for it.
+    ``gyros`` are the outputs number ``used`` (u,), ``body`` is what turned, both smoothed over the same periods.
+    """
+
+    length_s: float
+    first_s: Floats
+    outputs: Floats
+    most_rps: Floats
+    used: NDArray[np.intp]
+    gyros: Turned
+    body: Turned
+
+    @classmethod
+    def over(
+        cls, length_s: float, gyros: Turned, body: Turned, used: NDArray[np.intp], channels: int
+    ) -> "_Means | None":
+        """Return means of outputs, a few thousand intervals of a long recording; None if there are too few."""
+        edges = np.arange(max(gyros.t_s[0], body.t_s[0]), min(gyros.t_s[-1], body.t_s[-1]), length_s)
+        if len(edges) <= _FEWEST:
+            return None
+        chosen = np.linspace(0, len(edges) - 2, min(len(edges) - 1, _MOST)).astype(np.intp)
+        outputs = np.full((len(chosen), channels), np.nan)
+        outputs[:, used] = gyros.means(edges[chosen], edges[chosen + 1])
+        spread = np.zeros(channels)
+        for gyro, own in enumerate(outputs.T):
+            known = own[np.isfinite(own)]
+            if len(known):
+                spread[gyro] = np.ptp(np.quantile(known, _MIDDLE))
+        return cls(length_s, edges[chosen], outputs, _AT_MOST * spread, used, gyros, body)
+
+    def rates(self, delay_s: float) -> Floats:
+        """Return the mean body rates (n, 3) so long before, NaN where they are not known."""
+        first_s = self.first_s - delay_s
+        return self.body.means(first_s, first_s + self.length_s)
+
+    def longer(self, length_s: float) -> "_Means | None":
+        """Return means over longer intervals."""
+        return _Means.over(length_s, self.gyros, self.body, self.used, self.outputs.shape[1])
+
+
+def _least(columns: Floats, output: Floats, step_s: float) -> Floats:
+    """Return the factors (10,) of [1, rate, first, second differences] (n, 10) that leave least of an output (n,).
+
+    The second derivative of one swing is the swing itself: what does not tell the two apart counts for the rate.
+    """
+    size = np.sqrt(np.mean(columns**2, axis=0))
+    of_axes = np.max(size[1:].reshape(3, 3), axis=1)  # of the rate, its first and its second differences
+    largest = np.concatenate([size[:1], np.repeat(of_axes, 3)])
+    scale = np.where(size > _SEEN * largest, size, np.inf)  # what does not turn has no factor
+    # Factors of the differences are expected to be those of a filter.
+    filtered = np.repeat([_FILTER_S / step_s, 0.5 * (_FILTER_S / step_s) ** 2], 3)
+    expected = np.diag(np.concatenate([np.zeros(4), 1 / filtered])) * _HARDLY * float(np.std(output))
+    both = np.vstack([columns / np.sqrt(len(columns)), expected]) / scale
+    right = np.concatenate([output / np.sqrt(len(output)), np.zeros(len(expected))])
+    return np.asarray(np.linalg.lstsq(both, right, rcond=1e-9)[0] / scale)
+
+
+def following(data: ImuData, reference: Reference, site: Site | None) -> Following | None:
+    """Return how the outputs of a source follow a reference; None where that tells no rates, or hardly turns."""
+    body = body_turned(reference, site)
+    means = None if body is None else _means(data, body)
+    if body is None or means is None:
+        return None
+    turning = means.rates(0.0)
+    turning = turning[np.isfinite(turning).all(axis=1)]
+    if len(turning) < _FEWEST or float(np.sqrt(np.mean(np.sum(turning**2, axis=1)))) < _TURNS_RPS:
+        return None
+    inner = np.isfinite(means.outputs) & ~_near_ends(means.outputs)
+    tried_s = np.arange(-LONGEST_S, LONGEST_S + _STEP_S / 2, _STEP_S)
+    losses = [_loss(means, delay, inner) for delay in tried_s.tolist()]
+    delay_s = _refined(means, float(tried_s[int(np.argmin(losses))]), inner)
+    fits = inner
+    for _ in range(_ROUNDS):
+        # Ramps alone may tell the delay: what is off by more than nearly all others is left out, no less.
+        _, left, _ = _line(means, delay_s, fits)
+        fits = _nearer(means, delay_s, left, inner, _FITS * _quantile(left, inner, _USUAL))
+        delay_s = _refined(means, delay_s, fits)
+    rows, left, _ = _line(means, delay_s, fits)
+    scatter = _SD_OF_MEDIAN * _quantile(left, inner, 0.5)
+    for _ in range(_ROUNDS):
+        rows, left, _ = _line(means, delay_s, _nearer(means, delay_s, left, inner, _FITS * scatter))
+        scatter = np.maximum(_SD_OF_MEDIAN * _quantile(left, inner, 0.5), _LEAST_NOISE_RPS)
+    return Following(delay_s, rows, scatter, body, means)
+
+
+def body_turned(reference: Reference, site: Site | None) -> Turned | None:
+    """Return by how much a body has turned; None where a reference does not tell that of all instants."""
+    if isinstance(reference, (Turns, Poses)) or len(reference.t_ns) < 2:
+        return None
+    if by_turns(reference):
+        return Turned.of_reference(reference, site)
+    assert isinstance(reference, TableReadings)
+    rates = BodyRates.of(reference, site)
+    inside = (reference.t_ns >= rates.starts_ns) & (reference.t_ns <= rates.final_until_ns)
+    t_ns = reference.t_ns[inside]
+    return Turned.of_rates(t_ns, rates.at(t_ns)) if len(t_ns) > 1 else None
+
+
+def _means(data: ImuData, body: Turned) -> _Means | None:
+    finite = np.isfinite(data.rate_rps)
+    used = np.flatnonzero(finite.mean(axis=0) > 0.5)
+    whole = finite[:, used].all(axis=1)
+    if not len(used) or whole.sum() < 2 * _FEWEST:
+        return None
+    gyros = Turned.of_rates(data.t_ns[whole], data.rate_rps[whole][:, used])
+    period_s = max(float(np.median(np.diff(one.t_s))) for one in (gyros, body))
+    length_s = max(_LENGTH_S, _PERIODS * period_s)
+    return _Means.over(length_s, gyros.smoothed(period_s), body.smoothed(period_s), used, len(data.array))
+
+
+def _near_ends(outputs: Floats) -> Flags:
+    """Return which outputs (n, m) are near the ends of their range."""
+    near = np.zeros(outputs.shape, dtype=np.bool_)
+    for gyro, own in enumerate(outputs.T):
+        known = own[np.isfinite(own)]
+        if len(known):
+            low, middle, high = np.quantile(known, [_ENDS, 0.5, 1 - _ENDS])
+            near[:, gyro] = (own > middle + _INNER * (high - middle)) | (own < middle - _INNER * (middle - low))
+    return near
+
+
+def _line(means: _Means, delay_s: float, fits: Flags) -> tuple[Floats, Floats, Floats]:
+    """Return rows (4, m) by least squares of the intervals that fit, what they leave of all (n, m), and weights (n,).
+
+    An interval that turns faster than nearly all others counts as those: a reference that jumps has no more weight.
+    """
+    w = means.rates(delay_s)
+    known = np.isfinite(w).all(axis=1)
+    speed = np.linalg.norm(w, axis=1)
+    weight = np.where(known, 1.0, 0.0)
+    if known.any():
+        usual = float(np.quantile(speed[known], _USUAL))
+        weight[known] = np.minimum(usual / np.maximum(speed[known], 1e-12), 1.0)
+    columns = np.column_stack([np.ones(len(w)), w])
+    rows = np.zeros((4, means.outputs.shape[1]))
+    for gyro, own in enumerate(fits.T):
+        good = known & own
+        if good.sum() >= _FEWEST:
+            weighed = columns[good] * weight[good, None]
+            size = np.sqrt(np.mean(weighed**2, axis=0))
+            # An axis about which nothing but the Earth turns is not seen: its noise would be called a sensitivity.
+            scale = np.maximum([size[0], *[np.max(size[1:])] * 3], 1e-12)
+            right = means.outputs[good, gyro] * weight[good]
+            rows[:, gyro] = np.linalg.lstsq(weighed / scale, right, rcond=_SEEN)[0] / scale
+    return rows, means.outputs - columns @ rows, weight
+
+
+def _loss(means: _Means, delay_s: float, fits: Flags) -> float:
+    """Return what a delay leaves: the logarithm of the mean square, no more than ``most`` each, the mean over gyros."""
+    _, left, weight = _line(means, delay_s, fits)
+    counts = fits & np.isfinite(left)
+    sizes = np.minimum(np.where(counts, np.abs(left) * weight[:, None], 0.0), means.most_rps)
+    number = counts.sum(axis=0)
+    squares = np.sum(sizes**2, axis=0) / np.maximum(number, 1)
+    return float(np.sum(number * np.log(squares + _LEAST_NOISE_RPS**2)) / max(number.sum(), 1))
+
+
+def _refined(means: _Means, delay_s: float, fits: Flags) -> float:
+    from scipy.optimize import minimize_scalar
+
+    found = minimize_scalar(
+        lambda delay: _loss(means, delay, fits),
+        bounds=(delay_s - 1.5 * _STEP_S, delay_s + 1.5 * _STEP_S),
+        method="bounded",
+        options={"xatol": _REFINED * 2 * _STEP_S},
+    )
+    return float(found.x)
+
+
+def _quantile(left: Floats, inner: Flags, share: float) -> Floats:
+    """Return the distance (m,) from the line within which such a share of the intervals is."""
+    found = np.full(left.shape[1], np.inf)
+    for gyro, own in enumerate(left.T):
+        known = own[inner[:, gyro] & np.isfinite(own)]
+        if len(known):
+            found[gyro] = np.quantile(np.abs(known), share)
+    return found
+
+
+def _nearer(means: _Means, delay_s: float, left: Floats, inner: Flags, distance: Floats) -> Flags:
+    """Return which intervals (n, m) are no farther from the line than a distance (m,), or a share of their rate.
+
+    Without that share a body that rests most of the time, and turns for moments, would be judged by its rests alone.
+    """
+    speed = np.linalg.norm(means.rates(delay_s), axis=1)
+    allowed = np.maximum(distance, _ALLOWED * np.nan_to_num(speed)[:, None])
+    return np.asarray(inner & (np.abs(np.nan_to_num(left, nan=np.inf)) <= allowed))
