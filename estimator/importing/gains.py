@@ -15,6 +15,7 @@ from estimator.geometry.kinematics import axis_text
 from estimator.geometry.model import Prior
 from estimator.importing.mapping.columns import UNITS
 from estimator.importing.mapping.mapping import GyroColumns
+from estimator.observations.alignment import following
 from estimator.observations.foreign import FAR_OFF
 from estimator.observations.rows import observations
 from estimator.packaged import sentence
@@ -78,6 +79,34 @@ def fitted(recording: Recording, source: str, gyro: GyroColumns) -> tuple[Record
 def _gains(recording: Recording, source: str) -> list[_Gain | None]:
     """Return the gain of every gyro of a source; None where the motion does not tell it."""
     data = recording.sources[source]
+    line = following(data, recording.reference, recording.site)
+    if line is None:
+        return _of_rows(recording, data)
+    variance, directions = np.linalg.eigh(line.turning())
+    turned = variance > _TURNED * variance[-1]
+    basis = directions[:, turned]
+    slow = line.slow_rows()
+    shares = line.follows()
+    return [
+        _gain(p, basis, basis.T @ slow[:, i], float(shares[i]), float(line.rows[0, i]))
+        for i, p in enumerate(data.array.p)
+    ]
+
+
+def _gain(p: Floats, basis: Floats, slope: Floats, follows: float, offset_rps: float) -> _Gain | None:
+    """Return the gain of a gyro along p (3,) by its slope (t,) in the directions (3, t) that are turned about."""
+    sensed = basis.T @ p
+    if np.linalg.norm(sensed) < _SENSED:
+        return None
+    along = float(slope @ sensed) / max(float(np.linalg.norm(slope) * np.linalg.norm(sensed)), 1e-12)
+    elsewhere = basis @ slope if basis.shape[1] > 1 and abs(along) < _ALONG else None
+    factor = float(slope @ sensed) / float(sensed @ sensed)
+    mixed_up = elsewhere is not None and follows >= _FOLLOWS and abs(along) < _ANOTHER
+    return _Gain(factor, offset_rps, follows, elsewhere, mixed_up)
+
+
+def _of_rows(recording: Recording, data: ImuData) -> list[_Gain | None]:
+    """Return gains by the rows of a reference that tells too little for a delay: of turns, of a body at rest."""
     m = len(data.array)
     gram = Gram.empty(m)
     for part in observations(recording, data):
@@ -97,17 +126,8 @@ def _gains(recording: Recording, source: str) -> list[_Gain | None]:
     for i, p in enumerate(data.array.p):
         cross, own = basis.T @ covariance[:3, 3 + i], float(covariance[3 + i, 3 + i])
         slope = cross / variance[turned]
-        sensed = basis.T @ p
-        if np.linalg.norm(sensed) < _SENSED:
-            found.append(None)
-            continue
         follows = float(slope @ cross) / own if own > 0 else 0.0
-        along = float(slope @ sensed) / max(float(np.linalg.norm(slope) * np.linalg.norm(sensed)), 1e-12)
-        elsewhere = basis @ slope if turned.sum() > 1 and abs(along) < _ALONG else None
-        factor = float(slope @ sensed) / float(sensed @ sensed)
-        offset = float(mean[3 + i] - mean[:3] @ basis @ slope)
-        mixed_up = elsewhere is not None and follows >= _FOLLOWS and abs(along) < _ANOTHER
-        found.append(_Gain(factor, offset, follows, elsewhere, mixed_up))
+        found.append(_gain(p, basis, slope, follows, float(mean[3 + i] - mean[:3] @ basis @ slope)))
     return found
 
 
@@ -167,7 +187,7 @@ def _gain_notes(array: SensorArray, found: Sequence[_Gain | None], size_rps: flo
             notes.append(sentence("importing.not_following", name=name, share=gain.follows))
         elif gain.axis is not None:
             notes.append(
-                sentence("importing.another_axis", name=name, axis=axis_text(gain.axis, 0.95), stated=axis_text(axis))
+                sentence("importing.another_axis", name=name, axis=axis_text(gain.axis, _ALONG), stated=axis_text(axis))
             )
         elif abs(gain.factor + 1) < FAR_OFF:
             notes.append(
