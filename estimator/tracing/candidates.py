@@ -20,6 +20,7 @@ from estimator.effects.law import VARIABLES, functions_of, last_sign, of_each_gy
 from estimator.effects.site import EARTH_RATE, EARTH_RATE_UPWARD
 from estimator.effects.table import TABLE_HARMONIC
 from estimator.estimation.runs.run import Run, with_gyro
+from estimator.observations.alignment import following
 from estimator.observations.turned import by_turns
 from estimator.types import Floats
 
@@ -29,6 +30,7 @@ _STEPS = 100  # instants in a run at which a step is looked for first
 _LAGS_S = (15.0, 40.0, 120.0)
 _MEMORIES = frozenset({"lag", "play", "last"})
 _STEADY_K = 0.05  # a temperature that changes by less tells of no effect
+_NEAR_S = 5e-3  # a delay nearer than this to where a search begins is found from there
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,14 +153,15 @@ def _expected(candidate: Candidate, of_kind: Mapping[str, int], warm: bool) -> C
 def _catalogue(runs: Sequence[Run], gimbals: tuple[str, ...], span_s: float, foreign: bool) -> list[Candidate]:
     known = [record for record in records() if record.kind is Kind.LAW and record.searched]
     plain = [record for record in known if record.grid is None]
-    far_s = np.array([-0.1, -0.05, 0.02, 0.05, 0.1]) if foreign else np.empty(0)
+    by_motion_s = _delay_by_motion(runs) if foreign else 0.0
+    far_s = _far_delays(by_motion_s) if foreign else np.empty(0)
     if not gimbals and all(run.recording.site is None and not run.turns for run in runs):
         plain = [*(record for record in plain if record is not EARTH_RATE), EARTH_RATE_UPWARD]
     found = [
         Candidate(effect.name, effect)
         for effect in (record.effect(gimbals, **own) for record in plain for own in record.listed(span_s))
     ]
-    by_size = partial(Candidate.among, by_size=True, sensed=_sensed(runs))
+    by_size = partial(Candidate.among, by_size=True, sensed=_sensed(runs, by_motion_s))
     found.append(by_size(LATENCY.name, late, np.concatenate([[0.0], far_s])))
     if not len(far_s):
         found.append(Candidate(BANDWIDTH.name, BANDWIDTH.effect(tau_s=LAG_S)))
@@ -210,16 +213,30 @@ def _scanned(record: Record, gimbals: tuple[str, ...], span_s: float) -> Candida
     return Candidate.among(record.name, of, setting.grid(span_s, 10), setting.begin, **more)
 
 
-def _sensed(runs: Sequence[Run]) -> dict[str, Floats]:
+def _far_delays(by_motion_s: float) -> Floats:
+    """Return delays in s (n,) from which a search begins beside 0; that by motion unless it is near one of them."""
+    far = [-0.1, -0.05, 0.02, 0.05, 0.1]
+    known = min(abs(by_motion_s - other) for other in (0.0, *far)) < _NEAR_S
+    return np.array(far if known else sorted([*far, by_motion_s]))
+
+
+def _delay_by_motion(runs: Sequence[Run]) -> float:
+    """Return the delay in s at which the outputs follow another instrument best, the median over the runs."""
+    lines = [following(run.data, run.recording.reference, run.recording.site) for run in runs]
+    known = [line.delay_s for line in lines if line is not None]
+    return float(np.median(known)) if known else 0.0
+
+
+def _sensed(runs: Sequence[Run], delay_s: float) -> dict[str, Floats]:
     """Return the direction (3,) that each gyro senses, with its scale: what it puts out late is all of that.
 
-    Least squares of the output error on bias, body rate, and a delay of the nominal output.
+    Least squares of the output error on bias, body rate, and about such a delay of the nominal output.
     """
     found = {}
     for name in dict.fromkeys(name for run in runs for name in run.array.names):
         rows = []
         for _, run, i in with_gyro(runs, name):
-            one = np.column_stack([np.ones(len(run.t_s)), run.w_rps, run.columns(LATENCY.effect(), i), run.z_rps[:, i]])
+            one = np.column_stack([np.ones(len(run.t_s)), run.w_rps, run.columns(late(delay_s), i), run.z_rps[:, i]])
             rows.append(one * run.weight[:, None])
         whole = np.vstack(rows)
         scale = np.sqrt(np.mean(whole[:, :-1] ** 2, axis=0))
