@@ -110,7 +110,7 @@ def _conclude(
     parts, evidence = _visible(search, found), search.evidence
     weight = evidence.noise_weight([part.term for part in parts])
     told = out_of_sample(search.runs, Augmented.of(evidence, parts, weight), evidence.shapes)
-    named = [_proven(part, told.get(part.term.name)) for part in parts]
+    named = [part if _of_the_comparison(search, part) else _proven(part, told.get(part.term.name)) for part in parts]
     certain, taken_back = confirmed(search, [part for part in named if part.probability >= CERTAIN], held_back)
     doubtful = [part for part in named if part.probability < CERTAIN]
     before, after, wider = (Augmented.of(evidence, own, weight) for own in ([], certain, [*certain, *doubtful]))
@@ -215,6 +215,17 @@ def _called(parts: Sequence[Part]) -> tuple[str, ...]:
 
 def _at_rest(runs: Sequence[Run]) -> bool:
     return not any(run.turns for run in runs)
+
+
+def _of_the_comparison(search: Search, part: Part) -> bool:
+    """Return whether single steps say nothing of an effect: a delay beside another instrument, rivals at rest.
+
+    The delay is one number of all recordings, and steps show what is wrong with the reference in them. Of rests in a
+    few poses each step is another pose, which the others do not predict.
+    """
+    if part.candidate.by_size and any(run.by_another for run in search.runs):
+        return True
+    return _at_rest(search.runs) and part.share < CERTAIN and len(part.rivals) > 1
 
 
 def _proven(part: Part, told: OutOfSample | None) -> Part:
