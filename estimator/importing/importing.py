@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.errors import RecordingError
+from estimator.importing.clocks.arrivals import by_motion
 from estimator.importing.clocks.two_clocks import ahead_by_motion, clocks_apart
 from estimator.importing.columns import read_table
 from estimator.importing.foreign_rows import ForeignRows, foreign_reference, reference_rows
@@ -131,6 +132,10 @@ def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused
         known = _rows_beside(mapping, reference, beside, log, (t_s, rate), notes)
     elif told is not None and measured:
         known = _readings(measured, time.t_s, told[time.rows], notes)
+    if isinstance(reference, Measured) and known is not None and time.other_s is not None:
+        (t_s, known), told_of = _samples_settled(mapping, reference, log, (t_s, rate), known)
+        notes += [told_of] if told_of else []
+        log = replace(log, time=replace(time, text=told_of or time.text))
     if not (spans or rests or isinstance(reference, Measured)):
         return None, left_out
     warm = None if warmth is None else warmth[:, 0]
@@ -168,8 +173,11 @@ def _rows_beside(
     table = read_table(path, other.format, wanted(other.timing, reference.columns.names))
     values = reference_rows(reference, table)
     own = timed(path, table, other.timing, other.format, values)
+    of_grid = len(notes)
     notes += [f"{name}: {note}" for note in [own.time.text, *own.notes]]
-    t_s, values = _readings(reference, own.time.t_s + (other.offset_s or 0.0), values[own.time.rows], notes)
+    shift_s = other.offset_s or 0.0
+    t_s, values = _readings(reference, own.time.t_s + shift_s, values[own.time.rows], notes)
+    stamped_s = t_s.copy()
     if own.time.zero_s is not None and time.zero_s is not None:
         t_s += own.time.zero_s - time.zero_s
     outputs, array = Turned.of_rates(_ns(gyros[0]), gyros[1]), mapping.gyro.array
@@ -190,7 +198,13 @@ def _rows_beside(
             f"from {first:.6g} to {last:.6g} s: check unit, or state offset_s, which is added to its stamps, in "
             "[reference.time]"
         )
-    t_s, values = t_s[shared], values[shared]
+    t_s, values, stamped_s = t_s[shared], values[shared], stamped_s[shared]
+    if own.time.other_s is not None:
+        at = np.searchsorted(own.time.t_s + shift_s, stamped_s)
+        other_s = t_s + own.time.other_s[at] - own.time.t_s[at]
+        tried = [(gyros[0], (each_s, values)) for each_s in (t_s, other_s)]
+        (_, (t_s, values)), told_of = _settled(mapping, reference, own, gyros[1], tried)
+        notes[of_grid] = told_of or notes[of_grid]
     if apart := clocks_apart(outputs, body(), array.p, signed=signed):
         notes.append(apart.told(name, max(first, float(t_s[0]))))
         t_s = apart.put_right(t_s)
@@ -198,6 +212,54 @@ def _rows_beside(
     if missing > _BESIDE_S:
         notes.append(f"{name} does not cover {missing:.3g} of {last - first:.6g} s")
     return t_s, values
+
+
+def _settled(
+    mapping: Mapping,
+    reference: Measured,
+    log: Log,
+    rate: Floats,
+    tried: Sequence[tuple[Floats, ForeignRows]],
+) -> tuple[tuple[Floats, ForeignRows], str]:
+    """Return the instants of samples (n,) and the rows of a reference: as the times of a log have them, or the others.
+
+    ``tried`` are both, in this order. The motion decides: stamps that scatter are of samples, or of their arrivals. In
+    words which it is, unless that is told by how the times were fitted.
+    """
+    instants = [(_ns(each_s), foreign_reference(reference, _ns(told_s), values)) for each_s, (told_s, values) in tried]
+    other = by_motion(mapping.gyro.array, rate, instants) == 1
+    time = log.time
+    if time.on_grid and not other:
+        return tried[0], ""
+    assert time.other_s is not None
+    grid_s = time.t_s if time.on_grid else time.other_s
+    rate_hz = 1 / float(np.median(np.diff(grid_s)))
+    scatter_ms = 1e3 * time.scatter_s
+    if other == time.on_grid:
+        told = sentence("importing.uneven", file=log.path.name, scatter_ms=scatter_ms, rate_hz=rate_hz)
+    else:
+        told = sentence("importing.arrivals", file=log.path.name, scatter_ms=scatter_ms, rate_hz=rate_hz)
+    return tried[1 if other else 0], told
+
+
+def _samples_settled(
+    mapping: Mapping, reference: Measured, log: Log, gyros: ForeignRows, known: ForeignRows
+) -> tuple[tuple[Floats, ForeignRows], str]:
+    """Return the instants of samples whose stamps scatter, and the reference: as stamped or even, as the motion says.
+
+    A reference in the same file has the same stamps.
+    """
+    time, (t_s, rate), (told_s, values) = log.time, gyros, known
+    other_s = time.other_s
+    assert other_s is not None
+
+    def others(each_s: Floats) -> Floats:
+        at = np.clip(np.searchsorted(time.t_s, each_s), 0, len(time.t_s) - 1)
+        return each_s + other_s[at] - time.t_s[at]
+
+    others_told_s = told_s if mapping.reference_file else others(told_s)
+    tried = [(t_s, (told_s, values)), (others(t_s), (others_told_s, values))]
+    return _settled(mapping, reference, log, rate, tried)
 
 
 def _unit_notes(mapping: Mapping, table: Table) -> list[str]:

@@ -60,7 +60,8 @@ def timed(path: Path, table: Table, timing: Timing, file_format: FileFormat, val
     kept = (time.t_s >= part.from_s) & (time.t_s <= part.until_s)
     if kept.sum() < 2:
         raise RecordingError(f"{table.name} lasts {time.t_s[-1]:.6g} s: check from_s and until_s in [file]")
-    return Log(path, table, replace(time, t_s=time.t_s[kept], rows=read[time.rows][kept]))
+    other_s = None if time.other_s is None else time.other_s[kept]
+    return Log(path, table, replace(time, t_s=time.t_s[kept], rows=read[time.rows][kept], other_s=other_s))
 
 
 def _all_times(

@@ -18,6 +18,8 @@ _JUMP_PERIODS = 10.0  # a stamp this far behind the one before is no jitter
 _LONGEST_REPLAY_S = 2.0
 _EVEN_ROWS, _NEARLY_ALL = 101, 0.99  # rows over which a wandering clock is even, and how many must be near
 _BEHIND_SHARE = 0.2  # of uneven stamps, those before an earlier one; a column with more is no time
+_EXACT = 0.05  # periods: stamps that scatter by less are those of a grid, written with few digits
+_MOST_LATE = 3.0  # periods by which stamps of even samples may scatter, by their median
 _CHECK = "check column in [time], or state rate_hz in its place; in a binary file check record"
 _SAME_SHARE = 0.5  # of the rows of a replay, how many must be there already, to the last digit
 
@@ -27,7 +29,9 @@ class TimeFit:
     """Instants (kept rows,) in seconds from the first, the rows that are kept, and in words what was done.
 
     ``replayed`` counts rows that were delivered a second time, ``doubled`` those written twice in a row. ``zero_s`` is
-    the stamp of the instant 0; None without stamps.
+    the stamp of the instant 0; None without stamps. Stamps that scatter about an even grid may be of samples or of
+    their arrivals: ``on_grid`` tells which of the two ``t_s`` is, ``other_s`` (kept rows,) are the instants if it is
+    the other, None where that cannot be. ``scatter_s`` is by how much they scatter.
     """
 
     t_s: Floats
@@ -36,6 +40,9 @@ class TimeFit:
     text: str
     doubled: int = 0
     zero_s: float | None = None
+    other_s: Floats | None = None
+    scatter_s: float = 0.0
+    on_grid: bool = False
 
     @property
     def step_s(self) -> float:
@@ -85,7 +92,12 @@ def fit_times(stamps_s: Floats, values: Floats, position: NDArray[np.int64] | No
     if best.even:
         text = sentence("importing.even_grid", rate_hz=1 / best.period_s, periods=best.scatter)
         t_s = best.number * np.float64(best.period_s)
-        return TimeFit(t_s, rows, replayed, text + done, doubled, float(np.median(t - t_s)))
+        zero_s = float(np.median(t - t_s))
+        scatters = best.scatter > _EXACT and bool((np.diff(t) > 0).all())
+        other_s = t - zero_s if scatters else None
+        scatter_s = best.scatter * best.period_s
+        return TimeFit(t_s, rows, replayed, text + done, doubled, zero_s, other_s, scatter_s, on_grid=True)
+    other_s = None
     if (wandering := _wandering(t)) is not None:
         t, text = wandering, f"even over seconds at {1 / np.median(np.diff(wandering)):.6g} Hz"
         text += "; the clock of the stamps wanders"
@@ -95,9 +107,11 @@ def fit_times(stamps_s: Floats, values: Floats, position: NDArray[np.int64] | No
         if behind > _BEHIND_SHARE:
             raise RecordingError(f"has stamps that lie behind earlier ones in {behind:.0%} of its rows: {_CHECK}")
         t, rows = t[~late], rows[~late]
+        other_s = _delivered(best, t, ~late)
         text = f"as stamped (uneven: off an even grid of {1 / best.period_s:.4g} Hz by {best.away:.1f} periods)"
         text += f", {late.sum()} rows left out whose stamp is no later than the one before" if late.any() else ""
-    return TimeFit(t - t[0], rows, replayed, text + done, doubled, float(t[0]))
+    scatter_s = best.scatter * best.period_s if other_s is not None else 0.0
+    return TimeFit(t - t[0], rows, replayed, text + done, doubled, float(t[0]), other_s, scatter_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,6 +123,17 @@ class _Grid:
     scatter: float
     away: float
     even: bool
+
+
+def _delivered(grid: _Grid, t: Floats, kept: NDArray[np.bool_]) -> Floats | None:
+    """Return the instants (kept rows,) from the first stamp on of samples that are even, if stamps may be of arrivals.
+
+    Arrivals scatter about a grid that they do not leave; those of uneven sampling do.
+    """
+    if grid.away > max(grid.scatter, 1.0) or grid.scatter > _MOST_LATE:
+        return None
+    even = grid.period_s * grid.number[kept]
+    return np.asarray(even + float(np.median(t - even)) - t[0])
 
 
 def _grids(t: Floats, rows: NDArray[np.intp], position: NDArray[np.int64] | None) -> list[_Grid]:

@@ -1,0 +1,31 @@
+"""Whether stamps are of samples or of their arrival: of two sets of instants the motion tells which is right."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from estimator.geometry.array import SensorArray
+from estimator.observations.alignment import following
+from estimator.recordings.recording import ImuData
+from estimator.recordings.reference import Reference
+from estimator.types import Floats, Stamps
+
+_BETTER = 0.05  # natural logarithm by which what is left must be smaller for stamps to be given up
+
+Instants = tuple[Stamps, Reference]
+"""When the samples of gyros were taken, and a reference."""
+
+
+def by_motion(array: SensorArray, rate_rps: Floats, tried: Sequence[Instants]) -> int:
+    """Return which of some instants of samples (n, m) and of a reference fit the motion best; the first if in doubt."""
+    left = [_left(ImuData(array, t_ns, rate_rps), reference) for t_ns, reference in tried]
+    best = int(np.argmin(left))
+    return best if left[best] < left[0] - _BETTER else 0
+
+
+def _left(data: ImuData, reference: Reference) -> float:
+    """Return the logarithm of how much outputs differ from what the reference says, the mean over gyros that follow."""
+    line = following(data, reference, None)
+    if line is None:
+        return np.inf
+    return float(np.mean(np.log(line.scatter_rps)))
