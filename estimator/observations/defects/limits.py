@@ -1,0 +1,88 @@
+"""Outputs that end at a limit of the device, whatever the body does beyond it.
+
+A device corrects offsets and axes after its converter, so that what it puts out at the limit varies by some deg/s, and
+a body that turns steadily has as flat an output as one that is at a limit. Both are told apart by the rate of the
+reference: it goes on where the output does not.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.types import Flags, Floats
+
+_BEYOND = 6.0  # standard deviations by which outputs should be beyond the largest that there is
+_FEWEST = 20  # samples beyond a limit: a few a reading may be wrong by
+_WITHOUT_SPIKES = 9  # samples: so long a wrong reading makes a rate wrong that is a slope over some
+_LIKELIER = 0.1  # share of the squares that a limit leaves of those that a line leaves
+_NEARLY_ALL = 0.9  # of the samples beyond a limit, how many must be at it: a filter takes some time to get there
+_FLAT = 0.25  # scatter at a limit over that of what the outputs should be
+_FAR = 0.05  # share of the limit by which a steady rate must be beyond it: no law of the scale factor makes as much
+_LEAST = 0.02  # share of the limit by which outputs must be beyond it: so much a reading may be wrong by
+_BELOW = 0.3  # of a limit: between that and the limit outputs follow the rate
+_TOP = 0.05  # share of the range within which a limit lies of the largest output
+_SD_OF_MEDIAN = 1.4826
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """A level in rad/s, on which side (+1, -1) outputs do not pass it, and by how much they vary there."""
+
+    level_rps: float
+    side: float
+    width_rps: float
+
+    def reached(self, output: Floats, expected: Floats) -> Flags:
+        """Return which outputs (n,) are at the limit, or should be beyond it."""
+        least = self.side * self.level_rps - self.width_rps
+        expects = np.where(np.isfinite(expected), self.side * expected, -np.inf)
+        return np.asarray((self.side * output > least) | (expects > least))
+
+
+def limits_of(output: Floats, expected: Floats, scatter_rps: float) -> list[Limit]:
+    """Return the limits of outputs (n,) that should be as ``expected`` (n,) to ``scatter_rps``, one sigma."""
+    known = np.isfinite(output) & np.isfinite(expected)
+    output, expected = output[known], expected[known]
+    if len(output) < _WITHOUT_SPIKES:
+        return []
+    expected = _without_spikes(expected)
+    middle = float(np.median(output))
+    found = [_upper(side * (output - middle), side * (expected - middle), scatter_rps) for side in (1.0, -1.0)]
+    return [
+        Limit(middle + side * level, side, width)
+        for side, limit in zip((1.0, -1.0), found, strict=True)
+        if limit is not None
+        for level, width in [limit]
+    ]
+
+
+def _without_spikes(values: Floats) -> Floats:
+    """Return medians (n,) over some neighbours: a reading that is wrong for a moment says nothing of a limit."""
+    from scipy.ndimage import median_filter
+
+    return np.asarray(median_filter(values, _WITHOUT_SPIKES, mode="nearest"))
+
+
+def _upper(output: Floats, expected: Floats, scatter: float) -> tuple[float, float] | None:
+    """Return the upper limit of outputs (n,) about their median, and its width; None if there is none."""
+    top = float(output.max())
+    beyond = expected > top + _BEYOND * scatter
+    if beyond.sum() < _FEWEST:
+        return None
+    at, ought = output[beyond], expected[beyond]
+    level = float(np.median(at))
+    # A channel that is stuck has no output that follows the rate on its way to a limit.
+    below = (expected > _BELOW * level) & (expected < level)
+    if below.sum() < _FEWEST or float(np.median(np.abs(output[below] - expected[below]))) > _FLAT * level:
+        return None
+    if top - level > max(_BEYOND * scatter, _TOP * top):
+        return None
+    count = max(int(_NEARLY_ALL * len(at)), 1)
+    left = [float(np.sum(np.sort((at - other) ** 2)[:count])) for other in (level, ought)]
+    width = _SD_OF_MEDIAN * float(np.median(np.abs(at - level)))
+    steady = _SD_OF_MEDIAN * float(np.median(np.abs(ought - np.median(ought))))
+    excess = float(np.median(ought)) / max(level, 1e-12) - 1
+    flat = width < _FLAT * steady or excess > _FAR
+    if excess < _LEAST or not flat or left[0] > _LIKELIER * left[1]:
+        return None
+    return level, max(3 * scatter, top - level)
