@@ -17,10 +17,11 @@ from estimator.estimation.source_estimate import DeviceEstimate, SourceEstimate,
 from estimator.geometry.model import decode
 from estimator.observations.conditions_seen import holds_for
 from estimator.observations.coverage import coverage, coverage_notes
+from estimator.observations.defects.examined import examined
 from estimator.observations.defects.reading_doubts import reading_doubts
 from estimator.observations.defects.stuck import stuck_doubts
 from estimator.observations.foreign import at_rest, factor_notes, foreign_motion_notes, sparse_doubts
-from estimator.observations.health import Excluded, usable
+from estimator.observations.health import Excluded
 from estimator.observations.rests import RestNoise, motion_notes, rest_noise
 from estimator.packaged import sentence
 from estimator.recordings.memory import check_estimating
@@ -43,9 +44,8 @@ def calibrate(
     The noise may be coloured (``estimator.estimation.noise_evidence``). The offset in time of each source
     is estimated too; against another instrument sigmas hold errors that hang together. ``innovations`` also gives the
     mean NIS, else that is NaN. With a ``model`` its effects are estimated with the states, and what the recording does
-    not show of them is in the sigmas.
-    Without one ``excluded`` names the effects of the catalogue that device and table do not have: what the others could
-    do to the states unseen is in the sigmas then; None leaves that out.
+    not show of them is in the sigmas. Without one ``excluded`` names the effects of the catalogue that device and table
+    do not have: what the others could do to the states unseen is in the sigmas then; None leaves that out.
 
     Raises RecordingError if a source has no samples that the reference covers, no gyro can be estimated, or memory does
     not suffice; ModelError if the recording lacks what the model needs.
@@ -53,12 +53,9 @@ def calibrate(
     if model is not None:
         check_model(model, recording)
         model = model if model.effects else None
-    sources, notes, defective = _usable(recording)
+    recording, sources, notes, defective = _usable(recording)
     doubts = sparse_doubts(recording)
-    names = dict.fromkeys(data.device for _, data in sources)
-    devices = [
-        _device(recording, [pair for pair in sources if pair[1].device == device], model, excluded) for device in names
-    ]
+    devices = _devices(recording, sources, model, excluded, defective)
     estimates = [one for device in devices for one in device.sources]
     gyros, checks = [], []
     for device in devices:
@@ -102,19 +99,46 @@ def _gyro_notes(recording: Recording, gyros: Sequence[tuple[SourceEstimate, Gyro
     return notes
 
 
-def _usable(recording: Recording) -> tuple[Sources, list[str], tuple[Excluded, ...]]:
-    """Return the sources with what can be used of each, notes on them and their motion, and gyros left out."""
+def _usable(recording: Recording) -> tuple[Recording, Sources, list[str], tuple[Excluded, ...]]:
+    """Return a recording without what its reference says wrong, its sources with what can be used of each, notes.
+
+    Notes are on these and their motion; beside come the gyros that were left out.
+    """
     check_estimating(recording)
-    fine = isinstance(recording.reference, TableReadings)
-    found = {source: usable(data, fine=fine) for source, data in recording.sources.items()}
-    sources = [(source, part) for source, its in found.items() for part in its.parts]
-    defective = tuple(e for its in found.values() for e in its.excluded)
+    seen = examined(recording)
+    sources = [(source, part) for source, its in seen.sources.items() for part in its.usable.parts]
+    defective = tuple(e for its in seen.sources.values() for e in its.usable.excluded)
     if not sources:
         reasons = "; ".join(f"{e.name}: {e.reason}" for e in defective)
         raise RecordingError(f"{recording.name}: no gyro of it can be estimated: {reasons}")
-    notes = [note for its in found.values() for note in its.notes]
+    notes = [*seen.notes, *(note for its in seen.sources.values() for note in its.usable.notes)]
     notes += [f"{e.name} is not estimated: {e.reason}; the others are" for e in defective]
-    return sources, [*notes, *motion_notes(recording), *foreign_motion_notes(recording)], defective
+    notes += [*motion_notes(recording), *foreign_motion_notes(recording)]
+    return seen.recording, sources, notes, defective
+
+
+def _devices(
+    recording: Recording,
+    sources: Sources,
+    model: ErrorModel | None,
+    excluded: frozenset[str] | None,
+    defective: Sequence[Excluded],
+) -> list[DeviceEstimate]:
+    """Return the estimates of all devices, in the order of their sources.
+
+    RecordingError where there is none, with the ``defective`` gyros that were left out: they may be why.
+    """
+    found = []
+    for device in dict.fromkeys(data.device for _, data in sources):
+        own = [pair for pair in sources if pair[1].device == device]
+        try:
+            found.append(_device(recording, own, model, excluded))
+        except RecordingError as error:
+            if isinstance(error, TooShort) or not defective:
+                raise
+            reasons = "; ".join(f"{gyro.name} is left out: {gyro.reason}" for gyro in defective)
+            raise RecordingError(f"{error}; {reasons}") from None
+    return found
 
 
 def _device(

@@ -1,10 +1,11 @@
-"""Channels that cannot be trusted, seen in their samples alone: constant, saturated, not a number."""
+"""Channels that cannot be trusted: constant, saturated, not a number; dead by what a reference says of the body."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.observations.defects.beside import Beside
 from estimator.observations.defects.odd_samples import without_odd
 from estimator.packaged import sentence
 from estimator.recordings.recording import ImuData
@@ -14,6 +15,7 @@ from estimator.types import Flags, Floats, runs_of
 _RUN_S = 0.25  # equal extreme values for longer than this are a limit, not a coincidence
 _UNUSUAL = 5  # a limit holds a value so much longer than values repeat by chance
 _MARGIN_S = 0.5  # close to a limit the noise is cut on one side only
+_FILTER_S = 0.02  # beside samples at a limit that a reference shows: what a filter holds of them
 _DEG = 180 / np.pi
 
 
@@ -34,15 +36,14 @@ class Usable:
     excluded: tuple[Excluded, ...]
 
 
-def usable(data: ImuData, *, fine: bool) -> Usable:
-    """Return the channels of a source that can be estimated, in order of time, without spikes and repeated samples.
+def usable(data: ImuData, *, fine: bool, beside: Beside | None = None) -> Usable:
+    """Return the channels of a source in order (``in_order``) that can be estimated.
 
     With ``fine`` readings, as of a gyro on a moving table, an output that never changes is a defect, and a channel
-    that stays at its extreme values is given by itself with those cut out. Coarse ones may rest on a count.
+    that stays at its extreme values is given by itself with those cut out. Coarse ones may rest on a count. What is
+    known ``beside`` them tells of both whatever the readings are like.
     """
-    data = _rows(data, np.argsort(data.t_ns, kind="stable"))
-    kept, notes = without_odd("gyro", np.asarray(data.t_ns * 1e-9, dtype=np.float64), data.rate_rps, data.array.names)
-    data = _rows(data, kept)
+    notes: list[str] = []
     excluded: list[Excluded] = []
     whole: list[int] = []
     parts: list[ImuData] = []
@@ -52,28 +53,69 @@ def usable(data: ImuData, *, fine: bool) -> Usable:
         if not finite.any():
             excluded.append(Excluded(name, "not one sample is a number"))
             continue
-        if not finite.all():
-            notes.append(f"{name}: {int((~finite).sum())} of {len(column)} samples are no numbers; they are left out")
-        if not fine:
-            whole.append(i)
+        if reason := _dead(column, i, fine=fine, beside=beside):
+            excluded.append(Excluded(name, reason))
             continue
-        low, high = float(np.nanmin(column)), float(np.nanmax(column))
-        if low == high:
-            excluded.append(Excluded(name, f"its output is constant at {low * _DEG:.4g} deg/s: disconnected or stuck"))
-            continue
-        limited = _at_limits(data, column, low, high)
+        limited, levels = _limited(data, i, fine=fine, beside=beside)
         if limited.any():
-            share = limited.mean()
-            levels = " and ".join(
-                f"{level * _DEG:.4g} deg/s" for level in (low, high) if (limited & (column == level)).any()
-            )
-            notes.append(sentence("observations.saturates", gyro=name, levels=levels, share=share))
+            notes.append(sentence("observations.saturates", gyro=name, levels=levels, share=limited.mean()))
             parts.append(_only(data, [i], limited))
         else:
             whole.append(i)
+        if beside is not None and (zone_rps := beside.dead_zone_rps(i)) is not None:
+            share = float(np.mean(column == 0.0))
+            notes.append(sentence("observations.dead_zone", gyro=name, share=share, zone_dps=zone_rps * _DEG))
     if whole:
         parts.insert(0, data if len(whole) == len(data.array) else _only(data, whole, None))
     return Usable(tuple(parts), tuple(notes), tuple(excluded))
+
+
+def in_order(data: ImuData) -> tuple[ImuData, list[str]]:
+    """Return a source in order of time without spikes and repeated samples, and what is to be told of its samples."""
+    data = _rows(data, np.argsort(data.t_ns, kind="stable"))
+    kept, notes = without_odd("gyro", np.asarray(data.t_ns * 1e-9, dtype=np.float64), data.rate_rps, data.array.names)
+    data = _rows(data, kept)
+    for name, finite in zip(data.array.names, np.isfinite(data.rate_rps).T, strict=True):
+        if finite.any() and not finite.all():
+            notes.append(f"{name}: {int((~finite).sum())} of {len(finite)} samples are no numbers; they are left out")
+    return data, notes
+
+
+def _dead(column: Floats, gyro: int, *, fine: bool, beside: Beside | None) -> str:
+    """Return why a channel (n,) is dead, empty if it is not."""
+    low, high = float(np.nanmin(column)), float(np.nanmax(column))
+    if low == high and (fine or (beside is not None and beside.turns(gyro))):
+        return f"its output is constant at {low * _DEG:.4g} deg/s: disconnected or stuck"
+    if beside is not None and beside.dead(gyro):
+        return "its output does not follow the reference, and those of other gyros do: dead, or disconnected"
+    return ""
+
+
+def _limited(data: ImuData, gyro: int, *, fine: bool, beside: Beside | None) -> tuple[Flags, str]:
+    """Return which samples (n,) of a gyro lie at or beside a limit, and its levels in words."""
+    column = data.rate_rps[:, gyro]
+    low, high = float(np.nanmin(column)), float(np.nanmax(column))
+    limited = _at_limits(data, column, low, high) if fine else np.zeros(len(column), dtype=bool)
+    levels = [level for level in (low, high) if (limited & (column == level)).any()]
+    for limit in beside.limits[gyro] if beside is not None else ():
+        assert beside is not None
+        reached = limit.reached(column, beside.expected_at(data.t_ns, gyro))
+        if not (reached & ~limited).any():
+            continue
+        limited |= _widened(reached, data)
+        if not any(abs(level - limit.level_rps) <= limit.width_rps for level in levels):
+            levels.append(limit.level_rps)
+    return limited, " and ".join(f"{level * _DEG:.4g} deg/s" for level in sorted(levels))
+
+
+def _widened(flags: Flags, data: ImuData) -> Flags:
+    """Return flags (n,) with some samples to each side of those that are set."""
+    period_s = float(np.median(np.diff(data.t_ns[:10000]))) * 1e-9
+    margin = max(round(_FILTER_S / period_s), 3)
+    wide = flags.copy()
+    for start, stop in runs_of(flags):
+        wide[max(start - margin, 0) : stop + margin] = True
+    return wide
 
 
 def _rows(data: ImuData, rows: NDArray[np.intp]) -> ImuData:

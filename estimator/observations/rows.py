@@ -28,6 +28,7 @@ _COARSE = 1e-4  # variance of the errors of a rate reference, in that of the rat
 _COARSE_MEAN = 1e-5  # what is left of it in means
 _MEANS_S = (0.1, 0.2, 0.5, 1.0)
 _FINE = 1.5  # steps of the samples: a reference whose steps are longer does not tell the rate at each sample
+_GAP_STEPS = 3.5  # usual steps: a longer gap within a turn leaves it unknown
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,12 +215,15 @@ def turn_rows(data: ImuData, turns: Turns) -> tuple[Observations, list[int]]:
     """
     t_ns, rate = in_order(data)
     white, quantum = float(sample_noise(data).max()), _quantum(rate)
+    # Where samples are left out, nobody knows how the body turned; few files of a person have even stamps.
+    left_out = not np.isfinite(data.rate_rps).all() and len(t_ns) > 1
+    longest_ns = _GAP_STEPS * float(np.median(np.diff(t_ns))) if left_out else np.inf
     w, y, weight, which = [], [], [], list[int]()
     limits = zip(turns.t_start_ns, turns.t_end_ns, turns.turn_rad, turns.sd_rad, strict=True)
     for number, (start, end, turn, sd) in enumerate(limits):
         inside = (t_ns >= start) & (t_ns <= end)
         n = int(inside.sum())
-        if n < 2:
+        if n < 2 or np.diff(t_ns[inside]).max() > longest_ns:
             continue
         which.append(number)
         t_s, part = (t_ns[inside] - start) * 1e-9, rate[inside]

@@ -17,9 +17,10 @@ from estimator.estimation.runs.measured import even_grid, means_by_samples, mean
 from estimator.estimation.runs.run import BLOCK_S, FEWEST_TURNS, Run, block_means
 from estimator.estimation.runs.surroundings import GRID_S, conditions_of, force_at, temperature_at
 from estimator.geometry.kinematics import EARTH_RATE_RPS, GRAVITY_MPS2
-from estimator.observations.defects.faults import Fault, held_samples, saturations, split_faulty, without_stuck
-from estimator.observations.health import usable
-from estimator.observations.rows import sample_noise, turn_rows
+from estimator.observations.defects.examined import examined
+from estimator.observations.defects.faults import Fault, held_samples, split_faulty
+from estimator.observations.foreign import at_rest
+from estimator.observations.rows import in_order, sample_noise, turn_rows
 from estimator.observations.turned import Turned, by_turns
 from estimator.packaged import sentence
 from estimator.recordings.memory import check_estimating
@@ -40,30 +41,25 @@ def runs_of(recording: Recording, block_s: float = BLOCK_S, order: int = 0) -> t
 
     Raises InvestigationError if there is nothing to trace in it.
     """
-    fine = isinstance(recording.reference, TableReadings)
-    runs: list[Run] = []
-    notes: list[str] = []
-    faults: list[Fault] = []
     names = [name for data in recording.sources.values() for name in data.array.names]
-    for source, original in recording.sources.items():
-        data = original
-        if len(set(names)) < len(names):
-            data = replace(data, array=replace(data.array, names=tuple(f"{source} {n}" for n in data.array.names)))
-        held = held_samples(data) if fine else 1
-        if held > 1:
-            delay_s = 0.5 * (held - 1) * float(np.median(np.diff(data.t_ns))) * 1e-9  # on the average
-            values = (("samples", float(held), "1"), ("delay", delay_s, "s"))
+    if len(set(names)) < len(names):
+        recording = replace(recording, sources={name: _called(name, data) for name, data in recording.sources.items()})
+    seen = examined(recording)
+    runs: list[Run] = []
+    notes = [f"{recording.name}: {note}" for note in seen.notes]
+    faults: list[Fault] = []
+    for source, its in seen.sources.items():
+        if its.held > 1:
+            data = recording.sources[source]
+            delay_s = 0.5 * (its.held - 1) * float(np.median(np.diff(data.t_ns))) * 1e-9  # on the average
+            values = (("samples", float(its.held), "1"), ("delay", delay_s, "s"))
             faults += [Fault(SAMPLE_HOLD.name, name, values) for name in data.array.names]
-        elif fine:
-            data, stuck = without_stuck(data)
-            faults += stuck
-        found = usable(data, fine=fine)
-        faults += saturations(found.notes, data)
-        notes += [f"{recording.name}: {note}" for note in found.notes]
-        notes += [f"{recording.name}: {e.name} is left out: {e.reason}" for e in found.excluded]
-        for number, part in enumerate(p for whole in found.parts for p in split_faulty(whole)):
+        faults += its.faults
+        notes += [f"{recording.name}: {note}" for note in its.usable.notes]
+        notes += [f"{recording.name}: {e.name} is left out: {e.reason}" for e in its.usable.excluded]
+        for number, part in enumerate(p for whole in its.usable.parts for p in split_faulty(whole)):
             label = source if not number else f"{source} ({number + 1})"
-            run = _run(recording, label, part, block_s, order, held)
+            run = _run(seen.recording, label, part, block_s, order, its.held)
             if run is not None:
                 runs.append(run)
     if isinstance(recording.reference, Poses):
@@ -78,6 +74,11 @@ def runs_of(recording: Recording, block_s: float = BLOCK_S, order: int = 0) -> t
             sentence("estimation.untraced_short", recording=recording.name, length_s=_FEWEST_BLOCKS * BLOCK_S)
         )
     return runs, notes, faults
+
+
+def _called(source: str, data: ImuData) -> ImuData:
+    """Return a source whose gyros are called by it, too."""
+    return replace(data, array=replace(data.array, names=tuple(f"{source} {n}" for n in data.array.names)))
 
 
 def runs_of_all(

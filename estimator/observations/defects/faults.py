@@ -7,12 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.effects.disturbances import SATURATION, STUCK
+from estimator.observations.defects.beside import Beside
+from estimator.packaged import sentence
 from estimator.recordings.recording import ImuData
 from estimator.types import Floats, least_steps
 
 _STUCK_S = 0.25
 _FEWEST = 10
 _UNUSUAL = 5  # a value that sticks does so this much longer than values repeat by chance
+_TOGETHER = 0.5  # of the rows in which one gyro sticks: where all do in so many, a source sticks
+_FINE_ROWS = 2  # for so few rows fine outputs keep a value: then one that stays is stuck, whatever the body does
 _FEWEST_UPDATES = 20
 _SHORT_SHARE = 0.05  # of the runs of equal rows, how many may be one row long all the same
 _AT_PERIOD = 0.5  # of the runs, how many must last one period of the updates
@@ -65,29 +69,56 @@ def held_samples(data: ImuData) -> int:
     return 1 if fresh is None else round(len(data.t_ns) / len(fresh))
 
 
-def without_stuck(data: ImuData) -> tuple[ImuData, list[Fault]]:
-    """Return a source with the values that stick taken out, and what stuck: neither its extremes nor all of it."""
+def without_stuck(data: ImuData, beside: Beside | None = None) -> tuple[ImuData, list[Fault]]:
+    """Return a source with the values that stick taken out, and what stuck: neither its extremes nor all of it.
+
+    Where outputs are coarse, or a value is exactly zero, it sticks only if what is known ``beside`` them changed.
+    """
     if len(data.t_ns) < 100:
         return data, []
     period_s = float(np.median(np.diff(data.t_ns))) * 1e-9
     least = max(round(_STUCK_S / period_s), _FEWEST)
     faults: list[Fault] = []
     rate = data.rate_rps
+    together = _together(data.rate_rps) if beside is not None and beside.table else np.zeros(len(rate), dtype=np.bool_)
     for i, name in enumerate(data.array.names):
         column = data.rate_rps[:, i]
+        if np.isnan(column).all():
+            continue
         starts = np.flatnonzero(np.diff(column, prepend=np.nan) != 0)
         lengths = np.diff(np.append(starts, len(column)))
         usual = max(float(np.quantile(lengths, 0.99)), 1.0)
         low, high = np.nanmin(column), np.nanmax(column)
-        stuck = (lengths >= max(least, _UNUSUAL * usual)) & (lengths <= 0.9 * len(column))
-        stuck &= (column[starts] != low) & (column[starts] != high)
-        for start, length in zip(starts[stuck].tolist(), lengths[stuck].tolist(), strict=True):
+        long = np.flatnonzero((lengths >= max(least, _UNUSUAL * usual)) & (lengths <= 0.9 * len(column)))
+        fine = usual <= _FINE_ROWS
+        zone = beside is not None and len(long) > 0 and beside.dead_zone_rps(i) is not None
+        for start, length in zip(starts[long].tolist(), lengths[long].tolist(), strict=True):
+            value, span = column[start], slice(start, start + length)
+            if together[span].mean() > _TOGETHER:
+                continue
+            if value in (low, high) or (value == 0.0 and zone):
+                continue
+            changed = beside.changed(data.t_ns[span], i) if beside is not None else None
+            if not (changed or (fine and value != 0.0)):
+                continue
             if rate is data.rate_rps:
                 rate = data.rate_rps.copy()
-            rate[start : start + length, i] = np.nan
+            rate[span, i] = np.nan
             first, last = data.t_ns[start] * 1e-9, data.t_ns[start + length - 1] * 1e-9
             faults.append(Fault(STUCK.name, name, (("from", float(first), "s"), ("until", float(last), "s"))))
     return (data if rate is data.rate_rps else replace(data, rate_rps=rate)), faults
+
+
+def _together(rate_rps: Floats) -> NDArray[np.bool_]:
+    """Return which rows (n,) are the row before in all gyros: there it is the source that is stuck (``stuck``)."""
+    same = np.asarray((rate_rps[1:] == rate_rps[:-1]).all(axis=1))
+    return np.concatenate([same[:1], same])
+
+
+def stuck_notes(faults: Sequence[Fault], begin_s: float) -> list[str]:
+    """Return, in words, which values stuck, from when on and for how long; instants count from ``begin_s``."""
+    spans = [(f.gyro, f.values[0][1] - begin_s, f.values[1][1] - begin_s) for f in faults if f.kind == STUCK.name]
+    return [sentence("observations.stuck", gyro=name, since_s=a, length_s=b - a) for name, a, b in spans]
 
 
 def split_faulty(data: ImuData) -> list[ImuData]:

@@ -1,0 +1,160 @@
+"""Outputs beside what a reference says they should be: channels that are dead, stick, end at a limit, or hide zero."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.geometry.kinematics import Site
+from estimator.observations.alignment import Following
+from estimator.observations.defects.limits import Limit, limits_of
+from estimator.observations.defects.turned_limits import limits_by_turns
+from estimator.observations.defects.zones import dead_zone_rps
+from estimator.recordings.recording import ImuData
+from estimator.recordings.reference import Poses, Reference, TableReadings, Turns
+from estimator.types import Floats, Stamps
+
+_MOST = 60000  # means of neighbouring samples that a long recording is looked at by
+_GAP_STEPS = 3.5  # usual steps: samples that lie further apart are no neighbours
+_DEAD = 0.1  # length of a row of the line, one for a gyro: less does not follow
+_ALIVE = 0.5  # that of another gyro, which shows that it is not the reference that is dead
+_MOVED = 10.0  # standard deviations of the scatter by which a body must turn for a channel to be called dead
+_CHANGED = 8.0  # the same, by which outputs should have changed while one stuck
+_SD_OF_MEDIAN = 1.4826
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Beside:
+    """Mean outputs (n, m) of a source at instants (n,) in s, and what they should be (n, m), NaN where unknown.
+
+    ``scatter_rps`` (m,) is how much they differ from that, one sigma; ``turned_rps`` (m,) the rms of the rate about
+    each sense axis as far as it is known. ``slopes`` (m,) are those of all outputs over that rate. ``line`` is how the
+    outputs follow where nothing is wrong, None beside turns and rests.
+    ``table``: the reference is one.
+    """
+
+    t_s: Floats
+    outputs: Floats
+    expected: Floats
+    scatter_rps: Floats
+    turned_rps: Floats
+    slopes: Floats
+    line: Following | None
+    limits: Sequence[Sequence[Limit]]
+    table: bool
+
+    @classmethod
+    def of(cls, data: ImuData, reference: Reference, site: Site | None, line: Following | None) -> "Beside":
+        """Return that of a source in order of time; ``line`` is how it follows the reference."""
+        t_s, outputs = _thinned(data)
+        m = len(data.array)
+        table = isinstance(reference, TableReadings)
+        unknown = np.full(outputs.shape, np.nan)
+        if line is None:
+            limits = limits_by_turns(data, reference) if isinstance(reference, Turns) else [[] for _ in range(m)]
+            unlike = np.full(m, np.inf)
+            return cls(
+                t_s=t_s,
+                outputs=outputs,
+                expected=unknown,
+                scatter_rps=unlike,
+                turned_rps=_turned(data, reference),
+                slopes=unlike,
+                line=None,
+                limits=limits,
+                table=table,
+            )
+        expected = line.expected_rps(t_s)
+        left = np.abs(outputs - expected)
+        scatter = np.array([_SD_OF_MEDIAN * _median(own) for own in left.T])
+        scatter = np.maximum(scatter, 1e-9)
+        turned = line.turned.rates(t_s - line.delay_s) @ data.array.p.T
+        known = np.isfinite(turned).all(axis=1)
+        rms = np.sqrt(np.mean(turned[known] ** 2, axis=0)) if known.any() else np.zeros(m)
+        limits = [limits_of(*each) for each in zip(outputs.T, expected.T, scatter.tolist(), strict=True)]
+        return cls(
+            t_s=t_s,
+            outputs=outputs,
+            expected=expected,
+            scatter_rps=scatter,
+            turned_rps=rms,
+            slopes=_slopes(outputs, turned),
+            line=line,
+            limits=limits,
+            table=table,
+        )
+
+    def turns(self, gyro: int) -> bool:
+        """Return whether a gyro should have seen the body turn: one that puts out one value all the time is dead."""
+        return bool(self.turned_rps[gyro] > 0)
+
+    def dead(self, gyro: int) -> bool:
+        """Return whether an output has nothing to do with the rate while those of other gyros follow it."""
+        if self.line is None:
+            return False
+        size = np.linalg.norm(self.line.rows[1:], axis=0)
+        others = np.delete(size, gyro)
+        seen = self.turned_rps[gyro] > _MOVED * self.scatter_rps[gyro] * _DEAD
+        lost = size[gyro] < _DEAD and abs(self.slopes[gyro]) < _DEAD
+        return bool(lost and seen and (others > _ALIVE).any())
+
+    def dead_zone_rps(self, gyro: int) -> float | None:
+        """Return the rate below which an output is exactly zero; None if there is no such."""
+        return dead_zone_rps(self.outputs[:, gyro], self.expected[:, gyro])
+
+    def expected_at(self, t_ns: Stamps, gyro: int) -> Floats:
+        """Return what an output should be (n,) at some instants, NaN where that is not known."""
+        if self.line is None:
+            return np.full(len(t_ns), np.nan)
+        return self.line.expected_rps(np.asarray(t_ns * 1e-9, dtype=np.float64))[:, gyro]
+
+    def changed(self, t_ns: Stamps, gyro: int) -> bool | None:
+        """Return whether an output should have changed in a span of instants; None where nobody knows."""
+        ought = self.expected_at(t_ns, gyro)
+        ought = ought[np.isfinite(ought)]
+        if len(ought) < 2:
+            return None
+        return bool(np.ptp(ought) > _CHANGED * self.scatter_rps[gyro])
+
+
+def _slopes(outputs: Floats, turned: Floats) -> Floats:
+    """Return the slope (m,) of each output (n, m) over the rate about its sense axis (n, m); 0 where that rests."""
+    slopes = np.zeros(outputs.shape[1])
+    for gyro, (output, rate) in enumerate(zip(outputs.T, turned.T, strict=True)):
+        known = np.isfinite(output) & np.isfinite(rate)
+        if not known.any():
+            continue
+        about = rate[known] - rate[known].mean()
+        squares = float(about @ about)
+        if squares > 0:
+            slopes[gyro] = float(about @ output[known]) / squares
+    return slopes
+
+
+def _median(values: Floats) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else np.inf
+
+
+def _thinned(data: ImuData) -> tuple[Floats, Floats]:
+    """Return instants (n,) in s and outputs (n, m) as means of so many neighbours that there are not too many."""
+    t_s = np.asarray(data.t_ns * 1e-9, dtype=np.float64)
+    width = -(-len(t_s) // _MOST)
+    if width <= 1:
+        return t_s, data.rate_rps
+    count = len(t_s) // width
+    each_s = t_s[: count * width].reshape(count, width)
+    near = np.ptp(each_s, axis=1) < _GAP_STEPS * width * float(np.median(np.diff(t_s)))
+    means = data.rate_rps[: count * width].reshape(count, width, -1).mean(axis=1)
+    return np.asarray(each_s.mean(axis=1)[near]), np.asarray(means[near])
+
+
+def _turned(data: ImuData, reference: Reference) -> Floats:
+    """Return the rms (m,) of the rate about each sense axis where only turns or other gyros tell it; 0 if unknown."""
+    if isinstance(reference, Turns):
+        seconds = np.maximum((reference.t_end_ns - reference.t_start_ns) * 1e-9, 1e-9)[:, None]
+        return np.asarray(np.sqrt(np.mean((reference.turn_rad / seconds @ data.array.p.T) ** 2, axis=0)))
+    if isinstance(reference, Poses):  # hands turn about all axes
+        spread = np.nanstd(data.rate_rps, axis=0)
+        return np.full(len(spread), float(np.nanmax(spread, initial=0.0)))
+    return np.zeros(len(data.array))

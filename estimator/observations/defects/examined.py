@@ -1,0 +1,78 @@
+"""A recording looked through for what is wrong with its samples and its reference, before anything is estimated."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimator.observations.alignment import Following, following
+from estimator.observations.defects.beside import Beside
+from estimator.observations.defects.faults import Fault, held_samples, saturations, stuck_notes, without_stuck
+from estimator.observations.defects.glitches import without_glitches
+from estimator.observations.health import Usable, in_order, usable
+from estimator.recordings.recording import ImuData, Recording
+from estimator.recordings.reference import TableReadings
+
+Ordered = tuple[ImuData, Sequence[str]]
+"""Samples in order, and what is to be told of them."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Source:
+    """What is left of one source, the faults of its data, and for how many samples each value of it is held."""
+
+    usable: Usable
+    faults: Sequence[Fault]
+    held: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Examined:
+    """A recording without what is wrong with its reference, what is to be told of that, and its sources by name."""
+
+    recording: Recording
+    notes: Sequence[str]
+    sources: Mapping[str, Source]
+
+
+def examined(recording: Recording) -> Examined:
+    """Return what can be used of a recording."""
+    ordered = {name: in_order(data) for name, data in recording.sources.items()}
+    lines = _lines(recording, ordered)
+    sources = {name: _source(recording, *pair, lines[name]) for name, pair in ordered.items()}
+    # The reference is one for all sources: what follows it best tells where it is wrong.
+    told = [(float(line.scatter_rps.min()), name) for name, line in lines.items() if line is not None]
+    line = lines[min(told)[1]] if told else None
+    if line is None:
+        return Examined(recording, [], sources)
+    right, notes = without_glitches(recording, _together(sources[min(told)[1]], ordered[min(told)[1]][0]), line)
+    if notes:
+        lines = _lines(right, ordered)
+        sources = {name: _source(right, *pair, lines[name]) for name, pair in ordered.items()}
+    return Examined(right, notes, sources)
+
+
+def _lines(recording: Recording, ordered: Mapping[str, Ordered]) -> dict[str, Following | None]:
+    return {name: following(data, recording.reference, recording.site) for name, (data, _) in ordered.items()}
+
+
+def _together(source: Source, data: ImuData) -> ImuData:
+    """Return all gyros of a source in order that can be used, NaN where one cannot."""
+    rate = np.full(data.rate_rps.shape, np.nan)
+    for part in source.usable.parts:
+        for name, column in zip(part.array.names, part.rate_rps.T, strict=True):
+            rate[:, data.array.names.index(name)] = column
+    return replace(data, rate_rps=rate)
+
+
+def _source(recording: Recording, data: ImuData, notes: Sequence[str], line: Following | None) -> Source:
+    fine = isinstance(recording.reference, TableReadings)
+    held = held_samples(data) if fine else 1
+    beside = Beside.of(data, recording.reference, recording.site, line)
+    faults: list[Fault] = []
+    if held == 1:
+        data, faults = without_stuck(data, beside)
+    found = usable(data, fine=fine, beside=beside)
+    begin_s = float(data.t_ns[0]) * 1e-9 if len(data.t_ns) else 0.0
+    told = (*notes, *stuck_notes(faults, begin_s), *found.notes)
+    return Source(Usable(found.parts, told, found.excluded), [*faults, *saturations(found.notes, data)], held)
