@@ -41,6 +41,8 @@ def runs_of(recording: Recording, block_s: float = BLOCK_S, order: int = 0) -> t
 
     Raises InvestigationError if there is nothing to trace in it.
     """
+    if isinstance(recording.reference, Poses):
+        raise InvestigationError(sentence("estimation.untraced_gravity", recording=recording.name))
     names = [name for data in recording.sources.values() for name in data.array.names]
     if len(set(names)) < len(names):
         recording = replace(recording, sources={name: _called(name, data) for name, data in recording.sources.items()})
@@ -62,8 +64,6 @@ def runs_of(recording: Recording, block_s: float = BLOCK_S, order: int = 0) -> t
             run = _run(seen.recording, label, part, block_s, order, its.held)
             if run is not None:
                 runs.append(run)
-    if isinstance(recording.reference, Poses):
-        raise InvestigationError(sentence("estimation.untraced_gravity", recording=recording.name))
     if not runs and isinstance(recording.reference, Turns):
         raise InvestigationError(
             f"{recording.name}: {len(recording.reference.sd_rad)} turns and rests of known angle are too few to trace "
