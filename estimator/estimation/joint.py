@@ -22,7 +22,6 @@ from estimator.estimation.constancy import changes, halves
 from estimator.estimation.noise_evidence import Joint, Law, TooShort, expected_of, joint_estimate
 from estimator.estimation.runs.making import run_of
 from estimator.estimation.runs.run import FEWEST_TURNS, Run, growth_notes
-from estimator.estimation.runs.samples import means_of
 from estimator.estimation.source_estimate import DeviceEstimate, SourceEstimate, Sources
 from estimator.estimation.spectra import Z
 from estimator.estimation.undeclared import undeclared_laws
@@ -209,14 +208,8 @@ def _run(recording: Recording, number: int, source: str, data: ImuData) -> Run:
     if run is None:
         raise TooShort(sentence("estimation.short_for_effects", recording=recording.name, source=source))
     if at_rest(recording.reference):  # Earth rate is too slow to tell k from other effects
-        return replace(run, w_rps=np.zeros_like(run.w_rps), z_rps=_sample_means(run))
+        return replace(run, w_rps=np.zeros_like(run.w_rps))
     return run
-
-
-def _sample_means(run: Run) -> Floats:
-    """Return output errors (b, m) as means over the samples of each block: at rest there is nothing to integrate."""
-    means, counts = means_of(run, np.asarray(run.data.t_ns * 1e-9, dtype=np.float64), run.data.rate_rps)
-    return np.where(counts > 0, means - run.w_rps @ run.array.p.T, run.z_rps)
 
 
 def _model_laws(model: ErrorModel | None, recording: Recording, runs: Sequence[Run]) -> list[Law]:

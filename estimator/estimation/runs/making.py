@@ -15,6 +15,7 @@ from estimator.effects.thermal import THERMAL_BIAS, THERMAL_SCALE
 from estimator.errors import InvestigationError
 from estimator.estimation.runs.measured import even_grid, means_by_samples, means_by_turns, weighed
 from estimator.estimation.runs.run import BLOCK_S, FEWEST_TURNS, Run, block_means
+from estimator.estimation.runs.samples import means_of
 from estimator.estimation.runs.surroundings import GRID_S, conditions_of, force_at, temperature_at
 from estimator.geometry.kinematics import EARTH_RATE_RPS, GRAVITY_MPS2
 from estimator.observations.defects.examined import examined
@@ -147,7 +148,16 @@ def _run(recording: Recording, source: str, data: ImuData, block_s: float, order
         held,
         growth_s=growth_s,
     )
+    if at_rest(recording.reference):
+        run = replace(run, z_rps=_sample_means(run))
     return run if run.turns or grid.gimbals else replace(run, **_unknown_earth(run))
+
+
+def _sample_means(run: Run) -> Floats:
+    """Return output errors (b, m) as means over the samples of each block: at rest there is nothing to integrate."""
+    t_ns, rate_rps = in_order(run.data)
+    means, counts = means_of(run, np.asarray(t_ns * 1e-9, dtype=np.float64), rate_rps)
+    return np.where(counts > 0, means - run.w_rps @ run.array.p.T, run.z_rps)
 
 
 def _unknown_earth(run: Run) -> dict[str, Any]:
