@@ -19,7 +19,7 @@ from estimator.effects.dynamics import LATENCY
 from estimator.effects.effect import Acts
 from estimator.effects.site import EARTH_RATE
 from estimator.estimation.constancy import changes, halves
-from estimator.estimation.noise_evidence import Joint, Law, TooShort, expected_of, joint_estimate
+from estimator.estimation.noise_evidence import Joint, Law, TooShort, bias_notes, expected_of, joint_estimate
 from estimator.estimation.runs.making import run_of
 from estimator.estimation.runs.run import FEWEST_TURNS, Run, growth_notes
 from estimator.estimation.source_estimate import DeviceEstimate, SourceEstimate, Sources
@@ -28,7 +28,7 @@ from estimator.estimation.undeclared import undeclared_laws
 from estimator.geometry.model import regressor_maps
 from estimator.geometry.noise import NoiseModel
 from estimator.observations.alignment import body_turned, following
-from estimator.observations.blocks import Blocks
+from estimator.observations.blocks import Blocks, block_squares
 from estimator.observations.foreign import CLUSTER_S, COLOURED, FEWEST_CLUSTERS, at_rest
 from estimator.observations.rows import BLOCK_S, coarser, row_length_s, sample_noise, source_blocks
 from estimator.observations.timing import TimeOffset, expected_sd_s
@@ -102,6 +102,9 @@ def estimate_device(
         joint = joint_estimate(runs, [*laws, *further], stated) if further else plain
         notes += _undeclared_notes(joint)
     left_s = _delays(plain, covariances)
+    if recording.several_files:
+        weight = joint.weight.mean(axis=1)
+        notes += bias_notes(recording, weight, joint.evidence.shapes.turn_on, float(joint.arw.mean()))
     offsets = {name: TimeOffset(delays_s[name] + left, sd_s) for name, (left, sd_s) in left_s.items()}
     notes += _offset_notes(recording, offsets, external)
     if external:
@@ -302,7 +305,8 @@ def _estimated(
             blocks = replace(blocks, z_rps=blocks.z_rps - said)
     if blocks is not None and not coarse:
         noise_rps = _sample_noise_of(blocks, data, x)
-        squares, dof = _block_squares(blocks, data, x, noise_rps)
+        file = recording.file_of(blocks.t_s + begin_s)
+        squares, dof = block_squares(blocks, data.array, x, noise_rps, file)
         samples = int(blocks.rows.sum()) * m
     else:
         full = int((run.weight > 0).sum())
@@ -340,14 +344,6 @@ def _sample_noise_of(blocks: Blocks, data: ImuData, x: Floats) -> Floats:
         weights_of = np.concatenate([-slope, np.eye(len(array))[i]])
         squares[i] = weights_of @ blocks.within @ weights_of
     return np.maximum(np.sqrt(np.maximum(squares / rows, 0.0)), 1e-3 * sample_noise(data))
-
-
-def _block_squares(blocks: Blocks, data: ImuData, x: Floats, noise_rps: Floats) -> tuple[float, int]:
-    """Return the squares of block means about the estimate, over those of white noise, and their number."""
-    regressors = np.column_stack([np.ones(len(blocks.index)), blocks.w_rps])
-    rest = blocks.z_rps - np.einsum("rj,mij,mi->rm", regressors, regressor_maps(data.array), x)
-    squares = float(np.sum(blocks.rows[:, None] * (rest / noise_rps) ** 2))
-    return squares, max(rest.size - 4 * len(data.array), 0)
 
 
 def _lines(joint: Joint, covariance: Floats) -> tuple[Contribution, ...]:

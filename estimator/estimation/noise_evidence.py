@@ -21,12 +21,15 @@ from estimator.estimation.runs.measured import weighed
 from estimator.estimation.runs.run import Run
 from estimator.estimation.runs.samples import samples_of, tone_columns
 from estimator.estimation.spectra import GyroSpectra, NoiseShapes, Z, gyro_spectra
+from estimator.geometry.kinematics import EARTH_RATE_RPS
 from estimator.geometry.noise import NoiseFound, NoiseModel
 from estimator.observations.blocks import Blocks
+from estimator.packaged import sentence
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import TableReadings
 from estimator.types import Floats
 
+_SURELY = 0.95  # probability from which on it is told that biases differ from file to file
 _LEAST_ARW = 1e-9  # rad/s/rtHz, below any gyro
 _ACCELERATING = 0.02  # change of rate from block to block, as a share of the largest rate, that counts as a ramp
 _FEWEST_STEADY = 40
@@ -104,6 +107,19 @@ class Joint:
         return np.concatenate(t_s), np.vstack(parts)
 
 
+def bias_notes(recording: Recording, weight: Floats, turn_on: Floats, arw: float) -> list[str]:
+    """Return, in words, that biases differ from file to file, where noise models (G,) with such are by far likelier.
+
+    ``turn_on`` (G,) is the standard deviation over the angle random walk ``arw``. As much as the Earth turns may be
+    the Earth at a site that is not stated.
+    """
+    size_rps = float(np.sqrt(weight @ turn_on**2)) * arw
+    least_rps = 0.0 if recording.site is not None else EARTH_RATE_RPS
+    if float(weight[turn_on > 0].sum()) < _SURELY or size_rps <= least_rps:
+        return []
+    return [sentence("estimation.biases_by_file", size_dph=3600 * np.degrees(size_rps))]
+
+
 def joint_estimate(runs: Sequence[Run], laws: Sequence[Law] = (), stated: NoiseModel | None = None) -> Joint:
     """Return the estimate of the gyros of one device, each name once; ``stated`` is its data sheet's noise.
 
@@ -119,7 +135,9 @@ def joint_estimate(runs: Sequence[Run], laws: Sequence[Law] = (), stated: NoiseM
     if not all(len(run.t_s) for run in moved):
         raise TooShort("no block holds samples")
     span_s = max(float(run.t_s[-1] - run.t_s[0]) + run.length_s for run in moved)
-    evidence, terms = settled(moved, _spectra(moved, columns), NoiseShapes.over(span_s, stated), ordered)
+    several = any(run.recording.several_files for run in moved)
+    shapes = NoiseShapes.over(span_s, stated, several=several, finely=True)
+    evidence, terms = settled(moved, _spectra(moved, columns), shapes, ordered)
     white = np.array([gyro.arw for gyro in evidence.gyros])
     arw = np.maximum(white * np.sqrt(evidence.level), _LEAST_ARW)
     weight = evidence.noise_weights(terms)

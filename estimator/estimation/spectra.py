@@ -26,6 +26,7 @@ _STATED_SPREAD = np.log(3.0)  # how far a device's instability may be from its d
 _LEAST = 0.05  # expectation of no coloured noise at most, where the data sheet states some
 _TELLING, _BY_CHANCE = 8.0, 1e-4
 """Degrees of freedom in which a level of noise is looked for, and its probability by chance."""
+_TURN_ON_FINE = np.geomspace(0.2, 200.0, 7)
 _TURN_ON, _TURN_ON_EXPECTED = np.array([0.0, 0.2, 2.0, 50.0]), np.array([0.45, 0.2, 0.2, 0.15])
 
 
@@ -90,13 +91,23 @@ class NoiseShapes:
     span_s: float
 
     @classmethod
-    def over(cls, span_s: float, stated: NoiseModel | None = None, *, several: bool = False) -> "NoiseShapes":
-        """Return those that one or ``several`` recordings of this length can tell; ``stated`` by a data sheet."""
+    def over(
+        cls, span_s: float, stated: NoiseModel | None = None, *, several: bool = False, finely: bool = False
+    ) -> "NoiseShapes":
+        """Return those that one or ``several`` recordings of this length can tell; ``stated`` by a data sheet.
+
+        ``finely``: biases from recording to recording in finer steps, where they are the noise of the states.
+        """
         arw = stated.arw if stated is not None else 0.0
         ratios = (stated.instability / arw, stated.walk / arw) if stated is not None and arw > 0 else (0.0, 0.0)
         instability, chance_b = _expected(np.geomspace(1.0, 60, 6) / np.sqrt(span_s), ratios[0])
         walk, chance_k = _expected(np.geomspace(0.5, 40, 4) / span_s, ratios[1])
         turn_on, chance_t = (_TURN_ON, _TURN_ON_EXPECTED) if several else (np.zeros(1), np.ones(1))
+        if several and finely:
+            turn_on = np.concatenate([[0.0], _TURN_ON_FINE])
+            chance_t = np.concatenate(
+                [chance_t[:1], np.full(len(_TURN_ON_FINE), chance_t[1:].sum() / len(_TURN_ON_FINE))]
+            )
         b, k, t = (part.ravel() for part in np.meshgrid(instability, walk, turn_on, indexing="ij"))
         return cls(b, k, t, np.log(np.einsum("b,k,t->bkt", chance_b, chance_k, chance_t).ravel()), span_s)
 
@@ -263,7 +274,7 @@ def gyro_spectra(runs: Sequence[Run], arw: Mapping[str, float] | None = None) ->
     ``arw`` states it by gyro (rad/s/rtHz) where much of the runs is left out.
     """
     names = list(dict.fromkeys(name for run in runs for name in run.array.names))
-    alone = len({run.order for run in runs}) == 1
+    alone = len({run.order for run in runs}) == 1 and not any(run.recording.several_files for run in runs)
     found = []
     for name in names:
         stretches: list[Stretch] = []

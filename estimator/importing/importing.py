@@ -338,6 +338,7 @@ def _joined(mapping: Mapping, parts: list[_Part], refused: list[Refused]) -> tup
         notes.append(f"the site is not used: {how}")
     attributes = {
         "device": mapping.device,
+        "files_begin_s": np.array([start + float(part.t_s[0]) for part, start in placed]) if len(placed) > 1 else None,
         "imported_from": ", ".join(part.log.path.name for part in parts),
         "mapping": mapping.text,
         "time_fit": "\n".join(f"{part.log.path.name}: {part.log.time.text}" for part in parts),

@@ -5,6 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.geometry.array import SensorArray
+from estimator.geometry.model import regressor_maps
 from estimator.recordings.growing_rows import GrowingRows
 from estimator.types import Floats
 
@@ -91,3 +93,20 @@ class BlockSums:
         within = self._products - sums.T @ means
         means = means + self._shift
         return Blocks(index, rows, means[:, :3], means[:, 3:], within, self._length_s, self._period_s)
+
+
+def block_squares(
+    blocks: Blocks, array: SensorArray, x: Floats, noise_rps: Floats, file: NDArray[np.intp]
+) -> tuple[float, int]:
+    """Return the squares of block means about the estimate, over those of white noise, and their number.
+
+    Each ``file`` (B,) has a bias of its own, which is no scatter.
+    """
+    regressors = np.column_stack([np.ones(len(blocks.index)), blocks.w_rps])
+    rest = blocks.z_rps - np.einsum("rj,mij,mi->rm", regressors, regressor_maps(array), x)
+    files = np.unique(file)
+    for number in files.tolist() if len(files) > 1 else ():
+        own = file == number
+        rest[own] -= np.average(rest[own], axis=0, weights=blocks.rows[own])
+    squares = float(np.sum(blocks.rows[:, None] * (rest / noise_rps) ** 2))
+    return squares, max(rest.size - (3 + len(files)) * len(array), 0)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.geometry.array import SensorArray
 from estimator.geometry.kinematics import Site
@@ -89,6 +90,16 @@ class Recording:
     attributes: Mapping[str, Any] = field(default_factory=dict)
     path: Path | None = None
     kept_innovations: KeptInnovations | None = None
+
+    @property
+    def several_files(self) -> bool:
+        """Whether it was imported from several files: power may have been off between them."""
+        return np.size(self.attributes.get("files_begin_s", ())) > 1
+
+    def file_of(self, at_s: Floats) -> NDArray[np.intp]:
+        """Return the number (n,) of the imported file that each instant is of; 0 where there is one."""
+        begin_s = np.atleast_1d(np.asarray(self.attributes.get("files_begin_s", 0.0), dtype=np.float64))
+        return np.maximum(np.searchsorted(begin_s, at_s, side="right") - 1, 0)
 
     @property
     def name(self) -> str:

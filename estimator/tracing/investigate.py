@@ -23,7 +23,15 @@ from estimator.tracing.open_world import something_beside, weighed_against
 from estimator.tracing.residuals.residual import Residual, residuals
 from estimator.tracing.run_columns import RunColumns
 from estimator.tracing.search import CERTAIN, Found, Search
-from estimator.tracing.verdict import added_of, beyond_noise, faults_added, surprised, unexplained_of, verdict_of
+from estimator.tracing.verdict import (
+    added_of,
+    beyond_noise,
+    faults_added,
+    file_notes,
+    surprised,
+    unexplained_of,
+    verdict_of,
+)
 from estimator.types import Floats
 
 Progress = Callable[[float, str], None]
@@ -59,6 +67,7 @@ def investigate(
     search, left_out = _prepared([RunColumns(run) for run in runs])
     found = _trace(search, most_effects, lambda share: tell(0.1 + 0.6 * share, "tracing"))
     tell(0.75, "before and after")
+    notes += file_notes(search, found.terms)
     return _conclude(search, found, held_back, left_out, notes, faults, most_effects, verification)
 
 
@@ -80,7 +89,8 @@ def _prepared(columns: Sequence[RunColumns]) -> tuple[Search, dict[str, str]]:
     """Return a search among all candidates on some runs, and what cannot be tried, with the reason."""
     runs = [one.run for one in columns]
     span_s = max(float(run.t_s[-1] - run.t_s[0]) + run.length_s for run in runs)
-    search = Search(columns, Evidence(gyro_spectra(runs), NoiseShapes.over(span_s, several=True)))
+    finely = any(run.recording.several_files for run in runs)
+    search = Search(columns, Evidence(gyro_spectra(runs), NoiseShapes.over(span_s, several=True, finely=finely)))
     candidates, left_out = candidates_of(runs)
     search.add(candidates)
     for candidate in search.leave_out_unexcited():

@@ -7,6 +7,8 @@ import numpy as np
 
 from estimator.effects.disturbances import SAMPLE_HOLD
 from estimator.effects.law import in_words
+from estimator.estimation.evidence import Term
+from estimator.estimation.noise_evidence import bias_notes
 from estimator.observations.defects.faults import Fault
 from estimator.tracing.augmented import Augmented, Part
 from estimator.tracing.investigation import Added, Finding, OutOfSample, Unexplained, Value
@@ -80,6 +82,16 @@ def unexplained_of(residual: Residual | None) -> Unexplained:
     if not power or power[most] <= 0:
         return Unexplained(NOTHING_MEASURED, 0.0)
     return Unexplained(most, float(np.clip(power[most] / total, 0.0, 1.0)))
+
+
+def file_notes(search: Search, terms: Sequence[Term]) -> list[str]:
+    """Return, in words, that biases differ from file to file of an import beside some terms, if they do."""
+    if not any(run.recording.several_files for run in search.runs):
+        return []
+    evidence = search.evidence
+    weight = evidence.noise_weight(terms)
+    arw = float(np.mean([gyro.arw for gyro in evidence.gyros]))
+    return bias_notes(search.runs[0].recording, weight, evidence.shapes.turn_on, arw)
 
 
 def beyond_noise(search: Search, found: Found) -> Unexplained | None:
