@@ -5,7 +5,7 @@ uncertainty, and what the states move by is its contribution (GUM 5.1.3: sensiti
 Imperfections of different axes and kinds are independent; their contributions add in squares.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +22,8 @@ TYPE_A = ("noise", "effects")
 """Names of what comes from the scatter of the data, and from effects of an error model that they do not show."""
 UNSEEN = "unseen_effects"
 """Name of what undeclared effects of the catalogue could do to the states without being seen (type B)."""
+UNMEASURED = "unmeasured_conditions"
+"""Name of what they could do by conditions that were not recorded: temperature, pose (type B)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,6 +37,14 @@ class Contribution:
     def u(self) -> Floats:
         """Standard uncertainty that it gives each state (4,)."""
         return np.sqrt(np.diag(self.covariance))
+
+
+def merged(lines: Sequence[Contribution]) -> tuple[Contribution, ...]:
+    """Return lines of which each name comes once, with the sum of the covariances."""
+    found: dict[str, Floats] = {}
+    for line in lines:
+        found[line.name] = found.get(line.name, np.zeros((4, 4))) + line.covariance
+    return tuple(Contribution(name, covariance) for name, covariance in found.items())
 
 
 def table_budget(

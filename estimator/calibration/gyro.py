@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimator.calibration.budget import TYPE_A, Contribution
+from estimator.calibration.budget import TYPE_A, UNMEASURED, UNSEEN, Contribution
 from estimator.geometry.noise import NoiseFound
 from estimator.observations.rests import RestNoise
 from estimator.types import Floats
@@ -51,6 +51,12 @@ class GyroCalibration:
     def sd(self) -> Floats:
         """Standard deviations of the states (4,)."""
         return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def sd_declared(self) -> Floats:
+        """Standard deviations of the states (4,) if there were no undeclared effects."""
+        others = [line.u**2 for line in self.budget if line.name in (UNSEEN, UNMEASURED)]
+        return np.asarray(np.sqrt(np.maximum(self.sd**2 - np.sum([np.zeros(4), *others], axis=0), 0.0)))
 
     @property
     def type_a(self) -> Floats:

@@ -35,6 +35,16 @@ class GyroParity:
     source: str = ""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UndeclaredEffect:
+    """An effect that nobody has declared: which ``share`` of the variance of a state it makes, what would show it."""
+
+    state: str
+    effect: str
+    share: float
+    shown_by: str
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
     """What one recording says of its gyros. ``samples`` counts gyro samples used, ``lost`` those missing.
@@ -62,6 +72,8 @@ class Calibration:
     constancy: tuple[AxisCoverage, ...] = ()
     arrays: Mapping[str, SensorArray] = field(default_factory=dict)
     """Nominal axes of the gyros by source."""
+    undeclared: tuple[UndeclaredEffect, ...] = ()
+    """Effects of the catalogue that make most of the sigmas, by state, the largest first."""
 
     def apply(
         self,

@@ -14,6 +14,7 @@ from estimator.estimation.live.source import filter_nis
 from estimator.estimation.noise_evidence import TooShort
 from estimator.estimation.parity import parity
 from estimator.estimation.source_estimate import DeviceEstimate, SourceEstimate, Sources, estimate_laid, estimate_white
+from estimator.estimation.undeclared import undeclared_notes
 from estimator.geometry.model import decode
 from estimator.observations.conditions_seen import holds_for
 from estimator.observations.coverage import coverage, coverage_notes
@@ -65,19 +66,22 @@ def calibrate(
         notes += [*device.notes, *_gyro_notes(recording, its_gyros)]
         doubts += [*device.doubts, *device.spoilt]
     spoilt = [one for device in devices for one in device.spoilt]
+    effects = tuple(one for device in devices for one in device.undeclared)
     nis = _mean_nis(recording, model, estimates) if innovations else float("nan")
     doubts += _scatter_doubts(estimates)
     if isinstance(recording.reference, TableReadings):
         seen = [*reading_doubts(recording.reference), *stuck_doubts(recording)]
         spoilt, doubts = [*seen, *spoilt], [*seen, *doubts]
     constancy = coverage(recording, [data for _, data in sources])
+    notes += [*undeclared_notes(effects, gyros), *coverage_notes(constancy), *_parity_notes(checks)]
+    notes += [*effect_notes(gyros), *doubts]
     order = [name for data in recording.sources.values() for name in data.array.names]
     return Calibration(
         tuple(sorted(gyros, key=lambda gyro: order.index(gyro.name))),
         nis,
         sum(one.samples for one in estimates),
         sum(data.lost * len(data.array) for data in recording.sources.values()),
-        (*notes, *coverage_notes(constancy), *_parity_notes(checks), *effect_notes(gyros), *doubts),
+        tuple(notes),
         defective,
         tuple(checks),
         model.text() if model is not None else "",
@@ -87,6 +91,7 @@ def calibrate(
         tuple(spoilt),
         arrays={name: data.array for name, data in recording.sources.items()},
         constancy=constancy,
+        undeclared=effects,
     )
 
 

@@ -10,9 +10,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from estimator.calibration.budget import UNSEEN, Contribution
+from estimator.calibration.budget import UNMEASURED, UNSEEN, Contribution, merged
 from estimator.calibration.error_model import ErrorModel, KnownEffect, ModelError
 from estimator.calibration.gyro import EffectValue, GyroCalibration
+from estimator.calibration.values import UndeclaredEffect
 from estimator.effects.catalogue import records
 from estimator.effects.constructed import readable
 from estimator.effects.dynamics import LATENCY
@@ -24,7 +25,7 @@ from estimator.estimation.runs.making import run_of
 from estimator.estimation.runs.run import FEWEST_TURNS, Run, growth_notes
 from estimator.estimation.source_estimate import DeviceEstimate, SourceEstimate, Sources
 from estimator.estimation.spectra import Z
-from estimator.estimation.undeclared import undeclared_laws
+from estimator.estimation.undeclared import Undeclared, effects_by_state, moved_by, of_rates, undeclared
 from estimator.geometry.model import regressor_maps
 from estimator.geometry.noise import NoiseModel
 from estimator.observations.alignment import body_turned, following
@@ -48,7 +49,6 @@ _MOST_STEPS = 12
 _KNOWN = 0.2  # sigma of k below which the sign of an output is known
 _TOLD = 3.0  # sigmas from which on a delay is told
 _UNSEEN = 0.7  # of what is expected of a parameter: a larger sigma says that the run did not show it
-_MOST_NAMED, _NAMED = 3, 0.1
 _REDUNDANT = 4  # gyros, of which the blocks tell what they say of each other
 _BLOCK_ROWS = 4  # fewer samples do not tell their scatter
 
@@ -95,33 +95,55 @@ def estimate_device(
     left_s = _delays(plain, covariances)
     notes += unsettled
     notes += growth_notes(plain.runs)
-    unseen: list[Floats] | None = None
+    further: Sequence[Sequence[Contribution]] | None = None
+    by_state: tuple[UndeclaredEffect, ...] = ()
     if excluded is not None and model is None:
         made = [_run(recording, number, *pair) for number, pair in enumerate(moved)]
-        further, runs = undeclared_laws(made, excluded | {law.effect.record.name for law in laws})
-        joint = joint_estimate(runs, [*laws, *further], stated) if further else plain
-        notes += _undeclared_notes(joint)
-    left_s = _delays(plain, covariances)
+        found = undeclared(made, excluded | {law.effect.record.name for law in laws})
+        kept = [law for law in found.laws if not (_by_another(made) and of_rates(law.effect))]
+        if kept:
+            joint = joint_estimate(found.runs, [*laws, *kept], stated)
+            covariances = _clustered(joint)[0] if external else joint.covariances
+        whole = joint if len(kept) == len(found.laws) else joint_estimate(found.runs, [*laws, *found.laws], stated)
+        further = _further(joint, whole, found)
+        by_state = effects_by_state(whole, covariances if whole is joint else whole.covariances)
     if recording.several_files:
         weight = joint.weight.mean(axis=1)
         notes += bias_notes(recording, weight, joint.evidence.shapes.turn_on, float(joint.arw.mean()))
     offsets = {name: TimeOffset(delays_s[name] + left, sd_s) for name, (left, sd_s) in left_s.items()}
     notes += _offset_notes(recording, offsets, external)
-    if external:
-        # What is left may be the reference's as well: it does not decide on effects of the gyros.
-        chosen = [n for n, law in enumerate(joint.laws) if law.line == UNSEEN]
-        unseen = [_through(joint, c, chosen) for c in joint.covariances] if chosen else None
-        joint = plain
-    elif joint is not plain:
-        covariances = joint.covariances
     block_s = max(_block_s(data) for _, data in moved)
-    found = []
+    estimates = []
     for number, (name, data) in enumerate(moved):
-        doubt = covariances, unseen
-        found.append(_estimated(recording, joint, number, data, doubt, block_s, offsets.get(name)))
+        doubt = covariances, further
+        estimates.append(_estimated(recording, joint, number, data, doubt, block_s, offsets.get(name)))
     if external:
-        return DeviceEstimate(found, notes, halves(plain, CLUSTER_S))
-    return DeviceEstimate(found, notes, spoilt=changes(_beside_earth(plain, stated)))
+        return DeviceEstimate(estimates, notes, halves(joint, CLUSTER_S), undeclared=by_state)
+    return DeviceEstimate(estimates, notes, spoilt=changes(_beside_earth(joint, stated)), undeclared=by_state)
+
+
+def _by_another(runs: Sequence[Run]) -> bool:
+    """Return whether another instrument says how the body turns.
+
+    What is left may be the errors of that one, which follow the rate as well: it does not decide on effects of the
+    gyros that do.
+    """
+    return any(run.by_another for run in runs)
+
+
+def _further(joint: Joint, whole: Joint, found: Undeclared) -> list[tuple[Contribution, ...]]:
+    """Return by gyro the lines of undeclared effects that move no state of an estimate: they only widen it.
+
+    ``whole`` is the estimate with those of them that the recording holds.
+    """
+    lines: list[tuple[Contribution, ...]] = [()] * len(joint.means)
+    if whole is not joint:
+        wider = [n for n, law in enumerate(whole.laws) if law.line == UNSEEN and of_rates(law.effect)]
+        lines = [(Contribution(UNSEEN, whole.through(covariance, wider)),) for covariance in whole.covariances]
+    if found.assumed:
+        moved = moved_by(joint, found)
+        lines = [(*own, Contribution(UNMEASURED, more)) for own, more in zip(lines, moved, strict=True)]
+    return lines
 
 
 def _beside_earth(joint: Joint, stated: NoiseModel | None) -> Joint:
@@ -132,8 +154,8 @@ def _beside_earth(joint: Joint, stated: NoiseModel | None) -> Joint:
     grid = joint.runs[0].grid
     if grid.site is not None or not grid.gimbals or any(law.effect.record is EARTH_RATE for law in joint.laws):
         return joint
-    earth, runs = undeclared_laws(joint.runs, frozenset(record.name for record in records()) - {EARTH_RATE.name})
-    return joint_estimate(runs, [*joint.laws, *earth], stated) if earth else joint
+    earth = undeclared(joint.runs, frozenset(record.name for record in records()) - {EARTH_RATE.name})
+    return joint_estimate(earth.runs, [*joint.laws, *earth.laws], stated) if earth.laws else joint
 
 
 def _aligned(
@@ -276,18 +298,17 @@ def _estimated(
     joint: Joint,
     number: int,
     data: ImuData,
-    doubt: tuple[Sequence[Floats], Sequence[Floats] | None],
+    doubt: tuple[Sequence[Floats], Sequence[Sequence[Contribution]] | None],
     block_s: float,
     offset: TimeOffset | None,
 ) -> SourceEstimate:
-    """Return the estimate of a source; ``doubt`` by gyro: covariances, and those of unseen effects beside them.
+    """Return the estimate of a source; ``doubt`` by gyro: covariances, and further lines of the budget.
 
     Against a table or a rate it has the innovations of its means over blocks of so many seconds.
     """
     run, gyros, m = joint.runs[number], joint.gyros_of(number), len(data.array)
-    covariances, unseen = doubt
-    further = [() if unseen is None else (Contribution(UNSEEN, unseen[g]),) for g in gyros]
-    lines = [(*_lines(joint, covariances[g]), *more) for g, more in zip(gyros, further, strict=True)]
+    covariances, further = doubt
+    lines = [merged((*_lines(joint, covariances[g]), *(further[g] if further else ()))) for g in gyros]
     columns, expected = joint.columns[number], expected_of(joint.laws)
     x, own = np.array([joint.means[g][:4] for g in gyros]), np.array([joint.means[g][4:] for g in gyros])
     values = own + expected
@@ -353,35 +374,11 @@ def _lines(joint: Joint, covariance: Floats) -> tuple[Contribution, ...]:
     for name in dict.fromkeys(law.line for law in joint.laws if law.line):
         # One line after the other: of what two laws can only tell together, each would claim all.
         known += [n for n, law in enumerate(joint.laws) if law.line == name]
-        through = _through(joint, covariance, known)
+        through = joint.through(covariance, known)
         lines.append(Contribution(name, through - known_before))
         known_before = through
     left = covariance[:4, :4] - known_before
     return Contribution("noise", left), *lines
-
-
-def _through(joint: Joint, covariance: Floats, laws: Sequence[int]) -> Floats:
-    """Return the part (4, 4) of the covariance of the states that comes of some laws."""
-    at = np.concatenate([np.arange(len(covariance))[joint.slice_of(n)] for n in laws])
-    across = covariance[:4, at]
-    return np.asarray(across @ np.linalg.solve(covariance[np.ix_(at, at)], across.T))
-
-
-def _undeclared_notes(joint: Joint) -> list[str]:
-    """Return which undeclared effects make up most of the sigmas of the states, in words."""
-    laws = [n for n, law in enumerate(joint.laws) if law.line == UNSEEN]
-    if not laws:
-        return []
-    whole = np.array([np.diag(c)[:4] for c in joint.covariances])
-    shares: dict[str, float] = {}
-    for n in laws:
-        name = joint.laws[n].called
-        part = [np.diag(_through(joint, c, [n])) for c in joint.covariances]
-        shares[name] = max(shares.get(name, 0.0), float(np.max(np.mean(part / whole, axis=0))))
-    worst = sorted((name for name in shares if shares[name] > _NAMED), key=lambda name: -shares[name])[:_MOST_NAMED]
-    if not worst:
-        return []
-    return [sentence("estimation.undeclared", effects=", ".join(worst))]
 
 
 def _values(joint: Joint, shares: Floats, covariance: Floats) -> tuple[EffectValue, ...]:
@@ -423,8 +420,9 @@ def _clustered(joint: Joint) -> tuple[list[Floats], list[str]]:
         scores[cluster[first][:, None], place] += np.add.reduceat(rest, first, axis=0)
         precision[place[:4]] = 1 / joint.evidence.gyros[g].prior
     white = np.linalg.inv(information + np.diag(precision))
-    # So few clusters fit so many parameters: their scores are too small by these.
-    meat = scores.T @ scores * (len(used) / max(len(used) - whole, len(used) / 4)) + np.diag(precision)
+    # So few clusters fit so many parameters of a gyro, as far as the data tell these: their scores are too small by it.
+    fitted = float(np.trace(white @ information)) / n
+    meat = scores.T @ scores * (len(used) / max(len(used) - fitted, len(used) / 4)) + np.diag(precision)
     sandwich, out, notes, grown = white @ meat @ white, list[Floats](), list[str](), list[Floats]()
     for number, run in enumerate(runs):
         for g, states in zip(joint.gyros_of(number), run.state_columns(), strict=True):

@@ -20,7 +20,7 @@ from estimator.estimation.evidence import Evidence, Term
 from estimator.estimation.runs.measured import weighed
 from estimator.estimation.runs.run import Run
 from estimator.estimation.runs.samples import samples_of, tone_columns
-from estimator.estimation.spectra import GyroSpectra, NoiseShapes, Z, gyro_spectra
+from estimator.estimation.spectra import GyroSpectra, NoiseShapes, Z, cosines, gyro_spectra
 from estimator.geometry.kinematics import EARTH_RATE_RPS
 from estimator.geometry.noise import NoiseFound, NoiseModel
 from estimator.observations.blocks import Blocks
@@ -88,6 +88,32 @@ class Joint:
     def run_of(self, gyro: int) -> tuple[Run, int]:
         """Return the run that a gyro is of, and its number there."""
         return next((r, gyro - its.start) for n, r in enumerate(self.runs) if gyro in (its := self.gyros_of(n)))
+
+    def place_of(self, gyro: int) -> tuple[int, int]:
+        """Return the number of the run that a gyro is of, and its number there."""
+        return next((n, gyro - its.start) for n in range(len(self.runs)) if gyro in (its := self.gyros_of(n)))
+
+    def shifts(self, gyro: int, columns: Floats) -> Floats:
+        """Return by how much the states (4, p) of a gyro move if its output error gains columns (b, p) of its run."""
+        number, own = self.place_of(gyro)
+        run, spectra = self.runs[number], self.evidence.gyros[gyro]
+        weighed = run.weighed(columns, own)
+        information: Floats = np.diag(np.concatenate([1 / spectra.prior, np.ones(len(self.means[gyro]) - 4)]))
+        across = np.zeros((len(information), columns.shape[1]))
+        for stretch, of_stretch in zip(spectra.stretches, spectra.columns, strict=True):
+            weight = self.weight[:, gyro] @ (1 / self.evidence.density(spectra, stretch))
+            root = np.sqrt(weight[stretch.band])[:, None]
+            known = np.delete(of_stretch, Z, axis=1) * root
+            new = cosines(weighed[stretch.blocks]) * (np.sqrt(stretch.length_s) / spectra.arw) * root
+            information = information + known.T @ known
+            across += known.T @ new
+        return np.asarray(np.linalg.solve(information, across)[:4])
+
+    def through(self, covariance: Floats, laws: Sequence[int]) -> Floats:
+        """Return the part (4, 4) of the covariance of the states that comes of some laws."""
+        at = np.concatenate([np.arange(len(covariance))[self.slice_of(n)] for n in laws])
+        across = covariance[:4, at]
+        return np.asarray(across @ np.linalg.solve(covariance[np.ix_(at, at)], across.T))
 
     def slice_of(self, law: int) -> slice:
         """Return where the parameters of a law are."""

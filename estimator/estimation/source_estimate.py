@@ -7,6 +7,7 @@ import numpy as np
 
 from estimator.calibration.budget import Contribution
 from estimator.calibration.gyro import EffectValue
+from estimator.calibration.values import UndeclaredEffect
 from estimator.estimation.gram import gram_of, solve
 from estimator.geometry.noise import NoiseFound, NoiseModel
 from estimator.observations.blocks import Blocks
@@ -52,13 +53,14 @@ class SourceEstimate:
 class DeviceEstimate:
     """What a recording says of one device: by source, what a person should know, and what speaks against it.
 
-    ``spoilt`` is what changed in mid-run.
+    ``spoilt`` is what changed in mid-run, ``undeclared`` which effects make how much of the sigmas.
     """
 
     sources: Sequence[SourceEstimate]
     notes: Sequence[str] = ()
     doubts: Sequence[str] = ()
     spoilt: Sequence[str] = ()
+    undeclared: Sequence[UndeclaredEffect] = ()
 
 
 def estimate_white(recording: Recording, source: str, data: ImuData) -> SourceEstimate:

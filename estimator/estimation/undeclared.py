@@ -8,53 +8,187 @@ Powers of the rate are as large at the fastest rate of a recording as they plaus
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from estimator.calibration.budget import UNSEEN
+from estimator.calibration.gyro import GyroCalibration
+from estimator.calibration.values import UndeclaredEffect
+from estimator.effects import drift
 from estimator.effects.catalogue import records
-from estimator.effects.conditions import REFERENCE_C, Conditions
+from estimator.effects.conditions import REFERENCE_C, Axes, Conditions
 from estimator.effects.constructed import readable
 from estimator.effects.disturbances import TONE
+from estimator.effects.drift import BIAS_STEP
 from estimator.effects.effect import Effect, Kind
-from estimator.effects.law import variables_of
+from estimator.effects.law import VARIABLES, variables_of
 from estimator.effects.site import EARTH_RATE
-from estimator.estimation.noise_evidence import Law
+from estimator.estimation.noise_evidence import Joint, Law
 from estimator.estimation.runs.run import Run
 from estimator.geometry.kinematics import GRAVITY_MPS2
+from estimator.geometry.model import STATES, Prior
+from estimator.packaged import sentence
 from estimator.recordings.reference import TableReadings
+from estimator.types import Floats
 
 _SHARE = 1 / 3  # of the largest plausible size of a parameter is its expected standard deviation
 _SPOKEN_OF_RPS = float(np.radians(30.0))  # rate at which these are as large as they plausibly are, in %
 _WARMS_K, _WARMS_S = 10.0, 600.0  # after power-on, where no temperature was recorded
 _LEAST_COLUMN = 1e-12
+_MOST_NAMED, _NAMED = 3, 0.1  # effects that are named of a state, and the share of its variance that they make
+_TILTED = 0.05  # of gravity: a component that changes by less does so by vibration and drift
+_OF_TIME = frozenset(record.name for record in drift.RECORDS)
+_ASSUMED = frozenset({"temperature", "specific force"})  # what is taken for known where it was not recorded
+_OF_B_RPS = float(np.radians(20.0)) * _SHARE
+"""Bias to which the sizes of the catalogue belong: those of temperature and gravity are of the sheet (MPU-6050) that
+promises no more than 20 deg/s. A type that promises less is less sensitive to these, too."""
 
 
-def undeclared_laws(runs: Sequence[Run], excluded: frozenset[str]) -> tuple[list[Law], list[Run]]:
-    """Return the laws of the catalogue but those excluded, and the runs under the conditions that they depend on.
+@dataclass(frozen=True, slots=True, eq=False)
+class Undeclared:
+    """What nobody has spoken of: ``laws`` of what a recording holds, and ``assumed`` ones of what it does not.
 
-    What a recording does not hold is assumed: a temperature that rises by 10 K, level axes. Beside a stated site Earth
-    rate is no undeclared effect, nor are errors of a table's axes and rates beside its stated uncertainty.
+    The latter depend on a temperature or a pose that was not recorded: what they do to the states can only be reckoned.
+    ``runs`` are under the conditions that all of them depend on.
     """
+
+    laws: list[Law]
+    assumed: list[Law]
+    runs: list[Run]
+
+
+def undeclared(runs: Sequence[Run], excluded: frozenset[str]) -> Undeclared:
+    """Return the laws of the catalogue but those excluded.
+
+    States hold for the temperature and the pose that there were, where these are not known or do not change: a bias
+    that follows a temperature which nobody measured follows time, for which there are laws, and the bias is its mean
+    over the recording. What is left is assumed: a temperature that rises by 10 K, level axes of a body that is turned.
+    Beside a stated site Earth rate is no undeclared effect, nor are errors of a table's axes and rates beside its
+    stated uncertainty.
+    """
+    offers = frozenset.intersection(*(run.grid.offers for run in runs))
     runs = [replace(run, grid=_completed(run.grid)) for run in runs]
     # The temperature nearest to that of data sheets at which the run was: the states are those there.
     warm = runs[0].grid.temperature_c
-    reference_c = REFERENCE_C if warm is None else float(np.clip(REFERENCE_C, warm.min(), warm.max()))
+    assert warm is not None
+    nearest_c = float(np.clip(REFERENCE_C, warm.min(), warm.max()))
+    reference_c = nearest_c if "temperature" in offers else float(warm.mean())
     runs = [replace(run, grid=replace(run.grid, reference_c=reference_c)) for run in runs]
     grid = runs[0].grid
     reference = runs[0].recording.reference
     stated = {TONE.name}  # a line passes by steady rates that last many of its periods
+    if runs[0].recording.several_files:
+        stated.add(BIAS_STEP.name)  # that from file to file is in the noise
     if grid.site is not None or not grid.gimbals:
         stated.add(EARTH_RATE.name)
     if isinstance(reference, TableReadings) and reference.uncertainty is not None:
         stated |= {record.name for record in records() if record.of_table}
-    laws = [
-        Law(readable(name), effect, np.zeros(len(effect.parameters)), _SHARE * share * effect.largest, UNSEEN)
-        for effect, share in _effects(grid)
-        if effect.parameters and (name := effect.record.name) not in excluded | stated
-    ]
-    return [law for law in laws if _acts(law, runs)], runs
+    one_pose = all(_one_pose(run) for run in runs)
+    turns = any(run.turns for run in runs)
+    laws: list[Law] = []
+    assumed: list[Law] = []
+    for effect, share in _effects(grid):
+        name = effect.record.name
+        if not effect.parameters or name in excluded | stated:
+            continue
+        held = effect.needs & _ASSUMED <= offers
+        if not held and not (of_rates(effect) if "temperature" in effect.needs else turns):
+            continue
+        if "specific force" in effect.needs and one_pose:
+            continue
+        size = 1.0 if held else _of_type(effect, runs[0].prior)
+        sd = _SHARE * share * size * effect.largest
+        if name in _OF_TIME and "temperature" not in offers:
+            effect = _about_its_mean(effect)
+        law = Law(readable(name), effect, np.zeros(len(effect.parameters)), sd, UNSEEN)
+        if _acts(law, runs):
+            (laws if held else assumed).append(law)
+    return Undeclared(laws, assumed, runs)
+
+
+def _about_its_mean(effect: Effect) -> Effect:
+    """Return an effect whose columns are about their mean over a run: the states are those of the whole run.
+
+    A law that goes on beyond the run says what the bias would become, at a temperature that nobody recorded.
+    """
+
+    def about_mean(conditions: Conditions, axes: Axes) -> Floats:
+        columns = effect.at(conditions, axes)
+        return np.asarray(columns - columns.mean(axis=0))
+
+    return replace(effect, regressors=about_mean)
+
+
+def _one_pose(run: Run) -> bool:
+    """Return whether a body that does not turn points the same way all the time, as far as that is known."""
+    if run.turns:
+        return False
+    force = run.grid.specific_force_mps2
+    spread = np.ptp(run.fold(force)[run.weight > 0], axis=0) if (run.weight > 0).any() else np.zeros(3)
+    return bool(np.nan_to_num(spread).max() < _TILTED * GRAVITY_MPS2)
+
+
+def of_rates(effect: Effect) -> bool:
+    """Return whether an effect is one of the rate, too: a sensitivity that changes, no bias."""
+    return bool(effect.law) and any(VARIABLES[name][0] == "rate" for name in variables_of(effect.law))
+
+
+def _of_type(effect: Effect, prior: Prior) -> float:
+    """Return the share of its size in the catalogue that an effect may have on a device of this data sheet."""
+    return 1.0 if of_rates(effect) else min(prior.b_rps / _OF_B_RPS, 1.0)
+
+
+def moved_by(joint: Joint, found: Undeclared) -> list[Floats]:
+    """Return by gyro the covariance (4, 4) of what the assumed laws make of the states (GUM 5.1.3).
+
+    They are of conditions that nobody measured, so the residual says nothing of them, and they move no value.
+    """
+    covariances = []
+    for gyro in range(len(joint.means)):
+        number, own = joint.place_of(gyro)
+        run = found.runs[number]
+        columns = [run.columns(law.effect, own) * law.sd for law in found.assumed]
+        shifts = joint.shifts(gyro, np.hstack(columns)) if columns else np.zeros((4, 0))
+        covariances.append(shifts @ shifts.T)
+    return covariances
+
+
+def effects_by_state(joint: Joint, covariances: Sequence[Floats]) -> tuple[UndeclaredEffect, ...]:
+    """Return which undeclared effects make most of the variance of each state, the mean over the gyros."""
+    shares: dict[tuple[int, str], float] = {}
+    shown_by: dict[str, str] = {}
+    for number, law in enumerate(joint.laws):
+        if law.line != UNSEEN:
+            continue
+        parts = [np.diag(joint.through(c, [number])) / np.diag(c)[:4] for c in covariances]
+        for state, share in enumerate(np.mean(parts, axis=0).tolist()):
+            shares[state, law.called] = shares.get((state, law.called), 0.0) + share
+        shown_by[law.called] = law.effect.record.shown_by
+    found: list[UndeclaredEffect] = []
+    for state, name in enumerate(STATES):
+        own = sorted(((share, called) for (s, called), share in shares.items() if s == state), reverse=True)
+        found += [
+            UndeclaredEffect(state=name, effect=called, share=min(share, 1.0), shown_by=shown_by[called])
+            for share, called in own[:_MOST_NAMED]
+            if share > _NAMED
+        ]
+    return tuple(found)
+
+
+def undeclared_notes(found: Sequence[UndeclaredEffect], gyros: Sequence[GyroCalibration]) -> list[str]:
+    """Return, in words, which undeclared effects make most of the sigmas, and what these are without them."""
+    if not found:
+        return []
+    most: dict[str, float] = {}
+    for one in found:
+        most[one.effect] = max(most.get(one.effect, 0.0), one.share)
+    worst = sorted(most, key=lambda effect: -most[effect])[:_MOST_NAMED]
+    sizes = np.sqrt(np.mean([gyro.sd_declared**2 for gyro in gyros], axis=0)) * [1e6, np.degrees(3600), 1e6, 1e6]
+    units = ("ppm", "deg/h", "urad", "urad")
+    labels = [name.removesuffix("_rps").removesuffix("_rad") for name in STATES]
+    without = ", ".join(f"{n} {v:.2g} {u}" for n, v, u in zip(labels, sizes.tolist(), units, strict=True))
+    return [sentence("estimation.undeclared", effects=", ".join(worst), without=without)]
 
 
 def _effects(grid: Conditions) -> list[tuple[Effect, float]]:
@@ -74,6 +208,7 @@ def _effects(grid: Conditions) -> list[tuple[Effect, float]]:
 
 
 def _completed(grid: Conditions) -> Conditions:
+    """Return conditions with what is not known assumed: level axes, and a temperature that rises."""
     force = np.where(np.isfinite(grid.specific_force_mps2), grid.specific_force_mps2, [0.0, 0.0, GRAVITY_MPS2])
     temperature = grid.temperature_c
     if temperature is None:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
-from estimator.calibration.budget import UNSEEN
+from estimator.calibration.budget import UNMEASURED, UNSEEN
 from estimator.calibration.values import Calibration
 from estimator.observations.coverage import not_proved
 from station.bench.bench import Limits
@@ -112,5 +112,5 @@ def _mostly_unseen(calibration: Calibration, line: LimitLine) -> bool:
     assert line.row is not None
     assert line.state is not None
     budget = calibration.gyros[line.row].budget
-    unseen = sum(float(part.u[line.state] ** 2) for part in budget if part.name == UNSEEN)
+    unseen = sum(float(part.u[line.state] ** 2) for part in budget if part.name in (UNSEEN, UNMEASURED))
     return unseen > _MOSTLY * line.value**2

@@ -23,7 +23,7 @@ from estimator.effects.catalogue import catalogue
 from estimator.effects.conditions import Conditions
 from estimator.estimation.runs.making import run_of, runs_of
 from estimator.estimation.runs.run import Run
-from estimator.estimation.undeclared import undeclared_laws
+from estimator.estimation.undeclared import undeclared as undeclared_of
 from estimator.geometry.array import tetrahedron, triad
 from estimator.geometry.kinematics import Site
 from estimator.recordings.recording import Recording
@@ -118,8 +118,9 @@ def undeclared() -> dict[str, Any]:
     """Laws that stand beside the states for what nobody has spoken of, their sizes and squares of their columns."""
     made = run_of(recording(), "array", recording().sources["array"])
     assert made is not None
-    laws, own = undeclared_laws([made], frozenset({"table_harmonic"}))
-    squares = [np.sum(own[0].columns(law.effect, 2) ** 2, axis=0).tolist() for law in laws]
+    found = undeclared_of([made], frozenset({"table_harmonic"}))
+    laws = [*found.laws, *found.assumed]
+    squares = [np.sum(found.runs[0].columns(law.effect, 2) ** 2, axis=0).tolist() for law in laws]
     return {"laws": [[law.called, law.sd.tolist(), one] for law, one in zip(laws, squares, strict=True)]}
 
 
