@@ -5,6 +5,7 @@ import math
 import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from drivers.types import Floats
 from estimator.calibration.gyro import GyroCalibration
 from estimator.calibration.values import Calibration, GyroParity
 from estimator.estimation.repeatability import Repeatability
+from estimator.geometry.model import STATES
 from estimator.observations.coverage import coverage_object, not_proved
 from estimator.observations.rests import RestNoise
 from station.bench.units import Units
@@ -69,12 +71,32 @@ def print_calibration(calibration: Calibration, verdict: Verdict, units: Units, 
         "budget": _budget(calibration),
         "state_figures": fitted_figures(units, calibration),
         "size": _size,
+        "undeclared": _undeclared(calibration, units),
         "noise": np.degrees(np.mean(noises, axis=0)).tolist() if noises else None,
         "rest": _rest([gyro.rest for gyro in calibration.gyros if gyro.rest is not None]),
     }
     print_rendered(stdout(), "station.render", "calibration.rich", values)
     if details:
         print_rendered(stdout(), "station.render", "details.rich", values)
+
+
+def _undeclared(calibration: Calibration, units: Units) -> list[tuple[str, ...]]:
+    """Return by state its sigma, rms over the gyros, that without undeclared effects, which these are, what shows them.
+
+    Nothing where there are none.
+    """
+    if not calibration.undeclared or not calibration.gyros:
+        return []
+    whole = np.sqrt(np.mean([gyro.sd**2 for gyro in calibration.gyros], axis=0)).tolist()
+    without = np.sqrt(np.mean([gyro.sd_declared**2 for gyro in calibration.gyros], axis=0)).tolist()
+    rows: list[tuple[str, ...]] = []
+    for figure, name, sd, left in zip(state_figures(units), STATES, whole, without, strict=True):
+        own = [effect for effect in calibration.undeclared if effect.state == name]
+        mostly = "; ".join(f"{effect.effect} {effect.share:.0%}" for effect in own)
+        shown_by = "; ".join(dict.fromkeys(effect.shown_by for effect in own))
+        label = f"{figure.name} ({figure.unit})"
+        rows.append((label, _size(sd * figure.factor), _size(left * figure.factor), mostly, shown_by))
+    return rows
 
 
 def fitted_figures(units: Units, calibration: Calibration) -> tuple[StateUnit, ...]:
@@ -195,6 +217,8 @@ def result_object(verdict: Verdict, recording: str, calibration: Calibration | N
         "nis_mean": json_object(found.nis_mean),
         **named(found, ("samples", "lost", "holds_for")),
         "doubts": list(found.doubts),
+        "notes": list(found.notes),
+        "undeclared": [asdict(effect) for effect in found.undeclared],
         "constancy": [coverage_object(axis) for axis in found.constancy],
         "excluded": {e.name: e.reason for e in found.excluded},
         "parity": _parity_object(found.parity),
@@ -219,6 +243,7 @@ def _gyro_object(gyro: GyroCalibration) -> dict[str, Any]:
         "source": gyro.source,
         **by_state(gyro.states),
         "sd": by_state(gyro.sd),
+        "sd_declared": by_state(gyro.sd_declared),
         **budget_and_noise(gyro),
     }
     return found | ({"effects": effects} if effects else {})
