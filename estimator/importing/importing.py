@@ -319,6 +319,7 @@ def _joined(mapping: Mapping, parts: list[_Part], refused: list[Refused]) -> tup
         mapping.gyro.array,
         np.concatenate([_ns(part.t_s + start) for part, start in placed]),
         np.vstack([part.rate_rps for part in parts]),
+        prior=mapping.prior,
         temperature_c=_stack(part.temperature_c for part in parts),
         accel_mps2=_stack(part.accel_mps2 for part in parts),
     )

@@ -233,6 +233,15 @@ def read_excluded(text: str, plugins: Sequence[str] = ()) -> frozenset[str] | No
     return _excluded(_recorded(text, "undeclared"), had)
 
 
+def excluded_by_file(path: Path) -> frozenset[str] | None:
+    """Return the effects that a file rules out, None if all: one with a section undeclared, or with its keys alone.
+
+    Raises BenchError for anything else.
+    """
+    table = Table.load(path, BenchError, "a file with the section undeclared")
+    return _excluded(table.table("undeclared") if table.has("undeclared") else table)
+
+
 def _recorded(text: str, section: str) -> Table:
     return Table.parse(text, "bench in the recording", BenchError).table(section, optional=True)
 

@@ -23,7 +23,7 @@ from estimator.estimation.repeatability import Repeatability, repeatability
 from estimator.recordings.reading import file_format, read_attributes, read_recording
 from estimator.recordings.recording import FORMAT
 from estimator.untrusted import harmless
-from station.bench.bench import Limits, load_bench, read_excluded, read_limits
+from station.bench.bench import Limits, excluded_by_file, load_bench, read_excluded, read_limits
 from station.bench.units import USUAL, Units
 from station.campaigns.campaigns import run_all
 from station.errors import UsageError
@@ -75,7 +75,13 @@ def command_calibrate(arguments: argparse.Namespace) -> int:
     bench = load_bench(Path(arguments.bench)) if arguments.bench else None
     model = ErrorModel.read(Path(arguments.model)) if arguments.model else None
     results, failures = run_all(
-        partial(estimate, limits=(bench.limits, bench.excluded) if bench else None, write=arguments.write, model=model),
+        partial(
+            estimate,
+            limits=(bench.limits, bench.excluded) if bench else None,
+            write=arguments.write,
+            model=model,
+            undeclared=(excluded_by_file(Path(arguments.undeclared)),) if arguments.undeclared else None,
+        ),
         [str(Path(name).absolute()) for name in names] if arguments.scheduler else names,
         label="calibrating",
         scheduler=arguments.scheduler,
@@ -125,11 +131,17 @@ def recordings_of(arguments: Sequence[str]) -> list[str]:
 
 
 def estimate(
-    name: str, *, limits: _Rules | None, write: bool, model: ErrorModel | None = None
+    name: str,
+    *,
+    limits: _Rules | None,
+    write: bool,
+    model: ErrorModel | None = None,
+    undeclared: tuple[frozenset[str] | None] | None = None,
 ) -> Estimated | OtherFile:
     """Estimate the gyros of one recording and judge them, by the rules of its own bench file unless some are given.
 
-    ``model``: effects to estimate beside the states. A file of the station that is no recording is told as such.
+    ``model``: effects to estimate beside the states; ``undeclared`` holds what a file rules out. A file of the station
+    that is no recording is told as such.
 
     Raises EstimatorError or UsageError for a recording that cannot be used, or not be written into.
     """
@@ -141,7 +153,10 @@ def estimate(
             return OtherFile(str(error))
         return _without_estimate(read_attributes(Path(name)), error)
     text, plugins = str(recording.attributes.get("bench", "")), recording.attributes.get("plugins", ())
-    least, excluded = limits or (read_limits(text), read_excluded(text, plugins))
+    # An imported recording carries its mapping in place of a bench; what that rules out has the same keys.
+    declared = text or str(recording.attributes.get("mapping", ""))
+    least, excluded = limits or (read_limits(text), read_excluded(declared, plugins))
+    excluded = undeclared[0] if undeclared is not None else excluded
     ended = ended_of(recording.attributes)
     try:
         calibration = calibrate(recording, model=model, excluded=excluded)

@@ -14,13 +14,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.effects.catalogue import records
+from estimator.effects.effect import Kind
 from estimator.errors import GeometryError, RecordingError
 from estimator.geometry.array import SensorArray, sensor_array
 from estimator.geometry.kinematics import Site
+from estimator.geometry.model import Prior
 from estimator.importing.mapping.columns import KEYS, Columns, Vector, direction, stated_columns
 from estimator.importing.mapping.reference import ForeignReference, Measured, Rests, read_reference
 from estimator.packaged import sentence
-from estimator.strict_toml import StrictTable
+from estimator.strict_toml import StrictTable, not_one_of
 from estimator.types import Floats
 from estimator.untrusted import read_text
 
@@ -119,6 +122,7 @@ class Mapping:
     device: str
     licence: str
     source: str
+    prior: Prior
 
     @property
     def names(self) -> list[str]:
@@ -154,15 +158,37 @@ def read_mapping(path: Path | str, protocols: Protocols | None = None) -> Mappin
     warmth = partial(stated_columns, quantity="temperature", key="column")
     temperature = top.table("temperature").whole(warmth) if top.has("temperature") else None
     site = top.table("site").whole(lambda table: Site(**table.stated(KEYS["site"]))) if top.has("site") else None
+    prior = Prior(**top.table("datasheet", optional=True).whole(lambda table: table.stated(KEYS["datasheet"])))
+    top.table("undeclared", optional=True).whole(_check_undeclared)
     section = top.table("reference")
     other = _reference_file(section, file_format, timing, protocols, folder) if section.has("file") else None
     reference = read_reference(section, wide=(other.format if other else file_format).kind != "csv")
-    top.done(also=("accelerometer", "temperature", "site"))
+    top.done(also=("accelerometer", "temperature", "site", "datasheet", "undeclared"))
     mapping = Mapping(
-        path.name, text, file_format, timing, gyro, accelerometer, temperature, reference, other, site, **named
+        path.name,
+        text,
+        file_format,
+        timing,
+        gyro,
+        accelerometer,
+        temperature,
+        reference,
+        other,
+        site,
+        **named,
+        prior=prior,
     )
     _check(mapping, section)
     return mapping
+
+
+def _check_undeclared(section: StrictTable) -> None:
+    """Refuse effects that there are not; what is ruled out is read where states are estimated."""
+    section.stated(KEYS["undeclared"])
+    laws = [record.name for record in records() if record.kind is Kind.LAW and record.listed(1.0)]
+    for name in section.strings("excluded") if section.has("excluded") else ():
+        if name not in laws:
+            raise section.fail("excluded", not_one_of(name, laws))
 
 
 def _check(mapping: Mapping, section: StrictTable) -> None:
