@@ -266,12 +266,13 @@ def filter_nis(recording: Recording, model: ErrorModel | None = None) -> float |
     reference = recording.reference
     if not isinstance(reference, TableReadings):
         return None
+    if not all(data.noise is not None and data.noise.arw > 0 for data in recording.sources.values()):
+        return None
     rates = BodyRates.of(reference, recording.site)
     timing_s = reference.uncertainty.timing_s if reference.uncertainty else 0.0
     total, dof = 0.0, 0
     for data in recording.sources.values():
-        if data.noise is None or not data.noise.arw > 0:
-            return None
+        assert data.noise is not None
         effects = SampleColumns(model, reference.gimbals, recording.site, data.array) if model is not None else None
         rate_hz = _rate_hz(data)
         noise_rps = float(data.noise.arw * np.sqrt(rate_hz))
