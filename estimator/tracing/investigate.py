@@ -24,7 +24,7 @@ from estimator.tracing.residuals.residual import Residual, residuals
 from estimator.tracing.run_columns import RunColumns
 from estimator.tracing.search import CERTAIN, Found, Search
 from estimator.tracing.verdict import (
-    added_of,
+    Causes,
     beyond_noise,
     faults_added,
     file_notes,
@@ -131,7 +131,8 @@ def _conclude(
     verified = _left(held_back, len(search.runs), before, after)
     unexplained = unexplained_of(fitted[1]) if opened.probability > CERTAIN else beyond_noise(search, found)
     faulty = faults_added(faults)
-    verdict = verdict_of([*(a.effect for a in faulty), *_called(certain)], doubtful, unexplained)
+    causes = Causes.among(search, certain, after, fitted[1], unexplained)
+    verdict = verdict_of([*(a.effect for a in faulty), *_called(causes.parts)], doubtful, unexplained)
     gyros = averaged(search, errors.gyros, after, [*certain, *doubtful], opened, between)
     if held_back and verdict.finding in (Finding.NOTHING, Finding.ADDED) and errors.surprise > _SURPRISED:
         suspected, with_it = _suspected(search, held_back, most)
@@ -146,7 +147,7 @@ def _conclude(
     return Investigation(
         verdict.finding,
         verdict.reason,
-        (*faulty, *(added_of(search, found, part, after, told.get(part.term.name)) for part in certain)),
+        (*faulty, *causes.added(search, found, after, told)),
         verdict.rivals,
         verdict.unexplained,
         errors.before,
@@ -157,7 +158,7 @@ def _conclude(
         tuple(models),
         found.suspects,
         left_out,
-        (*notes, *between_notes(between), *_parts_notes(certain, taken_back)),
+        (*notes, *between_notes(between), *_parts_notes(certain, taken_back), *causes.notes),
         tuple(taken_back),
         errors.views,
         after,

@@ -1,7 +1,7 @@
 """What is said at the end: the verdict and its reason, and the effects that were added with their numbers."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,10 +10,13 @@ from estimator.effects.law import in_words
 from estimator.estimation.evidence import Term
 from estimator.estimation.noise_evidence import bias_notes
 from estimator.observations.defects.faults import Fault
+from estimator.packaged import sentence
 from estimator.tracing.augmented import Augmented, Part
 from estimator.tracing.investigation import Added, Finding, OutOfSample, Unexplained, Value
 from estimator.tracing.residuals.residual import Residual
 from estimator.tracing.search import CERTAIN, Found, Search
+from estimator.tracing.tones.causes import faint, images
+from estimator.types import Floats
 
 _SHOWN = 2.0  # a gyro shows an effect if a parameter of it is so many sigmas from zero
 _UNLIKE_NOISE = 0.1  # share of the residual's power beyond the noise: less is 5 % of a sigma
@@ -155,6 +158,51 @@ def added_of(search: Search, found: Found, part: Part, model: Augmented, told: O
     called = in_words(law) if law else candidate.called
     copies = tuple(search.copies(part, found.terms))
     return Added(called, gyros, part.probability, parameters, told, copies, bool(law), law)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Causes:
+    """What was added, each cause once: without tones that are ``echoes`` of one, by its name, or ``weak``."""
+
+    parts: list[Part]
+    echoes: dict[str, list[Part]]
+    weak: list[Part]
+
+    @classmethod
+    def among(
+        cls, search: Search, certain: Sequence[Part], model: Augmented, left: Residual | None, unexplained: object
+    ) -> "Causes":
+        """Return the causes among certain parts of a model that leaves this of the recordings."""
+        weak = faint(certain, search.evidence, search.runs, model, left) if unexplained and left else []
+        echoes = images(certain, search.runs)
+        others = [*weak, *(part for own in echoes.values() for part in own)]
+        return cls([part for part in certain if all(part is not other for other in others)], echoes, weak)
+
+    def added(
+        self, search: Search, found: Found, model: Augmented, told: Mapping[str, OutOfSample]
+    ) -> tuple[Added, ...]:
+        """Return them with their numbers; ``told`` is what was left out of the fit says of each."""
+        return tuple(
+            with_images(
+                added_of(search, found, part, model, told.get(part.term.name)),
+                self.echoes.get(part.candidate.name, ()),
+            )
+            for part in self.parts
+        )
+
+    @property
+    def notes(self) -> list[str]:
+        """What is told of weak tones."""
+        return [sentence("tracing.faint_tone", frequency_hz=part.candidate.theta) for part in self.weak]
+
+
+def with_images(added: Added, others: Sequence[Part]) -> Added:
+    """Return a tone with the frequencies at which the sampling shows it once more."""
+    parameters = dict(added.parameters)
+    for number, part in enumerate(others):
+        label = "its image by the sampling" + (f" {number + 1}" if number else "")
+        parameters[label] = Value(float(part.candidate.theta or 0.0), 0.0, "Hz")
+    return replace(added, parameters=parameters)
 
 
 def _tone_sd(search: Search, model: Augmented, where: slice) -> float:

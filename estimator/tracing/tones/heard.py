@@ -22,12 +22,13 @@ class Heard:
     def __init__(self, runs: Sequence[Run], evidence: Evidence) -> None:
         """Begin with no tones; ``evidence`` is of the same runs."""
         self._runs, self._evidence = runs, evidence
-        self._samples = [samples_of(run) for run in runs]
+        # Beside another instrument that moves no tone is looked for (``find_tone``): its samples are not worked out.
+        self._samples = [] if any(run.by_another for run in runs) else [samples_of(run) for run in runs]
         self.parts: list[Part] = []
 
     def strongest(self, model: Sequence[Term]) -> ToneFound | None:
         """Return the strongest line beside a model."""
-        full = len(self.parts) >= _MOST_TONES
+        full = len(self.parts) >= _MOST_TONES or not self._samples
         return None if full else find_tone(self._runs, self._samples, self._predicted(model))
 
     def take(self, tone: ToneFound, probability: float, model: Sequence[Term]) -> None:
