@@ -130,6 +130,9 @@ def _conclude(
     fitted = _left(search.runs, 0, before, after)
     verified = _left(held_back, len(search.runs), before, after)
     unexplained = unexplained_of(fitted[1]) if opened.probability > CERTAIN else beyond_noise(search, found)
+    open_terms = [part.term for part in doubtful if part.tone is None]
+    if unexplained and open_terms and something_beside(search, [*terms, *open_terms]).probability <= CERTAIN:
+        unexplained = None  # one of those that are open explains it, which is not proved
     faulty = faults_added(faults)
     causes = Causes.among(search, certain, after, fitted[1], unexplained)
     verdict = verdict_of([*(a.effect for a in faulty), *_called(causes.parts)], doubtful, unexplained)

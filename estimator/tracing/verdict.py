@@ -40,15 +40,24 @@ def verdict_of(added: Sequence[str], doubtful: Sequence[Part], unexplained: Unex
     rivals = tuple(names for names in rivals_of(open_ones) if len(names) > 1)
     if rivals or (doubtful and not unexplained):
         rivals = rivals or rivals_of(doubtful)
-        told = "; nor ".join(" and ".join(names) for names in rivals)
-        return Verdict(Finding.CANNOT_TELL, f"these recordings cannot tell apart {told}", rivals, unexplained)
-    reason = f"added {', '.join(added)}" if added else ""
+        apart = [" and ".join(names) for names in rivals if len(names) > 1]
+        unproved = [names[0] for names in rivals if len(names) == 1]
+        told = [f"cannot tell apart {'; nor '.join(apart)}"] if apart else []
+        told += [f"show, and do not prove, {', '.join(unproved)}"] if unproved else []
+        return Verdict(Finding.CANNOT_TELL, f"these recordings {' and '.join(told)}", rivals, unexplained)
+    reasons = [f"added {', '.join(added)}"] if added else []
     if unexplained:
         beyond = "is beyond the noise and " if unexplained.depends_on == NOTHING_MEASURED else ""
-        left = f"{unexplained.share:.0%} of what is left {beyond}depends on {unexplained.depends_on}, unexplained"
-        finding = Finding.PARTLY if added else Finding.UNEXPLAINED
-        return Verdict(finding, "; ".join([reason, left] if added else [left]), (), unexplained)
-    return Verdict(Finding.ADDED, reason) if added else Verdict(Finding.NOTHING, "the residual is that of the noise")
+        reasons.append(
+            f"{unexplained.share:.0%} of what is left {beyond}depends on {unexplained.depends_on}, unexplained"
+        )
+        likely = [part.called for part in doubtful if part.share >= CERTAIN]
+        if likely:
+            reasons.append(f"{', '.join(likely)} would explain a part of it, which what was left out does not bear out")
+        return Verdict(Finding.PARTLY if added else Finding.UNEXPLAINED, "; ".join(reasons), (), unexplained)
+    return (
+        Verdict(Finding.ADDED, reasons[0]) if added else Verdict(Finding.NOTHING, "the residual is that of the noise")
+    )
 
 
 def surprised(certain: Sequence[Part], wider: Found, residual: Residual | None) -> Verdict:
@@ -72,19 +81,24 @@ def rivals_of(parts: Sequence[Part]) -> tuple[tuple[str, ...], ...]:
     return tuple(names for names in named if names)
 
 
-def unexplained_of(residual: Residual | None) -> Unexplained:
-    """Return what a residual depends on most, and the share of its power beyond the noise that this takes up."""
+def unexplained_of(residual: Residual | None) -> Unexplained | None:
+    """Return what a residual depends on most, and the share of its power beyond the noise that this takes up.
+
+    None where next to nothing is left of it beyond the noise.
+    """
     power: dict[str, float] = {}
-    total = 0.0
+    total = whole = 0.0
     for gyro in residual.gyros if residual else ():
         total += gyro.nis * gyro.beyond
+        whole += gyro.nis
         for dependence in gyro.dependences:
             taken = gyro.nis * gyro.beyond * dependence.share
             power[dependence.variable] = power.get(dependence.variable, 0.0) + taken
     most = max(power, key=lambda variable: power[variable], default="")
-    if not power or power[most] <= 0:
-        return Unexplained(NOTHING_MEASURED, 0.0)
-    return Unexplained(most, float(np.clip(power[most] / total, 0.0, 1.0)))
+    if power and power[most] > 0:
+        return Unexplained(most, float(np.clip(power[most] / total, 0.0, 1.0)))
+    share = total / whole if whole else 0.0
+    return Unexplained(NOTHING_MEASURED, share) if share > _UNLIKE_NOISE else None
 
 
 def file_notes(search: Search, terms: Sequence[Term]) -> list[str]:
