@@ -5,11 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from estimator.effects.site import EARTH_RATE
 from estimator.errors import InvestigationError
 from estimator.estimation.evidence import Evidence
 from estimator.estimation.runs.making import runs_of_all
 from estimator.estimation.runs.run import Run, growth_notes, same_devices
 from estimator.estimation.spectra import NoiseShapes, gyro_spectra
+from estimator.geometry.kinematics import EARTH_RATE_RPS
 from estimator.observations.defects.faults import Fault
 from estimator.packaged import sentence
 from estimator.recordings.recording import Recording
@@ -32,13 +34,13 @@ from estimator.tracing.verdict import (
     unexplained_of,
     verdict_of,
 )
-from estimator.types import Floats
 
 Progress = Callable[[float, str], None]
 
 _SURPRISED = 8.0
 """Sigmas by which the error on a verification run exceeds chance before a verdict is taken back."""
 _VISIBLE = 3.0
+_TOGETHER, _UNKNOWN = 6.0, 0.5  # sigmas of all numbers of an effect together, and what it then is probable by
 
 
 def investigate(
@@ -204,7 +206,14 @@ def _visible(search: Search, found: Found) -> list[Part]:
     seen = []
     for part in found.parts:
         where = model.slice_of(part.candidate.name)
-        if _sigmas_from_zero(model.mean[:, where], model.covariance[:, where, where]) > _VISIBLE:
+        together = _together(model, where)
+        sd = np.sqrt(np.diagonal(model.covariance, axis1=1, axis2=2))[:, where]
+        if float(np.abs(model.mean[:, where] / sd).max()) <= _VISIBLE and not _of_pieces(part):
+            if together > _TOGETHER:  # its numbers are there, and none of them is known by itself
+                share = min(part.probability, _UNKNOWN)
+                others = (EARTH_RATE.name,) if _as_small_as_the_earth(search, model, part) else ()
+                seen.append(replace(part, probability=share, share=share, rivals=(part.candidate.called, *others)))
+        elif together > _VISIBLE:
             copies = search.copies(part, found.terms) if _at_rest(search.runs) else []
             if copies:
                 rivals = tuple(dict.fromkeys((part.candidate.called, *copies)))
@@ -214,13 +223,32 @@ def _visible(search: Search, found: Found) -> list[Part]:
     return seen
 
 
-def _sigmas_from_zero(means: Floats, covariances: Floats) -> float:
-    """Return how far the parameters (gyros, p) of an effect are from zero together, in the gyro that shows it most.
+def _as_small_as_the_earth(search: Search, model: Augmented, part: Part) -> bool:
+    """Return whether the turning Earth, of a site that nobody states, could put out what an effect of gravity does."""
+    if not _at_rest(search.runs) or any(run.recording.site is not None for run in search.runs):
+        return False
+    where = model.slice_of(part.candidate.name)
+    largest = 0.0
+    for number, run in enumerate(search.runs):
+        for i, name in enumerate(run.array.names):
+            said = model.columns(run, number, i)[run.weight > 0][:, where] @ model.mean[model.names.index(name), where]
+            largest = max(largest, 0.5 * float(np.ptp(said)))
+    return part.candidate.effect.record.depends_on == "gravity" and largest <= EARTH_RATE_RPS
 
-    Each parameter beyond the first may be a sigma off by chance.
+
+def _together(model: Augmented, where: slice) -> float:
+    """Return by how many sigmas the numbers of an effect are from zero together, in the gyro that shows most of it.
+
+    Each number beyond the first may be a sigma off by chance.
     """
-    squares = np.einsum("gp,gp->g", means, np.linalg.solve(covariances, means[..., None])[..., 0])
-    return float(np.sqrt(max(float(squares.max()) - (means.shape[1] - 1), 0.0)))
+    own, covariance = model.mean[:, where], model.covariance[:, where, where]
+    squares = [float(m @ np.linalg.solve(c, m)) for m, c in zip(own, covariance, strict=True)]
+    return float(np.sqrt(max(max(squares) - (own.shape[1] - 1), 0.0)))
+
+
+def _of_pieces(part: Part) -> bool:
+    """Return whether an effect is a function in pieces, whose numbers need not be known each by itself."""
+    return bool(part.candidate.law) and part.width > 1
 
 
 def _called(parts: Sequence[Part]) -> tuple[str, ...]:
