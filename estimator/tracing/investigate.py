@@ -30,6 +30,7 @@ from estimator.tracing.verdict import (
     beyond_noise,
     faults_added,
     file_notes,
+    rival_sizes,
     surprised,
     unexplained_of,
     verdict_of,
@@ -169,6 +170,7 @@ def _conclude(
         after,
         *fitted,
         *verified,
+        rival_sizes=rival_sizes(search, found, certain, doubtful, weight),
     )
 
 

@@ -171,8 +171,9 @@ class ResidualView:
 class Investigation:
     """Everything that an investigation says. ``in_sample``: no verification run was given.
 
-    ``rivals``: sets of effects that these recordings cannot tell apart. ``models``: the chain from the first model
-    to the last; ``model`` is the last itself. ``left_out``: effects that could not be tried, with the reason.
+    ``rivals``: sets of effects that these recordings cannot tell apart; ``rival_sizes``: each of these with its
+    numbers, if it alone were there beside what was added. ``models``: the chain from the first model to the last;
+    ``model`` is the last itself. ``left_out``: effects that could not be tried, with the reason.
     ``taken_back``: effects that the recordings spoke for and that did not lower the error on the verification run.
     ``residual_before`` and ``residual_after`` are those of the recordings that were fitted, ``verified_before`` and
     ``verified_after`` those of the verification run.
@@ -199,3 +200,4 @@ class Investigation:
     residual_after: "Residual | None" = field(default=None, repr=False)
     verified_before: "Residual | None" = field(default=None, repr=False)
     verified_after: "Residual | None" = field(default=None, repr=False)
+    rival_sizes: tuple[Added, ...] = ()

@@ -174,6 +174,34 @@ def added_of(search: Search, found: Found, part: Part, model: Augmented, told: O
     return Added(called, gyros, part.probability, parameters, told, copies, bool(law), law)
 
 
+def rival_sizes(
+    search: Search, found: Found, certain: Sequence[Part], doubtful: Sequence[Part], weight: Floats
+) -> tuple[Added, ...]:
+    """Return the effects that may be there with their numbers, each as if it alone stood beside those that are certain.
+
+    ``weight`` (G,) is that of the noise models. The probability is that of the effect that was chosen; of what could
+    stand in its place it is not known.
+    """
+    terms = [part.term for part in certain if part.tone is None]
+    names = [part.candidate.name for part in certain]
+    sizes: dict[str, Added] = {}
+    for part in doubtful:
+        if part.tone is not None:
+            continue
+        scores = search.scores(terms, names)
+        tried = {part.candidate.called: (part, part.probability)}
+        for name, (_, term) in sorted(scores.items(), key=lambda item: -item[1][0]):
+            candidate = search.known[name][0]
+            if candidate.called in part.rivals and candidate.called not in tried:
+                other = replace(part, candidate=candidate, term=term, rivals=())
+                tried[candidate.called] = (other, float("nan"))
+        for called, (own, probability) in tried.items():
+            model = Augmented.of(search.evidence, [*certain, own], weight)
+            shown = added_of(search, replace(found, parts=(*certain, own)), own, model, None)
+            sizes.setdefault(called, replace(shown, probability=probability, same=()))
+    return tuple(sizes.values())
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Causes:
     """What was added, each cause once: without tones that are ``echoes`` of one, by its name, or ``weak``."""

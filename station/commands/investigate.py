@@ -69,6 +69,8 @@ def command_investigate(arguments: argparse.Namespace) -> int:
         print_investigation(found, following, written)
         if following is None and exit_code_of(found.finding):
             print(f"no next script: {_why_none(recordings, limits)}")
+            for line in what.get("record_next", []):
+                print(f"record next what shows {line}")
         for kind, path in (("picture", picture), ("results", model)):
             if path is not None:
                 print(f"{kind}: {path}")

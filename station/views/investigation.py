@@ -6,14 +6,23 @@ SI units, shares between 0 and 1, None for what is not known.
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, TypedDict, cast
+from typing import Any, NotRequired, TypedDict, cast
 
 from drivers.types import Floats
-from estimator.tracing.investigation import Added, GyroErrors, Investigation, ResidualView as ResidualCourse
+from estimator.effects.catalogue import records
+from estimator.effects.constructed import readable
+from estimator.tracing.investigation import (
+    Added,
+    Finding,
+    GyroErrors,
+    Investigation,
+    ResidualView as ResidualCourse,
+)
 from estimator.tracing.residuals.residual import GyroResidual, Residual
 from station.views.json_values import by_state, json_object, named
 
 _NUMBERS = ("nis", "nis_sd", "lag1", "lag1_sd", "white_p", "beyond")
+_MOST_SUSPECTS = 3
 _SPECTRUM = ("frequency_hz", "density", "noise")
 
 
@@ -56,6 +65,8 @@ class InvestigationView(TypedDict):
     left_out: dict[str, str]
     taken_back: list[str]
     notes: list[str]
+    rival_sizes: NotRequired[list[dict[str, Any]]]
+    record_next: NotRequired[list[str]]
     recordings: list[str]
     verification: list[str]
 
@@ -75,11 +86,24 @@ def investigation_view(
         "gyros": {gyro.name: _gyro(gyro) for gyro in found.gyros},
         "suspects": found.suspects,
         "residual": fitted and {**fitted, "verification": _both(found.verified_before, found.verified_after)},
-        **named(found, ("left_out", "taken_back", "notes")),
+        **named(found, ("left_out", "taken_back", "notes", "rival_sizes")),
+        "record_next": what_shows(found),
         "recordings": recordings,
         "verification": verification,
     }
     return cast(InvestigationView, json_object(whole))
+
+
+def what_shows(found: Investigation) -> list[str]:
+    """Return what a recording must hold that tells apart what this one cannot: by effect what shows it."""
+    if found.finding in (Finding.NOTHING, Finding.ADDED):
+        return []
+    known = {record.name: record for record in records()}
+    names = [name for own in found.rivals for name in own]
+    if not names:
+        names = [suspect.effect for suspect in found.suspects[:_MOST_SUSPECTS]]
+    told = [f"{readable(name)}: {known[name].shown_by}" for name in dict.fromkeys(names) if name in known]
+    return [line for line in told if not line.endswith(": ")]
 
 
 def is_investigation(found: Mapping[str, Any]) -> bool:
