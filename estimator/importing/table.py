@@ -27,13 +27,13 @@ def no_column(name: str, missing: Sequence[str], where: str, present: Sequence[s
 class Wanted:
     """Names of columns: ``needed`` in every row, those that ``may_be_blank`` (NaN there), and ``labels`` (text).
 
-    With ``calendar`` the needed ones are dates with times (ISO 8601), which become seconds since 1970.
+    With ``calendar`` the needed ones are dates or times of that pattern (``stamps``), which become seconds.
     """
 
     needed: tuple[str, ...]
     may_be_blank: tuple[str, ...]
     labels: tuple[str, ...] = ()
-    calendar: bool = False
+    calendar: str = ""
 
     @property
     def numeric(self) -> tuple[str, ...]:

@@ -2,13 +2,13 @@
 
 import re
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from functools import partial
 
 import numpy as np
 
 from estimator.errors import RecordingError
 from estimator.importing.mapping.mapping import FileFormat
+from estimator.importing.stamps import ISO, has_date, over_midnight, pattern_of, seconds_of
 from estimator.importing.table import Table, Wanted, no_column
 from estimator.packaged import sentence
 
@@ -56,7 +56,8 @@ class _Body:
         """Return the rows that can be read, line by line."""
         wanted, header = self.wanted, self.header
         label_at = [header.index(_bare(key)) for key in wanted.labels]
-        needed = [_calendar_s if wanted.calendar else float] * len(wanted.needed)
+        to_seconds = partial(seconds_of, pattern=wanted.calendar)
+        needed = [to_seconds if wanted.calendar else float] * len(wanted.needed)
         columns = list(zip(self.where, [*needed, *[_number_or_blank] * len(wanted.may_be_blank)], strict=True))
         good: list[tuple[int, list[float], list[str]]] = []  # by their place among the lines
         skipped, first_skipped, at = 0, "", 0
@@ -78,6 +79,9 @@ class _Body:
             good.append((at, row, [fields[i] for i in label_at]))
             at += 1
         values = np.array([row for _, row, _ in good]).reshape(len(good), len(columns))
+        if wanted.calendar and not has_date(wanted.calendar) and len(good):
+            stamps = slice(0, len(wanted.needed))
+            values[:, stamps] = np.column_stack([over_midnight(column) for column in values[:, stamps].T])
         return Table(
             self.name,
             dict(zip(wanted.numeric, values.T, strict=True)),
@@ -92,13 +96,30 @@ class _Body:
         mark, now = "," if self.format.decimal == "." else ".", self.careful()
         for other, hint in (
             (replace(self, format=replace(self.format, decimal=mark)), f'write decimal = "{mark}" in [file]'),
-            (replace(self, wanted=replace(self.wanted, calendar=True)), 'write unit = "iso" in [time]'),
         ):
             if other.careful().skipped_lines < min(now.skipped_lines, len(self.lines) / 2):
                 return hint
+        if self.wanted.needed and (told := self._stamps_hint()):
+            return told
         stamps = any(f", where {_bare(name)} holds" in now.first_skipped for name in self.wanted.needed)
         unit = ', unit in [time] (stamps are numbers, or ISO 8601 as "iso"; without, state rate_hz in [time])'
         return f"check delimiter and decimal in [file]{unit * stamps}, or repair the file"
+
+    def _stamps_hint(self) -> str:
+        """Return how to have stamps read that are dates or times; empty if they are none."""
+        at = self.header.index(_bare(self.wanted.needed[0]))
+        fields = [_fields(line, self.format) for _, line in self.lines]
+        texts = [own[at] for own in fields if len(own) >= len(self.header)]
+        if not texts or all(_is_number(text) for text in texts):
+            return ""
+        pattern = pattern_of(texts)
+        if pattern is None:
+            return ""
+        return (
+            'write unit = "iso" in [time]'
+            if pattern == ISO
+            else f'write unit = "pattern", pattern = "{pattern}" in [time]'
+        )
 
 
 def read_rows(name: str, text: str, file_format: FileFormat, wanted: Wanted) -> Table:
@@ -192,9 +213,3 @@ def _is_number(field: str) -> bool:
 
 def _number_or_blank(field: str) -> float:
     return float("nan" if field.lower() in _BLANKS else field)
-
-
-def _calendar_s(field: str) -> float:
-    """Return seconds since 1970 of a date with its time (ISO 8601), UTC if it has no zone; ValueError."""
-    at = datetime.fromisoformat(field)
-    return (at if at.tzinfo else at.replace(tzinfo=UTC)).timestamp()

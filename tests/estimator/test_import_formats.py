@@ -251,7 +251,8 @@ def test_stamps_of_the_calendar_join_files_of_different_zones(tmp_path: Path) ->
     ("stamp", "unit", "message"),
     [
         ("2026-03-29T00:59:50.", "s", r'write unit = "iso" in \[time\]'),
-        ("00:59:50.", "iso", r"check delimiter and decimal in \[file\], unit in \[time\]"),
+        ("00:59:50.", "iso", r'write unit = "pattern", pattern = "%H:%M:%S.%f" in \[time\]'),
+        ("0:0:0:59:50.", "iso", r"check delimiter and decimal in \[file\], unit in \[time\]"),
     ],
 )
 def test_stamps_that_are_no_numbers_or_no_dates_say_what_to_write(

@@ -47,8 +47,16 @@ RECORD = MAPPING.replace(
         ("made by\nlogger 2\n" + text(heading=tuple(h.upper() for h in HEADING)), MAPPING, 'did you mean "T", "GX"'),
         (text(np.hstack([ROWS, ROWS[:, 1:2]]), (*HEADING, "gx")), MAPPING, "has 2 columns gx: name all of its columns"),
         (with_stamps(lambda at: at.strftime("%H:%M:%S.%f")), MAPPING, "t holds '12:00:00.000000': "),
-        (with_stamps(lambda at: at.strftime("%d/%m/%Y %H:%M:%S.%f")), MAPPING, "state rate_hz in [time]"),
-        (with_stamps(lambda at: at.strftime("%d/%m/%Y %H:%M:%S.%f")), MAPPING, "ISO 8601"),
+        (
+            with_stamps(lambda at: at.strftime("%d/%m/%Y %H:%M:%S.%f")),
+            MAPPING,
+            'write unit = "pattern", pattern = "%d/%m/%Y %H:%M:%S.%f" in [time]',
+        ),
+        (
+            with_stamps(lambda at: at.strftime("%m/%d/%Y %I:%M:%S.%f %p")),
+            MAPPING,
+            'write unit = "pattern", pattern = "%m/%d/%Y %I:%M:%S.%f %p" in [time]',
+        ),
         (text().replace("-", "~", 300), MAPPING, "holds '~"),
         (text(ROWS[::-1]), MAPPING, "has time stamps that run backwards: "),
         (text(ROWS[:1]), MAPPING, "has 1 row to read: record more"),

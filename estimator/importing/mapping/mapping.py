@@ -22,6 +22,7 @@ from estimator.geometry.kinematics import Site
 from estimator.geometry.model import Prior
 from estimator.importing.mapping.columns import KEYS, Columns, Vector, direction, stated_columns
 from estimator.importing.mapping.reference import ForeignReference, Measured, Rests, read_reference
+from estimator.importing.stamps import ISO
 from estimator.packaged import sentence
 from estimator.strict_toml import StrictTable, not_one_of
 from estimator.types import Floats
@@ -61,12 +62,13 @@ class FileFormat:
 class Timing:
     """Either a fixed ``rate`` in Hz, or a variable that holds it, or a column of stamps (``scale`` makes seconds).
 
-    The column may be one of a ``calendar``, or a counter that goes round at ``wraps_at``.
+    The column may hold dates or times of a ``calendar``, whose pattern this is, or a counter that goes round at
+    ``wraps_at``.
     """
 
     rate: float | str = 0.0
     stamps: Columns | None = None
-    calendar: bool = False
+    calendar: str = ""
     wraps_at: float = math.inf
 
 
@@ -272,9 +274,10 @@ def _timing(section: StrictTable, file_format: FileFormat) -> Timing:
     if len(given) != 1:
         raise section.fail(given[0] if given else None, sentence("importing.one_of_times"))
     if given[0] == "column":
-        calendar = section.again().value("unit") == "iso"
+        unit = section.again().value("unit")
+        calendar = unit if unit == ISO else section.string("pattern") if unit == "pattern" else ""
         if calendar and file_format.kind != "csv":
-            raise section.fail("unit", "iso is for text files: write s, ms, us or ns")
+            raise section.fail("unit", f"{unit} is for text files: write s, ms, us or ns")
         wraps_at = section.number("wraps_at", math.inf, positive=True)
         timing = Timing(0.0, stated_columns(section, "time", "column"), calendar, wraps_at)
     elif given[0] == "rate_variable":
@@ -283,7 +286,7 @@ def _timing(section: StrictTable, file_format: FileFormat) -> Timing:
         timing = Timing(section.string("rate_variable"))
     else:
         timing = Timing(section.number("rate_hz", positive=True))
-    section.done(also=("rate_hz", "rate_variable", "column", "unit"))
+    section.done(also=("rate_hz", "rate_variable", "column", "unit", "pattern"))
     return timing
 
 
