@@ -1,6 +1,7 @@
 """Rows of numbers of a text log, which may have broken lines, comments, a preamble and a row of units."""
 
 import re
+from collections import Counter
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -93,6 +94,13 @@ class _Body:
 
     def hint(self) -> str:
         """Return what to write so that more of the lines are rows."""
+        widths = Counter(len(_fields(line, self.format)) for _, line in self.lines)
+        width, count = widths.most_common(1)[0]
+        if width != len(self.header) and width > 1 and count > (1 - BROKEN_SHARE) * len(self.lines):
+            return (
+                f"its heading names {len(self.header)} columns ({', '.join(self.header)[:_SHOWN]}) and its rows have "
+                f"{width} fields: name these by columns = [...] in [file]"
+            )
         mark, now = "," if self.format.decimal == "." else ".", self.careful()
         for other, hint in (
             (replace(self, format=replace(self.format, decimal=mark)), f'write decimal = "{mark}" in [file]'),

@@ -261,6 +261,8 @@ def _record(section: StrictTable) -> np.dtype[Any]:
     """Return what a row of a binary file is made of."""
     order = section.string("byte_order", "little", one_of=("little", "big"))
     fields: dict[str, str] = {}
+    if "," in section.text_of("record"):
+        raise section.fail("record", 'is one text: it is a list, ["t f8", "gyro 3i2"], a text for each column')
     for entry in section.strings("record"):
         found = _COLUMN.fullmatch(entry)
         if not found or found["name"] in fields:
