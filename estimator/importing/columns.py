@@ -1,6 +1,6 @@
 """Foreign files as named columns: delimited text and MATLAB files."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -103,4 +103,20 @@ def _read_mat(path: Path, wanted: Sequence[str]) -> Table:
             columns[key] = np.asarray(present[key], dtype=np.float64)
         except (TypeError, ValueError):
             raise RecordingError(f"{path.name}: {key} is not numeric") from None
-    return Table(path.name, columns)
+    return Table(path.name, by_rows(columns))
+
+
+def by_rows(columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Return arrays with samples along their first dimension, (n,) or (n, width), whichever way they are stored.
+
+    Samples are as many as the longest side of the largest array; an array of as many along another side is turned.
+    """
+    rows = max((max(values.shape, default=1) for values in columns.values()), default=1)
+    found = {}
+    for name, values in columns.items():
+        along = [axis for axis, size in enumerate(values.shape) if size == rows]
+        turned = np.moveaxis(values, along[-1], 0) if along and 0 not in along and rows > 1 else values
+        if turned.ndim > 1 and len(turned) == rows and rows > 1:
+            turned = turned.reshape(rows, -1)
+        found[name] = turned
+    return found

@@ -11,6 +11,7 @@ from estimator.recordings.reference import AttitudeReadings, RateReadings, Refer
 from estimator.types import Floats, Stamps
 
 _NORM_OFF = 0.05  # an attitude whose length is this far from 1 is a lost one
+_MATRIX = 9  # columns of a rotation matrix
 _LOST_STEPS = 3  # blanks over more than this many usual steps: what happened there is not known
 _LOST_NS = 150_000_000
 
@@ -22,12 +23,28 @@ ForeignRows = tuple[Floats, Floats]
 def reference_rows(reference: Measured, table: Table) -> Floats:
     """Return attitudes (rows, 4) as w x y z, body to reference, rates (rows, 3) or angles (rows, 1)."""
     rows = table.values(reference.columns, f"[reference] column{'s' * (reference.kind != 'angle')}")
+    if reference.columns.width == _MATRIX:
+        rows = _quaternions(rows)
     if reference.kind == "attitude":
         length = np.linalg.norm(rows, axis=1, keepdims=True)
         rows = np.where(np.abs(length - 1) < _NORM_OFF, rows / np.where(length > 0, length, 1.0), np.nan)
     if not np.isfinite(rows).all(axis=1).any():
         raise RecordingError(f"{table.name} has not one usable row of the reference: check [reference] columns")
     return rows
+
+
+def _quaternions(rows: Floats) -> Floats:
+    """Return quaternions w x y z (n, 4) of rotation matrices (n, 9) row by row, NaN for what is none."""
+    from scipy.spatial.transform import Rotation
+
+    matrices = rows.reshape(-1, 3, 3)
+    products = matrices @ matrices.transpose(0, 2, 1)
+    off = np.abs(products - np.eye(3)).max(axis=(1, 2))
+    right = (off < _NORM_OFF) & (np.linalg.det(np.nan_to_num(matrices)) > 0)
+    found = np.full((len(rows), 4), np.nan)
+    if right.any():
+        found[right] = np.roll(Rotation.from_matrix(matrices[right]).as_quat(), 1, axis=1)
+    return found
 
 
 def foreign_reference(reference: Measured, t_ns: Stamps, rows: Floats) -> Reference:

@@ -108,9 +108,7 @@ def read_reference(section: StrictTable, *, wide: bool = False) -> ForeignRefere
     kind = section.string("kind", one_of=("attitude", "rate", "angle", "turns", "rest", "gravity"))
     reference: ForeignReference
     if kind == "attitude":
-        stated = section.stated(KEYS["attitude"])
-        turned = np.eye(4)[:, stated["order"]] * [1.0, *[stated["sign"]] * 3]
-        reference = Measured(kind, Columns(section.strings("columns"), width=4, axes=turned))
+        reference = _attitude(section)
     elif kind == "rate":
         reference = Measured(kind, _rates(section, wide))
     elif kind == "angle":
@@ -123,6 +121,16 @@ def read_reference(section: StrictTable, *, wide: bool = False) -> ForeignRefere
         raise section.fail("section_column", "is for text files: write section_list, or start_s and end_s in sections")
     section.done()
     return reference
+
+
+def _attitude(section: StrictTable) -> Measured:
+    stated = section.stated(KEYS["attitude"])
+    names = section.strings("columns")
+    if not stated["order"]:
+        order = np.arange(9) if stated["sign"] > 0 else np.arange(9).reshape(3, 3).T.ravel()
+        return Measured("attitude", Columns(names, width=9, axes=np.eye(9)[:, order]))
+    turned = np.eye(4)[:, stated["order"]] * [1.0, *[stated["sign"]] * 3]
+    return Measured("attitude", Columns(names, width=4, axes=turned))
 
 
 def turn_about(axis: str, angle_deg: float) -> Turn:
