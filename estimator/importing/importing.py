@@ -15,7 +15,7 @@ from estimator.importing.columns import read_table
 from estimator.importing.foreign_rows import ForeignRows, foreign_reference, reference_rows
 from estimator.importing.gains import fitted
 from estimator.importing.log import Log, timed, wanted
-from estimator.importing.mapping.columns import UNITS
+from estimator.importing.mapping.columns import UNITS, Columns
 from estimator.importing.mapping.mapping import Mapping, ReferenceFile
 from estimator.importing.mapping.reference import ForeignReference, Gravity, Measured, Rests, StatedTurns
 from estimator.importing.resting import Rest, earth_note, rest_rates, rest_text, rests_of
@@ -101,7 +101,8 @@ def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused
     label = None if isinstance(reference, Measured) else reference.cuts.column
     table = read_table(path, mapping.format, wanted(mapping.timing, mapping.names, (label,) if label else ()))
     rate = table.values(mapping.gyro.columns, "[gyro] columns")
-    accel = table.values(mapping.accelerometer, "[accelerometer] columns") if mapping.accelerometer else None
+    felt = mapping.accelerometer if not mapping.accelerometer_file else None
+    accel = table.values(felt, "[accelerometer] columns") if felt else None
     warmth = table.values(mapping.temperature, "[temperature] column") if mapping.temperature else None
     told = reference_rows(measured, table) if measured else None
     others = {"accelerometer": accel, "temperature": warmth, "reference": told}
@@ -113,6 +114,8 @@ def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused
     if not np.isfinite(rate[time.rows]).any(axis=0).all():
         raise RecordingError(f"{path.name} has a gyro column without a single number: check [gyro] columns")
     notes = [*log.notes, *_unit_notes(mapping, table)]
+    if mapping.accelerometer_file and mapping.accelerometer:
+        accel = _felt_beside(mapping.accelerometer_file, mapping.accelerometer, log, len(rate), notes)
     spans, rests, found, known = list[Span](), list[Rest](), list[str](), None
     if isinstance(reference, StatedTurns):
         spans, left_out = turn_spans(mapping, reference, log, rate)
@@ -260,6 +263,30 @@ def _samples_settled(
     others_told_s = told_s if mapping.reference_file else others(told_s)
     tried = [(t_s, (told_s, values)), (others(t_s), (others_told_s, values))]
     return _settled(mapping, reference, log, rate, tried)
+
+
+def _felt_beside(other: ReferenceFile, accelerometer: Columns, log: Log, rows: int, notes: list[str]) -> Floats:
+    """Return specific forces (rows, 3) of a file of its own at the instants of the gyro's rows, NaN beyond its ends."""
+    path = other.beside(log.path)
+    table = read_table(path, other.format, wanted(other.timing, accelerometer.names))
+    values = table.values(accelerometer, "[accelerometer] columns")
+    own = timed(path, table, other.timing, other.format, values)
+    notes += [f"{path.name}: {note}" for note in [own.time.text, *own.notes]]
+    t_s, values = own.time.t_s + (other.offset_s or 0.0), values[own.time.rows]
+    if own.time.zero_s is not None and log.time.zero_s is not None:
+        t_s = t_s + own.time.zero_s - log.time.zero_s
+    whole = np.isfinite(values).all(axis=1)
+    at_s = log.time.t_s
+    if whole.sum() < 2 or t_s[whole][0] > at_s[-1] or t_s[whole][-1] < at_s[0]:
+        raise RecordingError(
+            f"{path.name} has no sample of the time of {log.path.name}: check its columns and unit, or state offset_s, "
+            "which is added to its stamps, in [accelerometer.time]"
+        )
+    felt = np.full((rows, 3), np.nan)
+    felt[log.time.rows] = np.column_stack(
+        [np.interp(at_s, t_s[whole], c, left=np.nan, right=np.nan) for c in values[whole].T]
+    )
+    return felt
 
 
 def _unit_notes(mapping: Mapping, table: Table) -> list[str]:

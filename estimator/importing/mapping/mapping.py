@@ -125,12 +125,14 @@ class Mapping:
     licence: str
     source: str
     prior: Prior
+    accelerometer_file: ReferenceFile | None = None
 
     @property
     def names(self) -> list[str]:
         """Names of the columns of the data file, but for its time and its labels."""
         inline = self.reference.columns if isinstance(self.reference, Measured) and not self.reference_file else None
-        columns = (self.gyro.columns, self.accelerometer, self.temperature, inline)
+        felt = self.accelerometer if not self.accelerometer_file else None
+        columns = (self.gyro.columns, felt, self.temperature, inline)
         return [name for own in columns if own for name in own.names]
 
     @property
@@ -156,7 +158,13 @@ def read_mapping(path: Path | str, protocols: Protocols | None = None) -> Mappin
     file_format = _format(top.table("file"), protocols, folder)
     timing = _timing(top.table("time"), file_format)
     gyro = top.table("gyro").whole(partial(_gyro, file_format=file_format))
-    accelerometer = top.table("accelerometer").whole(_accelerometer) if top.has("accelerometer") else None
+    felt = top.table("accelerometer") if top.has("accelerometer") else None
+    beside_file = None
+    if felt is not None and felt.has("file"):
+        beside_file = _reference_file(felt, file_format, timing, protocols, folder)
+        if beside_file.offset_s is None:
+            raise felt.fail("time", 'offset_s = "from data" is for a reference: state the seconds to add to its stamps')
+    accelerometer = felt.whole(_accelerometer) if felt is not None else None
     warmth = partial(stated_columns, quantity="temperature", key="column")
     temperature = top.table("temperature").whole(warmth) if top.has("temperature") else None
     site = top.table("site").whole(lambda table: Site(**table.stated(KEYS["site"]))) if top.has("site") else None
@@ -179,6 +187,7 @@ def read_mapping(path: Path | str, protocols: Protocols | None = None) -> Mappin
         site,
         **named,
         prior=prior,
+        accelerometer_file=beside_file,
     )
     _check(mapping, section)
     return mapping
