@@ -83,7 +83,7 @@ def of_sections(
 ) -> tuple[list[T], list[Refused]]:
     """Return what is read of each section, by its name, first and one past the last of the kept rows, or refused.
 
-    Of turns a label comes once and each is named; of rests others are passed over. Raises RecordingError if sections
+    Of turns each label is stated; of rests others are passed over. Raises RecordingError if sections
     are missing, or not as the file.
     """
     found: list[T] = []
@@ -106,7 +106,7 @@ def _section_rows(mapping: Mapping, stated: StatedTurns | Rests, log: Log) -> li
                 f"{path.name}: section {name} begins at {start_s:g} s, but the file lasts {last_s:.6g} s"
             )
     if cuts.column is not None:
-        limits = _labelled(log.table.labels[cuts.column], once=all_named)
+        limits = _labelled(log.table.labels[cuts.column])
     elif cuts.list_name is not None:
         limits = _listed(beside(path, cuts.list_name), log.table)
     present = dict.fromkeys(name for name, _, _ in limits)
@@ -122,13 +122,12 @@ def _section_rows(mapping: Mapping, stated: StatedTurns | Rests, log: Log) -> li
     return [(name, *np.searchsorted(edges, [start, end]).tolist()) for name, start, end in limits if name in names]
 
 
-def _labelled(labels: tuple[str, ...], *, once: bool) -> list[tuple[str, int, int]]:
+def _labelled(labels: tuple[str, ...]) -> list[tuple[str, int, int]]:
+    """Return the sections that have a label; one that comes again is another turn, or rest, as it is stated."""
     limits: list[tuple[str, int, int]] = []
     at = 0
     for label, group in groupby(labels):
         stop = at + len(list(group))
-        if once and any(label == name for name, _, _ in limits):
-            raise RecordingError(f"section {label} comes twice: give each section a label of its own")
         if label:
             limits.append((label, at, stop))
         at = stop
