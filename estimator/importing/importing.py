@@ -1,5 +1,6 @@
 """Recordings made elsewhere: foreign files and a mapping become one recording, or are refused with a reason."""
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -35,6 +36,8 @@ SOURCE = "imu"
 _BESIDE_S = 1.0  # of a reference in a file of its own before and behind the samples that is kept
 _EQUAL_RPS, _COARSE_SHARE = 1e-9, 1 / 3  # of samples equal to the one before: at 0.28 a step is one sigma
 _GAPS_SHARE = 0.1  # of the rows; where more are further apart the sampling is uneven
+_MOST_ALIKE = 3  # files of which a note is told each by itself, if its numbers differ
+_NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 _GAP_S = 10.0  # between files that follow each other: longer than what corrects or correlates within one
 _UNIT_ROW = {"rad/s": ("rad/s", "rps"), "deg/s": ("deg/s", "dps", "°/s", "degree/s", "degrees/s")}
 
@@ -354,9 +357,7 @@ def _joined(mapping: Mapping, parts: list[_Part], refused: list[Refused]) -> tup
     site = mapping.site if earth else None
     recording = Recording({SOURCE: data}, poses or _reference(reference, placed), site)
     recording, found, factors = fitted(recording, SOURCE, mapping.gyro)
-    notes = [
-        f"{part.log.path.name}: {note}" if len(parts) > 1 else note for part in parts for note in part.notes
-    ] + found
+    notes = [*_told_once(parts), *found]
     notes += [accelerometer_note(poses)] if poses else []
     if earth and rests:
         notes += earth_note(mapping, rests)
@@ -381,6 +382,27 @@ def _joined(mapping: Mapping, parts: list[_Part], refused: list[Refused]) -> tup
     }
     kept = {key: value for key, value in attributes.items() if isinstance(value, (int, np.ndarray)) or value}
     return replace(recording, attributes=kept), notes
+
+
+def _told_once(parts: Sequence[_Part]) -> list[str]:
+    """Return the notes on all files: one that is on several of them, but for its numbers, once with their count."""
+    if len(parts) == 1:
+        return [*parts[0].notes]
+    alike: dict[str, list[tuple[str, str]]] = {}
+    for part in parts:
+        for note in part.notes:
+            alike.setdefault(_NUMBER.sub("#", note), []).append((part.log.path.name, note))
+    told = []
+    for own in alike.values():
+        name, note = own[0]
+        texts = {text for _, text in own}
+        if len(own) > 1 and len(texts) == 1:
+            told.append(f"{note} ({len(own)} files, the first {name})")
+        elif len(own) > _MOST_ALIKE:
+            told.append(f"{name}: {note} (and likewise {len(own) - 1} files more)")
+        else:
+            told += [f"{other}: {text}" for other, text in own]
+    return told
 
 
 def _reference(stated: ForeignReference, placed: list[tuple[_Part, float]]) -> Reference:
