@@ -16,12 +16,11 @@ from typing import Any
 from drivers.errors import DeviceError
 from estimator.calibration.error_model import ErrorModel
 from estimator.errors import MISSHAPEN, EstimatorError
-from estimator.recordings.writing import write_recording
 from estimator.untrusted import harmless
 from station.atomic_write import check_new_recording, new_recording
 from station.bench.bench import Bench, load_bench
 from station.computer.facilities import peer_note
-from station.errors import EXIT_USAGE, UsageError, sentence
+from station.errors import UsageError, sentence
 from station.opening import needs_only_memory, open_bench, serve_twins, with_links
 from station.remote.after_run import tell_program
 from station.remote.hosting import Host, introduction
@@ -156,29 +155,6 @@ def command_twin(arguments: argparse.Namespace) -> int:
     except OSError as error:
         return refuse(str(error), False, Outcome.FAULT)
     return 0
-
-
-def command_import(arguments: argparse.Namespace) -> int:
-    """Turn foreign data into a recording."""
-    from estimator.importing.importing import import_recording
-    from estimator.importing.mapping.mapping import read_mapping
-    from station.opening.captures import PROTOCOLS
-
-    output = Path(arguments.output)
-    imported = import_recording(read_mapping(Path(arguments.mapping), PROTOCOLS), [Path(d) for d in arguments.data])
-    write_recording(output, imported.recording)
-    samples = {name: len(data.t_ns) for name, data in imported.recording.sources.items()}
-    refused = [{"name": r.name, "reason": r.reason} for r in imported.refused]
-    if arguments.json:
-        notes = list(imported.notes)
-        print(json.dumps({"recording": str(output), "samples": samples, "refused": refused, "notes": notes}))
-    else:
-        for note in imported.notes:
-            tell(f"note: {harmless(note)}")
-        print(f"{output}: {', '.join(f'{n} samples of {name}' for name, n in samples.items())}", flush=True)
-        for entry in refused:
-            tell(harmless(f"refused {entry['name']}: {entry['reason']}"), sys.stderr)
-    return EXIT_USAGE if imported.lost_files else 0
 
 
 def clock(bench: Bench, scale: float | None) -> asyncio.Runner:

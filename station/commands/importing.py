@@ -1,0 +1,78 @@
+"""station import: data measured elsewhere becomes a recording; a first look at a file, and a mapping to begin with."""
+
+import argparse
+import json
+import sys
+from dataclasses import asdict
+from pathlib import Path
+
+from rich.markup import escape
+
+from estimator.importing.importing import Imported, import_recording
+from estimator.importing.looking import Look, look
+from estimator.importing.mapping.mapping import read_mapping
+from estimator.recordings.writing import write_recording
+from estimator.untrusted import harmless
+from station.atomic_write import check_new_file, write_whole
+from station.errors import EXIT_USAGE, UsageError
+from station.opening.captures import PROTOCOLS
+from station.render.lines import tell
+from station.render.terminal import print_all, rich_table, stdout
+
+
+def command_import(arguments: argparse.Namespace) -> int:
+    """Turn foreign data into a recording, or show what is in a file; 2 if a file gave nothing."""
+    if arguments.look is not None:
+        return _look(arguments)
+    if not arguments.mapping or not arguments.data or not arguments.output:
+        raise UsageError("give a mapping file, data files, and the recording to write by -o; --look FILE shows a file")
+    output = Path(arguments.output)
+    mapping = read_mapping(Path(arguments.mapping), PROTOCOLS)
+    imported = import_recording(mapping, [Path(name) for name in arguments.data])
+    write_recording(output, imported.recording)
+    _print_imported(imported, output, as_json=arguments.json)
+    return EXIT_USAGE if imported.lost_files else 0
+
+
+def _print_imported(imported: Imported, output: Path, *, as_json: bool) -> None:
+    samples = {name: len(data.t_ns) for name, data in imported.recording.sources.items()}
+    refused = [{"name": entry.name, "reason": entry.reason} for entry in imported.refused]
+    if as_json:
+        notes = list(imported.notes)
+        print(json.dumps({"recording": str(output), "samples": samples, "refused": refused, "notes": notes}))
+        return
+    for note in imported.notes:
+        tell(f"note: {harmless(note)}")
+    print(f"{output}: {', '.join(f'{n} samples of {name}' for name, n in samples.items())}", flush=True)
+    for entry in refused:
+        tell(harmless(f"refused {entry['name']}: {entry['reason']}"), sys.stderr)
+
+
+def _look(arguments: argparse.Namespace) -> int:
+    """Show the columns of a file with guesses; write the mapping where asked to."""
+    output = Path(arguments.output) if arguments.output else None
+    if output is not None:
+        check_new_file(output, "--output")
+    path = Path(arguments.look)
+    found = look(path)
+    if output is not None:
+        write_whole(output, found.mapping)
+    if arguments.json:
+        print(json.dumps({**asdict(found), "output": None if output is None else str(output)}))
+        return 0
+    _print_look(found, path)
+    if output is None:
+        print(harmless(found.mapping))
+        print(f"-o MAPPING.toml writes it; then: station import MAPPING.toml {path} -o {path.stem}.h5")
+    else:
+        print(f"mapping: {output}; correct it, then: station import {output} {path} -o {path.stem}.h5")
+    return 0
+
+
+def _print_look(found: Look, path: Path) -> None:
+    table = rich_table(path.name, ["column", "first values", "range", "what it may be"], "llll", fold=True)
+    for column in found.columns:
+        table.add_row(*(escape(harmless(text)) for text in (column.name, column.first, column.range, column.guess)))
+    print_all(stdout(), [(table, {})])
+    for note in found.notes:
+        tell(harmless(note))
