@@ -1,7 +1,10 @@
 """Recordings by others, put before the station: what it names, and by how much held-out errors fall.
 
 python tests/bench/measured.py DATA                      DATA: folder with mpu6050_encoder and broad_optical
-python tests/bench/measured.py DATA --only mpu6050       or broad
+python tests/bench/measured.py DATA --only mpu6050       or broad, or planted
+
+Planted: one channel of a trial of BROAD is clipped, another is dead. They must be named, and the scale factor errors of
+all that is left must be those of the trial as it is.
 
 Truth: a delay of 12.0 ms between encoder and MPU-6050, and of 4.17 to 4.31 ms between optical attitude and gyro
 (BROAD), each by least squares on a grid of delays; the READMEs of the data sets say how. Errors are those of means of
@@ -14,6 +17,7 @@ import argparse
 import os
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import permutations
 from pathlib import Path
 
@@ -112,6 +116,53 @@ def mpu_lines(data: Path) -> None:
         print(f"  {plane}: k over speeds apart by at most {max(apart):.0f} ppm, {max(sigmas):.1f} sigmas")
 
 
+def clipped(rate_rps: np.ndarray, gyro: int) -> np.ndarray:
+    """Return rates (n, 3) of which one ends at 0.6 of its largest, before the device corrects its axes."""
+    others = [0.004 * rate_rps[:, other] for other in range(3) if other != gyro]
+    limit_rps = 0.6 * float(np.nanquantile(np.abs(rate_rps[:, gyro]), 0.999))
+    found = rate_rps.copy()
+    found[:, gyro] = np.clip(rate_rps[:, gyro], -limit_rps, limit_rps)
+    beyond = np.abs(rate_rps[:, gyro]) > limit_rps
+    found[beyond, gyro] += (others[0] - others[1])[beyond]
+    return found
+
+
+def dead(rate_rps: np.ndarray, gyro: int) -> np.ndarray:
+    """Return rates (n, 3) of which one is noise of 0.1 deg/s about a value."""
+    found = rate_rps.copy()
+    found[:, gyro] = np.radians(0.4 + 0.1 * np.random.default_rng(1).standard_normal(len(found)))
+    return found
+
+
+def planted_lines(data: Path) -> None:
+    """Print what is made of each trial of BROAD with a clipped and with a dead channel."""
+    good, count = 0, 0
+    for path in sorted((data / "broad_optical").glob("*.mat")):
+        trial = broad(path)
+        (source, imu), *_ = trial.sources.items()
+        clean = {gyro.name: gyro for gyro in calibrate(trial, excluded=frozenset()).gyros}
+        for number, (fault, words) in enumerate(((clipped, "saturates at"), (dead, "dead"))):
+            gyro = (number + int(path.stem[:2])) % 3
+            name = imu.array.names[gyro]
+            spoilt = replace(trial, sources={source: replace(imu, rate_rps=fault(imu.rate_rps, gyro))})
+            found = calibrate(spoilt, excluded=frozenset())
+            named = any(name in note and words in note for note in found.notes)
+            off = {
+                own.name: abs(own.states[0] - clean[own.name].states[0]) / np.hypot(own.sd[0], clean[own.name].sd[0])
+                for own in found.gyros
+            }
+            left = set(off) == set(clean) - ({name} if fault is dead else set())
+            right = named and left and max(off.values()) < 2
+            good, count = good + right, count + 1
+            told = ", ".join(f"{own} {sigmas:.1f}" for own, sigmas in off.items())
+            print(
+                f"BROAD {path.stem[:2]}, {name} {fault.__name__:8s} {'ok ' if right else 'NOT'} "
+                f"{'named' if named else 'not named'}, k off the trial's by sigmas: {told}",
+                flush=True,
+            )
+    print(f"planted: named, and k right on the rest, in {good} of {count}")
+
+
 def broad_lines(data: Path) -> None:
     """Print the lines of BROAD, each trial alone and each ordered pair."""
     trials = {path.stem[:2]: broad(path) for path in sorted((data / "broad_optical").glob("*.mat"))}
@@ -123,9 +174,9 @@ def broad_lines(data: Path) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path)
-    parser.add_argument("--only", choices=("mpu6050", "broad"))
+    parser.add_argument("--only", choices=("mpu6050", "broad", "planted"))
     arguments = parser.parse_args()
-    if arguments.only != "broad":
-        mpu_lines(arguments.data)
-    if arguments.only != "mpu6050":
-        broad_lines(arguments.data)
+    kinds = {"mpu6050": mpu_lines, "broad": broad_lines, "planted": planted_lines}
+    for kind, lines in kinds.items():
+        if arguments.only in (None, kind):
+            lines(arguments.data)
