@@ -7,7 +7,7 @@ import numpy as np
 
 from estimator.effects.site import EARTH_RATE
 from estimator.errors import InvestigationError
-from estimator.estimation.evidence import Evidence
+from estimator.estimation.evidence import Evidence, Term
 from estimator.estimation.runs.making import runs_of_all
 from estimator.estimation.runs.run import Run, growth_notes, same_devices
 from estimator.estimation.spectra import NoiseShapes, gyro_spectra
@@ -130,12 +130,10 @@ def _conclude(
     terms = [part.term for part in certain if part.tone is None]
     opened, between = something_beside(search, terms), between_recordings(search, terms)
     errors = judged(search, before, after, held_back, verification)
-    fitted = _left(search.runs, 0, before, after)
-    verified = _left(held_back, len(search.runs), before, after)
+    fitted, verified = _left(search.runs, 0, before, after), _left(held_back, len(search.runs), before, after)
     unexplained = unexplained_of(fitted[1]) if opened.probability > CERTAIN else beyond_noise(search, found)
-    open_terms = [part.term for part in doubtful if part.tone is None]
-    if unexplained and open_terms and something_beside(search, [*terms, *open_terms]).probability <= CERTAIN:
-        unexplained = None  # one of those that are open explains it, which is not proved
+    if unexplained and _explained_by(search, terms, doubtful):
+        unexplained = None
     faulty = faults_added(faults)
     causes = Causes.among(search, certain, after, fitted[1], unexplained)
     verdict = verdict_of([*(a.effect for a in faulty), *_called(causes.parts)], doubtful, unexplained)
@@ -144,12 +142,12 @@ def _conclude(
         suspected, with_it = _suspected(search, held_back, most)
         verdict = surprised(certain, suspected, verified[1])
         gyros = beside_suspect(gyros, with_it)
-    gained = found.log_evidence[-1] - found.log_evidence[0]
     models = [ModelStep((), 0.0, errors.before)]
+    gained = found.log_evidence[-1] - found.log_evidence[0]
     models += [ModelStep(_called(certain), gained, errors.after)] if certain else []
     if doubtful:
-        wider_errors = judged(search, before, wider, held_back, verification).after
-        models.append(ModelStep(_called([*certain, *doubtful]), gained, wider_errors))
+        with_all = judged(search, before, wider, held_back, verification).after
+        models.append(ModelStep(_called([*certain, *doubtful]), gained, with_all))
     return Investigation(
         verdict.finding,
         verdict.reason,
@@ -172,6 +170,12 @@ def _conclude(
         *verified,
         rival_sizes=rival_sizes(search, found, certain, doubtful, weight),
     )
+
+
+def _explained_by(search: Search, terms: Sequence[Term], doubtful: Sequence[Part]) -> bool:
+    """Return whether effects that are not proved leave nothing beside a model that would be unexplained."""
+    open_terms = [part.term for part in doubtful if part.tone is None]
+    return bool(open_terms) and something_beside(search, [*terms, *open_terms]).probability <= CERTAIN
 
 
 def _suspected(search: Search, held_back: Sequence[Run], most: int) -> tuple[Found, Augmented]:
