@@ -13,6 +13,8 @@ import numpy as np
 
 from estimator.types import Floats
 
+SD_OF_MEDIAN = 1.4826
+"""Standard deviation of a normal distribution over the median of its distances from the middle."""
 _STEPS_A_DECADE = 2
 _SHORTEST_S = 1.0
 _FEWEST_SAMPLES = 9

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.geometry.kinematics import Site
+from estimator.geometry.noise import SD_OF_MEDIAN
 from estimator.observations.turned import Turned, by_turns
 from estimator.recordings.recording import ImuData
 from estimator.recordings.reference import BodyRates, Poses, Reference, TableReadings, Turns
@@ -33,7 +34,6 @@ _USUAL = 0.9  # quantile of the rates beyond which an interval has no more weigh
 _MIDDLE, _AT_MOST = (0.05, 0.95), 0.15  # share of the range of nearly all outputs that an interval may be off
 _SEEN = 1e-3  # of the rate about the axis that turns most: one that turns by less is not seen
 _LEAST_NOISE_RPS = 1e-6
-_SD_OF_MEDIAN = 1.4826
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -179,10 +179,10 @@ def following(data: ImuData, reference: Reference, site: Site | None) -> Followi
         fits = _nearer(means, delay_s, left, inner, _FITS * _quantile(left, inner, _USUAL))
         delay_s = _refined(means, delay_s, fits)
     rows, left, _ = _line(means, delay_s, fits)
-    scatter = _SD_OF_MEDIAN * _quantile(left, inner, 0.5)
+    scatter = SD_OF_MEDIAN * _quantile(left, inner, 0.5)
     for _ in range(_ROUNDS):
         rows, left, _ = _line(means, delay_s, _nearer(means, delay_s, left, inner, _FITS * scatter))
-        scatter = np.maximum(_SD_OF_MEDIAN * _quantile(left, inner, 0.5), _LEAST_NOISE_RPS)
+        scatter = np.maximum(SD_OF_MEDIAN * _quantile(left, inner, 0.5), _LEAST_NOISE_RPS)
     return Following(delay_s, rows, scatter, body, means)
 
 

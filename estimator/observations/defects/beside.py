@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimator.geometry.kinematics import Site
+from estimator.geometry.noise import SD_OF_MEDIAN
 from estimator.observations.alignment import Following
 from estimator.observations.defects.limits import Limit, limits_of
 from estimator.observations.defects.turned_limits import limits_by_turns
@@ -20,7 +21,6 @@ _DEAD = 0.1  # length of a row of the line, one for a gyro: less does not follow
 _ALIVE = 0.5  # that of another gyro, which shows that it is not the reference that is dead
 _MOVED = 10.0  # standard deviations of the scatter by which a body must turn for a channel to be called dead
 _CHANGED = 8.0  # the same, by which outputs should have changed while one stuck
-_SD_OF_MEDIAN = 1.4826
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +66,7 @@ class Beside:
             )
         expected = line.expected_rps(t_s)
         left = np.abs(outputs - expected)
-        scatter = np.array([_SD_OF_MEDIAN * _median(own) for own in left.T])
+        scatter = np.array([SD_OF_MEDIAN * _median(own) for own in left.T])
         scatter = np.maximum(scatter, 1e-9)
         turned = line.turned.rates(t_s - line.delay_s) @ data.array.p.T
         known = np.isfinite(turned).all(axis=1)

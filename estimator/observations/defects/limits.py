@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from estimator.geometry.noise import SD_OF_MEDIAN
 from estimator.types import Flags, Floats
 
 _BEYOND = 6.0  # standard deviations by which outputs should be beyond the largest that there is
@@ -21,7 +22,6 @@ _FAR = 0.05  # share of the limit by which a steady rate must be beyond it: no l
 _LEAST = 0.02  # share of the limit by which outputs must be beyond it: so much a reading may be wrong by
 _BELOW = 0.3  # of a limit: between that and the limit outputs follow the rate
 _TOP = 0.05  # share of the range within which a limit lies of the largest output
-_SD_OF_MEDIAN = 1.4826
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,8 +79,8 @@ def _upper(output: Floats, expected: Floats, scatter: float) -> tuple[float, flo
         return None
     count = max(int(_NEARLY_ALL * len(at)), 1)
     left = [float(np.sum(np.sort((at - other) ** 2)[:count])) for other in (level, ought)]
-    width = _SD_OF_MEDIAN * float(np.median(np.abs(at - level)))
-    steady = _SD_OF_MEDIAN * float(np.median(np.abs(ought - np.median(ought))))
+    width = SD_OF_MEDIAN * float(np.median(np.abs(at - level)))
+    steady = SD_OF_MEDIAN * float(np.median(np.abs(ought - np.median(ought))))
     excess = float(np.median(ought)) / max(level, 1e-12) - 1
     flat = width < _FLAT * steady or excess > _FAR
     if excess < _LEAST or not flat or left[0] > _LIKELIER * left[1]:

@@ -5,6 +5,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.geometry.noise import SD_OF_MEDIAN
 from estimator.observations.defects.limits import Limit
 from estimator.recordings.recording import ImuData
 from estimator.recordings.reference import Turns
@@ -15,7 +16,6 @@ _BAND = 0.02  # of the largest output: how far outputs at a limit vary
 _STAYED_S, _FEWEST = 0.05, 5  # for how long an output must stay there, and for how many samples
 _LESS, _SIGMAS = 0.02, 5.0  # share, and standard deviations, by which such turns must be too small
 _FEWEST_TURNS = 2
-_SD_OF_MEDIAN = 1.4826
 
 
 def limits_by_turns(data: ImuData, turns: Turns) -> list[list[Limit]]:
@@ -61,7 +61,7 @@ def _of_gyro(data: ImuData, output: Floats, level: float, spans: NDArray[np.intp
         own = share[stays[:, column]]
         if not len(own) or len(free) < _FEWEST_TURNS:
             continue
-        scatter = max(_SD_OF_MEDIAN * float(np.median(np.abs(free - np.median(free)))), 1e-6)
+        scatter = max(SD_OF_MEDIAN * float(np.median(np.abs(free - np.median(free)))), 1e-6)
         less = float(np.median(free) - np.median(own))
         if less > max(_LESS, _SIGMAS * scatter * (1 / len(free) + 1 / len(own)) ** 0.5):
             width = _BAND * tops[column]
