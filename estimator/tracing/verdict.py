@@ -70,7 +70,7 @@ def surprised(certain: Sequence[Part], wider: Found, residual: Residual | None) 
     reason = "the verification run shows an error that the other recordings cannot show"
     if not extra:
         return Verdict(Finding.PARTLY if certain else Finding.UNEXPLAINED, reason, (), unexplained_of(residual))
-    would = ", ".join(part.candidate.called for part in extra)
+    would = ", ".join(part.called for part in extra)
     reason += f"; it would fit {would}, which a run of its own must prove"
     return Verdict(Finding.CANNOT_TELL, reason, rivals_of(extra))
 
