@@ -19,7 +19,7 @@ from estimator.estimation.evidence import Term
 from estimator.estimation.runs.run import Run
 from estimator.packaged import packaged_toml
 from estimator.tracing.candidates import Candidate
-from estimator.tracing.flexible import flexible_laws
+from estimator.tracing.flexible import flexible_laws, values_of
 from estimator.tracing.scan import Scan, at, first_of_best
 from estimator.tracing.search import Found, Search
 from estimator.types import Floats
@@ -134,9 +134,7 @@ def _without(candidate: Candidate, number: int) -> Candidate:
 
 
 def _range(runs: Sequence[Run], name: str) -> float:
-    effect = constructed(name)
-    values = [effect.columns(run.grid, run.array, gyro) for run in runs for gyro in range(len(run.array))]
-    return max(float(np.ptp(one)) for one in values)
+    return max(float(np.ptp(one)) for one in values_of(name, runs))
 
 
 class Composer:

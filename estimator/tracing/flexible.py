@@ -26,9 +26,8 @@ def flexible_laws(runs: Sequence[Run], offers: frozenset[str]) -> list[tuple[str
 
     ``offers`` is what all runs hold beside rates and times.
     """
-    speed = _halved("speed", runs)
-    laws = [(terms, "") for terms in (_halved("u", runs), speed, _times(speed, "u"), _each("expm1(-t/{})", _TAUS_S))]
-    laws += [(_times(_each("expm1(-t/{})", _TAUS_S), "u"), "")]
+    speed, decays = _halved("speed", runs), _each("expm1(-t/{})", _TAUS_S)
+    laws = [(terms, "") for terms in (_halved("u", runs), speed, _times(speed, "u"), decays, _times(decays, "u"))]
     laws += [(_each("play(u,{})", _PLAYS * _range_of("u", runs)), "")]
     laws += [(_lagged(speed), "lag"), (_times(_lagged(speed), "u"), "lag")]
     if "temperature" in offers:
@@ -40,6 +39,12 @@ def flexible_laws(runs: Sequence[Run], offers: frozenset[str]) -> list[tuple[str
     return [("; ".join(terms), kind) for terms, kind in laws if terms]
 
 
+def values_of(name: str, runs: Sequence[Run]) -> list[Floats]:
+    """Return the values (n, 1) of a variable, of each gyro of each run."""
+    effect = constructed(name)
+    return [effect.columns(run.grid, run.array, gyro) for run in runs for gyro in range(len(run.array))]
+
+
 def _range_of(name: str, runs: Sequence[Run]) -> float:
     low, high = _ends(name, runs)
     return high - low
@@ -47,8 +52,7 @@ def _range_of(name: str, runs: Sequence[Run]) -> float:
 
 def _ends(name: str, runs: Sequence[Run]) -> tuple[float, float]:
     """Return the least and the largest value of a variable over all gyros of the runs."""
-    effect = constructed(name)
-    values = [effect.columns(run.grid, run.array, gyro) for run in runs for gyro in range(len(run.array))]
+    values = values_of(name, runs)
     return min(float(np.nanmin(one)) for one in values), max(float(np.nanmax(one)) for one in values)
 
 

@@ -164,7 +164,7 @@ def with_structure(
         chance = np.random.default_rng(number).standard_normal(_DRAWN)
         log_likely, more = np.zeros(_DRAWN), []
         for model, drawn in zip(models, (own.before, own.after), strict=True):
-            least, most = (_structure(runs, first, model, floor, name) for floor in (models[-1], noise))
+            least, most = _structure(runs, first, model, (models[-1], noise), name)
             shown = wanders * least[0] + (1 - wanders) * most[0]
             sd = np.sqrt(most[1])
             more.append(np.maximum(shown + chance * sd - float(drawn.mean()), 0.0))
@@ -186,10 +186,15 @@ def _by_chance(log_likely: Floats) -> NDArray[np.intp]:
     return np.searchsorted(upto, (np.arange(len(share)) + 0.5) / len(share)).astype(np.intp)
 
 
-def _structure(runs: Sequence[Run], first: int, model: Augmented, noise: Augmented, name: str) -> tuple[float, float]:
-    """Return the squares of the means of a gyro's phases beyond noise, summed over blocks, and their variance."""
-    squares, doubt = 0.0, 0.0
-    sigma_rps = float(noise.arw[noise.names.index(name)])
+def _structure(
+    runs: Sequence[Run], first: int, model: Augmented, noises: Sequence[Augmented], name: str
+) -> list[tuple[float, float]]:
+    """Return the squares of the means of a gyro's phases beyond noise, summed over blocks, and their variance.
+
+    There is one pair for the noise of each of ``noises``.
+    """
+    sums = np.zeros((len(noises), 2))
+    sigma_rps = float(model.arw[model.names.index(name)])
     for number, run, i in with_gyro(runs, name):
         rest = run.z_rps[:, i] - model.predict(run, first + number, i)[0]
         white = sigma_rps / np.sqrt(run.length_s)
@@ -198,11 +203,11 @@ def _structure(runs: Sequence[Run], first: int, model: Augmented, noise: Augment
             if not len(kept):
                 continue
             mean = np.full((len(kept), 1), 1 / np.sqrt(len(kept)))
-            expected = float(_noise(noise, mean, run, len(kept), white)[0])
             own = float(kept.sum()) ** 2 / len(kept)
-            squares += own - expected
-            doubt += 2 * expected**2 + 4 * expected * max(own - expected, 0.0)
-    return squares, doubt
+            for one, noise in zip(sums, noises, strict=True):
+                expected = float(_noise(noise, mean, run, len(kept), white)[0])
+                one += own - expected, 2 * expected**2 + 4 * expected * max(own - expected, 0.0)
+    return [(float(squares), float(doubt)) for squares, doubt in sums]
 
 
 def _draws(random: np.random.Generator, mean: Floats, covariance: Floats) -> Floats:
