@@ -37,6 +37,7 @@ _ANGLE_SD_RAD = 1e-4  # of an angle whose instant is known
 _RATE_SD_RPS = 3e-4  # what a rate reading is off by before the angles have told
 _SURE_RPS = float(np.radians(0.02))  # to which the doubt of its instant must leave a rate within a ramp known
 _NEAR_NS = 1_000_000  # so near on both sides a change of rate is looked for
+_ACCELERATION_SPAN_NS = 20_000_000  # a mean over it is hardly touched by the noise of two rates
 _AT_ONCE = 1024  # readings: sums over more lose digits
 _KEPT_NS = 60_000_000_000  # rows and readings: more than windows, ramps and gaps between readings reach back
 _MADE: "WeakKeyDictionary[TableReadings, dict[Site | None, BodyRates]]" = WeakKeyDictionary()
@@ -374,12 +375,16 @@ class BodyRates:
         return angle, rate
 
     def accelerations_at(self, t_ns: Stamps) -> Floats:
-        """Return the slopes (rows, gimbals) of the rates between readings, rad/s2, at instants as for ``at``."""
-        n, times, rates = len(self._final), self._final["t_ns"], self._final["rate"]
-        ends = np.clip(np.searchsorted(times, t_ns, side="left"), 1, max(n - 1, 1))
-        if n < 2:
-            return np.zeros((len(t_ns), len(self._gimbals)))
-        return np.asarray((rates[ends] - rates[ends - 1]) / ((times[ends] - times[ends - 1]) * 1e-9)[:, None])
+        """Return the mean accelerations (rows, gimbals) over 20 ms about instants as for ``at``, rad/s2.
+
+        A reading and a corner may lie so close together that the slope between them is nothing but rounding.
+        """
+        half_ns = _ACCELERATION_SPAN_NS // 2
+        before, after = t_ns - half_ns, t_ns + half_ns
+        known = self._final["t_ns"]
+        before, after = (np.clip(one, known[0], known[-1]) for one in (before, after))
+        change = self.gimbals_at(after)[1] - self.gimbals_at(before)[1]
+        return np.asarray(change / (np.maximum(after - before, 1) * 1e-9)[:, None])
 
     def angular_acceleration_at(self, t_ns: Stamps) -> Floats | None:
         """Return the derivative (rows, 3) of the body rate at instants as for ``at``; None where no axis ramps."""

@@ -304,3 +304,16 @@ def test_a_steep_ramp_whose_instants_are_not_known_is_left_out_and_a_gentle_one_
     found = one_axis(t_ns, scattered, rate, half_width_s, timing_s).at(t_ns)[:, 2]
     np.testing.assert_array_equal(np.isnan(found), ramp & (not known))
     np.testing.assert_allclose(found[np.isfinite(found)], rate[np.isfinite(found)], atol=5e-4)
+
+
+def test_the_acceleration_where_a_reading_and_a_corner_nearly_coincide_is_that_of_the_ramp() -> None:
+    t_ns, angle, rate, _ = ramped(20 * DEG)
+    counted = np.round(angle / COUNT_RAD) * COUNT_RAD
+    noisy_rps = rate + 1e-4 * np.random.default_rng(5).normal(size=len(rate))
+    rates = one_axis(t_ns, counted, noisy_rps)
+    about_corners_ns = np.concatenate(
+        [np.arange(t - 1_000_000, t + 1_000_000, 500, dtype=np.int64) for t in (5_000_000_000, 6_000_000_000)]
+    )
+    accelerations_rps2 = rates.accelerations_at(about_corners_ns)[:, 0]
+    assert accelerations_rps2.min() > -1 * DEG
+    assert accelerations_rps2.max() < 21 * DEG
