@@ -29,6 +29,8 @@ _ROUNDING = 1e-9  # of a correlation: elements that are known only together must
 _MISFIT_DOF = 50.0  # of what no model fits: coherent with the motion, so far fewer than blocks
 _APART = 1.0  # sigmas of an interval by which models differ, to be told apart by it
 _FEWEST_JUDGED = 20
+_LACKS_ODDS = 1.0  # that a model lacks something, before its phases are looked at
+_LEAST_SEEN, _MOST_SEEN, _SIZES = 0.03, 3.0, 64  # over the doubt, and over what is shown: sizes of what a model lacks
 Misfit = Mapping[tuple[str, int], float]
 """By gyro and number of a run, what no model fits beyond the noise, summed over blocks, (rad/s)^2."""
 _DIRECTION = 1e-3  # share of a direction that must be left beside the mean to count as another
@@ -154,24 +156,42 @@ def with_structure(
     """Return errors of two models by gyro, with what their phases show beyond what was drawn.
 
     Draws say how wrong models are if the last is complete. Where the means of phases are further off than by noise,
-    something acts that it lacks, and both models are wrong by that, too. How much of it the bias wanders by itself is
-    open: from as much as beside the last model, to as little as ``noise`` has beside any function of what was measured.
+    something acts that it lacks, and both models are wrong by that, too. Whether anything does is one question for all
+    gyros; how much, one for each. How much of it the bias wanders by itself is open: from as much as beside the last
+    model, to as little as ``noise`` has beside any function of what was measured.
     Draws that are further off than phases show are the less likely.
     """
     wanders = _open_share(0)  # of all gyros alike
-    found = {}
+    lacks = _LACKS_ODDS * np.ones(_DRAWN)
+    missing: dict[str, tuple[Floats, NDArray[np.intp]]] = {}
     for number, (name, own) in enumerate(errors.items(), 1):
-        chance = np.random.default_rng(number).standard_normal(_DRAWN)
-        log_likely, more = np.zeros(_DRAWN), []
-        for model, drawn in zip(models, (own.before, own.after), strict=True):
-            least, most = _structure(runs, first, model, (models[-1], noise), name)
-            shown = wanders * least[0] + (1 - wanders) * most[0]
-            sd = np.sqrt(most[1])
-            more.append(np.maximum(shown + chance * sd - float(drawn.mean()), 0.0))
-            log_likely -= 0.5 * (np.maximum(drawn - most[0], 0.0) / sd) ** 2
-        chosen = _by_chance(log_likely)
-        found[name] = Drawn(own.before[chosen] + more[0], own.after[chosen] + more[1], own.blocks)
-    return found
+        (least, doubt), (most, _) = _structure(runs, first, models[-1], (models[-1], noise), name)
+        shown = wanders * least + (1 - wanders) * most
+        sd = np.sqrt(doubt)
+        chosen = _by_chance(-0.5 * (np.maximum(own.after - most, 0.0) / sd) ** 2)
+        beyond, odds = _beyond(np.random.default_rng(number), shown - own.after[chosen], sd)
+        missing[name] = beyond, chosen
+        lacks *= odds
+    incomplete = np.random.default_rng(0).random(_DRAWN) < lacks / (1 + lacks)
+    return {
+        name: Drawn(own.before[chosen] + beyond * incomplete, own.after[chosen] + beyond * incomplete, own.blocks)
+        for (name, own), (beyond, chosen) in zip(errors.items(), missing.values(), strict=True)
+    }
+
+
+def _beyond(random: np.random.Generator, shown: Floats, sd: float) -> tuple[Floats, Floats]:
+    """Return draws (n,) of a sum of squares that shows as ``shown`` (n,) within ``sd``, if there is one of any size.
+
+    With each come the odds (n,) that there is one, if it is as likely as not.
+    """
+    largest = max(float(shown.max()), sd)
+    sizes = np.geomspace(_LEAST_SEEN * sd, _MOST_SEEN * largest, _SIZES)
+    fits = np.exp(-0.5 * ((shown[:, None] - sizes) / sd) ** 2)
+    total = np.maximum(fits.sum(axis=1), 1e-300)
+    upto = np.cumsum(fits, axis=1) / total[:, None]
+    number = (upto < random.random(len(shown))[:, None]).sum(axis=1)
+    nothing = np.maximum(np.exp(-0.5 * (shown / sd) ** 2), 1e-300)
+    return sizes[np.minimum(number, _SIZES - 1)], total / _SIZES / nothing
 
 
 def _open_share(seed: int) -> Floats:
