@@ -32,6 +32,8 @@ _LONGER = -1.5  # of each further element of it
 _LAGS_S = np.geomspace(4.0, 400.0, 6)
 _SHARES = np.array([0.05, 0.2, 0.5])  # of the range of a variable: plays and bends that are looked for first
 _LIMITS = np.array([0.002, 0.02, 0.2])  # of the range of a variable: where its last direction begins to count
+_BENDS = np.geomspace(0.001, 0.5, 5)  # of the range of a rate: near standstill as well as over all of it
+_STARTS = {"share": _SHARES, "limit": _LIMITS, "bend": _BENDS, "small": _SHARES}
 _LARGEST_SCALE = 1e9
 _MOST_LAWS, _LAWS_TRIED = 2, 12
 _MOST_PRUNED = 6  # terms of a law that are tried to be left out; pieces of a function belong together
@@ -86,7 +88,7 @@ def _candidate(runs: Sequence[Run], law: str, kind: str, prior: float) -> Candid
     start = _LAGS_S
     if kind != "lag":
         what, _, name = kind.partition(" ")
-        start = (_LIMITS if what == "limit" else _SHARES) * (_range(runs, name) if name else 0.2)
+        start = _STARTS[what or "share"] * (_range(runs, name) if name else 0.2)
     largest = _largest(runs, law.format(c=f"{start[1]:.6g}")) if start[0] > 0 else None
     if largest is None:
         return None

@@ -16,7 +16,7 @@ from estimator.estimation.runs.run import Run
 from estimator.types import Floats
 
 _PIECES = (10, 26)
-_HALVINGS = 7
+_HALVINGS = 9
 _TAUS_S = np.geomspace(4.0, 400.0, 6)
 _PLAYS = np.array([0.02, 0.05, 0.1, 0.2, 0.4, 0.8])  # of the range
 
