@@ -39,6 +39,7 @@ _MOST_LAWS, _LAWS_TRIED = 2, 12
 _MOST_PRUNED = 6  # terms of a law that are tried to be left out; pieces of a function belong together
 _BETWEEN = 1.3  # by so much more a law may explain with a constant between those that it is tried with
 _CLEARLY = 3.0  # natural logarithm by which a law must be the more probable
+_TRIES = 9.2  # natural logarithm that the choice of a constant costs at most
 _RIVAL = -6.0  # natural logarithm of how much less probable laws may be and still be rivals, a few together
 _LAWS = packaged_toml("estimator.tracing", "laws.toml")["length"]
 
@@ -232,18 +233,22 @@ class Composer:
         noise = int(np.argmax(search.evidence.noise_weight([term for _, term in known])))
         scan = Scan(self._coarse, search.evidence, [term for _, term in base], noise)
         taken = {candidate.name for candidate, _ in base}
-        ranked, missing = [], self._worth(known, noise) + least - self._worth(base, noise)
+        missing = self._worth(known, noise) + least - self._worth(base, noise)
         laws = [(law, options) for law, options in self._laws if law.name not in taken]
-        all_gains = scan.gains([option for _, options in laws for option in options])
-        ends = np.cumsum([len(options) for _, options in laws])
-        for (law, options), gains in zip(laws, np.split(all_gains, ends[:-1]), strict=True):
+        most, at_least = scan.bounds([option for _, options in laws for option in options])
+        ends = np.cumsum([len(options) for _, options in laws])[:-1]
+        ranked = []
+        for (law, options), gains, floors in zip(laws, np.split(most, ends), np.split(at_least, ends), strict=True):
             best = first_of_best(gains)
+            open_constant = law.start is not None
             gain = float(gains[best])
-            reach = gain * (1.0 if law.start is None else _BETWEEN)
-            if reach + law.log_prior > missing:  # by no more can it be the more probable
-                ranked.append((gain + law.log_prior, options[best]))
+            reach = gain * (_BETWEEN if open_constant else 1.0) + law.log_prior
+            # Of some law it is sure that it is so probable: what cannot come near it needs no constant.
+            missing = max(missing, float(floors[best]) + law.log_prior - _TRIES * open_constant + _RIVAL)
+            ranked.append((gain + law.log_prior, reach, options[best]))
+        ranked = [one for one in ranked if one[1] > missing]
         ranked.sort(key=lambda pair: -pair[0])
-        chosen = [scan.tuned(law) if law.start is not None else law for _, law in ranked[:_LAWS_TRIED]]
+        chosen = [scan.tuned(law) if law.start is not None else law for _, _, law in ranked[:_LAWS_TRIED]]
         search.forget([name for name, (c, _) in search.known.items() if c.law and name not in self._kept])
         search.add([law for law in chosen if law.name not in self._kept])
         return [law.name for law in chosen]

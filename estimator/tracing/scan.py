@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimator.estimation.evidence import Evidence, Term
+from estimator.estimation.evidence import SCALES, Evidence, Term
 from estimator.estimation.runs.run import with_gyro
 from estimator.estimation.spectra import Z
 from estimator.tracing.candidates import Candidate
@@ -17,6 +17,8 @@ _NEAR_S = 0.005  # about where its size seems to be an effect is looked for that
 _SHORTEST_S = 1e-4  # of a time constant, which is not negative
 _LONGEST_S = 0.3  # of a delay or a time constant: what is slower than this is no such
 _ROUNDING = 1e-9  # share by which gains of the same columns may differ, scanned with others
+_FIRST_STEP = 0.02  # share of a constant
+_CLOSE = 0.2  # sigmas to which a constant of a law is found
 _TOGETHER = 8  # candidates that are scanned at once: so many columns fit the cache of a processor
 
 
@@ -57,25 +59,28 @@ class Scan:
 
         Their columns are kept for the next scan.
         """
-        found = np.zeros(len(candidates))
+        return self.bounds(candidates)[0]
+
+    def bounds(self, candidates: Sequence[Candidate]) -> tuple[Floats, Floats]:
+        """Return by how much the log evidence rises at most if an effect is let in, and at least (k,) each.
+
+        At most: half of what the squares fall by, the gain. At least: the log evidence with parameters that are expected
+        to be of the largest plausible size, less what it costs that no size is preferred.
+        """
+        found = np.zeros((2, len(candidates)))
         groups: dict[tuple[int, bool], list[int]] = {}
         for n, candidate in enumerate(candidates):
             groups.setdefault((len(candidate.effect.parameters), candidate.alike), []).append(n)
         for group in groups.values():
             for start in range(0, len(group), _TOGETHER):
                 part = group[start : start + _TOGETHER]
-                found[part] = self._gains([candidates[n] for n in part], keep=True)
-        return found
+                own, right = self._products([candidates[n] for n in part], keep=True)
+                found[:, part] = _gains(own, right), _evidence(own, right) - np.log(len(SCALES))
+        return found[0], found[1]
 
     def gain(self, candidate: Candidate) -> float:
         """Return by how much half the squares fall if an effect is let in, each gyro by itself."""
-        return float(self._gains([candidate], keep=False)[0])
-
-    def _gains(self, candidates: Sequence[Candidate], *, keep: bool) -> Floats:
-        """Return the gains (k,) of candidates of the same width."""
-        own, right = self._products(candidates, keep=keep)
-        taken = np.linalg.solve(own + 1e-6 * np.eye(own.shape[-1]), right[..., None])[..., 0]
-        return np.asarray(0.5 * np.sum(right * taken, axis=(0, 2)))
+        return float(_gains(*self._products([candidate]))[0])
 
     def _products(self, candidates: Sequence[Candidate], *, keep: bool = False) -> tuple[Floats, Floats]:
         """Return the products (gyros, k, p, p) of columns beside the model, and with what is left (gyros, k, p).
@@ -141,12 +146,12 @@ class Scan:
     def width(self, candidate: Candidate) -> float:
         """Return by how much what is not linear may move before half a natural logarithm is lost."""
         assert candidate.theta is not None
-        return self._width(candidate.theta, lambda theta: self.gain(at(candidate, theta)))
+        return self._width(candidate.theta, lambda theta: self.gain(at(candidate, theta)), _FIRST_STEP)
 
-    def _width(self, theta: float, gain: Callable[[float], float]) -> float:
-        """Return how far from ``theta`` the gain falls by one half."""
+    def _width(self, theta: float, gain: Callable[[float], float], first: float) -> float:
+        """Return how far from ``theta`` the gain falls by one half; it is looked at from a share ``first`` of it on."""
         top = gain(theta)
-        step = 0.02 * theta
+        step = first * theta
         while step < theta:
             fall = top - 0.5 * (gain(theta - step) + gain(theta + step))
             if fall > 0.5:
@@ -172,12 +177,14 @@ class Scan:
             return known[key]
 
         low, high = float(start[max(best - 1, 0)]), float(start[min(best + 1, len(start) - 1)])
-        theta = highest(gain, low, high)
+        # A law that is gone with another constant has a constant that is known to this share of it.
+        known_to = 1 / np.sqrt(2 * max(gain(float(start[best])), 1.0)) if candidate.law else 0.0
+        theta = highest(gain, low, high, _CLOSE * known_to * float(start[best]))
         if gain(theta) < gain(float(start[best])):
             theta = float(start[best])
         # What it costs that the value was looked for: the share of its range that would do as well. Any instant of a
         # step is as probable as any other, of a time constant any ratio.
-        width = np.sqrt(2 * np.pi) * self._width(theta, gain)
+        width = np.sqrt(2 * np.pi) * self._width(theta, gain, max(_FIRST_STEP, 0.5 * known_to))
         spread = float(start[-1] - start[0])
         share = width / spread if candidate.run is not None else width / theta / candidate.range_log
         return replace(at(candidate, theta), log_tries=float(-np.log(np.clip(share, 1e-4, 1.0))))
@@ -195,6 +202,19 @@ class _Left:
     root: Floats
     basis: Floats
     rest: Floats
+
+
+def _gains(own: Floats, right: Floats) -> Floats:
+    """Return the gains (k,) of the products (gyros, k, p, p) of columns and those with what is left (gyros, k, p)."""
+    taken = np.linalg.solve(own + 1e-6 * np.eye(own.shape[-1]), right[..., None])[..., 0]
+    return np.asarray(0.5 * np.sum(right * taken, axis=(0, 2)))
+
+
+def _evidence(own: Floats, right: Floats) -> Floats:
+    """Return by how much the log evidence (k,) rises with parameters of unit variance, of the same products."""
+    grown = own + np.eye(own.shape[-1])
+    taken = np.linalg.solve(grown, right[..., None])[..., 0]
+    return np.asarray(0.5 * (np.sum(right * taken, axis=2) - np.linalg.slogdet(grown)[1]).sum(axis=0))
 
 
 def _key(candidate: Candidate) -> str | float | None:

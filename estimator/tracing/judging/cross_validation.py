@@ -14,7 +14,7 @@ from estimator.recordings.recording import Recording
 from estimator.tracing.augmented import Augmented, Part
 from estimator.tracing.investigation import OutOfSample
 from estimator.tracing.judging.verification import Judged, Misfit, drawn, judge, phases_of, sum_of, with_structure
-from estimator.tracing.open_world import unnamed
+from estimator.tracing.open_world import something_beside, unnamed
 from estimator.tracing.search import Search
 
 Mask = list[NDArray[np.bool_]]
@@ -152,7 +152,7 @@ def _noise_beside_anything(search: Search, after: Augmented) -> Augmented:
     """
     terms = [part.term for part in after.parts if part.tone is None]
     evidence = search.evidence
-    richest = max(unnamed(search), key=lambda term: evidence.of([*terms, term]))
+    richest = unnamed(search)[int(np.argmax(something_beside(search, terms).by_size))]
     weight = evidence.noise_weight([*terms, richest])
     instability, walk = (float(np.sqrt(weight @ one**2)) for one in (evidence.shapes.instability, evidence.shapes.walk))
     return replace(after, instability=instability, walk=walk)
