@@ -64,8 +64,8 @@ class Scan:
     def bounds(self, candidates: Sequence[Candidate]) -> tuple[Floats, Floats]:
         """Return by how much the log evidence rises at most if an effect is let in, and at least (k,) each.
 
-        At most: half of what the squares fall by, the gain. At least: the log evidence with parameters that are expected
-        to be of the largest plausible size, less what it costs that no size is preferred.
+        At most: half of what the squares fall by, the gain. At least: the log evidence with parameters that are
+        expected to be of the largest plausible size, less what it costs that no size is preferred.
         """
         found = np.zeros((2, len(candidates)))
         groups: dict[tuple[int, bool], list[int]] = {}

@@ -7,14 +7,14 @@ phases in which the two models differ by more than an interval's standard deviat
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.estimation.runs.run import Run, with_gyro
-from estimator.estimation.spectra import Stretch
+from estimator.estimation.spectra import Stretch, cosines
 from estimator.geometry.model import decode
 from estimator.tracing.augmented import Augmented
 from estimator.tracing.investigation import Errors, GyroErrors, Improvement, PhaseErrors, ResidualView
@@ -29,7 +29,7 @@ _ROUNDING = 1e-9  # of a correlation: elements that are known only together must
 _MISFIT_DOF = 50.0  # of what no model fits: coherent with the motion, so far fewer than blocks
 _APART = 1.0  # sigmas of an interval by which models differ, to be told apart by it
 _FEWEST_JUDGED = 20
-_LACKS_ODDS = 1.0  # that a model lacks something, before its phases are looked at
+_LACKS = ((1, 1.0), (9, 0.1))  # orders of cosines in a phase, and the odds that a model lacks something in them
 _LEAST_SEEN, _MOST_SEEN, _SIZES = 0.03, 3.0, 64  # over the doubt, and over what is shown: sizes of what a model lacks
 Misfit = Mapping[tuple[str, int], float]
 """By gyro and number of a run, what no model fits beyond the noise, summed over blocks, (rad/s)^2."""
@@ -108,6 +108,14 @@ class Drawn:
     def __add__(self, other: "Drawn") -> "Drawn":
         return Drawn(self.before + other.before, self.after + other.after, self.blocks + other.blocks)
 
+    def chosen(self, numbers: NDArray[np.intp]) -> "Drawn":
+        """Return the draws of these numbers."""
+        return replace(self, before=self.before[numbers], after=self.after[numbers])
+
+    def more_by(self, squares: Floats) -> "Drawn":
+        """Return the same with more squares (m,) in both models."""
+        return replace(self, before=self.before + squares, after=self.after + squares)
+
     @property
     def rms_rps(self) -> tuple[float, float]:
         """Before and after, the mean over the draws."""
@@ -162,21 +170,34 @@ def with_structure(
     Draws that are further off than phases show are the less likely.
     """
     wanders = _open_share(0)  # of all gyros alike
-    lacks = _LACKS_ODDS * np.ones(_DRAWN)
-    missing: dict[str, tuple[Floats, NDArray[np.intp]]] = {}
-    for number, (name, own) in enumerate(errors.items(), 1):
-        (least, doubt), (most, _) = _structure(runs, first, models[-1], (models[-1], noise), name)
-        shown = wanders * least + (1 - wanders) * most
-        sd = np.sqrt(doubt)
-        chosen = _by_chance(-0.5 * (np.maximum(own.after - most, 0.0) / sd) ** 2)
-        beyond, odds = _beyond(np.random.default_rng(number), shown - own.after[chosen], sd)
-        missing[name] = beyond, chosen
-        lacks *= odds
+    drawn = {}
+    for name, own in errors.items():
+        (_, most), doubt = _structure(runs, first, models[-1], (models[-1], noise), name, 1)
+        chosen = _by_chance(-0.5 * (np.maximum(own.after - most, 0.0) / doubt) ** 2)
+        drawn[name] = own.chosen(chosen)
+    # Of means little is expected by chance, so little shows; what is within phases has to be larger.
+    for orders, odds in _LACKS:
+        shown = {}
+        for name in errors:
+            (least, most), doubt = _structure(runs, first, models[-1], (models[-1], noise), name, orders)
+            shown[name] = wanders * least + (1 - wanders) * most - drawn[name].after, doubt
+        lacking = _lacking(shown, odds)
+        drawn = {name: own.more_by(lacking[name]) for name, own in drawn.items()}
+    return drawn
+
+
+def _lacking(shown: Mapping[str, tuple[Floats, float]], odds: float) -> dict[str, Floats]:
+    """Return by gyro draws (n,) of the squares that a model lacks: none, or some in each gyro.
+
+    ``shown`` by gyro is what there seems to be (n,) and its doubt, ``odds`` how much it is expected that there is any.
+    """
+    beyond = {}
+    lacks = np.full(_DRAWN, odds)
+    for number, (name, (squares, doubt)) in enumerate(shown.items(), 1):
+        beyond[name], likelier = _beyond(np.random.default_rng(number), squares, doubt)
+        lacks *= likelier
     incomplete = np.random.default_rng(0).random(_DRAWN) < lacks / (1 + lacks)
-    return {
-        name: Drawn(own.before[chosen] + beyond * incomplete, own.after[chosen] + beyond * incomplete, own.blocks)
-        for (name, own), (beyond, chosen) in zip(errors.items(), missing.values(), strict=True)
-    }
+    return {name: squares * incomplete for name, squares in beyond.items()}
 
 
 def _beyond(random: np.random.Generator, shown: Floats, sd: float) -> tuple[Floats, Floats]:
@@ -207,27 +228,30 @@ def _by_chance(log_likely: Floats) -> NDArray[np.intp]:
 
 
 def _structure(
-    runs: Sequence[Run], first: int, model: Augmented, noises: Sequence[Augmented], name: str
-) -> list[tuple[float, float]]:
-    """Return the squares of the means of a gyro's phases beyond noise, summed over blocks, and their variance.
+    runs: Sequence[Run], first: int, model: Augmented, noises: Sequence[Augmented], name: str, orders: int
+) -> tuple[list[float], float]:
+    """Return what the phases of a gyro show beyond noise, squared and summed over blocks, and its doubt.
 
-    There is one pair for the noise of each of ``noises``.
+    There is one sum for the noise of each of ``noises``. In each phase the mean counts, and so many ``orders`` of
+    cosines, the mean included, as its shape.
     """
-    sums = np.zeros((len(noises), 2))
+    sums, variance = np.zeros(len(noises)), 0.0
     sigma_rps = float(model.arw[model.names.index(name)])
     for number, run, i in with_gyro(runs, name):
         rest = run.z_rps[:, i] - model.predict(run, first + number, i)[0]
         white = sigma_rps / np.sqrt(run.length_s)
+        span_s = float(run.t_s[-1] - run.t_s[0]) + run.length_s
         for phase in phases_of(run):
             kept = rest[phase.blocks][run.weight[phase.blocks] > 0]
             if not len(kept):
                 continue
-            mean = np.full((len(kept), 1), 1 / np.sqrt(len(kept)))
-            own = float(kept.sum()) ** 2 / len(kept)
-            for one, noise in zip(sums, noises, strict=True):
-                expected = float(_noise(noise, mean, run, len(kept), white)[0])
-                one += own - expected, 2 * expected**2 + 4 * expected * max(own - expected, 0.0)
-    return [(float(squares), float(doubt)) for squares, doubt in sums]
+            shape = cosines(kept)[:orders] ** 2
+            stretch = Stretch.of(0, slice(0, len(kept)), run.length_s, True)
+            expected = np.array([white**2 * shape_of(noise, stretch, span_s)[:orders] for noise in noises])
+            beyond = shape - expected
+            sums += beyond.sum(axis=1)
+            variance += float(np.sum(2 * expected[0] ** 2 + 4 * expected[0] * np.maximum(beyond[0], 0.0)))
+    return sums.tolist(), float(np.sqrt(variance))
 
 
 def _draws(random: np.random.Generator, mean: Floats, covariance: Floats) -> Floats:
