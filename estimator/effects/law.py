@@ -36,9 +36,9 @@ VARIABLES: Mapping[str, tuple[str, str, str]] = {
 """What a law may name: what it depends on, its unit, and what it is."""
 _NEEDS = {"temperature": "temperature", "gravity": "specific force", "angle": "gimbals"}
 _OF_GYROS = {
-    **dict.fromkeys(("u", "a", "gs", *(f"u_{axis}" for axis in AXES)), "p"),
-    **dict.fromkeys(("uj", "aj", "gj"), "j"),
-    **dict.fromkeys(("uk", "ak", "gk"), "k"),
+    **dict.fromkeys(("u", "a", "gs", "ms", "ns", *(f"u_{axis}" for axis in AXES)), "p"),
+    **dict.fromkeys(("uj", "aj", "gj", "mj", "nj"), "j"),
+    **dict.fromkeys(("uk", "ak", "gk", "mk", "nk"), "k"),
 }
 """Variables that differ from gyro to gyro, and by which of its axes."""
 
@@ -216,6 +216,8 @@ def _variable(name: str, c: Conditions, axes: Axes) -> Floats:
             return np.asarray(c.t_s - c.t_s[0])
         case "gs" | "gj" | "gk":
             return np.asarray(c.specific_force_mps2 / GRAVITY_MPS2 @ getattr(axes, _OF_GYROS[name]))
+        case "ms" | "mj" | "mk" | "ns" | "nj" | "nk":
+            return np.asarray(_of_the_base("mn".index(name[0]), c) @ getattr(axes, _OF_GYROS[name]))
         case "gx" | "gy" | "gz":
             return c.specific_force_mps2[:, AXES.index(name[1])] / GRAVITY_MPS2
     what, axis = name.split("_")
@@ -226,6 +228,11 @@ def _variable(name: str, c: Conditions, axes: Axes) -> Floats:
         case "rate":
             return c.rate_rps[:, column]
     return np.asarray(c.once(f"turning about {axis}", lambda: _turning_about(axis, c)) @ axes.p)
+
+
+def _of_the_base(axis: int, c: Conditions) -> Floats:
+    """Return a horizontal direction (N, 3) of the base of the table in body axes: x, 0, or y, 1."""
+    return c.once(("base", axis), lambda: into_body(np.eye(3)[axis], c.angle_rad, c.gimbals))
 
 
 def _turning_about(axis: str, c: Conditions) -> Floats:
