@@ -46,6 +46,10 @@ class Sequencer:
         self._step_began_s = 0.0
         self._done_s: list[float] = []
         """Of each step that has ended, how much of the planned time it stands for."""
+        self._in_parts = False
+        """Whether the step under way has several parts, which are recorded one by one."""
+        self._standing: tuple[str, float] | None = None
+        """What the axes stand for, and since when."""
         self._turn: Turn | None = None
         """The turn under way."""
         self._turn_began_s = 0.0
@@ -142,16 +146,35 @@ class Sequencer:
         loop = asyncio.get_running_loop()
         for index, (step, span) in enumerate(zip(self._script.steps, self._spans, strict=True)):
             self._index, self._step_began_s = index, loop.time()
-            await step.carry_out(self, step.parts(self._target_rad))
+            parts = step.parts(self._target_rad)
+            self._in_parts, self._standing = len(parts) > 1, None
+            await step.carry_out(self, parts)
             ended_s = loop.time()
-            self._on_step(step.label, round(self._step_began_s * 1e9), round(ended_s * 1e9))
+            if self._in_parts:
+                self._record_standing()
+            else:
+                self._record(step.label, self._step_began_s)
             self._done_s.append(min(max(ended_s - self._step_began_s, span.least_s), span.most_s))
             if self.paused:
                 await self._hold()
 
-    async def stand(self, duration_s: float) -> None:
-        """Leave all axes at rest for a time."""
+    async def stand(self, duration_s: float, label: str = "") -> None:
+        """Leave all axes at rest for a time; ``label`` says what for."""
+        if self._standing is None or self._standing[0] != label:
+            self._record_standing()
+            self._standing = label, asyncio.get_running_loop().time()
         await asyncio.sleep(duration_s)
+
+    def _record_standing(self) -> None:
+        """Record the standstill that has ended as a part of the step, if there was one."""
+        if self._standing is not None and self._in_parts:
+            what, began_s = self._standing
+            self._record(f"{self.label}: {what}" if what else self.label, began_s)
+        self._standing = None
+
+    def _record(self, label: str, began_s: float) -> None:
+        """Record a step, or a part of one, that ends now."""
+        self._on_step(label, round(began_s * 1e9), round(asyncio.get_running_loop().time() * 1e9))
 
     def newest(self, quantity: str) -> Mapping[str, float]:
         """Return the newest value of a quantity by source; sources that do not measure it are left out."""
@@ -167,7 +190,7 @@ class Sequencer:
         self._tell(f"paused after step {self.label!r}")
         self.paused = PAUSED
         await self._resumed.wait()
-        self._on_step(_PAUSE, round(began_s * 1e9), round(asyncio.get_running_loop().time() * 1e9))
+        self._record(_PAUSE, began_s)
 
     def _overdue(self, turn: Turn, angle_rad: float) -> Overdue:
         """Return the error of a step whose axis has not told in time that it has arrived."""
@@ -182,6 +205,7 @@ class Sequencer:
         """Turn an axis and see it arrive; DeviceRefused if it does not get where it was sent."""
         loop = asyncio.get_running_loop()
         axis = turn.axis
+        self._record_standing()
         due_s = self._begin_turn(turn) + turn.duration_s
         await self._table.move(axis, turn.to_rad, abs(turn.rate_rps), turn.acceleration_rps2)
         self._sent_s = loop.time()
@@ -197,6 +221,8 @@ class Sequencer:
             at, to = math.degrees(angle), math.degrees(turn.to_rad)
             raise DeviceRefused("table", sentence("run.not_there", axis=axis, step=self.label, at_deg=at, to_deg=to))
         self._end_turn(axis)
+        if self._in_parts:
+            self._record(f"{self.label}: {axis} to {math.degrees(turn.to_rad):g} deg", self._turn_began_s)
 
     def _begin_turn(self, turn: Turn) -> float:
         """Take it that a turn is under way; return when it began, by the loop's clock."""

@@ -108,10 +108,14 @@ def turn_to(axis: str, from_rad: float, to_rad: float, rate_rps: float, accelera
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A part of the plan of a step: a turn, or standstill where there is none."""
+    """A part of the plan of a step: a turn, or standstill where there is none.
+
+    Where a step has several parts, they are recorded one by one; ``label`` says what a standstill is for.
+    """
 
     span: Span
     turn: Turn | None = None
+    label: str = ""
 
     @classmethod
     def turning(cls, turn: Turn) -> Self:
@@ -119,9 +123,9 @@ class Part:
         return cls(Span.exactly(turn.duration_s), turn)
 
     @classmethod
-    def standing(cls, least_s: float, most_s: float | None = None) -> Self:
+    def standing(cls, least_s: float, most_s: float | None = None, label: str = "") -> Self:
         """Return a part in which all axes stand, of a known duration without ``most_s``."""
-        return cls(Span(least_s, least_s if most_s is None else most_s))
+        return cls(Span(least_s, least_s if most_s is None else most_s), label=label)
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,8 +143,8 @@ class Stage(Protocol):
     async def turn(self, turn: Turn) -> None:
         """Turn an axis and see it arrive; DeviceRefused if it does not."""
 
-    async def stand(self, duration_s: float) -> None:
-        """Leave all axes at rest for a time."""
+    async def stand(self, duration_s: float, label: str = "") -> None:
+        """Leave all axes at rest for a time; ``label`` says what for."""
 
     def newest(self, quantity: str) -> Mapping[str, float]:
         """Return the newest value of a quantity by source; sources that do not measure it are left out.
@@ -183,7 +187,7 @@ class Step(ABC):
         """Carry out the plan. A step whose duration is not known in advance decides here when it has ended."""
         for part in parts:
             if part.turn is None:
-                await stage.stand(part.span.least_s)
+                await stage.stand(part.span.least_s, part.label)
             else:
                 await stage.turn(part.turn)
 

@@ -15,6 +15,8 @@ STEPS: Registry[StepKind] = Registry(
         "rest": f"{_PLACE}.rest",
         "move": f"{_PLACE}.move",
         "rotate": f"{_PLACE}.rotate",
+        "pose": f"{_PLACE}.pose",
+        "sine": f"{_PLACE}.sine",
     },
 )
 """The built-in kinds and those of installed packages; each module holds its record as ``SPEC``."""
