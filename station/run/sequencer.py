@@ -7,12 +7,12 @@ from typing import Any
 
 from drivers.errors import DeviceRefused
 from drivers.protocols import Turntable
-from station.errors import UsageError, sentence
+from station.errors import ScriptError, UsageError, sentence
 from station.run.event_loop.host import Overdue
 from station.run.snapshot import AFTER_THIS_STEP, PAUSED
 from station.run.uncommanded import Commanded, Course
 from station.scripts.polling import MARGIN_S, wanted_hz
-from station.scripts.script import Script
+from station.scripts.script import Script, check_turn
 from station.scripts.steps.kind import Span, Turn, total
 from station.views.figures import seconds_between
 
@@ -202,9 +202,17 @@ class Sequencer:
         return Overdue("table", text)
 
     async def turn(self, turn: Turn) -> None:
-        """Turn an axis and see it arrive; DeviceRefused if it does not get where it was sent."""
+        """Turn an axis and see it arrive.
+
+        DeviceRefused if it does not get where it was sent, or is to do what it cannot: a step may turn it otherwise
+        than it planned.
+        """
         loop = asyncio.get_running_loop()
         axis = turn.axis
+        try:
+            check_turn(turn, self._table.limits)
+        except ScriptError as error:
+            raise DeviceRefused("table", f"step {self.label!r}: {error}") from None
         self._record_standing()
         due_s = self._begin_turn(turn) + turn.duration_s
         await self._table.move(axis, turn.to_rad, abs(turn.rate_rps), turn.acceleration_rps2)

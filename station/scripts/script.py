@@ -149,9 +149,15 @@ def check_step(step: S, limits: Mapping[str, AxisLimits], angles_rad: dict[str, 
         raise ScriptError(problem)
     for part in step.parts(angles_rad):
         if part.turn is not None:
-            _check_travel(part.turn, limits[part.turn.axis])
+            check_turn(part.turn, limits)
             angles_rad[part.turn.axis] = part.turn.to_rad
     return step.driven(limits)
+
+
+def check_turn(turn: Turn, limits: Mapping[str, AxisLimits]) -> None:
+    """Raise ScriptError for a turn that its axis cannot do."""
+    _check_demand(Demand(turn.axis, turn.rate_rps, turn.acceleration_rps2), limits)
+    _check_travel(turn, limits[turn.axis])
 
 
 def _check_demand(demand: Demand, limits: Mapping[str, AxisLimits]) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -92,6 +94,46 @@ def test_the_plan_of_swings_has_amplitude_largest_rate_and_frequency_of_the_sine
     crossings_s = motion.t_s[1:][np.diff(np.sign(angle_deg)) != 0]
     assert np.diff(crossings_s[:5]) == pytest.approx([2.5] * 4, abs=0.005)
     assert angle_deg[-1] == pytest.approx(0, abs=1e-3)
+
+
+RUNAWAY = """
+from dataclasses import dataclass
+from station.scripts.steps.kind import Part, Step, StepKind, turn_to
+
+@dataclass(frozen=True, slots=True)
+class Runaway(Step):
+    label: str
+
+    def words(self):
+        return "runaway"
+
+    def parts(self, angles_rad):
+        return [Part.standing(1.0)]
+
+    async def carry_out(self, stage, parts):
+        await stage.stand(1.0)
+        await stage.turn(turn_to("x", 0.0, 6.0, 60.0, 1.0))
+
+SPEC = StepKind(name="runaway", what="turn faster than planned", keys=(), make=Runaway)
+"""
+
+
+def test_a_step_that_turns_beyond_the_limits_against_its_plan_ends_the_run_with_the_table_at_rest(
+    tmp_path: Path,
+    scripted: Callable[[str], Path],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv("STATION_PLUGINS", "")  # what main leaves there goes with the test
+    plugin, run = tmp_path / "runaway.py", tmp_path / "run.h5"
+    plugin.write_text(RUNAWAY)
+    path = scripted('[[step]]\nkind = "runaway"\n')
+    assert main(["run", "--script", str(path), "--plugin", str(plugin), "-o", str(run), "--json"]) == 4
+    told = json.loads(capsys.readouterr().out)["reason"]
+    assert re.search(r"table: step 'runaway': 3437.75 deg/s is beyond axis x's limit", told)
+    with h5py.File(run) as file:
+        assert np.abs(file["table/rate_rps"][()]).max() < 1e-3
+        assert b"table at rest" in file["events/text"][()]
 
 
 @pytest.mark.parametrize(
