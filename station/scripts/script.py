@@ -24,16 +24,12 @@ _ROUNDING_RAD = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Timed:
-    """A step in its place in the plan: when it begins at the earliest, and its parts."""
+    """A step in its place in the plan: when it begins at the earliest, how long it takes, and its parts."""
 
     step: Step
     start_s: float
+    span: Span
     parts: tuple[Part, ...]
-
-    @property
-    def span(self) -> Span:
-        """How long it takes."""
-        return total([part.span for part in self.parts])
 
     def turns(self) -> Iterator[tuple[float, Turn]]:
         """Yield its turns, each with the time at which it begins."""
@@ -80,11 +76,13 @@ class Script:
         timeline = []
         at_s = 0.0
         for step in self.steps:
-            timed = Timed(step, at_s, tuple(step.parts(angles_rad)))
-            for _, turn in timed.turns():
-                angles_rad[turn.axis] = turn.to_rad
-            timeline.append(timed)
-            at_s += timed.span.least_s
+            parts = tuple(step.parts(angles_rad))
+            span = total([part.span for part in parts])
+            timeline.append(Timed(step, at_s, span, parts))
+            at_s += span.least_s
+            for part in parts:
+                if part.turn is not None:
+                    angles_rad[part.turn.axis] = part.turn.to_rad
         return timeline
 
 
