@@ -35,7 +35,7 @@ def early_and_late(script: Script, limits: Mapping[str, AxisLimits], gimbals: Se
     None if no such script exists: where turns would be shorter than their ramps, moves take too long to be made twice,
     an axis would still not be turned far apart in time, or a step can only be done as it is, or has no known duration.
     """
-    if not script.span.is_exact:
+    if not script.span.is_exact or any(not step.turns and not step.rest_s for step in script.steps):
         return None
     for sign in (-1, 1):
         offered = _twice(script, limits, sign)
