@@ -144,6 +144,29 @@ def keys(*sections: str) -> str:
     return _key_table((key, "") for section in sections for key in _keys_of(section))
 
 
+def steps() -> str:
+    """The kinds of steps, each with its keys."""
+    parts = []
+    for kind in _step_kinds():
+        parts += [f"## {kind.name}\n", f"{kind.what[0].upper()}{kind.what[1:]}.\n"]
+        parts.append(_key_table((key, "") for key in _step_keys(kind)[1:]))
+    return "\n".join(parts)
+
+
+def _step_kinds() -> list[Any]:
+    """Records of the kinds of steps of the station itself."""
+    from station.scripts.steps.registry import STEPS
+
+    return [STEPS[name] for name in STEPS if not STEPS.origin(name)]
+
+
+def _step_keys(kind: Any) -> list[Any]:
+    """Return all keys of a step of a kind."""
+    from station.scripts.steps.kind import LABEL
+
+    return [*_keys_of("script.step"), *kind.keys, LABEL]
+
+
 def device_keys(which: str) -> str:
     """Keys that only some protocols have: of "tables", of their "axes", or of "imus"."""
     rows: list[tuple[Any, list[str]]] = []
@@ -236,15 +259,12 @@ _ALTERNATIVES = ("array", "cone", "axes", "mapped", "listed", "described")
 
 def json_schemas() -> dict[str, dict[str, Any]]:
     """Return a JSON Schema for each kind of file, which editors take for completion."""
-    steps = [
-        {
-            "if": {"properties": {"kind": {"const": kind}}, "required": ["kind"]},
-            "then": _object("script.step", f"script.{kind}"),
-        }
-        for kind in ("rest", "move", "rotate")
-    ]
+    kinds = _step_kinds()
+    steps = [_if("kind", kind.name, _object_of(_step_keys(kind))) for kind in kinds]
     script = _object("script.script")
-    script["properties"]["step"]["items"] |= {"additionalProperties": True, "allOf": steps}
+    step = script["properties"]["step"]["items"]
+    step["properties"]["kind"]["enum"] = [kind.name for kind in kinds]
+    step |= {"additionalProperties": True, "allOf": steps}
     return {
         "bench": _object("bench.bench"),
         "script": script,
@@ -483,16 +503,24 @@ def _keys_of(section: str) -> Sequence[Any]:
 
 def _object(*sections: str) -> dict[str, Any]:
     """Return the schema of a table with these sections, and of the tables within it."""
-    properties: dict[str, Any] = {}
-    required, others = [], False
+    keys = []
     for section in sections:
         name = section.partition(".")[2]
         for key in (*_keys_of(section), *_device_keys(name)):
-            if key.name == "*":
-                others = _property(key)
-            else:
-                properties[key.name] = _property(key)
-                required += [key.name] if key.required and name not in _ALTERNATIVES else []
+            keys.append(replace(key, required=False) if name in _ALTERNATIVES else key)
+    return _object_of(keys)
+
+
+def _object_of(keys: Iterable[Any]) -> dict[str, Any]:
+    """Return the schema of a table with these keys."""
+    properties: dict[str, Any] = {}
+    required, others = [], False
+    for key in keys:
+        if key.name == "*":
+            others = _property(key)
+        else:
+            properties[key.name] = _property(key)
+            required += [key.name] if key.required else []
     return {"type": "object", "properties": properties, "required": required, "additionalProperties": others}
 
 
@@ -655,7 +683,7 @@ MADE: dict[str, Callable[..., str]] = {
     made.__name__: made
     for made in (
         *(commands, effects, units, tables, imus, exports, vectornav_fields, xsens_packets, messages, decisions),
-        *(keys, device_keys, mapping_keys),
+        *(keys, steps, device_keys, mapping_keys),
     )
 }
 """What can stand between the marks of a page."""

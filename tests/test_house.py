@@ -68,3 +68,47 @@ def test_no_import_runs_in_a_circle_not_even_for_types() -> None:
                 imported = {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
                 sorter.add(module, *((imported & paths.keys()) - {module}))
     sorter.prepare()  # raises CycleError with the circle
+
+
+def test_nothing_but_the_kinds_of_steps_asks_of_which_kind_a_step_is() -> None:
+    kinds = ROOT / "station" / "scripts" / "steps"
+    bases = {"Step"}
+    for path in sorted(kinds.glob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef) and any(isinstance(b, ast.Name) and b.id == "Step" for b in node.bases):
+                bases.add(node.name)
+    assert {"Rest", "Move", "Rotate"} < bases
+    asking = {
+        f"{named(path)}, line {node.lineno}"
+        for path in modules()
+        if kinds not in path.parents
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call | ast.MatchClass) and bases & set(_classes_asked_for(node))
+    }
+    assert not asking
+
+
+def _classes_asked_for(node: ast.Call | ast.MatchClass) -> Iterator[str]:
+    """Yield the names of the classes that ``isinstance`` or a pattern compares with."""
+    compared: ast.AST | None = None
+    if isinstance(node, ast.MatchClass):
+        compared = node.cls
+    elif isinstance(node.func, ast.Name) and node.func.id in ("isinstance", "issubclass") and len(node.args) == 2:
+        compared = node.args[1]
+    if compared is not None:
+        yield from (name.id for name in ast.walk(compared) if isinstance(name, ast.Name))
+
+
+def test_a_kind_of_step_is_one_file_and_one_line() -> None:
+    registry = (ROOT / "station/scripts/steps/registry.py").read_text(encoding="utf-8")
+    for kind in ("pose", "sine"):  # the station makes no scripts of these by itself
+        own = f"station.scripts.steps.{kind}"
+        importing = {
+            named(path)
+            for path in modules()
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+            if isinstance(node, ast.ImportFrom | ast.Import)
+            and own in {getattr(node, "module", None), *(alias.name for alias in node.names)}
+        }
+        assert importing == set()
+        assert sum(f'"{kind}"' in line for line in registry.splitlines()) == 1

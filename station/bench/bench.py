@@ -97,8 +97,8 @@ class Bench:
     ``station`` is the name of the place; the patterns say what names of operators and serial numbers of devices look
     like there (regular expressions for the whole of it), empty for anything; the screen asks anew who operates it after
     ``shift_s``. ``excluded`` are effects of the catalogue that devices and table do not have; None for all of them.
-    ``plugins`` are files and packages from outside. ``after_run`` is the program, with its arguments, that is given the
-    result of each run; empty for none.
+    ``plugins`` are files and packages from outside, ``plugin_files`` the files that the bench names or has beside it.
+    ``after_run`` is the program, with its arguments, that is given the result of each run; empty for none.
     """
 
     name: str
@@ -114,6 +114,7 @@ class Bench:
     shift_s: float
     excluded: frozenset[str] | None = None
     plugins: tuple[str, ...] = ()
+    plugin_files: tuple[Path, ...] = ()
     after_run: tuple[str, ...] = ()
 
     @property
@@ -160,8 +161,9 @@ def read_bench(
     for key in ("laboratory", "procedure", "decision", "equipment"):  # certificates read them in the recording
         for stated in own[key] if key == "equipment" else [own[key]]:
             stated.check(f"certificate.{key}")
+    files = (*(folder / listed for listed in own["plugins"] or ()), *plugins)
     try:
-        modules = load_files((*(folder / listed for listed in own["plugins"] or ()), *plugins))
+        modules = load_files(files)
         imus, tables = IMUS.beside(modules), TABLES.beside(modules)
         for module in modules:
             register(*records_of(module, Record), origin=origin_of(module))
@@ -187,7 +189,7 @@ def read_bench(
         raise BenchError(f"{file}: it needs one [[imu]] or more, each with a name of its own; it has {names}")
     origins = {tables.origin(bench.table.protocol), *(imus.origin(imu.protocol) for imu in bench.imus)}
     origins |= {*map(origin_of, modules), *(record.origin for record in records())}
-    return replace(bench, plugins=tuple(sorted(origins - {""})))
+    return replace(bench, plugins=tuple(sorted(origins - {""})), plugin_files=files)
 
 
 def _command(words: Sequence[str], folder: Path) -> tuple[str, ...]:

@@ -31,7 +31,7 @@ from station.run.outcome import Outcome
 from station.schema.quantities import QuantityError, parse
 from station.scripts.plan import make_plan
 from station.scripts.planned import planned_motion
-from station.scripts.script import Move, Rest, Rotate, Script, check
+from station.scripts.script import Script, check
 from station.scripts.script_family import ways_of
 from station.scripts.script_search import LONGEST_S, Found, Needs, Search, sds_of
 from station.views.figures import STATE_FIGURES, state_figures
@@ -42,7 +42,6 @@ NAMES = {"k": (0,), "b": (1,), "sigma": (2, 3), "sigma_j": (2,), "sigma_k": (3,)
 DEFAULT_FILE = "improved.toml"
 _PERIOD_S = 0.05
 _MOST_ROWS = 50_000
-_KINDS = {Rest: "rest", Move: "move", Rotate: "rotate"}
 _AFTER_MOVE_S = 0.05  # the sequencer asks whether a move has arrived when it is due, and again so much later
 
 
@@ -123,7 +122,7 @@ def predicted(script: Script, bench: Bench) -> Floats:
 
     They are those of ``station.scripts.plan.make_plan``, without the effects that it adds.
     """
-    period_s = max(_PERIOD_S, script.duration_s / _MOST_ROWS)
+    period_s = max(_PERIOD_S, script.least_s / _MOST_ROWS)
     motion = planned_motion(script, bench.table.gimbals, period_s)
     w = body_rate(motion.angle_rad, motion.rate_rps, motion.gimbals, bench.site)
     columns = np.column_stack([np.ones(len(w)), w])
@@ -220,8 +219,11 @@ def _refuse(reason: str, as_json: bool) -> int:
 
 def script_text(script: Script, origin: str) -> str:
     """Return a script as TOML that ``station.scripts.script.load_script`` reads; ``origin`` is its first comment."""
-    steps = zip((_KINDS[type(step)] for step in script.steps), script.steps, script.durations_s(), strict=True)
-    values = {"origin": origin, "script": script, "steps": steps, "quoted": _quoted}
+    steps = []
+    for timed in script.timeline():
+        lines = (*timed.step.written(timed.span.least_s), f"label = {_quoted(timed.step.label)}")
+        steps.append("\n".join(("[[step]]", *lines)))
+    values = {"origin": origin.splitlines(), "name": _quoted(script.name), "steps": steps}
     return rendered("station.commands", "script.toml", values)
 
 
@@ -236,9 +238,9 @@ def improved_object(improved: Improved, path: Path) -> dict[str, Any]:
     return {
         "reached": bool((improved.found.sd <= improved.wanted.sd).all()),
         "script": str(path),
-        "duration_s": script.duration_s,
+        "duration_s": script.least_s,
         "duration_with_sequencer_s": _with_sequencer_s(script),
-        "before": {"script": before.name, "duration_s": before.duration_s},
+        "before": {"script": before.name, "duration_s": before.least_s},
         "criterion": improved.wanted.criterion,
         "compared": improved.found.compared,
         "search_s": improved.search_s,
@@ -253,12 +255,12 @@ def improved_object(improved: Improved, path: Path) -> dict[str, Any]:
                 improved.gyros, improved.wanted.sd, improved.found.sd, strict=True
             )
         ],
-        "steps": [{"label": timed.step.label, "duration_s": timed.duration_s} for timed in script.timeline()],
+        "steps": [{"label": timed.step.label, "duration_s": timed.span.least_s} for timed in script.timeline()],
     }
 
 
 def _with_sequencer_s(script: Script) -> float:
-    return script.duration_s + _AFTER_MOVE_S * sum(not isinstance(step, Rest) for step in script.steps)
+    return script.least_s + _AFTER_MOVE_S * sum(step.turns for step in script.steps)
 
 
 def _print(improved: Improved, path: Path, units: Units) -> None:
@@ -266,7 +268,7 @@ def _print(improved: Improved, path: Path, units: Units) -> None:
     values = {
         "improved": improved,
         "with_sequencer_s": _with_sequencer_s(script),
-        "steps": list(zip(script.steps, script.durations_s(), strict=True)),
+        "steps": [(timed.step, timed.span.least_s) for timed in script.timeline()],
         "path": path,
         "state_figures": state_figures(units),
     }

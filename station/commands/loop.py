@@ -66,7 +66,7 @@ class _Driver:
         """Drive a script; return whether it came to its end, else the verdict is in ``stopped``."""
         loop, number = self._loop, len(self._loop.runs) + 1
         if not self.arguments.json:
-            tell(f"run {number}, {purpose}: {script.name}, {script.duration_s:.0f} s", sys.stderr)
+            tell(f"run {number}, {purpose}: {script.name}, {script.least_s:.0f} s", sys.stderr)
         began_s = self._now_s()
         options = RunOptions(self.arguments.reset_fault, time_scale=self.arguments.scale or 1.0)
         path = loop.folder / f"{number}-{purpose}.h5"
@@ -130,7 +130,7 @@ def _first_scripts(bench: Bench, budget_s: float) -> list[tuple[str, Script]]:
     """Return the three runs that every loop begins with; UsageError if the table or the budget does not allow them."""
     first = {CALIBRATION: paper_script(), EXPLORATION: exploration_script(), VERIFICATION: verification_script()}
     scripts = [(name, check(script, bench.table.limits)) for name, script in first.items()]
-    needed_s = sum(script.duration_s + _AROUND_S for _, script in scripts)
+    needed_s = sum(script.least_s + _AROUND_S for _, script in scripts)
     if needed_s > budget_s:
         raise UsageError(f"--minutes {budget_s / 60:g}: the first three runs take {needed_s / 60:.1f} min")
     return scripts

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import math
 import sys
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,8 @@ from station.render.terminal import stdout
 from station.run.outcome import Outcome
 from station.scripts.early_late import early_and_late
 from station.scripts.plan import TEMPERATURE_RISE_K, WARMING_TIME_S, Plan, make_plan
-from station.scripts.script import load_script, paper_script
+from station.scripts.script import Timed, load_script, paper_script
+from station.scripts.steps.kind import Span
 from station.views.json_values import by_state, json_object
 
 EARLY_LATE_FILE = "early-late.toml"
@@ -30,7 +32,7 @@ def command_plan(arguments: argparse.Namespace) -> int:
     """Print what a script will show on a bench; 1 if it does not reach the sigmas that the bench requires."""
     bench = load_bench(Path(arguments.bench) if arguments.bench else None)
     bench = with_links(bench, {}, arguments.device)
-    script = load_script(Path(arguments.script)) if arguments.script else paper_script()
+    script = load_script(Path(arguments.script), bench.plugin_files) if arguments.script else paper_script()
     if arguments.improve and arguments.early_late:
         raise UsageError("--improve and --early-late each write a script: give one of them")
     if arguments.improve:
@@ -64,7 +66,7 @@ def _write_early_late(arguments: argparse.Namespace, plan: Plan) -> int:
     check_new_file(path, "--output")
     offered = early_late_plan(plan)
     if offered is None:
-        reason = sentence("script.no_early_late", script=plan.script.name, length_s=plan.script.duration_s)
+        reason = sentence("script.no_early_late", script=plan.script.name, length_s=plan.script.least_s)
         tell(f"station: {reason}", sys.stderr)
         if arguments.json:
             print(json.dumps({"reached": False, "reason": reason, "script": None}))
@@ -83,7 +85,7 @@ def _early_late_object(offered: Plan) -> dict[str, Any]:
     """Return a script that turns each axis early and late, as --json prints it, in SI."""
     return {
         "script": offered.script.name,
-        "duration_s": offered.script.duration_s,
+        "duration_s": offered.script.least_s,
         "steps": _steps(offered),
         "gyros": _sigmas(offered),
         "constancy": [coverage_object(axis) for axis in offered.constancy],
@@ -98,11 +100,25 @@ def _sigmas(plan: Plan) -> list[dict[str, Any]]:
 
 
 def _steps(plan: Plan) -> list[dict[str, Any]]:
-    return [
-        {"label": timed.step.label, "duration_s": timed.duration_s}
-        | {key: getattr(timed.step, key, None) for key in ("axis", "rate_rps")}  # None of a rest
-        for timed in plan.script.timeline()
-    ]
+    return [_step_object(timed) for timed in plan.script.timeline()]
+
+
+def _step_object(timed: Timed) -> dict[str, Any]:
+    """Return a step, with axis and rate of its last turn; it has ``longest_s`` if its duration is not known."""
+    turn = timed.last_turn
+    return {
+        "label": timed.step.label,
+        **_duration(timed.span),
+        "axis": None if turn is None else turn.axis,
+        "rate_rps": None if turn is None else turn.rate_rps,
+    }
+
+
+def _duration(span: Span) -> dict[str, float | None]:
+    """Return a duration in s; where it is not known the least one, and the longest, null for no limit."""
+    if span.is_exact:
+        return {"duration_s": span.least_s}
+    return {"duration_s": span.least_s, "longest_s": span.most_s if math.isfinite(span.most_s) else None}
 
 
 def plan_object(plan: Plan) -> dict[str, Any]:
@@ -110,7 +126,7 @@ def plan_object(plan: Plan) -> dict[str, Any]:
     found = plan.forecast
     return {
         "script": plan.script.name,
-        "duration_s": plan.script.duration_s,
+        **_duration(plan.script.span),
         "steps": _steps(plan),
         "reached": bool(plan.reached.all()),
         "required": by_state(plan.required),

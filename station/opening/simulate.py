@@ -20,7 +20,7 @@ from sims.physics.hidden import Hidden as Hidden, HiddenError
 from station.bench.bench import Bench
 from station.errors import BenchError
 from station.opening.twins import hidden_of, mounting_of, truth_of
-from station.scripts.script import Rest, Script
+from station.scripts.script import Script
 
 GIMBALS = ("z", "y", "x")
 
@@ -58,15 +58,17 @@ def simulate(
 ) -> Recording:
     """Return the recording of a script on a table with these devices, each one source of its name.
 
+    What has no known duration takes as little time as it may.
+
     Without ``earth_turns`` the data hold no Earth rate. The recording carries the site if there is one, and nothing
     of ``hidden``, which is what is wrong with devices and table. Its stamps begin at 0, when the clock that
     temperature and hidden effects follow stands at ``started_s``: runs of one session follow each other. ``mounts``
     are other mountings and truths than the devices' own.
     """
     moves = [
-        TimedMove(t.start_s, t.step.axis, t.to_rad, abs(t.step.rate_rps), t.step.acceleration_rps2)
-        for t in script.timeline()
-        if not isinstance(t.step, Rest)
+        TimedMove(start_s, turn.axis, turn.to_rad, abs(turn.rate_rps), turn.acceleration_rps2)
+        for timed in script.timeline()
+        for start_s, turn in timed.turns()
     ]
     latitude, heading = (site.latitude_rad, site.heading_rad) if site else (math.pi / 4, 0.0)
     sources: dict[str, ImuData] = {}
@@ -75,7 +77,7 @@ def simulate(
         mounting, truth = mounts[name] if mounts is not None else _own(device)
         run = direct_run(
             moves,
-            script.duration_s,
+            script.least_s,
             mounting,
             truth,
             (seed, index),

@@ -27,7 +27,7 @@ from station.errors import UsageError, sentence
 from station.remote.attaching import VERSION, of_this_user, socket_folder
 from station.run.session import Session
 from station.run.snapshot import EventKind, Snapshot
-from station.scripts.script import Script
+from station.scripts.script import Script, Timed
 from station.views.json_values import json_object
 
 _log = logging.getLogger(__name__)
@@ -276,16 +276,17 @@ def introduction(
     bench: Bench, bench_file: str | None, script: Script, recording: Path, gyros: tuple[str, ...]
 ) -> dict[str, Any]:
     """Return what a client is told of a bench and its run; times in s, limits in SI, null for none."""
-    steps = [
-        {"label": timed.step.label, "start_s": timed.start_s, "end_s": timed.start_s + timed.duration_s}
-        | {"axis": getattr(timed.step, "axis", None), "to_rad": timed.to_rad}
-        for timed in script.timeline()
-    ]
+    steps = [_step_object(timed) for timed in script.timeline()]
     found: dict[str, Any] = json_object(
         {
             "bench": bench.name,
             "bench_file": None if bench_file is None else str(Path(bench_file).resolve()),
-            "script": {"name": script.name, "duration_s": script.duration_s, "steps": steps},
+            "script": {
+                "name": script.name,
+                "duration_s": script.least_s,
+                "longest_s": script.span.most_s,
+                "steps": steps,
+            },
             "recording": str(recording.resolve()),
             "gyros": gyros,
             "axes": bench.table.gimbals,
@@ -294,6 +295,18 @@ def introduction(
         }
     )
     return found
+
+
+def _step_object(timed: Timed) -> dict[str, Any]:
+    """Return what a client is told of a step: its times at the earliest, and where its last turn leads."""
+    turn = timed.last_turn
+    return {
+        "label": timed.step.label,
+        "start_s": timed.start_s,
+        "end_s": timed.start_s + timed.span.least_s,
+        "axis": None if turn is None else turn.axis,
+        "to_rad": 0.0 if turn is None else turn.to_rad,
+    }
 
 
 def _rounded(values: tuple[float, ...]) -> list[float | None]:

@@ -14,11 +14,13 @@ from estimator.effects.conditions import REFERENCE_C
 from estimator.effects.disturbances import TONE
 from estimator.observations.coverage import coverage_notes
 from estimator.planning.planning import ALIKE, EffectForecast
+from station.errors import sentence
 from station.render.terminal import Shown, print_all, print_rendered, rich_table
 from station.scripts.axis_profile import profile_lines
 from station.scripts.plan import WARMING_TIME_S, Plan
 from station.scripts.polling import too_steep
-from station.views.figures import shown_unit, state_figures
+from station.scripts.script import Script
+from station.views.figures import clock_between, seconds_between, shown_unit, state_figures
 
 MARKED = 1.0
 """Shifts of the states below so many of their sigmas are not worth a word."""
@@ -30,7 +32,11 @@ def print_plan(plan: Plan, console: Console, early_late: Plan | None = None) -> 
     ``early_late`` is that of a script of the same length which turns each axis early and late, if one is offered.
     """
     found = plan.forecast
+    span = plan.script.span
     values = {
+        "lasting": seconds_between(span.least_s, span.most_s),
+        "lasting_minutes": clock_between(span.least_s, span.longer_s),
+        "open_steps": open_steps(plan.script),
         "plan": plan,
         "state_figures": state_figures(plan.bench.units),
         "profile": profile_lines(plan.motion, console.width),
@@ -52,6 +58,18 @@ def print_plan(plan: Plan, console: Console, early_late: Plan | None = None) -> 
         "tone_hz": TONE.listed(0.0)[0]["frequency_hz"],
     }
     print_rendered(console, "station.render", "plan.rich", values)
+
+
+def open_steps(script: Script) -> str:
+    """Return in words which steps have no known duration, and that the plan counts on the least; empty if none."""
+    steps = [
+        f"{timed.step.label}: {seconds_between(timed.span.least_s, timed.span.most_s)}"
+        for timed in script.timeline()
+        if not timed.span.is_exact
+    ]
+    if not steps:
+        return ""
+    return sentence("script.open_steps", steps="; ".join(steps))
 
 
 def required_words(plan: Plan) -> list[str]:
@@ -84,7 +102,7 @@ def beside_table(asked: Plan, offered: Plan) -> Table:
     for figure in figures:
         heads += [f"{figure.name}\n{figure.unit}", "\nasked"]
     sigmas = rich_table(
-        f"Predicted sigmas with each axis early and late, in {offered.script.duration_s:.4g} s", heads, "lrdrdrdrd"
+        f"Predicted sigmas with each axis early and late, in {offered.script.least_s:.4g} s", heads, "lrdrdrdrd"
     )
     several = len({gyro.source for gyro in offered.forecast.gyros}) > 1
     for gyro, own, others in zip(offered.forecast.gyros, offered.sd, asked.sd, strict=True):

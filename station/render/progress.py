@@ -8,7 +8,7 @@ from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn
 
 from station.render.terminal import HarmlessConsole
 from station.run.snapshot import Snapshot
-from station.views.figures import clock, number
+from station.views.figures import clock_between, number
 
 _REFRESH_S = 0.1  # of the wall's clock: a person watches, however fast the loop's clock runs
 
@@ -70,10 +70,8 @@ class RunProgress(Bar):
             return
         self._shown_at = now
         snapshot = look()
-        detail = (
-            f"{clock(snapshot.remaining_s)} left   {snapshot.samples} samples, {snapshot.lost} lost   "
-            f"NIS {number(snapshot.nis_mean, 2)}"
-        )
+        left = clock_between(snapshot.remaining_s, snapshot.longer_s)
+        detail = f"{left} left   {snapshot.samples} samples, {snapshot.lost} lost   NIS {number(snapshot.nis_mean, 2)}"
         line = f"{snapshot.share:4.0%}  {snapshot.doing:<18} {detail}"
         self._tell(line, snapshot.share, description=snapshot.doing, completed=snapshot.share, detail=detail)
 

@@ -23,6 +23,7 @@ from station.run.live import LiveEstimate
 from station.run.sequencer import Sequencer
 from station.run.snapshot import AxisSnapshot, GyroSnapshot, Phase, Snapshot, SourceSnapshot
 from station.run.table_watch import TableRow
+from station.scripts.steps.kind import Span
 
 _log = logging.getLogger(__name__)
 
@@ -92,7 +93,7 @@ class Monitor:
         self._last: dict[str, ImuBlock] = {}
         self._marks: defaultdict[str, deque[_Mark]] = defaultdict(deque)
         self.phase = Phase.CONNECTING
-        self.planned_s = 0.0
+        self.planned = Span.exactly(0.0)
         """How long the script takes."""
         self.sequencer: Sequencer | None = None
         """What drives the script, once it has begun."""
@@ -137,6 +138,15 @@ class Monitor:
         nothing: Mapping[str, LinkCounts] = {}
         return self._beside.attempt("counts of links", self._open.link_counts, nothing)
 
+    def newest(self, quantity: str) -> Mapping[str, float]:
+        """Return the newest value of a quantity by source: "temperature_c", where it is measured."""
+        values = {}
+        if quantity == "temperature_c":
+            for name, block in self._last.items():
+                if block.temperature_c is not None and np.isfinite(block.temperature_c[-1]):
+                    values[name] = float(block.temperature_c[-1])
+        return values
+
     @property
     def label(self) -> str:
         """Label of the step under way, empty where there is none."""
@@ -146,15 +156,17 @@ class Monitor:
         """Return what a progress bar shows."""
         counts = [self.counts(imu.source, name) for imu in self._open.imus for name in imu.source.names]
         sequencer = self.sequencer
-        times_s = sequencer.times_s(asyncio.get_running_loop().time()) if sequencer else (0.0, self.planned_s)
+        done_s, left = sequencer.times(asyncio.get_running_loop().time()) if sequencer else (0.0, self.planned)
         return Snapshot(
             self.phase,
             self.label,
-            *times_s,
+            done_s,
+            left.least_s,
             samples=sum(c.samples for c in counts),
             lost=sum(c.lost for c in counts),
             nis_mean=self._live.nis_mean,
             paused=sequencer.paused if sequencer else "",
+            longer_s=left.longer_s,
         )
 
     def full(self) -> Snapshot:
@@ -178,8 +190,11 @@ class Monitor:
             state = "turning" if abs(rate) > _TURNING_RPS else "at rest"
             if self.sequencer is None:
                 state = self.phase
-            setpoint = self.sequencer.setpoint_rps(axis, now_s) if self.sequencer else 0.0
-            yield AxisSnapshot(axis, angle, rate, setpoint, self.table_fault or state)
+            setpoint, target = 0.0, math.nan
+            if self.sequencer is not None:
+                setpoint = self.sequencer.setpoint_rps(axis, now_s)
+                target = self.sequencer.target_rad(axis)
+            yield AxisSnapshot(axis, angle, rate, setpoint, self.table_fault or state, target)
 
     def _source_snapshots(self, now_s: float) -> Iterator[SourceSnapshot]:
         for imu in self._open.imus:

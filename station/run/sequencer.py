@@ -7,12 +7,14 @@ from typing import Any
 
 from drivers.errors import DeviceRefused
 from drivers.protocols import Turntable
-from station.errors import UsageError, sentence
+from station.errors import ScriptError, UsageError, sentence
 from station.run.event_loop.host import Overdue
 from station.run.snapshot import AFTER_THIS_STEP, PAUSED
 from station.run.uncommanded import Commanded, Course
-from station.scripts.polling import MARGIN_S, ramp_s, wanted_hz
-from station.scripts.script import Move, Rest, Rotate, Script
+from station.scripts.polling import MARGIN_S, wanted_hz
+from station.scripts.script import Script, check_turn
+from station.scripts.steps.kind import Span, Turn, total
+from station.views.figures import seconds_between
 
 WATCH_S = 0.05  # how often arrival is asked for, from this long before it is due
 OVERDUE_S = 5.0
@@ -21,7 +23,7 @@ _PAUSE = "pause"
 
 
 class Sequencer:
-    """Runs steps in order; tells when each begins and ends. The table must be enabled and homed."""
+    """Runs steps in order, as their stage; tells when each begins and ends. The table must be enabled and homed."""
 
     def __init__(
         self,
@@ -29,15 +31,28 @@ class Sequencer:
         script: Script,
         on_step: Callable[[str, int, int], None],
         tell: Callable[[str], None] = lambda text: None,
+        newest: Callable[[str], Mapping[str, float]] = lambda quantity: {},
     ) -> None:
-        """``on_step(label, start_ns, end_ns)`` is called after each step and pause; ``tell`` keeps what happened."""
+        """``on_step(label, start_ns, end_ns)`` is called after each step and pause; ``tell`` keeps what happened.
+
+        ``newest`` gives the newest value of a quantity by source.
+        """
         self._table, self._script, self._on_step, self._tell = table, script, on_step, tell
+        self._newest = newest
         self._target_rad: dict[str, float] = dict.fromkeys(table.limits, 0.0)
         self._stands_since_s = dict.fromkeys(table.limits, asyncio.get_running_loop().time())
-        self._durations_s = script.durations_s()
+        self._spans = script.spans()
         self._index = 0
         self._step_began_s = 0.0
-        self._way_rad = 0.0  # of the step under way
+        self._done_s: list[float] = []
+        """Of each step that has ended, how much of the planned time it stands for."""
+        self._in_parts = False
+        """Whether the step under way has several parts, which are recorded one by one."""
+        self._standing: tuple[str, float] | None = None
+        """What the axes stand for, and since when."""
+        self._turn: Turn | None = None
+        """The turn under way."""
+        self._turn_began_s = 0.0
         self._sent_s = math.inf  # when the table had been told of it
         self.paused = ""
         """Empty, AFTER_THIS_STEP or PAUSED."""
@@ -45,9 +60,8 @@ class Sequencer:
 
     @property
     def driven_axis(self) -> str | None:
-        """Axis that the step under way turns."""
-        step = self._script.steps[self._index]
-        return None if isinstance(step, Rest) or self.paused == PAUSED else step.axis
+        """Axis that is being turned."""
+        return None if self._turn is None else self._turn.axis
 
     @property
     def label(self) -> str:
@@ -57,7 +71,7 @@ class Sequencer:
         """Hold once the step under way has ended, until ``resume``; UsageError in the last step."""
         if self.paused:
             return
-        if self._index == len(self._durations_s) - 1:
+        if self._index == len(self._spans) - 1:
             raise UsageError("the last step is under way: the run ends with it")
         self._resumed.clear()
         self.paused = AFTER_THIS_STEP
@@ -77,14 +91,15 @@ class Sequencer:
 
     def commanded(self, axis: str) -> Commanded:
         """Return what an axis was told last."""
-        step, target = self._script.steps[self._index], self._target_rad[axis]
-        if isinstance(step, Rest) or axis != self.driven_axis:
+        target, turn = self._target_rad[axis], self._turn
+        if turn is None or axis != turn.axis:
             return Commanded(target, target, 0.0, self._stands_since_s[axis])
-        start = target - self._way_rad
-        duration_s = self._durations_s[self._index]
-        course = Course(self._sent_s, duration_s, step.rate_rps, step.acceleration_rps2, self._way_rad, target)
-        low, high = min(start, target), max(start, target)
-        return Commanded(low, high, abs(step.rate_rps), self._step_began_s, course)
+        low, high = min(turn.from_rad, target), max(turn.from_rad, target)
+        return Commanded(low, high, abs(turn.rate_rps), self._turn_began_s, self._course(turn, self._sent_s))
+
+    def _course(self, turn: Turn, from_s: float) -> Course:
+        """Return the rate of a turn over time, if it begins at an instant of the loop's clock."""
+        return Course(from_s, turn.duration_s, turn.rate_rps, turn.acceleration_rps2, turn.way_rad, turn.to_rad)
 
     async def going_on(self) -> None:
         """Wait for the end of a pause, if there is one."""
@@ -92,45 +107,82 @@ class Sequencer:
             await self._resumed.wait()
 
     def setpoint_rps(self, axis: str, now_s: float) -> float:
-        """Return the rate that the script asks of an axis at an instant of the loop's clock."""
-        step = self._script.steps[self._index]
-        if isinstance(step, Rest) or step.axis != axis or self.paused == PAUSED:
+        """Return the rate that is asked of an axis at an instant of the loop's clock."""
+        turn = self._turn
+        if turn is None or turn.axis != axis:
             return 0.0
-        duration_s = self._durations_s[self._index]
-        course = Course(self._step_began_s, duration_s, step.rate_rps, step.acceleration_rps2, self._way_rad)
-        return math.copysign(course.speed_rps(now_s), self._way_rad)
+        return math.copysign(self._course(turn, self._turn_began_s).speed_rps(now_s), turn.way_rad)
+
+    def target_rad(self, axis: str) -> float:
+        """Return the angle to which an axis is being turned, NaN if it is not."""
+        return self._turn.to_rad if self._turn is not None and self._turn.axis == axis else math.nan
 
     def wanted_hz(self, now_s: float) -> float:
         """Return how often the table should be read now, beyond what is usual: 0 but on ramps."""
-        step = self._script.steps[self._index]
-        if isinstance(step, Rest) or self.paused == PAUSED:
+        turn = self._turn
+        if turn is None:
             return 0.0
-        length_s = ramp_s(step.rate_rps, step.acceleration_rps2, self._way_rad)
-        since_s = now_s - self._step_began_s
-        near = min(since_s, self._durations_s[self._index] - since_s) < length_s + MARGIN_S
-        return wanted_hz(length_s) if near else 0.0
+        since_s = now_s - self._turn_began_s
+        near = min(since_s, turn.duration_s - since_s) < turn.ramp_s + MARGIN_S
+        return wanted_hz(turn.ramp_s) if near else 0.0
 
-    def times_s(self, now_s: float) -> tuple[float, float]:
-        """Return time done and time remaining by plan."""
-        done = sum(self._durations_s[: self._index]) + min(now_s - self._step_began_s, self._durations_s[self._index])
-        return done, sum(self._durations_s) - done
+    def times(self, now_s: float) -> tuple[float, Span]:
+        """Return the time done, in s, and the time that remains, by plan."""
+        done_s, ahead = sum(self._done_s), self._spans[len(self._done_s) :]
+        if len(self._done_s) > self._index:  # the step has ended
+            return done_s, total(ahead)
+        since_s = now_s - self._step_began_s
+        under_way, *later = ahead
+        return done_s + under_way.elapsed_s(since_s), total([under_way.remaining(since_s), *later])
+
+    def where(self, now_s: float) -> str:
+        """Return in words how far the script is."""
+        done_s, left = self.times(now_s)
+        planned = seconds_between(done_s + left.least_s, done_s + left.most_s, ".1f")
+        return f"after {done_s:.1f} s of {planned}, in step {self.label!r}"
 
     async def run(self) -> None:
         """Run the script to its end; DeviceRefused if an axis does not get where it was sent."""
         loop = asyncio.get_running_loop()
-        for index, (step, duration_s) in enumerate(zip(self._script.steps, self._durations_s, strict=True)):
+        for index, (step, span) in enumerate(zip(self._script.steps, self._spans, strict=True)):
             self._index, self._step_began_s = index, loop.time()
-            self._sent_s = math.inf
-            due_s = self._step_began_s + duration_s
-            if isinstance(step, Rest):
-                await asyncio.sleep(duration_s)
+            parts = step.parts(self._target_rad)
+            self._in_parts, self._standing = len(parts) > 1, None
+            await step.carry_out(self, parts)
+            ended_s = loop.time()
+            if self._in_parts:
+                self._record_standing()
             else:
-                await self._drive(step, due_s)
-            self._on_step(step.label, round(self._step_began_s * 1e9), round(loop.time() * 1e9))
-            if not isinstance(step, Rest):
-                self._stands_since_s[step.axis] = loop.time()
+                self._record(step.label, self._step_began_s)
+            self._done_s.append(min(max(ended_s - self._step_began_s, span.least_s), span.most_s))
             if self.paused:
                 await self._hold()
+
+    async def stand(self, duration_s: float, label: str = "") -> None:
+        """Leave all axes at rest for a time; ``label`` says what for."""
+        if self._standing is None or self._standing[0] != label:
+            self._record_standing()
+            self._standing = label, asyncio.get_running_loop().time()
+        await asyncio.sleep(duration_s)
+
+    def _record_standing(self) -> None:
+        """Record the standstill that has ended as a part of the step, if there was one."""
+        if self._standing is not None and self._in_parts:
+            what, began_s = self._standing
+            self._record(f"{self.label}: {what}" if what else self.label, began_s)
+        self._standing = None
+
+    def _record(self, label: str, began_s: float) -> None:
+        """Record a step, or a part of one, that ends now."""
+        self._on_step(label, round(began_s * 1e9), round(asyncio.get_running_loop().time() * 1e9))
+
+    def newest(self, quantity: str) -> Mapping[str, float]:
+        """Return the newest value of a quantity by source; sources that do not measure it are left out."""
+        return self._newest(quantity)
+
+    def tell(self, text: str) -> None:
+        """Keep a sentence with the events of the run."""
+        self._tell(text)
 
     async def _hold(self) -> None:
         """Leave the table as it is, at rest under power, until told to go on; time done stands still meanwhile."""
@@ -138,32 +190,56 @@ class Sequencer:
         self._tell(f"paused after step {self.label!r}")
         self.paused = PAUSED
         await self._resumed.wait()
-        self._on_step(_PAUSE, round(began_s * 1e9), round(asyncio.get_running_loop().time() * 1e9))
+        self._record(_PAUSE, began_s)
 
-    def _overdue(self, step: Move | Rotate, angle_rad: float, target_rad: float) -> Overdue:
+    def _overdue(self, turn: Turn, angle_rad: float) -> Overdue:
         """Return the error of a step whose axis has not told in time that it has arrived."""
-        at, to = math.degrees(angle_rad), math.degrees(target_rad)
+        at, to = math.degrees(angle_rad), math.degrees(turn.to_rad)
         if abs(at - to) < math.degrees(ON_TARGET_RAD):
-            text = sentence("run.never_arrived", axis=step.axis, step=step.label, at_deg=at, to_deg=to)
+            text = sentence("run.never_arrived", axis=turn.axis, step=self.label, at_deg=at, to_deg=to)
         else:
-            text = sentence("run.overdue", axis=step.axis, step=step.label, at_deg=at, to_deg=to)
+            text = sentence("run.overdue", axis=turn.axis, step=self.label, at_deg=at, to_deg=to)
         return Overdue("table", text)
 
-    async def _drive(self, step: Move | Rotate, due_s: float) -> None:
-        axis = step.axis
-        target = step.angle_rad if isinstance(step, Move) else self._target_rad[axis] + step.turn_rad
-        self._way_rad = target - self._target_rad[axis]
-        self._target_rad[axis] = target
-        await self._table.move(axis, target, abs(step.rate_rps), step.acceleration_rps2)
+    async def turn(self, turn: Turn) -> None:
+        """Turn an axis and see it arrive.
+
+        DeviceRefused if it does not get where it was sent, or is to do what it cannot: a step may turn it otherwise
+        than it planned.
+        """
         loop = asyncio.get_running_loop()
+        axis = turn.axis
+        try:
+            check_turn(turn, self._table.limits)
+        except ScriptError as error:
+            raise DeviceRefused("table", f"step {self.label!r}: {error}") from None
+        self._record_standing()
+        due_s = self._begin_turn(turn) + turn.duration_s
+        await self._table.move(axis, turn.to_rad, abs(turn.rate_rps), turn.acceleration_rps2)
         self._sent_s = loop.time()
         await asyncio.sleep(max(due_s - WATCH_S - loop.time(), 0.0))
         while not (await self._table.status(axis)).target_reached:
-            if loop.time() > due_s + (self._sent_s - self._step_began_s) + OVERDUE_S:  # a slow line takes long to tell
-                raise self._overdue(step, (await self._table.read(axis)).angle_rad, target)
+            # A slow line takes long to tell.
+            if loop.time() > due_s + (self._sent_s - self._turn_began_s) + OVERDUE_S:
+                raise self._overdue(turn, (await self._table.read(axis)).angle_rad)
             await asyncio.sleep(WATCH_S)
         await asyncio.sleep(max(due_s - loop.time(), 0.0))
         angle = (await self._table.read(axis)).angle_rad
-        if abs(angle - target) > ON_TARGET_RAD:
-            at, to = math.degrees(angle), math.degrees(target)
-            raise DeviceRefused("table", sentence("run.not_there", axis=axis, step=step.label, at_deg=at, to_deg=to))
+        if abs(angle - turn.to_rad) > ON_TARGET_RAD:
+            at, to = math.degrees(angle), math.degrees(turn.to_rad)
+            raise DeviceRefused("table", sentence("run.not_there", axis=axis, step=self.label, at_deg=at, to_deg=to))
+        self._end_turn(axis)
+        if self._in_parts:
+            self._record(f"{self.label}: {axis} to {math.degrees(turn.to_rad):g} deg", self._turn_began_s)
+
+    def _begin_turn(self, turn: Turn) -> float:
+        """Take it that a turn is under way; return when it began, by the loop's clock."""
+        self._turn, self._turn_began_s = turn, asyncio.get_running_loop().time()
+        self._sent_s = math.inf
+        self._target_rad[turn.axis] = turn.to_rad
+        return self._turn_began_s
+
+    def _end_turn(self, axis: str) -> None:
+        """Take it that an axis stands from now on."""
+        self._turn = None
+        self._stands_since_s[axis] = asyncio.get_running_loop().time()

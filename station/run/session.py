@@ -129,7 +129,7 @@ class Session:
         )
         self._writer, self._event = self._acquisition.writer, self._acquisition.event
         self._live, self._monitor = self._acquisition.live, self._acquisition.monitor
-        self._monitor.planned_s = script.duration_s
+        self._monitor.planned = script.span
         self._guard = Guard(bench.guarded, path, time_scale, self._tell_of_guard)
         self._ended_early = ""
         self._early_end = EarlyEnd(bench, self._live, time_scale) if options.end_early else None
@@ -279,7 +279,7 @@ class Session:
             for text in too_steep(self._script, (loop.time() - began_s) / len(axes)):
                 self._event(EventKind.NOTE, text)
             end_step, scale = acquisition.end_step, self._options.time_scale
-            sequencer = monitor.sequencer = Sequencer(table, self._script, end_step, tell)
+            sequencer = monitor.sequencer = Sequencer(table, self._script, end_step, tell, monitor.newest)
             if self._options.manual:
                 sequencer = monitor.sequencer = ManualSequencer(table, end_step, tell, scale)
             monitor.phase = Phase.RUNNING
@@ -323,8 +323,7 @@ class Session:
         await asyncio.wait((script, enough), return_when=asyncio.FIRST_COMPLETED)
         if not script.done() and enough.done() and not enough.cancelled() and enough.exception() is None:
             now_s = asyncio.get_running_loop().time()
-            done_s, left_s = sequencer.times_s(now_s)
-            where = f"after {done_s:.1f} s of {done_s + left_s:.1f} s, in step {sequencer.label!r}"
+            where = sequencer.where(now_s)
             self._ended_early = f"{where}: {enough.result()}"
             self._event(EventKind.SCRIPT, f"ended early {where}: enough seen")
         script.cancel()
@@ -440,7 +439,7 @@ def _attributes(bench: OpenBench, script: Script, options: RunOptions) -> dict[s
         attributes["site_latitude_rad"] = config.site.latitude_rad
         attributes["site_heading_rad"] = config.site.heading_rad
     told: dict[str, Any] = {"operator": options.operator, "device_serial": options.device_serial}
-    told |= {"plugins": list(config.plugins), "model_sha256": model_sha256(options.model)}
+    told |= {"plugins": sorted({*config.plugins, *script.plugins}), "model_sha256": model_sha256(options.model)}
     attributes |= {key: value for key, value in told.items() if value}
     loop = asyncio.get_running_loop()
     if is_virtual(loop):  # runs that begin alike are alike, to the last byte; a simulated clock has no place in the day

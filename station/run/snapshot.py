@@ -41,7 +41,7 @@ class AxisSnapshot:
     """One axis of the table: the last readback, and the rate that the script asks for now.
 
     ``state``: "at rest", "turning", what is done to the table before the script ("connecting", "enabling", "homing"),
-    or its fault in its own words.
+    or its fault in its own words. ``target_rad``: the angle to which it is being turned, NaN if it is not.
     """
 
     name: str
@@ -49,6 +49,7 @@ class AxisSnapshot:
     rate_rps: float
     setpoint_rps: float
     state: str
+    target_rad: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +103,9 @@ class SourceSnapshot:
 class Snapshot:
     """State of a run at one instant; times in seconds of the loop's clock. ``label``: of the step under way, or "".
 
+    ``remaining_s`` is what remains at least, ``longer_s`` by how much it may be longer: 0 where it is known, infinite
+    or NaN for no limit.
+
     ``nis_mean`` per degree of freedom over the whole run, ``nis_recent`` over the last half minute; ``whiteness``:
     correlation of the innovations with those of the block before, 0 for a good filter; ``recent``: how many innovations
     both are of. ``paused``: "", ``AFTER_THIS_STEP`` or ``PAUSED``. ``links``: of each device what went over its
@@ -123,6 +127,7 @@ class Snapshot:
     gyros: tuple[GyroSnapshot, ...] = ()
     recent: int = 0
     links: tuple[str, ...] = ()
+    longer_s: float = 0.0
 
     @property
     def doing(self) -> str:
@@ -131,8 +136,9 @@ class Snapshot:
 
     @property
     def share(self) -> float:
-        """How much of the run is done, 0 to 1."""
-        return self.elapsed_s / max(self.elapsed_s + self.remaining_s, 1e-9)
+        """How much of the run is done, 0 to 1; half of the time by which it may be longer counts as remaining."""
+        longer_s = self.longer_s if math.isfinite(self.longer_s) else 0.0
+        return self.elapsed_s / max(self.elapsed_s + self.remaining_s + longer_s / 2, 1e-9)
 
 
 def snapshot_of(found: Mapping[str, Any]) -> Snapshot:

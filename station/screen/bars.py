@@ -13,7 +13,7 @@ from station.errors import sentence
 from station.render.template import rendered
 from station.screen.seen_app import SeenApp
 from station.screen.sessions.live_run import LiveRun
-from station.views.figures import OUTCOME_STYLES, clock, number
+from station.views.figures import OUTCOME_STYLES, clock_between, number
 
 STOP_KEY = "f9"
 STOP_WORDS = "■ STOP  F9"
@@ -68,7 +68,7 @@ class StopBar(Widget):
     def show(self, run: LiveRun | None, others: int, said: str = "") -> None:
         """Show a run's state; if none is shown, how many ``others`` there are, or what is ``said`` of a recording."""
         values = {"run": run, "others": others, "said": said, "stop": STOP_WORDS, "silence_s": SILENCE_S}
-        line = rendered("station.screen", "stop.txt", {**values, "clock": clock})
+        line = rendered("station.screen", "stop.txt", {**values, "clock_between": clock_between})
         kind, _, text = line.strip("\n").partition(" ")
         if text != self._text:
             self._text = text
@@ -111,7 +111,7 @@ def _lines(run: LiveRun | None, said: str) -> list[Text]:
     snapshot = run.snapshot
     if snapshot is None:
         return [Text("starting", style="bold")]
-    left = f"{clock(snapshot.remaining_s)} left, {snapshot.share:.0%} done"
+    left = f"{clock_between(snapshot.remaining_s, snapshot.longer_s)} left, {snapshot.share:.0%} done"
     turning = [f"{axis.name} at {number(math.degrees(axis.angle_rad), 1)} deg" for axis in snapshot.axes]
     return [
         Text(snapshot.doing, style="bold"),

@@ -65,7 +65,6 @@ def run_drawing(name: str, run: LiveRun, gyro: GyroSnapshot) -> Drawing:
     """Return a chart of a run, one of ``RUN_CHARTS``, with its steps marked."""
     if name == "axes" and run.snapshot is not None:
         return _axes_drawing(run, run.snapshot)
-    marks = [float(step["start_s"]) for step in run.hello.get("script", {}).get("steps", [])]
     limits = run.hello.get("limits") or {}
     if name in STATE_CHARTS:
         index = STATE_CHARTS.index(name)
@@ -74,7 +73,7 @@ def run_drawing(name: str, run: LiveRun, gyro: GyroSnapshot) -> Drawing:
         found = state_drawing(index, trend, _told_limit(limits, _LIMITS[index]), figures=figures)
     else:
         found = _seen(name, run, gyro, [float(limits[key]) for key in ("nis_low", "nis_high") if limits.get(key)])
-    return found._replace(marks=marks, span=(0.0, run.seen[-1].elapsed_s))
+    return found._replace(marks=run.steps_begin_s, span=(0.0, run.seen[-1].elapsed_s))
 
 
 def _seen(name: str, run: LiveRun, gyro: GyroSnapshot, nis_limits: Sequence[float]) -> Drawing:
@@ -113,15 +112,14 @@ def _told_limit(limits: Mapping[str, Any], key: str) -> StateLimit:
 
 def _axes_drawing(run: LiveRun, snapshot: Snapshot) -> Drawing:
     """Return the gimbals, the outermost outside, each with a hand at its angle, zero on top, and the way to go."""
-    steps = [s for s in run.hello["script"]["steps"] if s["start_s"] <= snapshot.elapsed_s]
     styles, curves = dict(zip(sorted(a.name for a in snapshot.axes), _AXIS_STYLES, strict=False)), []
     words: list[tuple[str, str]] = []
     for place, axis in enumerate(snapshot.axes):
         radius, at, style = 1.0 - place * _GIMBALS_APART, axis.angle_rad, styles[axis.name]
         turns, told = axis.state == "turning" and not run.at_rest, [(f"{axis.name} {number(at * _DEG, 1)}°", style)]
         curves.append(_arc(radius, 0.0, 2 * math.pi, style if turns else "mark"))
-        if turns and steps and steps[-1].get("axis") == axis.name:
-            goal = steps[-1]["to_rad"]
+        goal = axis.target_rad
+        if turns and math.isfinite(goal):
             curves.append(_arc(radius, at, min(max(goal, at - 2 * math.pi), at + 2 * math.pi), "line"))
             told += [(f"to {number(goal * _DEG, 0)}°", "line"), (f"{number(axis.rate_rps * _DEG, 1)}°/s", style)]
         hand = radius, radius - _GIMBALS_APART

@@ -7,7 +7,7 @@ from typing import Any
 from rich.text import Text
 
 from station.render.template import rendered
-from station.views.figures import clock, three_digits
+from station.views.figures import clock, clock_between, three_digits
 
 
 def padded(rows: Sequence[Sequence[str]]) -> list[list[str]]:
@@ -29,4 +29,4 @@ def bar(share: float, width: int) -> str:
     return ("█" * whole + (" ▏▎▍▌▋▊▉"[part] if part else "")).ljust(width, "·")
 
 
-_FUNCTIONS = {each.__name__: each for each in (padded, bar, clock, three_digits, math.hypot)}
+_FUNCTIONS = {each.__name__: each for each in (padded, bar, clock, clock_between, three_digits, math.hypot)}

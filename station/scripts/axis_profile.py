@@ -3,12 +3,14 @@
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.types import Floats
 from station.scripts.planned import PlannedMotion
 
 _UP = " ▁▂▃▄▅▆▇█"
 _DOWN = " ▔▀█"
+_STANDS, _MAY_LAST = "_", "~"
 _LABEL = "{:>2} {:>12} "
 _STEPS_S = (1, 2, 5, 10, 15, 20, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 14400, 36000)
 _LEAST_TICK = 9
@@ -17,17 +19,18 @@ _LEAST_TICK = 9
 def profile_lines(motion: PlannedMotion, width: int) -> list[str]:
     """Return the drawing, ``width`` characters wide: bars up for positive rates, hanging from the line for negative.
 
-    Each axis has a row, a second one below it if it ever turns backwards, scaled to its own largest rate; a
-    column shows the largest rate of its time. Below is the time.
+    Standstill that may take longer is marked with ~. Each axis has a row, a second one below it if it ever turns
+    backwards, scaled to its own largest rate; a column shows the largest rate of its time. Below is the time.
     """
     columns = max(width - len(_LABEL.format("", "")), 10)
     edges = np.linspace(0, len(motion.t_s), columns + 1).astype(int)[:-1]
+    may_last = _columns_within(motion, edges)
     lines = []
     for column, axis in sorted(enumerate(motion.gimbals), key=lambda pair: pair[1]):
         rate = motion.rate_rps[:, column]
         largest = float(np.abs(rate).max())
         up, down = np.maximum.reduceat(rate, edges), -np.minimum.reduceat(rate, edges)
-        lines.append(_LABEL.format(axis, _rate(up.max())) + _bars(up, largest, _UP, rest="_"))
+        lines.append(_LABEL.format(axis, _rate(up.max())) + _bars(up, largest, _UP, rest=may_last))
         if down.max() > 0:
             lines.append(_LABEL.format("", _rate(-down.max())) + _bars(down, largest, _DOWN))
     return lines + _time_axis(float(motion.t_s[-1] + motion.t_s[0]), columns)
@@ -37,11 +40,27 @@ def _rate(rate_rps: float) -> str:
     return f"{math.degrees(rate_rps):+.4g} deg/s" if rate_rps else "0 deg/s"
 
 
-def _bars(size: Floats, largest: float, blocks: str, rest: str = " ") -> str:
+def _columns_within(motion: PlannedMotion, edges: NDArray[np.int64]) -> str:
+    """Return what standstill is drawn with, a character for each column that begins at these instants."""
+    ends = np.append(edges[1:], len(motion.t_s)) - 1
+    characters = []
+    for begin_s, end_s in zip(motion.t_s[edges], motion.t_s[ends], strict=True):
+        may_last = any(begin_s < open_end_s and end_s > open_begin_s for open_begin_s, open_end_s in motion.open_s)
+        characters.append(_MAY_LAST if may_last else _STANDS)
+    return "".join(characters)
+
+
+def _bars(size: Floats, largest: float, blocks: str, rest: str = "") -> str:
+    """Return a bar for each size; what does not turn is drawn with the characters of ``rest``, or left blank."""
     steps = len(blocks) - 1
     share = np.clip(size / largest, 0, 1) if largest else np.zeros_like(size)
-    # The least that turns at all is drawn as something.
-    return "".join(blocks[math.ceil(round(float(s) * steps, 6))] if s > 0 else rest for s in share)
+    still = rest or " " * len(share)
+    characters = []
+    for size_share, stands in zip(share, still, strict=True):
+        # The least that turns at all is drawn as something.
+        height = math.ceil(round(float(size_share) * steps, 6))
+        characters.append(blocks[height] if size_share > 0 else stands)
+    return "".join(characters)
 
 
 def _time_axis(duration_s: float, columns: int) -> list[str]:

@@ -2,19 +2,20 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 from drivers.types import AxisLimits
 from estimator.observations.coverage import AxisCoverage, planned_coverage
 from station.errors import ScriptError
 from station.scripts.planned import planned_motion
-from station.scripts.script import Move, Rest, Rotate, Script, Step, check
+from station.scripts.script import Script, check
+from station.scripts.steps.kind import Step, Turn
+from station.scripts.steps.move import Move
+from station.scripts.steps.rest import Rest
 
 END_REST_S = 10.0
 """Longest rest that is left at either end: until the first turn and after the last one nothing is proved."""
 _LEAST_REST_S = 1.0  # in the middle
 _LEAST_SHARE = 0.2  # of the rests between steps that must be left beside moves
-_RAMPS = 3.0  # a turn lasts at least so many of its ramps; one of two has no steady part
 _PERIOD_S = 0.1
 _HOME_RAD = math.radians(0.01)
 
@@ -32,8 +33,10 @@ def early_and_late(script: Script, limits: Mapping[str, AxisLimits], gimbals: Se
     What is longer than 10 s of the rests at both ends goes between the two.
 
     None if no such script exists: where turns would be shorter than their ramps, moves take too long to be made twice,
-    or an axis would still not be turned far apart in time.
+    an axis would still not be turned far apart in time, or a step can only be done as it is, or has no known duration.
     """
+    if not script.span.is_exact or any(not step.turns and not step.rest_s for step in script.steps):
+        return None
     for sign in (-1, 1):
         offered = _twice(script, limits, sign)
         if offered is None:
@@ -55,41 +58,37 @@ def _twice(script: Script, limits: Mapping[str, AxisLimits], sign: int) -> Scrip
     a turn would be too short for its ramps, or where nothing moves.
     """
     before, between, after = _parts(script.steps)
-    halves = [_half(step, limits) for step in between]
+    halves = [step.halved(limits) for step in between]
     once = [step for step in halves if step is not None]
     if not once or len(once) < len(halves):
         return None
     home = _moves_home(once) if sign > 0 else []
-    again = [_times(step, sign) for step in once]
-    moving_s = Script("", tuple(s for s in (*once, *home, *again) if not isinstance(s, Rest))).duration_s
-    rests_s = sum(step.duration_s for step in (*once, *again) if isinstance(step, Rest))
+    again = [step.mirrored(sign) for step in once]
+    moving_s = Script("", tuple(step for step in (*once, *home, *again) if step.turns)).least_s
+    rests_s = sum(step.rest_s for step in (*once, *again))
     ends_s = sum(step.duration_s for step in (*before, *after))
-    room_s = script.duration_s - ends_s - moving_s - _LEAST_REST_S
+    room_s = script.least_s - ends_s - moving_s - _LEAST_REST_S
     share = min(1.0, room_s / rests_s) if rests_s else 1.0
     if room_s < 0 or share < _LEAST_SHARE:
         return None
     middle = Rest(_LEAST_REST_S + room_s - share * rests_s, "rest in the middle")
-    steps = (*before, *_shortened(once, share), *home, middle, *_shortened(again, share), *after)
+    first = [step.shortened(share) for step in once]
+    second = [step.shortened(share) for step in again]
+    steps = (*before, *first, *home, middle, *second, *after)
     return Script(f"{script.name}, early and late", steps)
-
-
-def _shortened(steps: Sequence[Step], share: float) -> list[Step]:
-    """Return steps with this share of their rests."""
-    return [replace(step, duration_s=share * step.duration_s) if isinstance(step, Rest) else step for step in steps]
 
 
 def _moves_home(steps: Sequence[Step]) -> list[Move]:
     """Return the moves that bring all axes home after these steps; by whole turns if no move needs the angle itself."""
     angles: dict[str, float] = {}
-    fastest: dict[str, Move | Rotate] = {}
+    fastest: dict[str, Turn] = {}
     moved: set[str] = set()
     for timed in Script("", tuple(steps)).timeline():
-        step = timed.step
-        if isinstance(step, Rest):
-            continue
-        angles[step.axis] = timed.to_rad
-        fastest[step.axis] = max(fastest.get(step.axis, step), step, key=lambda one: abs(one.rate_rps))
-        moved |= {step.axis} if isinstance(step, Move) else set()
+        for _, turn in timed.turns():
+            angles[turn.axis] = turn.to_rad
+            fastest[turn.axis] = max(fastest.get(turn.axis, turn), turn, key=lambda one: abs(one.rate_rps))
+            if timed.step.ends_at_stated_angles:
+                moved.add(turn.axis)
     found = []
     for axis, angle_rad in angles.items():
         target_rad = 0.0 if axis in moved else 2 * math.pi * round(angle_rad / (2 * math.pi))
@@ -101,41 +100,13 @@ def _moves_home(steps: Sequence[Step]) -> list[Move]:
 
 def _parts(steps: Sequence[Step]) -> tuple[tuple[Rest, ...], tuple[Step, ...], tuple[Rest, ...]]:
     """Return the rest before the first motion, cut to 10 s, the steps up to the last motion, and the rest after it."""
-    moving = [number for number, step in enumerate(steps) if not isinstance(step, Rest)]
+    moving = [number for number, step in enumerate(steps) if step.turns]
     if not moving:
         return (), (), ()
     ends = steps[: moving[0]], steps[moving[-1] + 1 :]
-    lengths_s = [sum(step.duration_s for step in end if isinstance(step, Rest)) for end in ends]
+    lengths_s = [sum(step.rest_s for step in end) for end in ends]
     before, after = (
         (Rest(min(length_s, END_REST_S), label),) if length_s else ()
         for length_s, label in zip(lengths_s, ("rest before", "rest after"), strict=True)
     )
     return before, tuple(steps[moving[0] : moving[-1] + 1]), after
-
-
-def _half(step: Step, limits: Mapping[str, AxisLimits]) -> Step | None:
-    """Return a step in half of its time, None if that is impossible for it; a move as it is.
-
-    Ramps of half the length make half of a turn of it: whole turns stay whole turns if they were an even number. Where
-    the axis cannot accelerate so much, less is turned.
-    """
-    if isinstance(step, Move):
-        return step
-    half_s = 0.5 * step.duration_s
-    if isinstance(step, Rest):
-        return Rest(half_s)
-    acceleration = min(2 * step.acceleration_rps2, limits[step.axis].acceleration_rps2)
-    if half_s < _RAMPS * abs(step.rate_rps) / acceleration:
-        return None
-    return replace(step, duration_s=half_s, acceleration_rps2=acceleration, label=_times(step, 1).label)
-
-
-def _times(step: Step, sign: int) -> Step:
-    """Return a step with its rate or angle times ``sign``, labelled by it."""
-    if isinstance(step, Rotate):
-        rate_rps = sign * step.rate_rps
-        return replace(step, rate_rps=rate_rps, label=f"{step.axis} at {math.degrees(rate_rps):g} deg/s")
-    if isinstance(step, Move):
-        angle_rad = sign * step.angle_rad
-        return replace(step, angle_rad=angle_rad, label=f"{step.axis} to {math.degrees(angle_rad):g} deg")
-    return step

@@ -4,7 +4,11 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 
 from drivers.types import AxisLimits
-from station.scripts.script import Move, Rest, Rotate, Script, Step
+from station.scripts.script import Script
+from station.scripts.steps.kind import Step
+from station.scripts.steps.move import Move
+from station.scripts.steps.rest import Rest
+from station.scripts.steps.rotate import Rotate
 
 _DEG = math.pi / 180
 

@@ -47,7 +47,7 @@ class NextScript:
         """Return it in one line."""
         aims = [f"{', '.join(own)} apart" if len(own) > 1 else f"{own[0]} from noise" for own in self.rivals]
         aim = ", ".join(aims).replace("_", " ")
-        text = f"{self.script.name}, {self.script.duration_s:.0f} s: tells {aim} with probability "
+        text = f"{self.script.name}, {self.script.least_s:.0f} s: tells {aim} with probability "
         text += f"{min(self.probability, 0.99):.0%}"
         hopeful = self.probability >= _HOPELESS
         return text if hopeful else f"nothing that this table can do is likely to help; the best is {text}"
@@ -108,8 +108,8 @@ def next_script(
     sizes = {name: _size(shown, name, evidence.get(name, 0.0)) for name in effects}
     best: NextScript | None = None
     possible = [script for script in candidates(limits, gimbals) if is_possible(script, limits)]
-    for script in sorted(possible, key=lambda script: script.duration_s):
-        if script.duration_s > most_s:
+    for script in sorted(possible, key=lambda script: script.least_s):
+        if script.least_s > most_s:
             break
         after = before + _Grams.of(_foreseen(script, [*past, *judging], gimbals, site), effects, origin_s)
         probability = min(_settled(own, before, after, sizes) for own in contests)

@@ -74,12 +74,12 @@ def make_plan(
     Raises ScriptError if the table cannot do the script.
     """
     asked, script = script, check(script, bench.table.limits)
-    motion = planned_motion(script, bench.table.gimbals, max(_PERIOD_S, script.duration_s / _MOST_ROWS))
+    motion = planned_motion(script, bench.table.gimbals, max(_PERIOD_S, script.least_s / _MOST_ROWS))
     temperature_c = REFERENCE_C - temperature_rise_k * np.expm1(-motion.t_s / WARMING_TIME_S)
     conditions = motion.conditions(temperature_c, bench.site)
     devices = [PlannedDevice(imu.name, imu.array, imu.noise, imu.prior) for imu in bench.imus if imu.used]
     if effects is None:
-        effects = catalogue(motion.gimbals, script.duration_s)
+        effects = catalogue(motion.gimbals, script.least_s)
     return Plan(
         script,
         bench,

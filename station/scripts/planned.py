@@ -10,18 +10,23 @@ from drivers.types import Floats
 from estimator.effects.conditions import Conditions
 from estimator.geometry.kinematics import Site
 from estimator.recordings.reference import TableReadings, TableUncertainty
-from station.scripts.script import Move, Rest, Rotate, Script
+from station.scripts.script import Script
+from station.scripts.steps.kind import Turn
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlannedMotion:
-    """Instants ``t_s`` (N,); angles, rates and accelerations (N, g) of the ``gimbals``, outermost first."""
+    """Instants ``t_s`` (N,); angles, rates and accelerations (N, g) of the ``gimbals``, outermost first.
+
+    ``open_s`` are the begins and ends of what may take longer than it does here.
+    """
 
     t_s: Floats
     angle_rad: Floats
     rate_rps: Floats
     acceleration_rps2: Floats
     gimbals: tuple[str, ...]
+    open_s: tuple[tuple[float, float], ...] = ()
 
     def conditions(self, temperature_c: Floats | None, site: Site | None) -> Conditions:
         """Return what gyros on the innermost axis go through, at this temperature (N,), None if it is not known."""
@@ -44,26 +49,29 @@ class PlannedMotion:
 def planned_motion(script: Script, gimbals: Sequence[str], period_s: float = 0.05) -> PlannedMotion:
     """Return the motion at the middle of each period, as the sequencer has a table at home carry the script out.
 
-    There are two instants at the least. The script must be one that the table can do (``script.check``).
+    What has no known duration takes as little time as it may. There are two instants at the least. The script must be
+    one that the table can do (``script.check``).
     """
     axes = tuple(gimbals)
-    count = max(math.ceil(script.duration_s / period_s - 1e-9), 2)
+    count = max(math.ceil(script.least_s / period_s - 1e-9), 2)
     t_s = np.asarray((np.arange(count) + 0.5) * period_s, dtype=np.float64)
     angle, rate, acceleration = np.zeros((3, count, len(axes)))
-    for timed in script.timeline():
-        if not isinstance(timed.step, Rest):
-            column = axes.index(timed.step.axis)
-            way, speed, push = _trapezoid(t_s - timed.start_s, timed.to_rad - timed.from_rad, timed.step)
-            angle[:, column] += way
-            rate[:, column] += speed
-            acceleration[:, column] += push
-    return PlannedMotion(t_s, angle, rate, acceleration, axes)
+    timeline = script.timeline()
+    for start_s, turn in (turn for timed in timeline for turn in timed.turns()):
+        column = axes.index(turn.axis)
+        way, speed, push = _trapezoid(t_s - start_s, turn)
+        angle[:, column] += way
+        rate[:, column] += speed
+        acceleration[:, column] += push
+    open_s = [(timed.start_s, timed.start_s + timed.span.least_s) for timed in timeline if not timed.span.is_exact]
+    return PlannedMotion(t_s, angle, rate, acceleration, axes, tuple(open_s))
 
 
-def _trapezoid(since_s: Floats, way_rad: float, step: Move | Rotate) -> tuple[Floats, Floats, Floats]:
-    """Return way, rate and acceleration (N,) at times since the move began, before and after it too."""
-    limit = step.acceleration_rps2
-    peak = min(abs(step.rate_rps), math.sqrt(abs(way_rad) * limit))
+def _trapezoid(since_s: Floats, turn: Turn) -> tuple[Floats, Floats, Floats]:
+    """Return way, rate and acceleration (N,) at times since the turn began, before and after it too."""
+    limit = turn.acceleration_rps2
+    way_rad = turn.way_rad
+    peak = min(abs(turn.rate_rps), math.sqrt(abs(way_rad) * limit))
     if peak == 0.0:
         return np.zeros_like(since_s), np.zeros_like(since_s), np.zeros_like(since_s)
     ramp_s = peak / limit

@@ -1,96 +1,89 @@
 """Scripts: what the table is to do, as data that can be checked and drawn before anything moves."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TypeVar
 
+from drivers.plugins import PluginError, Registry
 from drivers.types import AxisLimits
 from station.errors import ScriptError, sentence
-from station.schema.tables import Table
+from station.schema.tables import Table, known_in
+from station.scripts.steps.kind import LABEL, Demand, Part, Span, Step, StepKind, Turn, total
+from station.scripts.steps.move import Move as Move
+from station.scripts.steps.registry import known_steps
+from station.scripts.steps.rest import Rest as Rest
+from station.scripts.steps.rotate import Rotate as Rotate
+
+S = TypeVar("S", bound=Step)
 
 _DEG = math.pi / 180
 _ROUNDING_RAD = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class Rest:
-    """Stand still."""
-
-    duration_s: float
-    label: str = "rest"
-
-
-@dataclass(frozen=True, slots=True)
-class Move:
-    """Go to an angle from home and stop there."""
-
-    axis: str
-    angle_rad: float
-    rate_rps: float
-    acceleration_rps2: float
-    label: str
-
-
-@dataclass(frozen=True, slots=True)
-class Rotate:
-    """Turn at a rate for a time, both ramps included; negative rates turn backwards."""
-
-    axis: str
-    rate_rps: float
-    duration_s: float
-    acceleration_rps2: float
-    label: str
-
-    @property
-    def turn_rad(self) -> float:
-        """Angle that the trapezoid covers."""
-        return self.rate_rps * (self.duration_s - abs(self.rate_rps) / self.acceleration_rps2)
-
-
-Step = Rest | Move | Rotate
-
-
-@dataclass(frozen=True, slots=True)
 class Timed:
-    """A step in its place: when it begins, how long it takes, from and to which angle from home its axis goes."""
+    """A step in its place in the plan: when it begins at the earliest, how long it takes, and its parts."""
 
     step: Step
     start_s: float
-    duration_s: float
-    from_rad: float
-    to_rad: float
+    span: Span
+    parts: tuple[Part, ...]
+
+    def turns(self) -> Iterator[tuple[float, Turn]]:
+        """Yield its turns, each with the time at which it begins."""
+        at_s = self.start_s
+        for part in self.parts:
+            if part.turn is not None:
+                yield at_s, part.turn
+            at_s += part.span.least_s
+
+    @property
+    def last_turn(self) -> Turn | None:
+        """The last of its turns, None of a step in which all axes stand."""
+        return next((part.turn for part in reversed(self.parts) if part.turn is not None), None)
 
 
 @dataclass(frozen=True, slots=True)
 class Script:
-    """A name and steps in order."""
+    """A name and steps in order.
+
+    ``plugins`` are the packages that bring kinds of its steps.
+    """
 
     name: str
     steps: tuple[Step, ...]
+    plugins: tuple[str, ...] = field(default=(), repr=False)
 
     @property
-    def duration_s(self) -> float:
+    def span(self) -> Span:
         """Planned time of all steps."""
-        return sum(self.durations_s())
+        return total(self.spans())
 
-    def durations_s(self) -> list[float]:
+    @property
+    def least_s(self) -> float:
+        """Planned time of all steps if each takes as little time as it may: all that a plan can count on."""
+        return self.span.least_s
+
+    def spans(self) -> list[Span]:
         """Return the planned time of each step."""
-        return [timed.duration_s for timed in self.timeline()]
+        return [timed.span for timed in self.timeline()]
 
     def timeline(self) -> list[Timed]:
-        """Return when each step is planned to begin, and its way, from home with every axis."""
-        angles: dict[str, float] = {}
-        found, at_s = [], 0.0
+        """Return when each step is planned to begin, at the earliest, and its parts, from home with every axis."""
+        angles_rad: dict[str, float] = {}
+        timeline = []
+        at_s = 0.0
         for step in self.steps:
-            start = end = 0.0
-            if not isinstance(step, Rest):
-                start = angles.get(step.axis, 0.0)
-                end = angles[step.axis] = step.angle_rad if isinstance(step, Move) else start + step.turn_rad
-            duration_s = _trapezoid_s(abs(end - start), step) if isinstance(step, Move) else step.duration_s
-            found.append(Timed(step, at_s, duration_s, start, end))
-            at_s += duration_s
-        return found
+            parts = tuple(step.parts(angles_rad))
+            span = total([part.span for part in parts])
+            timeline.append(Timed(step, at_s, span, parts))
+            at_s += span.least_s
+            for part in parts:
+                if part.turn is not None:
+                    angles_rad[part.turn.axis] = part.turn.to_rad
+        return timeline
 
 
 def paper_script() -> Script:
@@ -100,12 +93,35 @@ def paper_script() -> Script:
     return Script("paper-360s", (Rest(67.5, "rest before"), *turns, Rest(67.5, "rest after")))
 
 
-def load_script(path: Path) -> Script:
-    """Read a script from TOML; ScriptError with the line of what is wrong."""
+def load_script(path: Path, plugins: Iterable[Path] = ()) -> Script:
+    """Read a script from TOML; ScriptError with the line of what is wrong.
+
+    ``plugins`` are the Python files of a bench, which may bring kinds of steps.
+    """
     own = Table.load(path, ScriptError, "a script: a script is a .toml file").read_all("script.script")
+    try:
+        known = known_steps(plugins)
+    except PluginError as error:
+        raise ScriptError(f"{path}: {error}") from None
     if not own["step"]:
-        raise ScriptError(f'{path}: no [[step]] in it; a step is kind = "rest", "move" or "rotate"')
-    return Script(own["name"] or path.stem, tuple(map(_read_step, own["step"])))
+        raise ScriptError(f"{path}: no [[step]] in it; the kinds of steps are {', '.join(known)}")
+    kinds = [_kind_of(table, known) for table in own["step"]]
+    steps = tuple(_read_step(table, kind) for table, kind in zip(own["step"], kinds, strict=True))
+    origins = {known.origin(kind.name) for kind in kinds} - {""}
+    return Script(own["name"] or path.stem, steps, tuple(sorted(origins)))
+
+
+def _kind_of(table: Table, known: Registry[StepKind]) -> StepKind:
+    kind: StepKind = table.read("script.step", kind=known_in(known))["kind"]
+    return kind
+
+
+def _read_step(table: Table, kind: StepKind) -> Step:
+    values = {key.field or key.name: table.option(key) for key in kind.keys}
+    label = table.option(LABEL)
+    table.done()
+    unlabelled = kind.make(**values, label="")
+    return unlabelled if label == "" else kind.make(**values, label=label or unlabelled.words())
 
 
 def check(script: Script, limits: Mapping[str, AxisLimits]) -> Script:
@@ -114,66 +130,79 @@ def check(script: Script, limits: Mapping[str, AxisLimits]) -> Script:
     ScriptError names the first step that the table cannot do, and the limit.
     """
     driven: list[Step] = []
-    angles = dict.fromkeys(limits, 0.0)
+    angles_rad = dict.fromkeys(limits, 0.0)
     for number, step in enumerate(script.steps, 1):
-        where = f"script {script.name}, step {number} ({step.label})"
-        if isinstance(step, Rest):
-            if not 0 < step.duration_s < math.inf:
-                raise ScriptError(f"{where}: a rest of {step.duration_s:g} s; give a time above zero")
-            driven.append(step)
-            continue
-        if step.axis not in limits:
-            raise ScriptError(f"{where}: the table has no axis {step.axis}, only {', '.join(limits)}")
-        limit = limits[step.axis]
-        if step.rate_rps == 0 or step.acceleration_rps2 <= 0:
-            raise ScriptError(f"{where}: rate and acceleration must not be zero")
-        if abs(step.rate_rps) > limit.rate_rps * (1 + 1e-9):
-            rate, most = abs(step.rate_rps) / _DEG, limit.rate_rps / _DEG
-            raise ScriptError(sentence("script.too_fast", where=where, rate_dps=rate, axis=step.axis, most_dps=most))
-        if step.acceleration_rps2 > limit.acceleration_rps2 * (1 + 1e-9):
-            asked, most = step.acceleration_rps2 / _DEG, limit.acceleration_rps2 / _DEG
-            raise ScriptError(sentence("script.accelerates", where=where, dps2=asked, axis=step.axis, most_dps2=most))
-        if isinstance(step, Rotate) and step.duration_s <= 2 * abs(step.rate_rps) / step.acceleration_rps2:
-            ramp = abs(step.rate_rps) / step.acceleration_rps2
-            raise ScriptError(sentence("script.too_short", where=where, length_s=step.duration_s, ramp_s=ramp))
-        angles[step.axis] = step.angle_rad if isinstance(step, Move) else angles[step.axis] + step.turn_rad
-        low, high = limit.travel_rad or (-math.inf, math.inf)
-        if not low - _ROUNDING_RAD <= angles[step.axis] <= high + _ROUNDING_RAD:
-            at, least, most = angles[step.axis] / _DEG, low / _DEG, high / _DEG
-            raise ScriptError(
-                sentence("script.beyond_travel", where=where, axis=step.axis, at_deg=at, least_deg=least, most_deg=most)
-            )
-        driven.append(_driven(step, limit, where))
-    return Script(script.name, tuple(driven))
+        try:
+            driven.append(check_step(step, limits, angles_rad))
+        except ScriptError as error:
+            raise ScriptError(f"script {script.name}, step {number} ({step.label}): {error}") from None
+    return replace(script, steps=tuple(driven))
+
+
+def check_step(step: S, limits: Mapping[str, AxisLimits], angles_rad: dict[str, float]) -> S:
+    """Return a step as the table does it from these angles, which become those at its end; ScriptError if it cannot."""
+    for demand in step.demands():
+        _check_demand(demand, limits)
+    if problem := step.problem():
+        raise ScriptError(problem)
+    for part in step.parts(angles_rad):
+        if part.turn is not None:
+            check_turn(part.turn, limits)
+            angles_rad[part.turn.axis] = part.turn.to_rad
+    return step.driven(limits)
+
+
+def check_turn(turn: Turn, limits: Mapping[str, AxisLimits]) -> None:
+    """Raise ScriptError for a turn that its axis cannot do."""
+    _check_demand(Demand(turn.axis, turn.rate_rps, turn.acceleration_rps2), limits)
+    _check_travel(turn, limits[turn.axis])
+
+
+def _check_demand(demand: Demand, limits: Mapping[str, AxisLimits]) -> None:
+    """Raise ScriptError for a rate or an acceleration that an axis does not reach."""
+    axis = demand.axis
+    if axis not in limits:
+        raise ScriptError(f"the table has no axis {axis}, only {', '.join(limits)}")
+    limit = limits[axis]
+    if demand.rate_rps == 0 or demand.acceleration_rps2 <= 0:
+        raise ScriptError("rate and acceleration must not be zero")
+    if abs(demand.rate_rps) > limit.rate_rps * (1 + 1e-9):
+        rate_dps = abs(demand.rate_rps) / _DEG
+        raise ScriptError(sentence("script.too_fast", rate_dps=rate_dps, axis=axis, most_dps=limit.rate_rps / _DEG))
+    if demand.acceleration_rps2 > limit.acceleration_rps2 * (1 + 1e-9):
+        asked_dps2 = demand.acceleration_rps2 / _DEG
+        most_dps2 = limit.acceleration_rps2 / _DEG
+        raise ScriptError(sentence("script.accelerates", dps2=asked_dps2, axis=axis, most_dps2=most_dps2))
+
+
+def _check_travel(turn: Turn, limit: AxisLimits) -> None:
+    """Raise ScriptError for a turn that ends beyond the travel of its axis."""
+    low, high = limit.travel_rad or (-math.inf, math.inf)
+    if low - _ROUNDING_RAD <= turn.to_rad <= high + _ROUNDING_RAD:
+        return
+    raise ScriptError(
+        sentence(
+            "script.beyond_travel",
+            axis=turn.axis,
+            at_deg=turn.to_rad / _DEG,
+            least_deg=low / _DEG,
+            most_deg=high / _DEG,
+        )
+    )
 
 
 def rounded(asked: Script, driven: Script) -> list[str]:
     """Return, in words, which accelerations of a script the controller makes less of, and what that comes to."""
-    ramps = {
-        f"axis {a.axis} at {a.acceleration_rps2 / _DEG:.3g} deg/s2 does {d.acceleration_rps2 / _DEG:.3g}"
-        for a, d in zip(asked.steps, driven.steps, strict=True)
-        if not isinstance(a, Rest) and not isinstance(d, Rest) and d.acceleration_rps2 < 0.99 * a.acceleration_rps2
-    }
+    ramps = set()
+    for asked_step, driven_step in zip(asked.steps, driven.steps, strict=True):
+        for wanted, made in zip(asked_step.demands(), driven_step.demands(), strict=True):
+            if made.acceleration_rps2 < 0.99 * wanted.acceleration_rps2:
+                asked_dps2 = wanted.acceleration_rps2 / _DEG
+                made_dps2 = made.acceleration_rps2 / _DEG
+                ramps.add(f"axis {wanted.axis} at {asked_dps2:.3g} deg/s2 does {made_dps2:.3g}")
     if not ramps:
         return []
-    return [
-        sentence("script.rounded", ramps=", ".join(sorted(ramps)), driven_s=driven.duration_s, asked_s=asked.duration_s)
-    ]
-
-
-def _driven(step: Move | Rotate, limit: AxisLimits, where: str) -> Move | Rotate:
-    """Return a step with the acceleration that the controller makes of it; ScriptError if it has none so small."""
-    quantum = limit.acceleration_step_rps2
-    if not quantum:
-        return step
-    if quantum > limit.acceleration_rps2:
-        least, most = quantum / _DEG, limit.acceleration_rps2 / _DEG
-        raise ScriptError(sentence("script.coarse", where=where, axis=step.axis, least_dps2=least, most_dps2=most))
-    acceleration = max(math.floor(step.acceleration_rps2 / quantum * (1 + 1e-9)), 1) * quantum
-    if isinstance(step, Move):
-        return replace(step, acceleration_rps2=acceleration)
-    duration_s = abs(step.turn_rad / step.rate_rps) + abs(step.rate_rps) / acceleration
-    return replace(step, acceleration_rps2=acceleration, duration_s=duration_s)
+    return [sentence("script.rounded", ramps=", ".join(sorted(ramps)), driven_s=driven.least_s, asked_s=asked.least_s)]
 
 
 def is_possible(script: Script, limits: Mapping[str, AxisLimits]) -> bool:
@@ -183,22 +212,3 @@ def is_possible(script: Script, limits: Mapping[str, AxisLimits]) -> bool:
     except ScriptError:
         return False
     return True
-
-
-def _read_step(table: Table) -> Step:
-    kind = table.read("script.step")["kind"]
-    own = table.read_all(f"script.{kind}")
-    if kind == "rest":
-        return Rest(**own)
-    if kind == "move":
-        own["rate_rps"] = abs(own["rate_rps"])
-        made = f"{own['axis']} to {own['angle_rad'] / _DEG:g} deg"
-    else:
-        made = f"{own['axis']} at {own['rate_rps'] / _DEG:g} deg/s"
-    own["label"] = made if own["label"] is None else own["label"]
-    return Move(**own) if kind == "move" else Rotate(**own)
-
-
-def _trapezoid_s(way_rad: float, move: Move) -> float:
-    peak = min(abs(move.rate_rps), math.sqrt(way_rad * move.acceleration_rps2))
-    return way_rad / peak + peak / move.acceleration_rps2 if peak > 0 else 0.0

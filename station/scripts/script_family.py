@@ -18,7 +18,11 @@ import numpy as np
 
 from drivers.types import AxisLimits, Floats
 from estimator.geometry.kinematics import body_rate
-from station.scripts.script import Move, Rest, Rotate, Script, Step
+from station.scripts.script import Script
+from station.scripts.steps.kind import Step
+from station.scripts.steps.move import Move
+from station.scripts.steps.rest import Rest
+from station.scripts.steps.rotate import Rotate
 
 _RAMP_SHARE = 0.4  # of a short turn, for each ramp: a part of every turn is at a steady rate
 _SHORTEST_TURN_S = 1.0
@@ -84,7 +88,7 @@ class Shape:
         self.ways, self.cycles = tuple(ways), cycles
         self._limits, self._gimbals = limits, tuple(gimbals)
         self.least = np.array([_SHORTEST_TURN_S] * len(ways) + [rest_s])
-        moves = tuple(step for step in self._steps(self.least) if isinstance(step, Move))
+        moves = tuple(step for step in self._steps(self.least) if step.ends_at_stated_angles)
         self._fixed = sums(Script("moves", moves), gimbals)
 
     def again(self, cycles: int) -> "Shape":
@@ -160,14 +164,15 @@ def sums(script: Script, gimbals: Sequence[str]) -> Floats:
     total = np.zeros((4, 4))
     angles = dict.fromkeys(gimbals, 0.0)
     for timed in script.timeline():
-        if isinstance(step := timed.step, Rest):
-            total[0, 0] += timed.duration_s
-            continue
-        way = timed.to_rad - timed.from_rad
-        peak = min(abs(step.rate_rps), math.sqrt(abs(way) * step.acceleration_rps2))
-        square = _square(peak, timed.duration_s, step.acceleration_rps2)
-        total += _entry(timed.duration_s, way, square, _direction(step.axis, angles, gimbals))
-        angles[step.axis] = timed.to_rad
+        for part in timed.parts:
+            turn = part.turn
+            if turn is None:
+                total[0, 0] += part.span.least_s
+                continue
+            peak = min(abs(turn.rate_rps), math.sqrt(abs(turn.way_rad) * turn.acceleration_rps2))
+            square = _square(peak, turn.duration_s, turn.acceleration_rps2)
+            total += _entry(turn.duration_s, turn.way_rad, square, _direction(turn.axis, angles, gimbals))
+            angles[turn.axis] = turn.to_rad
     return total
 
 

@@ -175,7 +175,7 @@ class Search:
                 if settled is None:
                     continue
                 found.append((*settled, shape))
-                self.on_progress(f"{_listed(shape)}: {settled[1].script.duration_s:.1f} s")
+                self.on_progress(f"{_listed(shape)}: {settled[1].script.least_s:.1f} s")
                 if settled[0] > before - _WORTH:
                     break  # more ramps, and no gain from them
                 before = settled[0]
@@ -244,13 +244,13 @@ class Search:
             script = shape.script(best.v, "improved")
             covariances = self.predict(script)
             worst = float(self.needs.excess(covariances).max())
-            if worst <= 0 and (found is None or script.duration_s < found.script.duration_s):
+            if worst <= 0 and (found is None or script.least_s < found.script.least_s):
                 found = Found(script, sds_of(covariances), 0)
             if -_AGREED <= worst <= 0:
                 break
             white = sds_of(self.needs.covariances(shape.information(best.v)))
             factor = sds_of(covariances) / white * (1 + _AGREED / 2)
-        return (math.log(found.script.duration_s), found) if found else None
+        return (math.log(found.script.least_s), found) if found else None
 
 
 def _time_s(shape: Shape, v: Floats) -> float:

@@ -108,6 +108,24 @@ def clock(seconds: float) -> str:
     return f"{whole // 60}:{whole % 60:02d}"
 
 
+def clock_between(least_s: float, longer_s: float = 0.0) -> str:
+    """Return a duration that may be longer by so much as minutes and seconds: "3:00 to 8:00", "3:00 or more"."""
+    least = clock(least_s)
+    if not math.isfinite(longer_s):
+        return f"{least} or more"
+    most = clock(least_s + longer_s)
+    return least if most == least else f"{least} to {most}"
+
+
+def seconds_between(least_s: float, most_s: float, form: str = "g") -> str:
+    """Return a duration between two in seconds, each number in this form: "60 to 600 s", "60 s or more"."""
+    least = f"{least_s:{form}}"
+    if not math.isfinite(most_s):
+        return f"{least} s or more"
+    most = f"{most_s:{form}}"
+    return f"{least} s" if most == least else f"{least} to {most} s"
+
+
 def probability(share: float | None) -> str:
     """Return a probability that is never rounded to certainty."""
     if share is None:

@@ -229,7 +229,7 @@ def static_script() -> Script:
     quarter = math.pi / 2
     stops = (("y", 1), ("y", 2), ("y", 3), ("y", 4), ("x", 1), ("x", 3))
     moves = [Move(axis, n * quarter, 20 * _DEG, 20 * _DEG, f"{axis} to {90 * n} deg") for axis, n in stops]
-    moving_s = sum(Script("moves", tuple(moves)).durations_s())
+    moving_s = Script("moves", tuple(moves)).least_s
     rest = Rest((_TOTAL_S - moving_s) / len(moves))
     return Script("six-position-static", tuple(step for move in moves for step in (move, rest)))
 
@@ -334,7 +334,7 @@ def _steady(recording: Recording, script: Script) -> list[Observations]:
         ramp_s = abs(step.rate_rps) / step.acceleration_rps2 if isinstance(step, Rotate) else 0.0
         margin_s = ramp_s + _SETTLE_S
         if not isinstance(step, Move):
-            inside = (t_s > timed.start_s + margin_s) & (t_s < timed.start_s + timed.duration_s - margin_s)
+            inside = (t_s > timed.start_s + margin_s) & (t_s < timed.start_s + timed.span.least_s - margin_s)
             positions.append(Observations(w_rps[inside], y_rps[inside]))
     return positions
 

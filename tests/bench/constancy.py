@@ -181,11 +181,11 @@ def case_of(kind: str, seed: int, *, held: bool, between: bool = False) -> Case:
     dice = random.Random(f"{kind} {first + seed}")
     bench, script = dice.choice(benches), dice.choice(scripts)
     gyros = [len(imu.array) for imu in bench_of(bench).imus if imu.used]
-    length_s, sign = SCRIPTS[script]().duration_s, dice.choice((-1, 1))
+    length_s, sign = SCRIPTS[script]().least_s, dice.choice((-1, 1))
     at_s = dice.uniform(0.05, 0.95) * length_s
     if between:
         timeline = SCRIPTS[script]().timeline()
-        at_s = dice.choice([0.5 * timeline[0].duration_s, *(timed.start_s for timed in timeline[1:])])
+        at_s = dice.choice([0.5 * timeline[0].span.least_s, *(timed.start_s for timed in timeline[1:])])
     reading: dict[str, Any] = {"axis": dice.choice("xyz"), "from": f"{at_s} s"}
     share = f"{sign * dice.choice((0.1, 0.2, 0.5, 1.0))} %"
     said: dict[str, Any] = {}

@@ -366,7 +366,7 @@ def table_at_rest(link: str) -> bool:
 def one_of_many(folder: Path, arguments: argparse.Namespace, chance: random.Random) -> Kill | None:
     """Kill one run at an instant of its script; None, told, if it ended by itself before."""
     script = load_script(arguments.script) if arguments.script else paper_script()
-    after_s = chance.uniform(0.0, script.duration_s) / arguments.scale
+    after_s = chance.uniform(0.0, script.least_s) / arguments.scale
     folder.mkdir()
     speed = ["--scale", str(arguments.scale)] if arguments.scale != 1 else []
     try:

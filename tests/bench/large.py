@@ -50,7 +50,7 @@ def long_script(hours: float) -> Script:
     """Return the paper's script over and over, the turns of every other one back, so that every axis ends at home."""
     steps: list[Any] = []
     paper = paper_script()
-    for number in range(max(round(hours * 3600 / paper.duration_s), 1)):
+    for number in range(max(round(hours * 3600 / paper.least_s), 1)):
         for step in paper.steps:
             if isinstance(step, Rotate):
                 step = Rotate(step.axis, step.rate_rps * (-1) ** number, *step.__getstate__()[2:])  # type: ignore[index]

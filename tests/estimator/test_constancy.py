@@ -151,7 +151,7 @@ def test_the_script_that_turns_each_axis_early_and_late_finds_what_the_paper_s_c
     limits = load_bench(None).table.limits
     offered = early_and_late(paper_script(), limits, ("z", "y", "x"))
     assert offered is not None
-    assert offered.duration_s == pytest.approx(360)
+    assert offered.least_s == pytest.approx(360)
     recording = simulate(offered, {"array": DEVICE}, 1, site=SITE, hidden=Hidden.of(tables))
     found = calibrate(recording, innovations=False)
     assert "changed in mid-run" in found.spoilt[0]
@@ -162,7 +162,7 @@ def test_the_script_that_turns_each_axis_early_and_late_finds_what_the_paper_s_c
 def test_a_source_that_gives_the_same_samples_again_and_again_is_stuck(cycle: int, from_s: float) -> None:
     recording = simulate(paper_script(), {"array": DEVICE}, 1, site=SITE)
     ((name, data),) = recording.sources.items()
-    first = int(from_s * len(data.t_ns) / paper_script().duration_s)
+    first = int(from_s * len(data.t_ns) / paper_script().least_s)
     rates = data.rate_rps.copy()
     rates[first:] = rates[first : first + cycle][np.arange(len(rates) - first) % cycle]
     stuck = replace(recording, sources={name: replace(data, rate_rps=rates)})

@@ -34,7 +34,7 @@ def turn(axis: str, rate_dps: float, duration_s: float = 30.0) -> Rotate:
 
 def conditions_of(script: Script, warmth: str = "rising") -> Conditions:
     motion = planned_motion(script, ("z", "y", "x"))
-    share = motion.t_s / script.duration_s
+    share = motion.t_s / script.least_s
     temperature = 25 + 2 * (share if warmth == "rising" else np.sin(np.pi * share))
     return Conditions.on_table(
         motion.t_s,

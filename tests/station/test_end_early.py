@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import h5py
@@ -25,6 +26,8 @@ acceleration = "20 deg/s2"
     for axis in "zyx"
     for sign in ("", "-")
 )
+WAIT_FOR = str(Path(__file__).parents[2] / "docs/examples/wait_for.py")
+WAIT = '\n[[step]]\nkind = "wait_for"\nleast = "60 s"\nmost = "200 s"\nchange = "0 degC"\n'
 REST = '\n[[step]]\nkind = "rest"\nduration = "{} s"\n'
 
 
@@ -57,12 +60,14 @@ def poor_timing(folder: Path) -> str:
     return str(bench)
 
 
-def test_a_run_ends_once_every_sigma_is_reached_and_says_so(
-    script: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_a_run_ends_once_every_sigma_is_reached_and_says_so_also_where_its_length_is_not_known(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    monkeypatch.setenv("STATION_PLUGINS", "")  # what main leaves there goes with the test
     path = tmp_path / "run.h5"
+    script = script_file(tmp_path, REST.format(10) + TURNS + TURNS + WAIT)
     arguments = ["run", "--bench", poor_timing(tmp_path), "--script", script, "--end-early", "-o", str(path)]
-    assert main([*arguments, "--json"]) == 0
+    assert main([*arguments, "--plugin", WAIT_FOR, "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["outcome"] == "PASS"
     sd = np.array([list(gyro["sd"].values()) for gyro in result["gyros"]])
@@ -72,6 +77,7 @@ def test_a_run_ends_once_every_sigma_is_reached_and_says_so(
         events = [text.decode() for text in file["events/text"][:]]
         ended_s = file["events/t_ns"][-1] * 1e-9
     assert why == result["ended_early"]
+    assert re.match(r"after [0-9.]+ s of [0-9.]+ to [0-9.]+ s, in step '", why)
     assert "every required sigma is reached" in why
     assert "mean NIS" in why
     assert [event.split(" after")[0] for event in events] == ["script begins", "ended early", "table at rest"]

@@ -273,7 +273,7 @@ def test_json_has_null_where_a_number_is_not_known() -> None:
 
 def test_exploration_and_verification_last_as_the_method_says_and_end_at_home() -> None:
     for script, rates in ((exploration_script(), {12, 30}), (verification_script(), {8, 45})):
-        assert script.duration_s == pytest.approx(318)
+        assert script.least_s == pytest.approx(318)
         turns = [step for step in script.steps if not isinstance(step, Rest)]
         for axis in "xyz":
             mine = [step for step in turns if step.axis == axis]
@@ -297,7 +297,7 @@ def past_of(*scripts: Script) -> list[Past]:
     clock_s, past = 0.0, []
     for seed, script in enumerate(scripts):
         past += [Past.of(run) for run in runs_of(simulated(script, seed, None, clock_s))[0]]
-        clock_s += script.duration_s + 20
+        clock_s += script.least_s + 20
     return past
 
 
@@ -317,7 +317,7 @@ def test_a_next_script_keeps_within_the_time_that_is_left() -> None:
     past, rivals = past_of(paper_script()), [("bias_drift", "warm_up")]
     following = next_script(rivals, {}, past, limits, gimbals, SITE, most_s=200.0)
     assert following is not None
-    assert following.script.duration_s <= 200.0
+    assert following.script.least_s <= 200.0
     assert next_script(rivals, {}, past, limits, gimbals, SITE, most_s=10.0) is None
 
 

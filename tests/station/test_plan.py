@@ -162,11 +162,11 @@ def test_the_planned_motion_is_the_one_that_the_twin_of_the_table_makes() -> Non
     for column, axis in enumerate("zyx"):
         twin, at_s, target = AxisMotion(0.0, 10.0, 10.0), 0.0, 0.0
         twin.keep_all()
-        for step, duration_s in zip(script.steps, script.durations_s(), strict=True):
+        for step, span in zip(script.steps, script.spans(), strict=True):
             if not isinstance(step, Rest) and step.axis == axis:
                 target = step.angle_rad if isinstance(step, Move) else target + step.turn_rad
                 twin.move(at_s, target, step.rate_rps, step.acceleration_rps2)
-            at_s += duration_s
+            at_s += span.least_s
         assert np.allclose(planned_x.angle_rad[:, column], twin.angles(planned_x.t_s), rtol=0, atol=1e-12)
         rates = [twin.at(float(t))[1] for t in planned_x.t_s]
         assert np.allclose(planned_x.rate_rps[:, column], rates, rtol=0, atol=1e-12)

@@ -1,4 +1,4 @@
-"""Devices, effects and export forms of one's own: the four examples as a package that pip installs, or as files."""
+"""Devices, steps, effects and export forms of one's own: five examples as a package that pip installs, or as files."""
 
 from __future__ import annotations
 
@@ -22,6 +22,9 @@ from estimator.calibration.correction import compensate
 from estimator.effects import catalogue
 from estimator.recordings.reading import read_recording
 from station.cli import main
+from station.screen.choices import Choices
+from station.screen.figures import templated
+from station.screen.tabs.prospects import look_ahead
 from station.scripts.script import paper_script
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
@@ -36,6 +39,8 @@ counted = counted_imu:SPEC
 sticking_mass = sticking_mass:EFFECT
 [turntable_station.exports]
 octave = octave_form:FORMAT
+[turntable_station.steps]
+wait_for = wait_for:SPEC
 """
 AXIS = '[table.{}]\nmax_rate = "100 deg/s"\nmax_acceleration = "50 deg/s2"\n'
 BENCH = (
@@ -71,7 +76,7 @@ HIDDEN = f"[hysteresis]\nsize = {json.dumps([f'{size:g} deg/s' for size in np.de
 
 
 def packed(folder: Path) -> Path:
-    """Pack the four examples as a wheel that announces them by entry points."""
+    """Pack the five examples as a wheel that announces them by entry points."""
     files = {path.name: path.read_text() for path in sorted(EXAMPLES.glob("*.py"))}
     about = "mine-1.0.dist-info"
     files[f"{about}/METADATA"] = "Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n"
@@ -121,8 +126,9 @@ def alone(here: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_no_example_is_longer_than_a_page_or_three() -> None:
     lengths = {path.name: len(path.read_text().splitlines()) for path in EXAMPLES.glob("*.py")}
-    assert len(lengths) == 4
+    assert len(lengths) == 5
     assert max(lengths.values()) <= 150
+    assert lengths["wait_for.py"] <= 60
 
 
 def test_the_table_and_the_imu_pass_the_360_s_script(here: Path) -> None:
@@ -135,6 +141,72 @@ def test_the_table_and_the_imu_pass_the_360_s_script(here: Path) -> None:
         k_found, b_rps, *_ = gyro.states
         assert abs(k_found - k) < 4 * gyro.sd[0]
         assert abs(b_rps - np.radians(0.1)) < 4 * gyro.sd[1]
+
+
+def waiting(change: str) -> str:
+    """Return a step that waits for 6 to 30 s until the temperature has settled, as a part of a script."""
+    return f'''
+[[step]]
+kind = "wait_for"
+least = "6 s"
+most = "30 s"
+window = "3 s"
+change = "{change}"
+label = "within {change}"
+'''
+
+
+TURN = """
+[[step]]
+kind = "rotate"
+axis = "x"
+rate = "20 deg/s"
+duration = "10 s"
+"""
+
+
+def test_a_plan_and_the_screen_show_a_step_whose_duration_is_not_known(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("waits.toml").write_text(TURN + waiting("5 degC") + TURN)
+    assert main(["plan", "waits.toml", "--bench", "bench.toml", "--json"]) in (0, 1)
+    planned = json.loads(capsys.readouterr().out)
+    assert (planned["duration_s"], planned["longest_s"]) == (26, 50)
+    assert planned["steps"][1] == {
+        "label": "within 5 degC",
+        "duration_s": 6,
+        "longest_s": 30,
+        "axis": None,
+        "rate_rps": None,
+    }
+    assert main(["plan", "waits.toml", "--bench", "bench.toml"]) in (0, 1)
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "waits: 26 to 50 s (0:26 to 0:50 min), 3 steps" in shown
+    assert re.search("_~+_", shown)
+    assert "within 5 degC: 6 to 30 s. What follows is predicted for the shortest run." in shown
+
+    prospect = look_ahead(Choices(bench="bench.toml", script="waits.toml"))
+    assert "Script waits: 0:26 to 0:50 min" in templated("plan.rich", {"prospect": prospect, "plan": None}).plain
+
+
+def test_a_run_waits_as_long_as_a_step_takes_and_says_what_remains(
+    here: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    Path("waits.toml").write_text(TURN + waiting("5 degC") + waiting("0 degC") + TURN)
+    run = str(tmp_path / "waits.h5")
+    assert main(["run", "--bench", "bench.toml", "--script", "waits.toml", "--seed", "3", "-o", run]) in (0, 1)
+    with h5py.File(run) as file:
+        lasted_s = (file["steps/t_end_ns"][()] - file["steps/t_start_ns"][()]) * 1e-9
+        told = [text.decode() for text in file["events/text"][()]]
+    # The first has settled as soon as it may end; the noise of the thermometer keeps the second to its end.
+    assert lasted_s == pytest.approx([10, 6, 30, 10], abs=0.2)
+    assert "step 'within 0 degC' ended after 30 s: the temperature had not settled" in told
+    remaining = re.findall(r"(\S+)%  (.+?)  +([0-9:]+(?: to [0-9:]+)?) left", capsys.readouterr().err)
+    shares = [int(share) for share, _, _ in remaining]
+    assert shares == sorted(shares)
+    assert any(label == "x at 20 deg/s" and " to " in left for _, label, left in remaining[:3])
+    assert " to " not in remaining[-1][2]
 
 
 def test_the_effect_is_planned_for_found_and_estimated(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -333,6 +405,7 @@ ASKED = {
     "imus": ["plan", "--bench", "imu.toml"],
     "exports": ["export", "run.h5", "--format", "mine"],
     "effects": ["effects"],
+    "steps": ["plan", "script.toml"],
 }
 
 
@@ -345,6 +418,7 @@ def announced(folder: Path, monkeypatch: pytest.MonkeyPatch, group: str, **entri
     (about / "entry_points.txt").write_text("\n".join(lines))
     (folder / "mine_leaving.py").write_text("raise SystemExit(3)\n")
     (folder / "mine_several.py").write_text("raise ImportError('the first line\\nand another')\n")
+    (folder / "script.toml").write_text('[[step]]\nkind = "rest"\nduration = "10 s"\n[[step]]\nkind = "mine"\n')
     bench = BENCH.format(first="").replace("hidden", "#")
     (folder / "table.toml").write_text(bench.replace('"numbered"', '"mine"'))
     for number, axis in enumerate("zyx"):
@@ -377,6 +451,7 @@ def test_what_cannot_be_imported_costs_a_line_with_its_name(
         ("imus", "stim300", "math:pi", ["plan"]),
         ("exports", "csv", "math:pi", ["export", "run.h5", "--format", "csv"]),
         ("effects", "sample_hold", "estimator.effects.disturbances:SAMPLE_HOLD", ["effects"]),
+        ("steps", "rest", "math:pi", ["plan", "script.toml"]),
     ],
 )
 def test_a_name_that_is_taken_is_told_not_passed_over(

@@ -13,7 +13,7 @@ from station.opening.links import ends_here
 from station.report.chapters.unseen import driven_step
 from station.report.pictures import Picture, rates_picture
 from station.report.recorded import Recorded, Step
-from station.scripts.script import Rotate
+from station.scripts.steps.rotate import Rotate
 
 ELSEWHERE = {RateReadings: "body rates", AttitudeReadings: "attitudes", Turns: "turns of known angle"}
 """What was measured where there was no table."""
@@ -64,5 +64,4 @@ def driven_steps(recorded: Recorded) -> list[tuple[Step, Rotate | None]]:
     table = recorded.recording.reference
     if not isinstance(table, TableReadings):
         return []
-    turned = ([part for part in driven_step(table, step) if isinstance(part, Rotate)] for step in recorded.steps)
-    return [(step, next(iter(turns), None)) for step, turns in zip(recorded.steps, turned, strict=True)]
+    return [(step, driven_step(table, step).turn) for step in recorded.steps]

@@ -21,7 +21,10 @@ from station.render.plan_printed import MARKED, unnoticed
 from station.report.figures import Unit, figure, significant, typographic
 from station.report.recorded import Recorded, Step
 from station.scripts.planned import planned_motion
-from station.scripts.script import Rest, Rotate, Script, Step as ScriptStep
+from station.scripts.script import Script
+from station.scripts.steps.kind import Step as ScriptStep
+from station.scripts.steps.rest import Rest
+from station.scripts.steps.rotate import Rotate
 from station.views.figures import human
 
 _PERIOD_S = 0.1
@@ -60,11 +63,11 @@ def unseen_of(recorded: Recorded) -> Unseen | None:
     reference, found = recorded.recording.reference, recorded.calibration
     if not isinstance(reference, TableReadings) or not recorded.steps or found is None:
         return None
-    driven = [part for step in recorded.steps for part in driven_step(reference, step)]
-    if not any(isinstance(part, Rotate) for part in driven):
+    driven = [driven_step(reference, step) for step in recorded.steps]
+    if not any(step.turn for step in driven):
         return None
-    script = Script(recorded.text("script") or "script", tuple(driven))
-    period_s = max(_PERIOD_S, script.duration_s / _MOST_ROWS)
+    script = Script(recorded.text("script") or "script", tuple(part for step in driven for part in step.parts))
+    period_s = max(_PERIOD_S, script.least_s / _MOST_ROWS)
     motion = planned_motion(script, reference.gimbals, period_s)
     conditions = motion.conditions(_temperature(recorded, motion.t_s), recorded.recording.site)
     devices = [
@@ -72,41 +75,54 @@ def unseen_of(recorded: Recorded) -> Unseen | None:
         for source, data in recorded.recording.sources.items()
     ]
     known = {value.effect.split()[0] for gyro in found.gyros for value in gyro.effects}
-    effects = [e for e in catalogue(motion.gimbals, script.duration_s) if e.name not in known]
+    effects = [e for e in catalogue(motion.gimbals, script.least_s) if e.name not in known]
     of_table = frozenset(record.name for record in records() if record.of_table)
     budgeted = of_table if reference.uncertainty is not None else frozenset[str]()
     return Unseen(forecast(conditions, devices, effects), budgeted, recorded.recording.site is not None)
 
 
-def driven_step(table: TableReadings, step: Step) -> list[ScriptStep]:
-    """Return what was driven in one step: a turn and the rest after it, or a rest; nothing if it took no time.
+@dataclass(frozen=True, slots=True)
+class Driven:
+    """What was driven in one step of a run: a turn and the rest after it, or either of them."""
+
+    turn: Rotate | None = None
+    rest: Rest | None = None
+
+    @property
+    def parts(self) -> tuple[ScriptStep, ...]:
+        """What there is of both, in order."""
+        return tuple(part for part in (self.turn, self.rest) if part is not None)
+
+
+def driven_step(table: TableReadings, step: Step) -> Driven:
+    """Return what was driven in one step; nothing if it took no time.
 
     Rates and turns are told to 0.01 deg: finer differences are those of the readings.
     """
     duration_s = (step.end_ns - step.start_ns) * 1e-9
     inside = (table.t_ns >= step.start_ns) & (table.t_ns <= step.end_ns)
     if duration_s <= 0:
-        return []
+        return Driven()
     t_s, rate, angle = table.t_ns[inside] * 1e-9, table.rate_rps[inside], table.angle_rad[inside]
     column = int(np.argmax(np.abs(rate).max(axis=0, initial=0.0)))
     largest = float(np.abs(rate[:, column]).max(initial=0.0))
     if len(t_s) < 4 or largest < 10 * REST_RPS:
-        return [Rest(duration_s, step.label)]
+        return Driven(rest=Rest(duration_s, step.label))
     steady = np.abs(rate[:, column]) > _PLATEAU * largest
     peak = abs(_rounded(float(np.median(rate[steady, column]))))
     turn = _rounded(float(angle[-1, column] - angle[0, column]))
     # Of a trapezoid, the integrals of the rate and of its square tell the length of a ramp.
     square = float(np.trapezoid(rate[:, column] ** 2, t_s))
     if not peak or not turn:
-        return [Rest(duration_s, step.label)]  # there and back, or read too seldom to say
+        return Driven(rest=Rest(duration_s, step.label))  # there and back, or read too seldom to say
     way_s = abs(turn) / peak
     ramp_s = min(max(3 * (way_s - square / peak**2), _SHORTEST_RAMP_S), 0.999 * way_s)
     moving_s = way_s + ramp_s
     rotated = Rotate(table.gimbals[column], float(np.copysign(peak, turn)), moving_s, peak / ramp_s, step.label)
     if way_s <= _SHORTEST_RAMP_S:
-        return [Rest(duration_s, step.label)]
+        return Driven(rest=Rest(duration_s, step.label))
     rest_s = duration_s - moving_s
-    return [rotated, Rest(rest_s, step.label)] if rest_s > _PERIOD_S else [rotated]
+    return Driven(rotated, Rest(rest_s, step.label) if rest_s > _PERIOD_S else None)
 
 
 def _rounded(angle_rad: float) -> float:

@@ -4,13 +4,17 @@ import asyncio
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 from drivers.errors import DeviceRefused
 from drivers.protocols import Turntable
-from station.errors import UsageError, sentence
+from station.errors import ScriptError, UsageError, sentence
 from station.run.sequencer import ON_TARGET_RAD, OVERDUE_S, WATCH_S, Sequencer
-from station.scripts.script import Move, Rest, Script, check
+from station.scripts.script import Script, check_step
+from station.scripts.steps.kind import Span, Turn
+from station.scripts.steps.move import Move
+from station.scripts.steps.rest import Rest
 
 _HOLDING = Script("manual", (Rest(0.0, "holding"),))
 _FIRST_S = 0.7  # that a jog lasts after its first word: a key that is held repeats after half a second or so
@@ -44,9 +48,14 @@ class ManualSequencer(Sequencer):
         """Raise UsageError: there is no script."""
         raise UsageError('manual mode has no script to pause: "hold" brings the table to rest')
 
-    def times_s(self, now_s: float) -> tuple[float, float]:
-        """Return how long it has gone on; nothing is planned."""
-        return now_s - self._zero_s, 0.0
+    def times(self, now_s: float) -> tuple[float, Span]:
+        """Return how long it has gone on, in s; nothing is planned."""
+        return now_s - self._zero_s, Span.exactly(0.0)
+
+    def target_rad(self, axis: str) -> float:
+        """Return the angle to which an axis is being turned, NaN if it is not, or turns without an end."""
+        angle_rad = super().target_rad(axis)
+        return math.nan if abs(angle_rad) == _ENDLESS_RAD else angle_rad
 
     def obey(self, action: str, given: Mapping[str, Any]) -> None:
         """Take a word, which takes the place of the last; UsageError if it is not understood, or beyond a limit."""
@@ -87,9 +96,10 @@ class ManualSequencer(Sequencer):
         limits = self._table.limits.get(axis)
         acceleration = given.get("acceleration_rps2", limits.acceleration_rps2 if limits else 1.0)
         step = Move(axis, angle_rad, rate_rps, acceleration, label)
-        (driven,) = check(Script("by hand", (step,)), self._table.limits).steps
-        assert isinstance(driven, Move)
-        return driven
+        try:
+            return check_step(step, self._table.limits, {})
+        except ScriptError as error:
+            raise ScriptError(f"script by hand, step 1 ({label}): {error}") from None
 
     def _order(self, steps: Iterable[Move], until_s: float = math.inf) -> None:
         self._orders, self._until_s = deque(steps), until_s
@@ -101,20 +111,28 @@ class ManualSequencer(Sequencer):
             if self._orders:
                 step = self._orders[0]
                 if asyncio.get_running_loop().time() < self._until_s:  # a jog may have waited for a halt
-                    await self._turn(step)
+                    await self._obey(step)
                 if self._orders and self._orders[0] is step:
                     self._orders.popleft()
             else:
                 self._word.clear()
                 await self._word.wait()
 
-    async def _turn(self, step: Move) -> None:
+    async def _obey(self, step: Move) -> None:
         """Carry out a step as long as it is wanted; what the controller refuses of it does no harm to the next."""
         loop, axis = asyncio.get_running_loop(), step.axis
-        self._way_rad, self._target_rad[axis] = step.angle_rad - self._target_rad[axis], step.angle_rad
-        self._script, self._step_began_s = Script("manual", (step,)), loop.time()
-        self._durations_s = [abs(self._way_rad / step.rate_rps) + abs(step.rate_rps) / step.acceleration_rps2]
-        self._sent_s = math.inf
+        from_rad = self._target_rad[axis]
+        way_s = abs((step.angle_rad - from_rad) / step.rate_rps)
+        turn = Turn(
+            axis=axis,
+            from_rad=from_rad,
+            to_rad=step.angle_rad,
+            rate_rps=step.rate_rps,
+            acceleration_rps2=step.acceleration_rps2,
+            duration_s=way_s + abs(step.rate_rps) / step.acceleration_rps2,
+        )
+        self._script = Script("manual", (step,))
+        began_s = self._begin_turn(turn)
         self._tell(step.label)
         try:
             if abs(step.angle_rad) == _ENDLESS_RAD:
@@ -122,17 +140,18 @@ class ManualSequencer(Sequencer):
             else:
                 await self._table.move(axis, step.angle_rad, abs(step.rate_rps), step.acceleration_rps2)
             self._sent_s = loop.time()
-            arrived = await self._arrives(step)
+            arrived = await self._arrives(step, began_s + turn.duration_s + OVERDUE_S)
         except DeviceRefused as error:
             self._tell(f"refused: {error.message}")
             arrived = False
-        self._target_rad[axis] = step.angle_rad if arrived else await self._halt(step)
-        self._on_step(step.label, round(self._step_began_s * 1e9), round(loop.time() * 1e9))
-        self._script, self._durations_s, self._stands_since_s[axis] = _HOLDING, [0.0], loop.time()
+        self._target_rad[axis] = step.angle_rad if arrived else await self._halt(step, turn)
+        self._on_step(step.label, round(began_s * 1e9), round(loop.time() * 1e9))
+        self._script = _HOLDING
+        self._end_turn(axis)
 
-    async def _arrives(self, step: Move) -> bool:
-        """Return whether an axis came where it was sent, before another word came or the last was too old."""
-        loop, due_s = asyncio.get_running_loop(), self._step_began_s + self._durations_s[0] + OVERDUE_S
+    async def _arrives(self, step: Move, due_s: float) -> bool:
+        """Return whether an axis came where it was sent; false if it is overdue, another word came, or none did."""
+        loop = asyncio.get_running_loop()
         while self._orders and self._orders[0] is step and loop.time() < min(self._until_s, due_s):
             await asyncio.sleep(WATCH_S)
             off_rad = (await self._table.read(step.axis)).angle_rad - step.angle_rad
@@ -142,11 +161,11 @@ class ManualSequencer(Sequencer):
             self._tell(f"overdue, ended: {step.label}")
         return False
 
-    async def _halt(self, step: Move) -> float:
+    async def _halt(self, step: Move, turn: Turn) -> float:
         """Bring an axis to rest along its ramp and have it hold its angle (rad), which is returned."""
         axis, angle_rad, now_s = step.axis, math.inf, asyncio.get_running_loop().time()
         ramp_s = abs(step.rate_rps) / step.acceleration_rps2
-        self._durations_s = [now_s - self._step_began_s + ramp_s]
+        self._turn = replace(turn, duration_s=now_s - self._turn_began_s + ramp_s)
         await self._table.jog(axis, 0.0, step.acceleration_rps2)
         while True:
             await asyncio.sleep(WATCH_S)

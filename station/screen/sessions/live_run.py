@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import Enum
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -81,6 +82,16 @@ class LiveRun:
     def settled(self) -> bool:
         """Whether the run has ended, and the table is at rest or never moved: nothing of it is left to watch."""
         return self.stage is Stage.ENDED and (self.at_rest or not (self.moved or self.unconfirmed))
+
+    @property
+    def steps_begin_s(self) -> list[float]:
+        """When steps begin: by plan where that is known in advance, else as they were seen to begin."""
+        script = self.hello.get("script", {})
+        if script.get("longest_s", script.get("duration_s")) == script.get("duration_s"):
+            return [float(step["start_s"]) for step in script.get("steps", [])]
+        labels = [""] + [snapshot.label for snapshot in self.seen]
+        pairs = zip(self.seen, pairwise(labels), strict=True)
+        return [snapshot.elapsed_s for snapshot, (before, now) in pairs if now != before]
 
     @property
     def stop_asked(self) -> bool:

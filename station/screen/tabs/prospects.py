@@ -33,7 +33,8 @@ class Prospect:
     limits: "Limits | None" = None
     script: str = ""
     script_wrong: str = ""
-    duration_s: float = math.nan
+    least_s: float = math.nan
+    longer_s: float = 0.0
     motion: "PlannedMotion | None" = None
     folder_wrong: str = ""
     files: tuple[str, ...] = ()
@@ -69,12 +70,13 @@ def _read(bench_path: str, script_path: str, device_options: tuple[str, ...]) ->
         limits=bench.limits,
     )
     try:
-        script = load_script(Path(script_path)) if script_path else paper_script()
+        script = load_script(Path(script_path), bench.plugin_files) if script_path else paper_script()
         script = check(script, bench.table.limits)
     except ScriptError as error:
         return replace(found, script_wrong=str(error))
     motion = planned_motion(script, bench.table.gimbals)
-    return replace(found, script=script.name, duration_s=script.duration_s, motion=motion)
+    span = script.span
+    return replace(found, script=script.name, least_s=span.least_s, longer_s=span.longer_s, motion=motion)
 
 
 def matches(pattern: str, text: str) -> bool:

@@ -94,12 +94,12 @@ def motion_of(name: str, rate_hz: float = 100.0) -> Motion:
         motion.keep_all()
     angles = dict.fromkeys(GIMBALS, 0.0)
     at_s = 0.0
-    for step, duration_s in zip(script.steps, script.durations_s(), strict=True):
+    for step, span in zip(script.steps, script.spans(), strict=True):
         if not isinstance(step, Rest):
             angles[step.axis] = step.angle_rad if isinstance(step, Move) else angles[step.axis] + step.turn_rad
             motions[step.axis].move(at_s, angles[step.axis], abs(step.rate_rps), step.acceleration_rps2)
-        at_s += duration_s
-    t_s = np.arange(1, round(script.duration_s * rate_hz) + 1) / rate_hz
+        at_s += span.least_s
+    t_s = np.arange(1, round(script.least_s * rate_hz) + 1) / rate_hz
     angle = np.column_stack([motions[a].angles(t_s) for a in GIMBALS])
     rate = np.column_stack([motions[a].rates(t_s) for a in GIMBALS])
     before, after = (np.column_stack([motions[a].rates(t_s + step) for a in GIMBALS]) for step in (-_STEP_S, _STEP_S))

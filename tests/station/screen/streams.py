@@ -137,9 +137,16 @@ class Replay:
     ``after_stop`` from there on.
     """
 
-    def __init__(self, name: str, until_s: float, *, after_stop: str = "", label: str = "") -> None:
-        """Listen; ``label`` is that of every step."""
+    def __init__(
+        self, name: str, until_s: float, *, after_stop: str = "", label: str = "", longer_s: float = 0.0
+    ) -> None:
+        """Listen; ``label`` is that of every step, the script may take ``longer_s`` more than it says."""
         self._lines = [{**line, **({"label": label} if label and line.get("label") else {})} for line in _lines(name)]
+        for line in self._lines:
+            if line["kind"] == "snapshot":
+                line["longer_s"] = longer_s
+            elif line["kind"] == "hello":
+                line["script"]["longest_s"] += longer_s
         self._until_s = until_s
         self._clients: list[socket.socket] = []
         self._after = _lines(after_stop) if after_stop else []

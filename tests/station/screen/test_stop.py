@@ -183,15 +183,27 @@ def test_a_run_that_is_refused_says_why(place: Path) -> None:
     driven(app, drive)
 
 
-@pytest.mark.parametrize("label", ["estimating", "coming to rest", "table at rest"])
-def test_a_label_of_a_step_says_nothing_of_the_run(place: Path, label: str) -> None:
-    with Replay("pass", 20.0, label=label) as session:
+@pytest.mark.parametrize(
+    ("label", "longer_s", "left"),
+    [
+        ("estimating", 0.0, "0:22"),
+        ("coming to rest", 0.0, "0:22"),
+        ("table at rest", 0.0, "0:22"),
+        ("soaking", 300.0, "0:22 to 5:22"),
+    ],
+)
+def test_a_label_of_a_step_says_nothing_of_the_run(place: Path, label: str, longer_s: float, left: str) -> None:
+    with Replay("pass", 20.0, label=label, longer_s=longer_s) as session:
         app = StationApp(CHOICES, attach=True)
 
         async def drive(pilot: Pilot[None]) -> None:
             await pilot.press("f3")
-            await until(pilot, lambda: "running, 0:22 left" in said_by_bar(app))
+            await until(pilot, lambda: f"running, {left} left" in said_by_bar(app))
             await until(pilot, lambda: label in str(app.screen.query_one("#progress").render()))
+            assert f"{left} left of " in str(app.screen.query_one("#progress").render())
+            if longer_s:  # where steps begin is then not known, but seen: all have one label here
+                assert app.shown is not None
+                assert len(app.shown.steps_begin_s) == 1
             await pilot.press("f9")
             await until(pilot, lambda: "sent; waiting" in said_by_bar(app))
             session.vanish()

@@ -1,0 +1,1 @@
+"""Kinds of steps of a script, one module each."""

@@ -1,0 +1,256 @@
+"""What every step of a script has, and the record of a kind of steps.
+
+A kind is one module that holds a class of steps and its record, ``SPEC``; ``station.scripts.steps.registry`` names it.
+Nothing else knows a kind: the station asks a step what it demands of the axes, how it moves them and for how long.
+"""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol, Self
+
+from drivers.specs import Key
+from drivers.types import AxisLimits
+from station.errors import ScriptError, sentence
+
+_SAME = 1e-9  # relative; what is nearer than this is the same acceleration
+_COMMENTS = 44  # the column of comments in a script file
+
+AXIS = Key(name="axis", kind="text", doc="which axis", required=True, one_of=("x", "y", "z"))
+ACCELERATION = Key(
+    name="acceleration", kind="acceleration", doc="of the ramps", default="20 deg/s2", field="acceleration_rps2"
+)
+LABEL = Key(name="label", kind="text", doc="a text for people; left out: made of the other keys")
+"""A key of every kind; no record lists it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """How long something takes: at least and at most, in s. Both are the same where that is known in advance.
+
+    ``most_s`` is infinite where there is no limit.
+    """
+
+    least_s: float
+    most_s: float
+
+    @classmethod
+    def exactly(cls, duration_s: float) -> Self:
+        """Return the span of what takes this long."""
+        return cls(duration_s, duration_s)
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether the duration is known in advance."""
+        return self.least_s == self.most_s
+
+    @property
+    def longer_s(self) -> float:
+        """By how much it may be longer than the least."""
+        return 0.0 if self.is_exact else self.most_s - self.least_s
+
+    def elapsed_s(self, since_s: float) -> float:
+        """Return how much of the time since the beginning counts as done: never more than it may take."""
+        return min(since_s, self.most_s)
+
+    def remaining(self, since_s: float) -> "Span":
+        """Return what is left after a time."""
+        return Span(max(self.least_s - since_s, 0.0), max(self.most_s - since_s, 0.0))
+
+
+def total(spans: Sequence[Span]) -> Span:
+    """Return the span of all of these, one after the other."""
+    return Span(sum(span.least_s for span in spans), sum(span.most_s for span in spans))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Turn:
+    """A motion of one axis from standstill to standstill: two ramps, and a steady rate in between if it is reached.
+
+    Angles are from home. ``rate_rps`` is as the step states it, and may be negative of a turn backwards.
+    """
+
+    axis: str
+    from_rad: float
+    to_rad: float
+    rate_rps: float
+    acceleration_rps2: float
+    duration_s: float
+
+    @property
+    def way_rad(self) -> float:
+        """Angle that is turned, with its sign."""
+        return self.to_rad - self.from_rad
+
+    @property
+    def ramp_s(self) -> float:
+        """How long one of its ramps takes; a short way ends before the rate is reached."""
+        to_rate_s = abs(self.rate_rps) / self.acceleration_rps2
+        half_way_s = math.sqrt(abs(self.way_rad) / self.acceleration_rps2)
+        return min(to_rate_s, half_way_s)
+
+
+def turn_to(axis: str, from_rad: float, to_rad: float, rate_rps: float, acceleration_rps2: float) -> Turn:
+    """Return the turn of an axis from one angle to another."""
+    way_rad = abs(to_rad - from_rad)
+    peak_rps = min(abs(rate_rps), math.sqrt(way_rad * acceleration_rps2))
+    duration_s = way_rad / peak_rps + peak_rps / acceleration_rps2 if peak_rps > 0 else 0.0
+    return Turn(
+        axis=axis,
+        from_rad=from_rad,
+        to_rad=to_rad,
+        rate_rps=rate_rps,
+        acceleration_rps2=acceleration_rps2,
+        duration_s=duration_s,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A part of the plan of a step: a turn, or standstill where there is none.
+
+    Where a step has several parts, they are recorded one by one; ``label`` says what a standstill is for.
+    """
+
+    span: Span
+    turn: Turn | None = None
+    label: str = ""
+
+    @classmethod
+    def turning(cls, turn: Turn) -> Self:
+        """Return the part in which an axis turns."""
+        return cls(Span.exactly(turn.duration_s), turn)
+
+    @classmethod
+    def standing(cls, least_s: float, most_s: float | None = None, label: str = "") -> Self:
+        """Return a part in which all axes stand, of a known duration without ``most_s``."""
+        return cls(Span(least_s, least_s if most_s is None else most_s), label=label)
+
+
+@dataclass(frozen=True, slots=True)
+class Demand:
+    """The largest rate and the acceleration that a step asks of an axis, to be compared with its limits."""
+
+    axis: str
+    rate_rps: float
+    acceleration_rps2: float
+
+
+class Stage(Protocol):
+    """What a step is carried out on: a table that is enabled and homed, and what is seen of the devices."""
+
+    async def turn(self, turn: Turn) -> None:
+        """Turn an axis and see it arrive; DeviceRefused if it does not."""
+
+    async def stand(self, duration_s: float, label: str = "") -> None:
+        """Leave all axes at rest for a time; ``label`` says what for."""
+
+    def newest(self, quantity: str) -> Mapping[str, float]:
+        """Return the newest value of a quantity by source; sources that do not measure it are left out.
+
+        The quantities are "temperature_c".
+        """
+
+    def tell(self, text: str) -> None:
+        """Keep a sentence with the events of the run."""
+
+
+class Step(ABC):
+    """A step of a script. A class of steps is a frozen dataclass with a ``label`` beside the fields of its keys."""
+
+    __slots__ = ()
+
+    label: str
+
+    @abstractmethod
+    def words(self) -> str:
+        """Return the label of a step that was given none."""
+
+    @abstractmethod
+    def parts(self, angles_rad: Mapping[str, float]) -> Sequence[Part]:
+        """Return the plan: what moves, in order, from these angles of the axes; 0 for an axis that is not listed."""
+
+    def demands(self) -> Sequence[Demand]:
+        """Return what is asked of each axis that it turns; nothing of a step in which all axes stand."""
+        return ()
+
+    def problem(self) -> str:
+        """Return what is wrong with the values of a step, whatever the table; empty if nothing is."""
+        return ""
+
+    def driven(self, limits: Mapping[str, AxisLimits]) -> Self:
+        """Return the step with the accelerations that the controller has (``driven_acceleration``)."""
+        return self
+
+    async def carry_out(self, stage: Stage, parts: Sequence[Part]) -> None:
+        """Carry out the plan. A step whose duration is not known in advance decides here when it has ended."""
+        for part in parts:
+            if part.turn is None:
+                await stage.stand(part.span.least_s, part.label)
+            else:
+                await stage.turn(part.turn)
+
+    @property
+    def turns(self) -> bool:
+        """Whether it turns an axis."""
+        return bool(self.demands())
+
+    # What follows is asked by those who make scripts out of others. A kind can do without.
+
+    @property
+    def ends_at_stated_angles(self) -> bool:
+        """Whether it states angles from home, so that a step before it cannot leave an axis whole turns away."""
+        return False
+
+    @property
+    def rest_s(self) -> float:
+        """How much of its time is rest that may be shortened; 0 for steps that turn an axis."""
+        return 0.0
+
+    def shortened(self, share: float) -> "Step":
+        """Return the step with this share of its ``rest_s``."""
+        return self
+
+    def halved(self, limits: Mapping[str, AxisLimits]) -> "Step | None":
+        """Return a step that does the same in half of the time, None if there is none."""
+        return None
+
+    def mirrored(self, sign: int) -> "Step":
+        """Return the step with its rate or its angle times ``sign``, and a label that says so."""
+        return self
+
+    def written(self, duration_s: float) -> Sequence[str]:
+        """Return the lines of a script file that state it, beside its label; it takes ``duration_s``."""
+        raise NotImplementedError(f"{type(self).__name__} steps are not written into files")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StepKind:
+    """A kind of steps.
+
+    ``what`` says in a few words what it does. ``keys`` are those of a script file, beside ``kind`` and ``label``;
+    ``make`` is given their values by their fields, and a ``label``, and returns the step: most often it is the class.
+    """
+
+    name: str
+    what: str
+    keys: Sequence[Key]
+    make: Callable[..., Step]
+
+
+def with_comment(text: str, comment: str) -> str:
+    """Return a line of a script file with a comment behind it."""
+    return f"{text:<{_COMMENTS}}# {comment}"
+
+
+def driven_acceleration(acceleration_rps2: float, axis: str, limit: AxisLimits) -> float:
+    """Return the acceleration that the controller makes of one; ScriptError if it has none so small."""
+    quantum = limit.acceleration_step_rps2
+    if not quantum:
+        return acceleration_rps2
+    if quantum > limit.acceleration_rps2:
+        least_dps2 = quantum / math.radians(1)
+        most_dps2 = limit.acceleration_rps2 / math.radians(1)
+        raise ScriptError(sentence("script.coarse", axis=axis, least_dps2=least_dps2, most_dps2=most_dps2))
+    return max(math.floor(acceleration_rps2 / quantum * (1 + _SAME)), 1) * quantum
