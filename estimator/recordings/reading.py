@@ -130,6 +130,9 @@ def _read_source(path: Path, name: str, group: Any) -> ImuData:
     array = read_array(where, name, group)
     if len(array) != m:
         raise RecordingError(f"{where} has {m} channels but {len(array)} sense axes")
+    accel_axes = _axes(group, "accel_axes")
+    if accel_axes is not None and "accel_mps2" in columns:
+        _check_accelerometers(where, columns["accel_mps2"], accel_axes)
     prior = Prior(*(float(v) for v in group.attrs["prior"])) if "prior" in group.attrs else Prior()
     noise = NoiseModel(*(float(v) for v in group.attrs["noise"])) if "noise" in group.attrs else None
     device, lost = str(plain(group.attrs.get("device", ""))), int(group.attrs.get("lost", 0))
@@ -142,6 +145,7 @@ def _read_source(path: Path, name: str, group: Any) -> ImuData:
         noise=noise,
         device=device,
         rate_hz=rate_hz if 0 < rate_hz < math.inf else None,
+        accel_axes=accel_axes,
         **cast(Any, columns),
     )
 
@@ -161,6 +165,15 @@ def read_array(where: str, name: str, group: Any) -> SensorArray:
         return sensor_array(axes["p"], axes["j"], axes["k"], names=labels, part_of_array=True)
     except GeometryError as error:
         raise RecordingError(f"{where}: {error}") from None
+
+
+def _check_accelerometers(where: str, accel_mps2: Floats, axes: Floats) -> None:
+    """Raise RecordingError unless outputs (n, c) and axes (c, 3) give the specific force along every body axis."""
+    channels = accel_mps2.shape[1] if accel_mps2.ndim == 2 else 1
+    if axes.shape != (channels, 3):
+        raise RecordingError(f"{where} has {channels} accelerometers, but accel_axes of the shape {axes.shape}")
+    if not np.isfinite(axes).all() or np.linalg.matrix_rank(axes) < 3:
+        raise RecordingError(f"{where}: accel_axes do not span all directions")
 
 
 def _axes(group: Any, key: str) -> Floats | None:

@@ -28,6 +28,7 @@ from estimator.recordings.journal import ARRIVED, ATTRIBUTES, ROWS, Entry, Journ
 from estimator.recordings.recording import FORMAT, FORMAT_VERSION, IDENTITY, LAYOUT, ImuData, Recording
 from estimator.recordings.reference import Reference, TableReadings, TableUncertainty
 from estimator.recordings.reserved_space import Ballast
+from estimator.types import Floats
 from estimator.untrusted import harmless
 
 _RESERVE_BYTES = 2_000_000  # kept back on the disk: what is pending, and what HDF5 needs to close a file whole
@@ -78,7 +79,7 @@ class RecordingWriter:
         self._pending: dict[str, list[Mapping[str, NDArray[Any]]]] = {}
         self._datasets: dict[str, Any] = {}
         self._lengths: dict[str, int] = {}
-        self._file.attrs.update({"format": FORMAT, "format_version": FORMAT_VERSION})
+        self._file.attrs.update({"format": FORMAT, "format_version": 1})
         identity = {IDENTITY: secrets.token_hex(16)} if journal and IDENTITY not in attributes else {}
         self.set_attributes(identity | dict(attributes))
         self.flush()
@@ -105,6 +106,11 @@ class RecordingWriter:
         """Declare a source with the axes of its channels and what its data sheet promises."""
         axes = {"p": array.p, "j": array.j, "k": array.k}
         self.set_source(name, {"prior": astuple(prior), "names": list(array.names), **axes, **attributes})
+
+    def add_accelerometers(self, name: str, axes: Floats) -> None:
+        """Declare the axes (c, 3) in the body of the accelerometers of a source, whose outputs are ``accel_mps2``."""
+        self.set_attributes({"format_version": FORMAT_VERSION})
+        self.set_source(name, {"accel_axes": axes})
 
     def set_source(self, name: str, attributes: Mapping[str, Any]) -> None:
         """Set attributes of a source, for instance its counts of lost samples."""
@@ -270,6 +276,8 @@ def write_recording(path: Path | str, recording: Recording) -> None:
             if data.noise is not None:
                 attributes["noise"] = astuple(data.noise)
             writer.add_source(source, data.array, data.prior, attributes)
+            if data.accel_axes is not None:
+                writer.add_accelerometers(source, data.accel_axes)
             writer.append_rows(f"imu/{source}", columns_of(data))
     finally:
         writer.close()
@@ -278,7 +286,7 @@ def write_recording(path: Path | str, recording: Recording) -> None:
 def columns_of(readings: ImuData | Reference) -> dict[str, Any]:
     """Return the arrays of a source or a reference by name, those that are there."""
     values = {column.name: getattr(readings, column.name) for column in fields(readings)}
-    return {name: column for name, column in values.items() if isinstance(column, np.ndarray)}
+    return {name: column for name, column in values.items() if name in LAYOUT and isinstance(column, np.ndarray)}
 
 
 def write_results(path: Path, group: str, datasets: Mapping[str, NDArray[Any]], attributes: Mapping[str, Any]) -> None:

@@ -16,6 +16,7 @@ from estimator.calibration.error_model import ErrorModel
 from estimator.errors import EstimatorError
 from estimator.estimation.live.sample_columns import SampleColumns
 from estimator.estimation.live.source import LiveSource
+from estimator.geometry.array import SensorArray
 from estimator.observations.timing import TimeOffset
 from estimator.recordings.writing import RecordingWriter
 from station.errors import sentence
@@ -102,6 +103,7 @@ class Acquisition:
         """What was had of each source, once all is closed."""
         self.closed = False
         self._last_seen_s: dict[str, float] = {}
+        self._accelerometers: set[str] = set()  # sources whose accelerometers the recording has the axes of
         self._noted: dict[str, dict[str, float | int]] = {}
         self._half_width_ns, self._rate_window_ns = 0, 0
         self.host = HostWatch(time_scale)
@@ -145,17 +147,13 @@ class Acquisition:
     def _take_block(self, name: str, block: ImuBlock) -> None:
         self._last_seen_s[name] = asyncio.get_running_loop().time()
         self.beside.attempt("the monitor", lambda: self.monitor.take_block(name, block), None)
-        keys = ("t_ns", "arrival_ns", "rate_rps", "temperature_c", "counter")
+        keys = ("t_ns", "arrival_ns", "rate_rps", "temperature_c", "counter", "accel_mps2")
         columns = {key: values for key in keys if (values := getattr(block, key)) is not None}
-        if block.accel_mps2 is not None:
-            columns["accel_mps2"] = self._in_body_axes(name, block.accel_mps2)
+        if block.accel_mps2 is not None and name not in self._accelerometers:
+            self._accelerometers.add(name)
+            self.writer.add_accelerometers(name, _accelerometer_axes(self.live.sources[name].array))
         self.writer.append_rows(f"imu/{name}", columns)
         self.live.sources[name].add(block)
-
-    def _in_body_axes(self, name: str, accel_mps2: Floats) -> Floats:
-        """Return specific force (n, 3) along the body's axes; a device tells it along those of its three gyros."""
-        p = self.live.sources[name].array.p
-        return np.asarray(np.linalg.solve(p, accel_mps2.T).T) if p.shape == (3, 3) else accel_mps2
 
     def take_row(self, row: TableRow) -> None:
         columns = row._asdict()
@@ -332,6 +330,14 @@ class Acquisition:
         late = f"this computer did not keep up: the run waited for it for up to {self.host.worst_s * 1e3:.0f} ms"
         found += [slow] * (took_s > _SLOW_S) + [late] * (self.host.worst_s > 0.0)
         return [cause for cause in found if cause]
+
+
+def _accelerometer_axes(array: SensorArray) -> Floats:
+    """Return the nominal axes (3, 3) in the body of a device's accelerometers.
+
+    They are those of its gyros if it has three, which a device tells both along; else those of the body.
+    """
+    return array.p if array.p.shape == (3, 3) else np.eye(3)
 
 
 def _link_attributes(prefix: str, counts: LinkCounts) -> dict[str, Any]:
