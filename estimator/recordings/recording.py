@@ -21,6 +21,8 @@ FORMAT_VERSION = 2
 """The newest version that this program reads. A file says 2 if it has ``accel_axes``, else 1, which older ones read."""
 IDENTITY = "recording_id"
 """Attribute of a run's recording and of its journal: a number of the run, so that neither is taken for another's."""
+DEVICES = "device"
+"""The group of devices that are neither the table nor under test, and of what any device appends as a series."""
 LAYOUT = packaged_toml("estimator.recordings", "layout.toml")
 """What each column of a recording is, in memory as in its file."""
 
@@ -85,6 +87,21 @@ class ImuData:
         return frame
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Series:
+    """What a device measured by itself: columns (n,) by name at instants (n,), and the unit of each column."""
+
+    t_ns: Stamps
+    columns: Mapping[str, Floats]
+    units: Mapping[str, str]
+
+    def to_frame(self) -> Any:
+        """Return a pandas.DataFrame over time in s, a column each. Needs pandas."""
+        from pandas import DataFrame, Index
+
+        return DataFrame(dict(self.columns), Index(self.t_ns * 1e-9, name="t_s"))
+
+
 @dataclass(frozen=True, slots=True)
 class KeptInnovations:
     """What the live filter of a run came to: its normalised innovations squared, summed, and their degrees of freedom.
@@ -99,7 +116,10 @@ class KeptInnovations:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """One run, or one measurement made elsewhere. ``kept_innovations``: of a run of the station."""
+    """One run, or one measurement made elsewhere. ``kept_innovations``: of a run of the station.
+
+    ``series`` are by the name of the device that appended them.
+    """
 
     sources: Mapping[str, ImuData]
     reference: Reference
@@ -107,6 +127,7 @@ class Recording:
     attributes: Mapping[str, Any] = field(default_factory=dict)
     path: Path | None = None
     kept_innovations: KeptInnovations | None = None
+    series: Mapping[str, Series] = field(default_factory=dict)
 
     @property
     def several_files(self) -> bool:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from drivers.clocks.sampling import Alignment
-from drivers.errors import DeviceError, LinkLost
-from drivers.protocols import EarlySource
+from drivers.errors import DeviceError, DeviceRefused, LinkLost
+from drivers.protocols import AppendsSeries, EarlySource
 from drivers.types import Floats, Identity, ImuBlock, LinkCounts, SourceCounts
 from estimator.calibration.error_model import ErrorModel
 from estimator.errors import EstimatorError
@@ -18,9 +18,11 @@ from estimator.estimation.live.sample_columns import SampleColumns
 from estimator.estimation.live.source import LiveSource
 from estimator.geometry.array import SensorArray
 from estimator.observations.timing import TimeOffset
+from estimator.recordings.recording import DEVICES
 from estimator.recordings.writing import RecordingWriter
+from station.bench.device import DeviceConfig
 from station.errors import sentence
-from station.opening import OpenBench, OpenImu
+from station.opening import OpenBench, OpenDevice, OpenImu
 from station.opening.links import ends_here
 from station.opening.reopening import Reopening
 from station.run.event_loop.host import HostWatch
@@ -93,7 +95,8 @@ class Acquisition:
         on_event: Callable[[float, EventKind, str], None] | None,
     ) -> None:
         """Describe table and sources in the recording; ``time_scale`` is how fast the loop's clock runs."""
-        self._imus, self._bench = opened.imus, opened.bench
+        self._imus, self._others, self._bench = opened.imus, opened.others, opened.bench
+        self._described: set[str] = set()  # devices of other kinds that the recording has a group of
         self.writer, self._model, self._reopening, self._on_event = writer, model, reopening, on_event
         self._host_scale, self._scale = time_scale, max(time_scale, 1.0)  # below 1 devices are slow, too
         self.live = LiveEstimate(self._bench.table.gimbals, self._bench.site)
@@ -132,6 +135,45 @@ class Acquisition:
         for name in imu.source.names:
             self.writer.set_source(name, identity_attributes("", identity))
         return identity
+
+    async def open_others(self) -> tuple[OpenDevice, ...]:
+        """Open the devices of other kinds; record what each is, and the columns that it appends; return them."""
+        for device in self._others:
+            await self._open_other(device)
+        return self._others
+
+    async def prepare_others(self) -> None:
+        """Bring the devices of other kinds to where the run needs them, one after another."""
+        for device in self._others:
+            if isinstance(device.config, DeviceConfig):
+                self.monitor.phase = Phase.PREPARING
+                await device.config.kind.ready(device.driver, device.config.settings)
+
+    async def _open_other(self, device: OpenDevice) -> None:
+        config, driver = device.config, device.driver
+        await driver.open()
+        identity = await self._reopening.identify(device.name, driver)
+        if isinstance(config, DeviceConfig) and (refused := await config.kind.refusal(driver, config.settings)):
+            raise DeviceRefused(device.name, refused)
+        about = {"kind": config.kind.name, "protocol": config.spec.name, "link": ", ".join(config.links)}
+        columns = driver.columns if isinstance(driver, AppendsSeries) else {}
+        self.writer.add_device(device.name, columns, about | identity_attributes("", identity))
+        self._described.add(device.name)
+
+    async def follow(self, device: OpenDevice) -> None:
+        """Take in the series of a device until cancelled; a lost link is opened again while nothing turns."""
+        driver = device.driver
+        if not isinstance(driver, AppendsSeries):
+            return
+        columns = driver.columns
+        while True:
+            try:
+                async for t_ns, row in driver.rows():
+                    values = dict(zip(columns, row, strict=True))
+                    self.writer.append_series(device.name, t_ns, values)
+                    self.monitor.take_series(device.name, columns, values)
+            except LinkLost as error:
+                await self._reopening.restore(device.name, driver, error)
 
     async def acquire(self, imu: OpenImu) -> None:
         """Take in samples until cancelled; a lost link is opened again while nothing turns."""
@@ -224,8 +266,8 @@ class Acquisition:
     def blamed(self, error: DeviceError) -> DeviceError:
         """Return an error of a device, or the error of this computer that is behind it."""
         config = self._bench
-        links = {"table": config.table.links} | {imu.name: (imu.link,) for imu in config.imus}
-        return self.host.blame(error, served_here=any(map(ends_here, links.get(error.device, ()))))
+        device = config.devices.get(error.device)
+        return self.host.blame(error, served_here=device is not None and any(map(ends_here, device.links)))
 
     async def keep_flushing(self) -> None:
         """Write what has come into the journal, some 150 times a second, and now and then into the recording, too.
@@ -304,6 +346,12 @@ class Acquisition:
                 self.writer.set_source(name, self.reports[name].attributes() | _link_attributes("", imu.counts))
             if whole:
                 await self._reopening.ask_at_end(imu.config.name, imu.source)
+        for device in self._others:
+            device.driver.close()
+            if device.counts is not None and device.name in self._described:
+                self.writer.set_attributes(_link_attributes("", device.counts), f"{DEVICES}/{device.name}")
+            if whole:
+                await self._reopening.ask_at_end(device.name, device.driver)
         if whole:
             with suppress(EstimatorError):  # which the batch estimate tells
                 self.live.finish()
