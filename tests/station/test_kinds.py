@@ -104,6 +104,13 @@ def test_an_installed_chamber_is_brought_to_temperature_before_the_script_and_re
     assert set(series.columns["set_point_c"][within]) == {27.0}
     told = json.loads(capsys.readouterr().out)
     assert told["links"]["chamber"]["timeouts"] == 0
+    assert main(["export", "run.h5", "--series", "chamber"]) == 0
+    heading, first, *others = capsys.readouterr().out.splitlines()
+    assert heading == "t_s,temperature_c (degC),set_point_c (degC)"
+    assert first == f"{series.t_ns[0] * 1e-9:.9f},23.0,23.0"
+    assert len(others) == len(series.t_ns) - 1
+    assert main(["export", "run.h5", "--series", "oven"]) == 2
+    assert "--series oven" in capsys.readouterr().err
 
 
 def test_a_chamber_is_checked_without_being_told_anything(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
