@@ -139,7 +139,7 @@ KIND = DeviceKind(
     what="the chamber",
     protocols=Registry(DeviceSpec, "turntable_station.chambers", {"espec": SPEC}),
     keys=(
-        Key("temperature", "temperature", "where a run is made, in degC", required=True),
+        Key("temperature", "temperature", "where a run is made", required=True, example="27 degC"),
         Key("within", "number", "how near it must be before the script begins, in K", 0.5, bound="above_zero"),
         Key("wait", "time", "how long it may take to get there", "2 h", bound="above_zero"),
     ),
