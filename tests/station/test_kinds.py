@@ -21,7 +21,7 @@ import pytest
 from support import TwinProcess, command
 
 from estimator.recordings.reading import read_recording
-from station.bench.bench import default_bench_text
+from station.bench.bench import default_bench_text, load_bench
 from station.cli import main
 from station.run.guard.guard import guard_log_of
 
@@ -197,6 +197,27 @@ def test_after_ctrl_c_the_chamber_is_safe(place: Path) -> None:
         assert process.wait(_WAIT_S) == 3
         assert ask(twins.links["chamber"], "TEMP?").split(", ")[1] == "25.0"
         assert not guard_log_of(place / "run.h5").exists()
+
+
+def test_init_asks_for_the_devices_of_an_installed_kind(place: Path) -> None:
+    proposals = [""] * 25  # the table and its axes, a device under test
+    answers = ["Lab", *proposals, "no", "yes", "", "", "35 degC", "no"]
+    asked = subprocess.run(
+        command("init", "mine.toml"),
+        input="\n".join([*answers, *[""] * 20]),
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert asked.returncode == 0, asked.stdout + asked.stderr
+    assert "Is the chamber on this bench?" in asked.stdout
+    bench = load_bench(place / "mine.toml")
+    (chamber,) = bench.others
+    assert (chamber.kind.name, chamber.spec.name, chamber.link) == ("chamber", "espec", "twin:")
+    assert chamber.settings["temperature"] == 35.0
+    assert "# where a run is made" in bench.text
+    assert main(["check", "mine.toml", "--json"]) == 0
 
 
 def test_a_name_that_two_devices_have_is_refused(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
