@@ -156,10 +156,15 @@ class Registry(Mapping[str, T]):
         """``own`` are the built-in ones, or modules that hold them as SPEC; ``group`` is that of entry points."""
         self._kind, self._group, self._own = kind, group, own
 
-    def beside(self, modules: Iterable[ModuleType]) -> "Registry[T]":
-        """Return the registry with the records in these modules, too; PluginError for a name that is taken."""
+    def beside(self, modules: Iterable[ModuleType], kind: str = "") -> "Registry[T]":
+        """Return the registry with the records in these modules, too, of one ``kind`` if records have such.
+
+        PluginError for a name that is taken.
+        """
         own = dict(self._own)
         for record in (record for module in modules for record in records_of(module, self._kind)):
+            if kind and getattr(record, "kind", kind) != kind:
+                continue
             if own.setdefault(name := str(getattr(record, "name", "")), record) is not record:
                 raise self._taken(name)
         return Registry(self._kind, self._group, own)

@@ -1,6 +1,6 @@
-"""The four seams to hardware. Nothing inherits from these to plug in."""
+"""The seams to hardware, and what some devices can do beside. Nothing inherits from these to plug in."""
 
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Mapping, Sequence
 from typing import Protocol, runtime_checkable
 
 from drivers.types import (
@@ -26,6 +26,44 @@ class Openable(Protocol):
 
     def close(self) -> None:
         """Close; twice is once."""
+
+
+class Device(Openable, Protocol):
+    """A driver of any kind: what can be opened again, and says what it is."""
+
+    async def identify(self) -> Identity:
+        """Ask what it is, after ``open``; empty where it cannot be asked."""
+
+
+@runtime_checkable
+class MadeSafe(Openable, Protocol):
+    """A device that has to be left in a safe state."""
+
+    async def make_safe(self) -> None:
+        """Bring it to its safe state and see that it is there, whatever has become of the link; else DeviceError.
+
+        A link that is lost, or was never opened, is opened first.
+        """
+
+
+@runtime_checkable
+class ChecksSetPoint(Protocol):
+    """A device that can tell, without acting, whether it could take a set point."""
+
+    async def refused(self, set_point: float) -> str:
+        """Return why it would not take this set point (SI, temperatures in degC), empty if it would."""
+
+
+@runtime_checkable
+class AppendsSeries(Protocol):
+    """A device that measures something by itself, for columns of its own in the recording."""
+
+    @property
+    def columns(self) -> Mapping[str, str]:
+        """Names of its columns, in their order, each with its unit."""
+
+    def rows(self) -> AsyncIterator[tuple[int, Sequence[float]]]:
+        """Yield instants (ns of the loop's clock) and a value for each column, for ever; LinkLost if the link ends."""
 
 
 class ByteLink(Openable, Protocol):

@@ -1,13 +1,13 @@
 """A device as one record: what it is called, how it is reached, what a bench file says of it, how its driver is made.
 
-Such a record stands in the folder of its device, plain facts in spec.toml, the rest beside its driver;
-``drivers.imus.registry`` and ``drivers.tables.registry`` name them.
+Such a record stands in the folder of its device, plain facts in spec.toml, the rest beside its driver. The kind of the
+device (``drivers.kind.DeviceKind``) has a registry that names them.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, TypeVar
 
 from drivers.packaged import packaged_toml
 from drivers.protocols import ImuSource, Turntable
@@ -71,45 +71,73 @@ class ImuSetup:
     signals: Any = None
 
 
-def _said(spec: Any) -> str:
-    return f"{'' if spec.checked_against else 'EXPERIMENTAL: '}{spec.what}"
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ImuSpec:
-    """A protocol of devices under test.
+class DeviceSetup:
+    """What the bench says of one device, for its driver and for its twin.
 
-    ``what`` says which devices speak it, ``link`` is an example of one. It is on a CAN bus, or on a byte link with
-    this ``baud`` rate and ``tcp_port`` if the link states none. ``rates_hz`` are the legal rates, any if empty; where
-    an option decides, they are by the value of the key ``rates_by``. ``gyros`` is how many it has, None if that is
-    said by its signals: the bench file then maps those of a DBC (``signals_of_dbc``), or names a description
-    (``described``). ``temperature`` says whether
-    each sample has one. ``make`` gives the driver on a link, for CAN on a FrameLink, else on a ByteLink.
-
-    ``twin`` makes the twin of a device from outside the station; those of its own are in ``sims.imus.registry``, by
-    ``family`` if that is not the name. ``checked_against`` names what others made that driver and twin have met.
+    ``options`` are the values of the protocol's keys, ``settings`` those of the kind's. A request is tried twice, each
+    for ``timeout_s``.
     """
 
     name: str
+    timeout_s: float
+    options: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DeviceSpec:
+    """A protocol of devices of one ``kind``.
+
+    ``what`` says which devices speak it, ``link`` is an example of one. It is on a CAN bus (``on_can``), or on a byte
+    link with this ``baud`` rate and ``tcp_port`` if the link states none; ``keys`` stand in its section of the bench
+    file. ``make(setup, link)`` returns the driver on a FrameLink, a ByteLink or, where it ``opens_links`` itself, at an
+    address: (host, port) or SerialPort.
+
+    ``twin(setup, write)`` makes the twin of a device from outside the station; those of the station's own devices are
+    in ``sims``. ``checked_against`` names what others made that driver and twin have met.
+    """
+
+    name: str
+    kind: str
     what: str
     link: str
-    make: Callable[[ImuSetup, Any], ImuSource]
-    proposed: ProposedImu
+    make: Callable[[Any, Any], Any]
     on_can: bool = False
     baud: int = 115_200
     tcp_port: int | None = None
+    opens_links: bool = False
+    keys: tuple[Key, ...] = ()
+    twin: Callable[[Any, Any], Any] | None = None
+    checked_against: str = ""
+
+    @property
+    def said(self) -> str:
+        """What it is; EXPERIMENTAL first, where it has met nothing that somebody else made."""
+        return f"{'' if self.checked_against else 'EXPERIMENTAL: '}{self.what}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImuSpec(DeviceSpec):
+    """A protocol of devices under test.
+
+    ``rates_hz`` are the legal rates, any if empty; where
+    an option decides, they are by the value of the key ``rates_by``. ``gyros`` is how many it has, None if that is
+    said by its signals: the bench file then maps those of a DBC (``signals_of_dbc``), or names a description
+    (``described``). ``temperature`` says whether each sample has one. ``sims.imus.registry`` has its twin by ``family``
+    if that is not the name.
+    """
+
+    kind: str = "imu"
+    make: Callable[[ImuSetup, Any], ImuSource]
+    proposed: ProposedImu
     rates_hz: Sequence[float] | Mapping[str, Sequence[float]] = ()
     rates_by: str = ""
     gyros: int | None = 3
     signals_of_dbc: bool = False
     described: bool = False
     temperature: bool = True
-    keys: tuple[Key, ...] = ()
-    twin: Callable[[Any, Any], Any] | None = None
     family: str = ""
-    checked_against: str = ""
-    opens_links: ClassVar[bool] = False
-    said = property(_said, doc="What it is; EXPERIMENTAL first, where it has met nothing that somebody else made.")
 
     def refused_rate(self, rate_hz: float, options: Mapping[str, Any]) -> str:
         """Return which rates a device with these options has, if this is none of them, else nothing."""
@@ -149,49 +177,36 @@ class TableSetup:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TableSpec:
+class TableSpec(DeviceSpec):
     """A protocol of tables.
 
-    ``what`` says which controllers speak it, ``link`` is an example of one; ``baud`` and ``tcp_port`` hold for links
-    that state none. ``address`` is the key of an axis that says which it is at the controller, None where there is
+    ``address`` is the key of an axis that says which it is at the controller, None where there is
     but one; ``station init`` proposes ``addresses`` and ``proposed_counts`` a turn, which must be given unless 0.
-    ``keys`` stand in [table], ``axis_keys`` in the table of each axis. ``acceleration_step`` in counts/s2 is what
-    accelerations are multiples of. ``make`` gives the driver on a ByteLink or, where it ``opens_links`` itself and an
-    axis may have one of its own, at an Address: (host, port) or SerialPort. ``refused`` says what else cannot be.
-
-    Of its twin: ``limits_trip`` says whether drives know a limit switch only as a reason to trip; ``twin`` makes one
-    from outside the station, those of its own are in ``sims.tables.registry``. ``checked_against`` is as of an ImuSpec.
+    ``axis_keys`` stand in the table of each axis. ``acceleration_step`` in counts/s2 is what accelerations are
+    multiples of. Where it ``opens_links`` itself, an axis may have one of its own. ``refused(axis, link)`` says why an
+    axis cannot be as it is described, empty if it can. ``limits_trip`` is of its twin: whether drives know a limit
+    switch only as a reason to trip.
     """
 
-    name: str
-    what: str
-    link: str
+    kind: str = "table"
     make: Callable[[TableSetup, Any], Turntable]
-    baud: int = 115_200
-    tcp_port: int | None = None
     most_axes: int = 3
     address: Key | None = None
     addresses: Sequence[str | int] = ("",)
     proposed_counts: int = 0
-    keys: tuple[Key, ...] = ()
     axis_keys: tuple[Key, ...] = ()
     acceleration_step: int = 0
-    opens_links: bool = False
     refused: Callable[[AxisSetup, str], str] = lambda axis, link: ""
     limits_trip: bool = False
-    checked_against: str = ""
-    on_can: ClassVar[bool] = False
-    said = property(_said, doc="As of an ImuSpec.")
-    twin: Callable[[Any, Any], Any] | None = None
 
 
-S = TypeVar("S", ImuSpec, TableSpec)
+S = TypeVar("S", bound=DeviceSpec)
 
 
 def described(kind: type[S], package: str, keys: Mapping[str, Any] | None = None, **more: Any) -> S:
     """Return the record whose plain facts are in spec.toml of a package; ``keys`` adds to those of its keys."""
     facts = {**packaged_toml(package, "spec.toml"), **more}
-    for part in ("keys", "axis_keys") if kind is TableSpec else ("keys",):
+    for part in {"keys", "axis_keys"}.intersection(column.name for column in fields(kind)):
         facts[part] = tuple(Key(**key, **(keys or {}).get(key["name"], {})) for key in facts.get(part, ()))
     if "address" in facts:
         facts["address"] = Key(**facts["address"], **(keys or {}).get(facts["address"]["name"], {}))

@@ -1,33 +1,23 @@
 """The way to rest: what ends every run, and what the guard does after a run that could not do it."""
 
 import asyncio
-from collections.abc import Callable, Coroutine
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable
 
-from drivers.errors import DeviceError
+from drivers.kind import SafeState, tried
 from drivers.protocols import Turntable
 
 _STEP_LIMIT_S = 15.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Rest:
-    """How a table was left: ``trouble`` says what went wrong, empty if it rests without power; ``seen`` at rest."""
-
-    trouble: str
-    seen: bool
-
-
 async def make_safe(
-    table: Turntable, *, time_scale: float, unconfirmed: Callable[[str], None], untrue_readings: bool = False
-) -> Rest:
+    table: Turntable, /, *, time_scale: float, unconfirmed: Callable[[str], None], untrue_readings: bool = False
+) -> SafeState:
     """Stop a table, abort its motions if it is not seen to stop, and take its power off.
 
     ``unconfirmed(trouble)`` is called if the controlled stop was not confirmed, before the abort. With
     ``untrue_readings`` nothing that the table says of the stop is believed: its power stays on for the braking time.
     """
-    trouble = await _tried(table.stop(), None)
+    trouble = await tried(table.stop(), None)
     aborted = ""
     if untrue_readings:
         # What was seen of the stop is worth nothing, and an axis that is let go in motion may coast.
@@ -37,22 +27,12 @@ async def make_safe(
         unconfirmed(trouble)
     elif trouble:
         unconfirmed(trouble)
-        aborted = await _tried(table.abort(), None)  # as hard as the controller can
+        aborted = await tried(table.abort(), None)  # as hard as the controller can
         trouble = f"it did not come to rest by a controlled stop ({trouble})"
         if aborted:
             trouble = f"the table was not seen to come to rest ({aborted}): use the emergency stop"
     # Also a table that heeds nothing else: it may then coast.
-    powered = await _tried(table.disable(), _STEP_LIMIT_S * time_scale)
+    powered = await tried(table.disable(), _STEP_LIMIT_S * time_scale)
     if not trouble and powered:
         trouble = f"the table is at rest, but its power may be on ({powered})"
-    return Rest(trouble=trouble, seen=not aborted and not untrue_readings)
-
-
-async def _tried(what: Coroutine[Any, Any, object], limit_s: float | None) -> str:
-    """Do what ends a motion; return in words what went wrong. What watches axes slow down ends by itself."""
-    try:
-        async with asyncio.timeout(limit_s):
-            await what
-    except (DeviceError, TimeoutError) as error:
-        return str(error) or "no answer in time"
-    return ""
+    return SafeState(trouble=trouble, seen=not aborted and not untrue_readings)

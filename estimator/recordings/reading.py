@@ -17,7 +17,17 @@ from estimator.geometry.model import Prior
 from estimator.geometry.noise import NoiseModel
 from estimator.packaged import sentence
 from estimator.recordings.memory import READING, check_memory
-from estimator.recordings.recording import FORMAT, FORMAT_VERSION, LAYOUT, ImuData, KeptInnovations, Recording, possible
+from estimator.recordings.recording import (
+    DEVICES,
+    FORMAT,
+    FORMAT_VERSION,
+    LAYOUT,
+    ImuData,
+    KeptInnovations,
+    Recording,
+    Series,
+    possible,
+)
 from estimator.recordings.recovery import recover
 from estimator.recordings.reference import (
     AttitudeReadings,
@@ -104,7 +114,8 @@ def _read(path: Path, file: Any) -> Recording:
     if not sources:
         raise RecordingError(f"{path} holds no IMU samples (group /imu is missing or empty)")
     kept = _read_innovations(file, str(attributes.get("model_sha256", "")))
-    return Recording(sources, _read_reference(path, file), site, attributes, path, kept)
+    reference, series = _read_reference(path, file), _read_series(path, file)
+    return Recording(sources, reference, site, attributes, path, kept, series)
 
 
 def _read_innovations(file: Any, model_sha256: str) -> KeptInnovations | None:
@@ -120,6 +131,27 @@ def _read_innovations(file: Any, model_sha256: str) -> KeptInnovations | None:
     return KeptInnovations(total, dof, model_sha256)
 
 
+def _read_series(path: Path, file: Any) -> dict[str, Series]:
+    """Return the series of devices by name: of each the columns that its group names, as long as all of them are."""
+    found = {}
+    for name, group in file.get(DEVICES, {}).items():
+        where = f"{path}: /{DEVICES}/{name}"
+        names = [str(plain(column)) for column in group.attrs.get("columns", ())]
+        units = [str(plain(unit)) for unit in group.attrs.get("units", ())]
+        if not names or "t_ns" not in group:  # it has none, or the run ended before its first row
+            continue
+        if len(units) != len(names) or not set(names) <= set(group):
+            raise RecordingError(f"{where} does not hold the columns that it names, each with its unit")
+        t_ns = _column(where, group, "t_ns")
+        columns = {column: np.asarray(group[column][()], dtype=np.float64) for column in names}
+        if any(values.ndim != 1 for values in columns.values()):
+            raise RecordingError(f"{where}: a column of a series has one number a row")
+        n = min(len(t_ns), *map(len, columns.values()))  # a run cut between two data sets of one flush
+        cut = {column: values[:n] for column, values in columns.items()}
+        found[name] = Series(t_ns[:n], cut, dict(zip(names, units, strict=True)))
+    return found
+
+
 def _read_source(path: Path, name: str, group: Any) -> ImuData:
     where = f"{path}: /imu/{name}"
     present = ["t_ns", "rate_rps", *(key for key in ("temperature_c", "accel_mps2", "counter") if key in group)]
@@ -130,6 +162,9 @@ def _read_source(path: Path, name: str, group: Any) -> ImuData:
     array = read_array(where, name, group)
     if len(array) != m:
         raise RecordingError(f"{where} has {m} channels but {len(array)} sense axes")
+    accel_axes = _axes(group, "accel_axes")
+    if accel_axes is not None and "accel_mps2" in columns:
+        _check_accelerometers(where, columns["accel_mps2"], accel_axes)
     prior = Prior(*(float(v) for v in group.attrs["prior"])) if "prior" in group.attrs else Prior()
     noise = NoiseModel(*(float(v) for v in group.attrs["noise"])) if "noise" in group.attrs else None
     device, lost = str(plain(group.attrs.get("device", ""))), int(group.attrs.get("lost", 0))
@@ -142,6 +177,7 @@ def _read_source(path: Path, name: str, group: Any) -> ImuData:
         noise=noise,
         device=device,
         rate_hz=rate_hz if 0 < rate_hz < math.inf else None,
+        accel_axes=accel_axes,
         **cast(Any, columns),
     )
 
@@ -161,6 +197,15 @@ def read_array(where: str, name: str, group: Any) -> SensorArray:
         return sensor_array(axes["p"], axes["j"], axes["k"], names=labels, part_of_array=True)
     except GeometryError as error:
         raise RecordingError(f"{where}: {error}") from None
+
+
+def _check_accelerometers(where: str, accel_mps2: Floats, axes: Floats) -> None:
+    """Raise RecordingError unless outputs (n, c) and axes (c, 3) give the specific force along every body axis."""
+    channels = accel_mps2.shape[1] if accel_mps2.ndim == 2 else 1
+    if axes.shape != (channels, 3):
+        raise RecordingError(f"{where} has {channels} accelerometers, but accel_axes of the shape {axes.shape}")
+    if not np.isfinite(axes).all() or np.linalg.matrix_rank(axes) < 3:
+        raise RecordingError(f"{where}: accel_axes do not span all directions")
 
 
 def _axes(group: Any, key: str) -> Floats | None:

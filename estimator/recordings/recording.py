@@ -17,9 +17,12 @@ from estimator.recordings.reference import Reference
 from estimator.types import Floats, Stamps
 
 FORMAT = "turntable-recording"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+"""The newest version that this program reads. A file says 2 if it has ``accel_axes``, else 1, which older ones read."""
 IDENTITY = "recording_id"
 """Attribute of a run's recording and of its journal: a number of the run, so that neither is taken for another's."""
+DEVICES = "device"
+"""The group of devices that are neither the table nor under test, and of what any device appends as a series."""
 LAYOUT = packaged_toml("estimator.recordings", "layout.toml")
 """What each column of a recording is, in memory as in its file."""
 
@@ -41,7 +44,8 @@ class ImuData:
     and samples with rates that nothing can have.
 
     ``prior`` and ``noise`` are the data sheet's; ``device`` names what the source is a part of. ``rate_hz`` is how
-    often it was to be sampled, None where that is not stated.
+    often it was to be sampled, None where that is not stated. ``accel_mps2`` (n, c) is what its accelerometers gave,
+    ``accel_axes`` (c, 3) are their axes in the body, None for those of the body itself.
     """
 
     array: SensorArray
@@ -55,17 +59,47 @@ class ImuData:
     noise: NoiseModel | None = None
     device: str = ""
     rate_hz: float | None = None
+    accel_axes: Floats | None = None
+
+    @property
+    def specific_force_mps2(self) -> Floats | None:
+        """Specific force (n, 3) along the axes of the body, None without accelerometers.
+
+        NaN in every sample of which one accelerometer gave no number, unless the axes are those of the body.
+        """
+        if self.accel_mps2 is None or self.accel_axes is None:
+            return self.accel_mps2
+        return np.asarray(self.accel_mps2 @ np.linalg.pinv(self.accel_axes).T)
 
     def to_frame(self) -> Any:
-        """Return a pandas.DataFrame over time in s: rates by gyro in rad/s, what else there is. Needs pandas."""
+        """Return a pandas.DataFrame over time in s: rates by gyro in rad/s, what else there is. Needs pandas.
+
+        Specific force is along the axes of the body.
+        """
         from pandas import DataFrame, Index
 
         frame = DataFrame(self.rate_rps, Index(self.t_ns * 1e-9, name="t_s"), self.array.names)
         if self.temperature_c is not None:
             frame["temperature_c"] = self.temperature_c
-        if self.accel_mps2 is not None:
-            frame[["accel_x_mps2", "accel_y_mps2", "accel_z_mps2"]] = self.accel_mps2
+        force_mps2 = self.specific_force_mps2
+        if force_mps2 is not None:
+            frame[["accel_x_mps2", "accel_y_mps2", "accel_z_mps2"]] = force_mps2
         return frame
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Series:
+    """What a device measured by itself: columns (n,) by name at instants (n,), and the unit of each column."""
+
+    t_ns: Stamps
+    columns: Mapping[str, Floats]
+    units: Mapping[str, str]
+
+    def to_frame(self) -> Any:
+        """Return a pandas.DataFrame over time in s, a column each. Needs pandas."""
+        from pandas import DataFrame, Index
+
+        return DataFrame(dict(self.columns), Index(self.t_ns * 1e-9, name="t_s"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +116,10 @@ class KeptInnovations:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """One run, or one measurement made elsewhere. ``kept_innovations``: of a run of the station."""
+    """One run, or one measurement made elsewhere. ``kept_innovations``: of a run of the station.
+
+    ``series`` are by the name of the device that appended them.
+    """
 
     sources: Mapping[str, ImuData]
     reference: Reference
@@ -90,6 +127,7 @@ class Recording:
     attributes: Mapping[str, Any] = field(default_factory=dict)
     path: Path | None = None
     kept_innovations: KeptInnovations | None = None
+    series: Mapping[str, Series] = field(default_factory=dict)
 
     @property
     def several_files(self) -> bool:

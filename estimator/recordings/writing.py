@@ -25,9 +25,10 @@ from estimator.geometry.array import SensorArray
 from estimator.geometry.model import Prior
 from estimator.packaged import sentence
 from estimator.recordings.journal import ARRIVED, ATTRIBUTES, ROWS, Entry, Journal, is_sound, journal_of, sync
-from estimator.recordings.recording import FORMAT, FORMAT_VERSION, IDENTITY, LAYOUT, ImuData, Recording
+from estimator.recordings.recording import DEVICES, FORMAT, FORMAT_VERSION, IDENTITY, LAYOUT, ImuData, Recording
 from estimator.recordings.reference import Reference, TableReadings, TableUncertainty
 from estimator.recordings.reserved_space import Ballast
+from estimator.types import Floats
 from estimator.untrusted import harmless
 
 _RESERVE_BYTES = 2_000_000  # kept back on the disk: what is pending, and what HDF5 needs to close a file whole
@@ -78,7 +79,8 @@ class RecordingWriter:
         self._pending: dict[str, list[Mapping[str, NDArray[Any]]]] = {}
         self._datasets: dict[str, Any] = {}
         self._lengths: dict[str, int] = {}
-        self._file.attrs.update({"format": FORMAT, "format_version": FORMAT_VERSION})
+        self._units: dict[str, str] = {}  # of columns that LAYOUT does not know
+        self._file.attrs.update({"format": FORMAT, "format_version": 1})
         identity = {IDENTITY: secrets.token_hex(16)} if journal and IDENTITY not in attributes else {}
         self.set_attributes(identity | dict(attributes))
         self.flush()
@@ -105,6 +107,30 @@ class RecordingWriter:
         """Declare a source with the axes of its channels and what its data sheet promises."""
         axes = {"p": array.p, "j": array.j, "k": array.k}
         self.set_source(name, {"prior": astuple(prior), "names": list(array.names), **axes, **attributes})
+
+    def add_accelerometers(self, name: str, axes: Floats) -> None:
+        """Declare the axes (c, 3) in the body of the accelerometers of a source, whose outputs are ``accel_mps2``."""
+        self.set_attributes({"format_version": FORMAT_VERSION})
+        self.set_source(name, {"accel_axes": axes})
+
+    def add_device(self, name: str, columns: Mapping[str, str], attributes: Mapping[str, Any]) -> None:
+        """Declare the group ``device/NAME``: its attributes, and the columns of its series, each with its unit.
+
+        RecordingError for a column that cannot hold a number a row.
+        """
+        for column in columns:
+            known = LAYOUT.get(column, {})
+            if "/" in column or column == "t_ns" or known.get("dimensions", 1) > 1:
+                raise RecordingError(f"device {name}: a series cannot have a column {column!r}: take another name")
+        group = f"{DEVICES}/{name}"
+        described = {"columns": list(columns), "units": list(columns.values())} if columns else {}
+        self.set_attributes({**attributes, **described}, group)
+        self._units |= {f"{group}/{column}": unit for column, unit in columns.items()}
+
+    def append_series(self, name: str, t_ns: int, values: Mapping[str, float]) -> None:
+        """Append one row to the series of a device that has been declared."""
+        columns = {column: np.array([value], dtype=np.float64) for column, value in values.items()}
+        self.append_rows(f"{DEVICES}/{name}", {"t_ns": np.array([t_ns], dtype=np.int64), **columns})
 
     def set_source(self, name: str, attributes: Mapping[str, Any]) -> None:
         """Set attributes of a source, for instance its counts of lost samples."""
@@ -212,7 +238,7 @@ class RecordingWriter:
                 for name, rows in _joined(blocks).items():
                     path = f"{group}/{name}"
                     if path not in self._datasets:
-                        self._datasets[path], lengths[path] = _create(self._file, path, rows, growing=True), len(rows)
+                        self._datasets[path], lengths[path] = self._created(path, rows), len(rows)
                     else:
                         lengths[path] = _extend(self._datasets[path], self._lengths.get(path, 0), rows)
                 # At once: what was interrupted is written over, from where it began, the next time.
@@ -221,6 +247,12 @@ class RecordingWriter:
         self._pending = {group: blocks for group, blocks in self._pending.items() if blocks}
         with _told_of(self.path):
             self._file.flush()
+
+    def _created(self, path: str, rows: NDArray[Any]) -> Any:
+        dataset = _create(self._file, path, rows, growing=True)
+        if unit := self._units.get(path):
+            dataset.attrs["units"] = unit
+        return dataset
 
     def close(self) -> None:
         """Flush and close; twice is once. What cannot be written any more shows when the file is read."""
@@ -270,7 +302,12 @@ def write_recording(path: Path | str, recording: Recording) -> None:
             if data.noise is not None:
                 attributes["noise"] = astuple(data.noise)
             writer.add_source(source, data.array, data.prior, attributes)
+            if data.accel_axes is not None:
+                writer.add_accelerometers(source, data.accel_axes)
             writer.append_rows(f"imu/{source}", columns_of(data))
+        for device, series in recording.series.items():
+            writer.add_device(device, series.units, {})
+            writer.append_rows(f"{DEVICES}/{device}", {"t_ns": series.t_ns, **series.columns})
     finally:
         writer.close()
 
@@ -278,7 +315,7 @@ def write_recording(path: Path | str, recording: Recording) -> None:
 def columns_of(readings: ImuData | Reference) -> dict[str, Any]:
     """Return the arrays of a source or a reference by name, those that are there."""
     values = {column.name: getattr(readings, column.name) for column in fields(readings)}
-    return {name: column for name, column in values.items() if isinstance(column, np.ndarray)}
+    return {name: column for name, column in values.items() if name in LAYOUT and isinstance(column, np.ndarray)}
 
 
 def write_results(path: Path, group: str, datasets: Mapping[str, NDArray[Any]], attributes: Mapping[str, Any]) -> None:

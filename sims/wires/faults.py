@@ -167,6 +167,12 @@ def device_faults(table: Mapping[str, object], gyros: int, where: str) -> tuple[
     return found, _read(WireFaults, wire, where)
 
 
+def wire_faults(table: Mapping[str, object], where: str) -> WireFaults:
+    """Return what [twin.NAME.fault] says of the wire of a device of another kind; HiddenError if it cannot be."""
+    refuse_unknown(table, {key_of(what): what for what in fields(WireFaults)}, where)
+    return _read(WireFaults, table, where)
+
+
 def table_faults(
     table: Mapping[str, object], axes: Collection[str], where: str
 ) -> tuple[TableFault | None, WireFaults]:

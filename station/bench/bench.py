@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from drivers.imus.registry import IMUS
+from drivers.kinds import KINDS
 from drivers.packaged import packaged_text
 from drivers.plugins import PluginError, load_files, origin_of, records_of
 from drivers.tables.registry import TABLES
@@ -15,7 +16,8 @@ from estimator.effects.catalogue import records, register
 from estimator.effects.effect import EffectError, Kind, Record
 from estimator.geometry.kinematics import Site
 from estimator.untrusted import read_text
-from station.bench.imu import ImuConfig, read_imu
+from station.bench.device import AnyDevice, DeviceConfig, read_device
+from station.bench.imu import NOT_NAMES, ImuConfig, read_imu
 from station.bench.table import TableConfig, read_table
 from station.bench.units import USUAL, Units
 from station.errors import BenchError, UsageError
@@ -97,8 +99,9 @@ class Bench:
     ``station`` is the name of the place; the patterns say what names of operators and serial numbers of devices look
     like there (regular expressions for the whole of it), empty for anything; the screen asks anew who operates it after
     ``shift_s``. ``excluded`` are effects of the catalogue that devices and table do not have; None for all of them.
-    ``plugins`` are files and packages from outside, ``plugin_files`` the files that the bench names or has beside it.
-    ``after_run`` is the program, with its arguments, that is given the result of each run; empty for none.
+    ``others`` are devices of kinds beside the table and the devices under test. ``plugins`` are files and packages from
+    outside, ``plugin_files`` the files that the bench names or has beside it. ``after_run`` is the program, with its
+    arguments, that is given the result of each run; empty for none.
     """
 
     name: str
@@ -112,10 +115,22 @@ class Bench:
     operator_pattern: str
     serial_pattern: str
     shift_s: float
+    others: tuple[DeviceConfig, ...] = ()
     excluded: frozenset[str] | None = None
     plugins: tuple[str, ...] = ()
     plugin_files: tuple[Path, ...] = ()
     after_run: tuple[str, ...] = ()
+
+    @property
+    def devices(self) -> dict[str, AnyDevice]:
+        """All devices by name: the table first, then those under test, then others."""
+        devices: tuple[AnyDevice, ...] = (self.table, *self.imus, *self.others)
+        return {device.name: device for device in devices}
+
+    @property
+    def used(self) -> tuple[AnyDevice, ...]:
+        """The devices that a run drives, in the same order."""
+        return tuple(device for device in self.devices.values() if device.used)
 
     @property
     def units(self) -> Units:
@@ -153,7 +168,7 @@ def read_bench(
     and effects of their own, beside those that it lists.
     """
     top = Table.parse(text, file, BenchError)
-    own = top.read_all("bench.bench", folder)
+    own = top.read("bench.bench", folder)
     name, place = own["name"] or called, own["station"].read_all("bench.station")
     decision = own["decision"].again().read_all("certificate.decision")
     if decision["false_accept"] is not None and decision["rule"] != "guard band":
@@ -164,11 +179,19 @@ def read_bench(
     files = (*(folder / listed for listed in own["plugins"] or ()), *plugins)
     try:
         modules = load_files(files)
-        imus, tables = IMUS.beside(modules), TABLES.beside(modules)
+        kinds = KINDS.beside(modules)
+        protocols = {name: kinds[name].protocols.beside(modules, name) for name in kinds if name in top.remaining()}
+        imus, tables = IMUS.beside(modules, "imu"), TABLES.beside(modules, "table")
         for module in modules:
             register(*records_of(module, Record), origin=origin_of(module))
     except (PluginError, EffectError) as error:
         raise top.fail("plugins" if own["plugins"] else None, str(error)) from None
+    others = [
+        read_device(section, folder, kinds[name], known)
+        for name, known in protocols.items()
+        for section in ([top.table(name)] if kinds[name].single else top.tables(name))
+    ]
+    top.done()
     bench = Bench(
         name=name,
         text=text,
@@ -181,13 +204,19 @@ def read_bench(
         operator_pattern=place["operator_pattern"],
         serial_pattern=place["serial_pattern"],
         shift_s=place["shift_s"],
+        others=tuple(others),
         excluded=_excluded(own["undeclared"]),
         after_run=_command(place["after_run"] or (), folder),
     )
     names = [imu.name for imu in bench.imus]
     if not names or len(set(names)) != len(names):
         raise BenchError(f"{file}: it needs one [[imu]] or more, each with a name of its own; it has {names}")
+    for device in others:
+        if device.name in NOT_NAMES or [*names, *(other.name for other in others)].count(device.name) > 1:
+            raise BenchError(f"{file}: {device.name!r} is the name of something else: give each device its own")
     origins = {tables.origin(bench.table.protocol), *(imus.origin(imu.protocol) for imu in bench.imus)}
+    origins |= {kinds.origin(device.kind.name) for device in others}
+    origins |= {protocols[device.kind.name].origin(device.spec.name) for device in others}
     origins |= {*map(origin_of, modules), *(record.origin for record in records())}
     return replace(bench, plugins=tuple(sorted(origins - {""})), plugin_files=files)
 

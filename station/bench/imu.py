@@ -9,7 +9,9 @@ import numpy as np
 
 from drivers.imus.can.imu import BUILT_IN_DBC, CanChannel, CanSource
 from drivers.imus.described.imu import Description
+from drivers.imus.kind import SPEC as IMU
 from drivers.imus.registry import IMUS
+from drivers.kind import DeviceKind
 from drivers.plugins import Registry
 from drivers.specs import ImuSpec
 from estimator.errors import GeometryError
@@ -22,7 +24,7 @@ from station.schema.tables import Table, keys_of, known_in
 
 _ARRAYS = {"triad": triad, "tetrahedron": tetrahedron, "dodecahedron": dodecahedron}
 _VARIANTS = ("bench.array", "bench.cone", "bench.axes", "bench.mapped", "bench.listed", "bench.described")
-_NOT_NAMES = ("table", "seed", "watchdog", "start", "fault", "faults", "hidden", "started", "wires")
+NOT_NAMES = ("table", "seed", "watchdog", "start", "fault", "faults", "hidden", "started", "wires")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,6 +45,16 @@ class ImuConfig:
     prior: Prior
     used: bool
     options: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def kind(self) -> DeviceKind:
+        """Its kind."""
+        return IMU
+
+    @property
+    def links(self) -> tuple[str, ...]:
+        """Its link."""
+        return (self.link,)
 
     @property
     def protocol(self) -> str:
@@ -67,7 +79,7 @@ def read_imu(table: Table, folder: Path, known: Registry[ImuSpec] = IMUS) -> Imu
     """Read a section; the table's error with line and key for what is wrong."""
     own = table.read("bench.imu", folder, protocol=known_in(known))
     name, spec, sheet = own["name"], own["spec"], own.pop("datasheet")
-    if name in _NOT_NAMES:
+    if name in NOT_NAMES:
         raise table.fail("name", f"{name!r} means something else on a bench: take another name")
     array_name, array = _array(table, name)
     if spec.gyros not in (None, len(array)):

@@ -6,8 +6,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
+from drivers.kind import DeviceKind
 from drivers.plugins import Registry
 from drivers.specs import AxisSetup, TableSpec
+from drivers.tables.kind import SPEC as TABLE
 from drivers.tables.registry import TABLES
 from drivers.types import AxisLimits
 from estimator.recordings.reference import TableUncertainty
@@ -34,6 +36,21 @@ class TableConfig:
     options: Mapping[str, Any]
     uncertainty: TableUncertainty | None
     read_time_s: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """Its name on the bench."""
+        return self.kind.name
+
+    @property
+    def kind(self) -> DeviceKind:
+        """Its kind."""
+        return TABLE
+
+    @property
+    def used(self) -> bool:
+        """Whether a run drives it."""
+        return True
 
     @property
     def protocol(self) -> str:

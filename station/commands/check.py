@@ -42,7 +42,7 @@ def command_check(arguments: argparse.Namespace) -> int:
             return await check_bench(opened, time_scale=scale, tell=tell)
 
     bench = chosen_bench(arguments)
-    computer = look_at_computer([*bench.table.links, *(imu.link for imu in bench.imus if imu.used)])
+    computer = look_at_computer([link for device in bench.used for link in device.links])
     watch = ClockWatch()
     with clock(bench, arguments.scale) as runner:
         found = runner.run(look(bench, arguments.scale or 1.0))

@@ -16,15 +16,20 @@ import numpy as np
 
 from drivers.errors import DeviceError, LinkLost
 from drivers.imus.described.imu import SPEC as DESCRIBED
+from drivers.imus.kind import SPEC as IMU
 from drivers.imus.registry import IMUS, USUAL_IMU
+from drivers.kind import DeviceKind
+from drivers.kinds import KINDS
 from drivers.plugins import PluginError, load_file, records_of
-from drivers.protocols import ImuSource, Turntable
-from drivers.specs import ImuSpec, TableSpec
+from drivers.protocols import AppendsSeries, Device, ImuSource, Turntable
+from drivers.specs import DeviceSpec, ImuSpec, TableSpec
+from drivers.tables.kind import SPEC as TABLE
 from drivers.tables.registry import TABLES, USUAL_TABLE
 from drivers.types import AxisState, Floats, ImuBlock, SourceCounts
 from estimator.strict_toml import not_one_of
 from station.bench.bench import Bench, read_bench
 from station.bench.descriptions import load_description
+from station.bench.device import DeviceConfig
 from station.bench.imu import ImuConfig
 from station.errors import UsageError
 from station.init.gyros import GYROS, built_in_channels
@@ -37,6 +42,7 @@ from station.run.outcome import Outcome
 _RATE_RPS, _RAMP_RPS2, _LITTLE_RPS = math.radians(20.0), math.radians(20.0), math.radians(0.3)
 USUAL_DESCRIPTION = "hipnuc_hi91"
 _REST_S, _LOOKS, _LOOK_S = 4.0, 50, 0.1
+_ROWS = 3  # of a series
 
 
 @dataclass(slots=True)
@@ -206,6 +212,45 @@ async def _stopped(opened: OpenBench, how: str, at_s: float = 0.0) -> str:
     return "" if opened.at_rest() else f"{how} returned, and an axis still turned"
 
 
+async def _ready(opened: OpenBench) -> str:
+    """Bring the device of another kind to where a run needs it, and listen to what it appends."""
+    (device,) = opened.others
+    config, driver = device.config, device.driver
+    assert isinstance(config, DeviceConfig)
+    await driver.open()
+    first, second = await driver.identify(), await driver.identify()
+    if first != second:
+        return f"asked twice who it is, it says {first} and {second}"
+    if refused := await config.kind.refusal(driver, config.settings):
+        return refused
+    await config.kind.ready(driver, config.settings)
+    if not isinstance(driver, AppendsSeries):
+        return ""
+    before_ns, rows = 0, 0
+    async for t_ns, row in driver.rows():
+        if len(row) != len(driver.columns) or not all(map(math.isfinite, row)):
+            return f"a row of its series is {row}: it needs a number for each of {', '.join(driver.columns)}"
+        if t_ns <= before_ns:
+            return "instants of its series do not always go up"
+        before_ns, rows = t_ns, rows + 1
+        if rows == _ROWS:
+            break
+    return ""
+
+
+async def _left_safe(opened: OpenBench, at_s: float = 2.0) -> str:
+    """Cancel the device of another kind on its way to where a run needs it, and make it safe."""
+    (device,) = opened.others
+    config = device.config
+    assert isinstance(config, DeviceConfig)
+    await device.driver.open()
+    way = asyncio.ensure_future(config.kind.ready(device.driver, config.settings))
+    await asyncio.sleep(at_s - asyncio.get_running_loop().time())
+    way.cancel()  # as Ctrl-C does
+    await asyncio.wait({way})
+    return (await config.kind.make_safe(device.driver, time_scale=1.0, unconfirmed=lambda trouble: None)).trouble
+
+
 _Suites = dict[str, tuple[Mapping[str, Any], Callable[[Any], Any]]]
 _FRAMES: _Suites = {"units": ({}, _units), "clock": ({}, _clock), "loss": ({"loss": "3 %"}, _counted)}
 _BYTES: _Suites = {
@@ -223,29 +268,44 @@ _TABLE: _Suites = {
 }
 
 
-def suites_of(spec: ImuSpec | TableSpec) -> _Suites:
+_OTHER: _Suites = {
+    "ready": ({}, _ready),
+    "framing cut anywhere": ({"one_byte": True}, _ready),
+    "made safe": ({}, _left_safe),
+    "made safe, unplugged": ({"unplug": "30 s", "replug": "30.5 s"}, lambda opened: _left_safe(opened, 30.2)),
+}
+
+
+def suites_of(spec: DeviceSpec) -> _Suites:
     """Return the suites that a device has to pass: faults of its wire, and what judges it."""
-    if isinstance(spec, TableSpec):
-        return _TABLE
-    return _FRAMES if spec.on_can else _FRAMES | _BYTES  # a bus hands over whole frames
+    suites = {TABLE.name: _TABLE, IMU.name: _FRAMES if spec.on_can else _FRAMES | _BYTES}  # a bus hands over frames
+    return suites.get(spec.kind, _OTHER)
 
 
-def _bench_of(
-    spec: ImuSpec | TableSpec, faults: Mapping[str, Any], plugins: Sequence[Path], description: Path | None
-) -> Bench:
-    """Return a bench of the device's twin, whose wire has these faults, and of the other twin that it needs."""
-    (table, imu) = (spec, IMUS[USUAL_IMU]) if isinstance(spec, TableSpec) else (TABLES[USUAL_TABLE], spec)
-    own = table is spec
-    axes = "zyx"[: table.most_axes] if own else "z"
+def _bench_of(spec: DeviceSpec, faults: Mapping[str, Any], plugins: Sequence[Path], description: Path | None) -> Bench:
+    """Return a bench of the device's twin, whose wire has these faults, and of the other twins that it needs."""
+    table = spec if isinstance(spec, TableSpec) else TABLES[USUAL_TABLE]
+    imu = spec if isinstance(spec, ImuSpec) else IMUS[USUAL_IMU]
+    axes = "zyx"[: spec.most_axes if isinstance(spec, TableSpec) else 1]
     keys = "\n".join(f"{key} = {json.dumps(value)}" for key, value in faults.items())
     values = {"table": table, "imu": imu, "axes": axes, "channels": built_in_channels(GYROS.get(imu.proposed.array, 0))}
     values |= {"description": str(description or USUAL_DESCRIPTION), "p": _axes_of(description)}
-    values |= {"table_faults": keys if own else "", "imu_faults": "" if own else keys}
+    values |= {"table_faults": keys if table is spec else "", "imu_faults": keys if imu is spec else ""}
+    values["other"] = "" if spec in (table, imu) else _other_section(spec, keys, plugins)
     return read_bench(rendered("station.commands", "conformance.toml", values), "conformance", plugins=plugins)
 
 
+def _other_section(spec: DeviceSpec, faults: str, plugins: Sequence[Path]) -> str:
+    """Return the sections of a bench file about a device of another kind; keys that it must have as their example."""
+    kind = KINDS.beside(map(load_file, plugins))[spec.kind]
+    keys = [key for key in (*kind.keys, *spec.keys) if key.required]
+    lines = [f"{key.name} = {json.dumps(key.example)}" for key in keys]
+    section = f"[{kind.name}]" if kind.single else f"[[{kind.name}]]"
+    return "\n".join([section, f'protocol = "{spec.name}"', *lines, f"[twin.{kind.name}.fault]", faults])
+
+
 def complaint(
-    spec: ImuSpec | TableSpec,
+    spec: DeviceSpec,
     suite: str,
     plugins: Sequence[Path] = (),
     description: Path | None = None,
@@ -258,19 +318,18 @@ def complaint(
     """
     faults, judge = suites_of(spec)[suite]
     bench = _bench_of(spec, faults, plugins, description)
-    own = isinstance(spec, TableSpec)
 
     async def tried() -> str:
         before = asyncio.all_tasks()
         async with open_bench(bench) as opened:
-            driver, protocol = (opened.table, Turntable) if own else (opened.imus[0].source, ImuSource)
+            driver, protocol = _driver_of(spec, opened)
             if lacks := [name for name in dir(protocol) if name[0] != "_" and not hasattr(driver, name)]:
                 return f"the driver has no {', '.join(lacks)}: see {protocol.__name__} in drivers/protocols.py"
             await opened.table.open()
             await opened.table.identify()
             await opened.table.enable()
             await opened.table.home()
-            if own:
+            if spec.kind != IMU.name:
                 wrong = str(await judge(opened))
             else:
                 heard = await heard_on(opened)
@@ -278,7 +337,8 @@ def complaint(
                 wrong = judge(heard) if heard.blocks and not failed else ""
                 ended = [f"it ended with {_told(heard.error)}"] if heard.error and not wrong else []
                 wrong = wrong or "; ".join([*["no samples came"] * (not heard.blocks), *ended])
-            opened.table.close()
+            for device in opened.devices.values():
+                device.driver.close()
         left = asyncio.all_tasks() - before
         return wrong or ("closed, it leaves a task running" if any(not task.done() for task in left) else "")
 
@@ -304,6 +364,15 @@ def complaint(
         signal.signal(signal.SIGALRM, before)
 
 
+def _driver_of(spec: DeviceSpec, opened: OpenBench) -> tuple[Any, type]:
+    """Return the driver that is tried, and what it has to be."""
+    if spec.kind == TABLE.name:
+        return opened.table, Turntable
+    if spec.kind == IMU.name:
+        return opened.imus[0].source, ImuSource
+    return opened.others[0].driver, Device
+
+
 def _axes_of(description: Path | None) -> list[list[float]]:
     """Return axes for the gyros of a described IMU that are no triad: along z, y and x in turn; else none."""
     if description is None:
@@ -326,10 +395,10 @@ def command_conformance(arguments: argparse.Namespace) -> int:
     name, plugins = arguments.module, [Path(arguments.module)] if arguments.module.endswith(".py") else []
     described = Path(name).absolute() if name.endswith(".toml") else None
     modules = [load_file(path) for path in plugins]
-    found: list[ImuSpec | TableSpec] = []
-    for module in modules:
-        found += [*records_of(module, ImuSpec), *records_of(module, TableSpec)]
-    found += [registry[name] for registry in (IMUS, TABLES) if name in registry]
+    kinds = [kind for kind in KINDS.beside(modules).tried().values() if isinstance(kind, DeviceKind)]
+    brought = [spec for module in modules for spec in records_of(module, DeviceSpec)]
+    found: list[DeviceSpec] = [spec for kind in kinds for spec in brought if spec.kind == kind.name]
+    found += [kind.protocols[name] for kind in kinds if name in kind.protocols]
     if described is not None:
         gyros = len(load_description(str(described)).channels[0].rates)  # tells what is wrong by file, line and key
         if gyros < 3:
@@ -340,9 +409,9 @@ def command_conformance(arguments: argparse.Namespace) -> int:
     if not found:
         if modules:
             raise UsageError(f"{name} has no ImuSpec and no TableSpec: give the record a name, as SPEC = ImuSpec(...)")
+        known = [protocol for kind in kinds for protocol in kind.protocols]
         raise UsageError(
-            f"{not_one_of(name, [*IMUS, *TABLES])}; or give a .py with an ImuSpec or a TableSpec, "
-            "or a .toml that describes an IMU"
+            f"{not_one_of(name, known)}; or give a .py with an ImuSpec or a TableSpec, or a .toml that describes an IMU"
         )
     told, off = [], set[str]()
     for spec, suite in [(one, suite) for one in found for suite in suites_of(one)]:

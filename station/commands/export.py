@@ -8,6 +8,8 @@ from pathlib import Path
 
 from drivers.plugins import load_files
 from estimator.errors import EstimatorError
+from estimator.recordings.reading import read_recording
+from estimator.recordings.recording import Series
 from estimator.strict_toml import not_one_of
 from station.atomic_write import write_whole
 from station.errors import EXIT_USAGE, UsageError, sentence
@@ -27,6 +29,8 @@ def command_export(arguments: argparse.Namespace) -> int:
     if arguments.list:
         _print_list(arguments.json)
         return Outcome.PASS.exit_code
+    if arguments.series is not None:
+        return _export_series(arguments)
     if arguments.all is not None:
         return _export_all(arguments, Path(arguments.all))
     try:
@@ -52,6 +56,34 @@ def command_export(arguments: argparse.Namespace) -> int:
         tell(f"not in {arguments.format}: {line}", sys.stderr)
     _print_cautions(exported, details=arguments.details)
     return Outcome.PASS.exit_code
+
+
+def _export_series(arguments: argparse.Namespace) -> int:
+    """Write the series of a device as CSV: times in s, and a column each with its unit in the heading."""
+    if arguments.recording is None or arguments.format is not None:
+        raise UsageError("--series takes a recording and no --format: `station export RUN.h5 --series NAME`")
+    if arguments.json and arguments.output == _STDOUT:
+        raise UsageError("--json says what was written where: give a file with --output")
+    found = read_recording(Path(arguments.recording)).series
+    if arguments.series not in found:
+        known = not_one_of(arguments.series, found) if found else "no device of this recording appended any"
+        raise UsageError(f"--series {arguments.series}: {known}")
+    text = csv_of(found[arguments.series])
+    if arguments.output == _STDOUT:
+        print(text, end="")
+    else:
+        write_whole(Path(arguments.output), text, replace=arguments.force)
+        told = {"file": arguments.output, "series": arguments.series}
+        print(json.dumps(told) if arguments.json else f"series {arguments.series}: {arguments.output}")
+    return Outcome.PASS.exit_code
+
+
+def csv_of(series: Series) -> str:
+    """Return a series as CSV, numbers with all of their digits."""
+    heading = ["t_s", *(f"{column} ({unit})" for column, unit in series.units.items())]
+    rows = zip(series.t_ns.tolist(), *(values.tolist() for values in series.columns.values()), strict=True)
+    lines = [",".join([f"{t_ns * 1e-9:.9f}", *map(repr, values)]) for t_ns, *values in rows]
+    return "\n".join([",".join(heading), *lines]) + "\n"
 
 
 def _print_result(exported: Exported, *, details: bool) -> None:

@@ -19,6 +19,7 @@ from station.init.dialogue import Dialogue, EndedError
 from station.init.hardware import can_interfaces, serial_ports
 from station.init.imu import ask_imu
 from station.init.links import Links
+from station.init.other import ask_others, other_kinds
 from station.init.rest import ask_rest
 from station.init.table import ask_table
 from station.render.template import rendered
@@ -34,7 +35,7 @@ def command_init(arguments: argparse.Namespace) -> int:
         _check_options(arguments)
         _check_place(path, dialogue, arguments.force)
         answers = _ask(dialogue, arguments, path)
-        write_whole(path, bench_text(answers), replace=True, verify=load_bench)
+        write_whole(path, bench_text(answers, other_kinds()), replace=True, verify=load_bench)
         _say_next(path, load_bench(path))
     except (KeyboardInterrupt, EndedError):
         print("\nstation: stopped before the last question; nothing was written", file=sys.stderr)
@@ -76,7 +77,13 @@ def _ask(dialogue: Dialogue, arguments: argparse.Namespace, path: Path) -> Data:
         imus.append(ask_imu(dialogue, links, folder, protocol, link, [imu["name"] for imu in imus]))
     while dialogue.asks and dialogue.agrees("\nAnother device under test?", False):
         imus.append(ask_imu(dialogue, links, folder, "", "", [imu["name"] for imu in imus]))
-    return ask_rest(dialogue, {"name": name, "table": table, "imu": imus})
+    names = [imu["name"] for imu in imus]
+    others: Data = {}
+    for kind in other_kinds() if dialogue.asks else ():
+        made = ask_others(dialogue, links, folder, kind, names)
+        if made:
+            others[kind.name] = made[0] if kind.single else made
+    return ask_rest(dialogue, {"name": name, "table": table, "imu": imus, **others}, tuple(others))
 
 
 def _check_name(text: str) -> None:
@@ -86,7 +93,7 @@ def _check_name(text: str) -> None:
 
 def _say_next(path: Path, bench: Bench) -> None:
     """Say what was written, and what to type next."""
-    links = {"table": bench.table.link, **{imu.name: imu.link for imu in bench.imus}}
+    links = {device.name: device.links[0] for device in bench.devices.values()}
     unfit = ""
     try:
         check(paper_script(), bench.table.limits)

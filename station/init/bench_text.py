@@ -1,10 +1,11 @@
 """A bench file made of answers: TOML with comments."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator
 
-from drivers.imus.registry import IMUS
-from drivers.specs import ImuSpec, TableSpec
-from drivers.tables.registry import TABLES
+from drivers.imus.kind import SPEC as IMU
+from drivers.kind import DeviceKind
+from drivers.specs import Key
+from drivers.tables.kind import SPEC as TABLE
 from station.bench.table import TWIN
 from station.init.asking import Data
 from station.schema.writing import lines_of
@@ -16,13 +17,23 @@ _HEAD = """\
 """
 
 
-def bench_text(bench: Data) -> str:
-    """Return the whole file."""
+def bench_text(bench: Data, others: Iterable[DeviceKind] = ()) -> str:
+    """Return the whole file; ``others`` are kinds beside the table and the devices under test."""
     docs: dict[str, str] = {}
-    for path, device in (("table.", bench["table"]), *((f"imu.{imu['name']}.", imu) for imu in bench["imu"])):
-        known: Mapping[str, ImuSpec | TableSpec] = TABLES if path == "table." else IMUS
-        spec = known[device["protocol"]]
-        docs |= {f"{path}{key.name}": key.doc for key in spec.keys}
-        docs[f"{path}protocol"] = ", ".join(known)
-        docs[f"{path}link"] = f"the twin; hardware: {spec.link}" if device["link"] == TWIN else ""
-    return _HEAD + "\n".join(lines_of(bench, ["bench.bench"], docs)) + "\n"
+    for kind in (TABLE, IMU, *others):
+        for path, device in _devices(bench, kind):
+            spec = kind.protocols[device["protocol"]]
+            docs |= {f"{path}{key.name}": key.doc for key in (*spec.keys, *kind.keys)}
+            docs[f"{path}protocol"] = ", ".join(kind.protocols)
+            docs[f"{path}link"] = f"the twin; hardware: {spec.link}" if device["link"] == TWIN else ""
+    sections = [Key(kind.name, "table" if kind.single else "tables", kind.what, of=["bench.device"]) for kind in others]
+    return _HEAD + "\n".join(lines_of(bench, ["bench.bench"], docs, more=sections)) + "\n"
+
+
+def _devices(bench: Data, kind: DeviceKind) -> Iterator[tuple[str, Data]]:
+    """Yield the devices of a kind, each with where its keys are, as comments name it."""
+    section = bench.get(kind.name, [])
+    if kind.single and section:
+        yield f"{kind.name}.", section
+    elif not kind.single:
+        yield from ((f"{kind.name}.{device['name']}.", device) for device in section)

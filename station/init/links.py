@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from drivers.specs import ImuSpec, TableSpec
+from drivers.specs import DeviceSpec
 from station.bench.table import TWIN
 from station.init.dialogue import Dialogue
 from station.init.hardware import SerialFound
@@ -16,14 +16,14 @@ class Links:
     can: list[str] = field(default_factory=list)
     taken: set[str] = field(default_factory=set)
 
-    def proposed(self, spec: ImuSpec | TableSpec) -> str:
+    def proposed(self, spec: DeviceSpec) -> str:
         """Return the link to propose: something that was plugged in, else the twin."""
         if spec.on_can:
             return self.can[0] if self.can else TWIN
         free = [port.link for port in self.serial if port.plugged_in and port.link not in self.taken]
         return free[0] if free else TWIN
 
-    def ask(self, dialogue: Dialogue, spec: ImuSpec | TableSpec, device: str, proposed: str = "") -> str:
+    def ask(self, dialogue: Dialogue, spec: DeviceSpec, device: str, proposed: str = "") -> str:
         """Return the link of a device; where nobody is asked and none is proposed, the twin."""
         found = self.can if spec.on_can else [f"{p.link} {p.description}".rstrip() for p in self.serial]
         if found:
@@ -36,7 +36,7 @@ class Links:
         return link
 
 
-def check_link(spec: ImuSpec | TableSpec, link: str, device: str) -> None:
+def check_link(spec: DeviceSpec, link: str, device: str) -> None:
     """See that a text is a link that a protocol can use; BenchError if not."""
     from station.opening.links import driver_link  # with pymodbus, half a second: when the first link is there
 

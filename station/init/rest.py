@@ -15,8 +15,11 @@ from station.schema.tables import keys_of
 _KNOWN = packaged_toml("station.init", "devices.toml")
 
 
-def ask_rest(dialogue: Dialogue, bench: Data) -> Data:
-    """Return the bench with its place, its site and its limits, and what its twins are."""
+def ask_rest(dialogue: Dialogue, bench: Data, others: Sequence[str] = ()) -> Data:
+    """Return the bench with its place, its site and its limits, and what its twins are.
+
+    ``others`` are sections of devices of other kinds.
+    """
     dialogue.say("\nThe lab. With its latitude, Earth rate (15 deg/h) is taken off; - leaves it in the bias.")
     latitude, heading = keys_of("bench.site")
     latitude = replace(latitude, required=False)
@@ -37,6 +40,7 @@ def ask_rest(dialogue: Dialogue, bench: Data) -> Data:
     place = ask_key(dialogue, {}, operator, "names of operators")
     place = ask_key(dialogue, place, serial, "serial numbers of devices")
     stated = {"station": place, "site": site, "table": bench["table"], "imu": bench["imu"]}
+    stated |= {section: bench[section] for section in others}
     simulated = all(imu["link"] == TWIN for imu in bench["imu"])
     return {
         "name": bench["name"],

@@ -4,18 +4,19 @@ The only package of the station that knows that there are twins.
 """
 
 import sys
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from drivers.links.counted import CountedLink
 from drivers.links.lock import held
-from drivers.protocols import ImuSource, Turntable
-from drivers.specs import ImuSetup, TableSetup
-from drivers.tables.recipe import packed_table
+from drivers.protocols import Device, ImuSource, Turntable
+from drivers.recipe import packed_device
+from drivers.specs import DeviceSetup, ImuSetup, TableSetup
 from drivers.types import LinkCounts
 from station.bench.bench import Bench
+from station.bench.device import AnyDevice, DeviceConfig
 from station.bench.imu import ImuConfig
 from station.bench.table import TWIN
 from station.errors import BenchError
@@ -43,14 +44,38 @@ class OpenImu:
     """Of its link."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GuardedTable:
-    """What another process needs to stop the table if this one is killed.
+@dataclass(frozen=True, slots=True)
+class OpenDevice:
+    """A device of any kind with its driver, not yet opened itself."""
 
-    ``packed`` makes the driver (``drivers.tables.recipe``), ``locks`` are the descriptors that hold its links.
+    config: AnyDevice
+    driver: Device
+    link_counts: LinkCounts | None
+    """Of its link; None where its driver opens its links itself."""
+    packed: bytes = b""
+    """What makes its driver in another process (``drivers.recipe``); empty if nothing has to make it safe there."""
+
+    @property
+    def counts(self) -> LinkCounts | None:
+        """What went over its link so far; None of a driver that opens them itself and does not tell."""
+        counts = getattr(self.driver, "counts", None) if self.link_counts is None else self.link_counts
+        return counts if isinstance(counts, LinkCounts) else None
+
+    @property
+    def name(self) -> str:
+        """Its name on the bench."""
+        return self.config.name
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GuardedDevices:
+    """What another process needs to make devices safe if this one is killed.
+
+    ``packed`` makes the drivers (``drivers.recipe``), in the order in which they are made safe; ``locks`` are the
+    descriptors that hold their links.
     """
 
-    packed: bytes
+    packed: tuple[bytes, ...]
     locks: tuple[int, ...]
 
 
@@ -63,14 +88,32 @@ class OpenBench:
     imus: tuple[OpenImu, ...]
     at_rest: Callable[[], bool] = lambda: True
     """Whether the table of the twins is at rest, for trying what the station leaves behind."""
-    guarded: GuardedTable | None = None
-    """None for a twin in this process, which ends with it, and where processes hold no locks."""
+    guarded: GuardedDevices | None = None
+    """None for twins in this process, which end with it, and where processes hold no locks."""
+    devices: Mapping[str, OpenDevice] = field(default_factory=dict)
+    """All of them by name: the table, those under test, others."""
+
+    @property
+    def others(self) -> tuple[OpenDevice, ...]:
+        """The devices of kinds beside the table and the devices under test."""
+        names = {device.name for device in self.bench.others}
+        return tuple(device for device in self.devices.values() if device.name in names)
+
+    def in_safe_order(self) -> list[OpenDevice]:
+        """Return the devices that have to be made safe, in that order."""
+        return in_safe_order(self.devices.values())
 
     def link_counts(self) -> dict[str, LinkCounts]:
-        """Return by device what went over its link; none of a table from outside that opens its links itself."""
-        of_table = getattr(self.table, "counts", None)
-        found = {"table": of_table} if isinstance(of_table, LinkCounts) else {}
-        return found | {imu.config.name: imu.counts for imu in self.imus}
+        """Return by device what went over its link; none of one from outside that opens its links itself."""
+        counts = {device.name: device.counts for device in self.devices.values()}
+        return {name: found for name, found in counts.items() if found is not None}
+
+
+def in_safe_order(devices: Iterable[OpenDevice]) -> list[OpenDevice]:
+    """Return those of some devices that have to be made safe, in the order that their kinds state."""
+    placed = [(device.config.kind.safe_order, device) for device in devices]
+    ordered = [(order, device) for order, device in placed if order is not None]
+    return [device for _, device in sorted(ordered, key=lambda one: one[0])]
 
 
 def with_links(bench: Bench, links: dict[str, str], devices: Sequence[str]) -> Bench:
@@ -80,24 +123,35 @@ def with_links(bench: Bench, links: dict[str, str], devices: Sequence[str]) -> B
 
     BenchError for a name that the bench does not have.
     """
-    names = [imu.name for imu in bench.imus]
+    table = bench.table.name
     for name in (*links, *devices):
-        if name not in names and not (name == "table" and name in links):
-            raise BenchError(f"the bench has no device {name!r}; it has table, {', '.join(names)}")
+        if name not in bench.devices or (name == table and name not in links):
+            raise BenchError(f"the bench has no device {name!r}; it has {', '.join(bench.devices)}")
+    under_test = {imu.name for imu in bench.imus}.intersection(devices)
     imus = tuple(
         replace(
             imu,
             link=links.get(imu.name, imu.link),
-            used=imu.name in devices if devices else imu.used or imu.name in links,
+            used=imu.name in devices if under_test else imu.used or imu.name in links,
         )
         for imu in bench.imus
     )
-    return replace(bench, table=bench.table.at(links["table"]) if "table" in links else bench.table, imus=imus)
+    others = tuple(
+        replace(
+            device,
+            link=links.get(device.name, device.link),
+            used=device.used or device.name in links or device.name in devices,
+        )
+        for device in bench.others
+    )
+    at_link = bench.table.at(links[table]) if table in links else bench.table
+    return replace(bench, table=at_link, imus=imus, others=others)
 
 
 def needs_only_memory(bench: Bench) -> bool:
     """Return whether every link leads to a twin, so that virtual time will do."""
-    return all(link == TWIN for link in (bench.table.link, *(imu.link for imu in bench.imus if imu.used)))
+    links = {bench.table.link}.union(*(device.links for device in bench.used if device is not bench.table))
+    return links == {TWIN}
 
 
 @asynccontextmanager
@@ -105,8 +159,8 @@ async def open_bench(bench: Bench, *, time_scale: float = 1.0) -> AsyncIterator[
     """Build links, twins and drivers; all twins end with the context.
 
     ``time_scale`` is how fast the loop's clock runs: what waits for a host, not for physics, is stretched by it, and
-    not shortened where it is below 1, as devices are slow then, too. The table's links are held: DeviceRefused if
-    another program of this machine has one.
+    not shortened where it is below 1, as devices are slow then, too. The links of what is to be made safe are held:
+    DeviceRefused if another program of this machine has one.
     """
     used = [imu for imu in bench.imus if imu.used]
     if not used:
@@ -116,13 +170,19 @@ async def open_bench(bench: Bench, *, time_scale: float = 1.0) -> AsyncIterator[
         twins = Twins(bench, stack, time_scale)
         table, packed = await _table(bench, twins, time_scale)
         locks: tuple[int, ...] = ()
-        for link in bench.table.links:
-            if link != TWIN:
-                holding = held("table", link, bench.table.spec.tcp_port, f"bench {bench.name}")
-                locks += await stack.enter_async_context(holding)
+        for device in bench.used:
+            for link in device.links if device.kind.safe_order is not None else ():
+                if link != TWIN:
+                    holding = held(device.name, link, device.spec.tcp_port, f"bench {bench.name}")
+                    locks += await stack.enter_async_context(holding)
         imus = tuple([await _imu(imu, twins, time_scale) for imu in used])
-        guarded = GuardedTable(packed=packed, locks=locks) if packed else None
-        yield OpenBench(bench, table, imus, twins.table.at_rest, guarded)
+        devices = [OpenDevice(bench.table, table, None, packed)]
+        devices += [OpenDevice(imu.config, imu.source, imu.counts) for imu in imus]
+        devices += [_other(device, twins, time_scale) for device in bench.others if device.used]
+        recipes = tuple(device.packed for device in in_safe_order(devices) if device.packed)
+        guarded = GuardedDevices(packed=recipes, locks=locks) if recipes else None
+        by_name = {device.name: device for device in devices}
+        yield OpenBench(bench, table, imus, twins.table.at_rest, guarded, by_name)
 
 
 async def _table(bench: Bench, twins: Twins, time_scale: float) -> tuple[Turntable, bytes]:
@@ -136,8 +196,24 @@ async def _table(bench: Bench, twins: Twins, time_scale: float) -> tuple[Turntab
     twin = config.link == TWIN
     link = await twins.table_in_memory() if twin else driver_link(spec, config.link, "table", time_scale)
     setup = TableSetup(axes, config.timeout_s * time_scale, config.options)
-    packed = b"" if twin or sys.platform == "win32" else packed_table(spec, setup, link)
+    packed = b"" if twin or sys.platform == "win32" else packed_device(config.kind, spec, setup, link)
     return spec.make(setup, link if spec.opens_links else CountedLink(link)), packed
+
+
+def _other(config: DeviceConfig, twins: Twins, time_scale: float) -> OpenDevice:
+    """Return a device of a kind that the station knows by its record alone."""
+    spec = config.spec
+    setup = DeviceSetup(
+        name=config.name, timeout_s=config.timeout_s * time_scale, options=config.options, settings=config.settings
+    )
+    twin = config.link == TWIN
+    link = twins.other_in_memory(config) if twin else driver_link(spec, config.link, config.name, time_scale)
+    safe_elsewhere = config.kind.safe_order is not None and not twin and sys.platform != "win32"
+    packed = packed_device(config.kind, spec, setup, link) if safe_elsewhere else b""
+    if spec.opens_links:
+        return OpenDevice(config, spec.make(setup, link), None, packed)
+    counted = CountedLink(link)
+    return OpenDevice(config, spec.make(setup, counted), counted.counts, packed)
 
 
 async def _imu(imu: ImuConfig, twins: Twins, time_scale: float) -> OpenImu:

@@ -9,11 +9,12 @@ from dataclasses import asdict, dataclass, field, replace
 import numpy as np
 
 from drivers.errors import BadReply, DeviceError, LinkLost
-from drivers.protocols import ImuSource, TellsOrders, Turntable
+from drivers.protocols import AppendsSeries, ImuSource, TellsOrders, Turntable
 from drivers.types import Floats, Identity, ImuBlock, LinkCounts, SourceCounts, Stamps
+from station.bench.device import DeviceConfig
 from station.bench.imu import ImuConfig
 from station.errors import sentence
-from station.opening import OpenBench, OpenImu
+from station.opening import OpenBench, OpenDevice, OpenImu
 
 LISTEN_S = 2.0
 _OPEN_S = 5.0
@@ -23,6 +24,7 @@ _LOOKS = (0.07, 0.11, 0.19, 0.23, 0.4)  # parts of it between two looks at what 
 _RATE_OFF = 0.02
 _LEAST_PERIOD_S = 1e-5
 _LOOK_AT_TABLE = "are protocol, link, baud rate, parity and the axes' addresses those of the controller?"
+_LOOK_AT_OTHER = "are protocol, link, baud rate and parity those of the device?"
 _LOOK_AT_IMU = "are protocol, link, baud rate or channel those of the device?"
 
 
@@ -73,12 +75,30 @@ class DeviceCheck:
     experimental: bool = False
     counts: LinkCounts | None = None
 
+    @property
+    def measured(self) -> list[str]:
+        """What it measured, in words, beside axes and sources."""
+        return []
+
+
+@dataclass(slots=True)
+class OtherCheck(DeviceCheck):
+    """What a device of another kind answered: ``values`` of its series, by column, with their units."""
+
+    values: dict[str, float] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def measured(self) -> list[str]:
+        """The values with their units."""
+        return [f"{column}: {value:g} {self.units[column]}" for column, value in self.values.items()]
+
 
 async def check_bench(
     opened: OpenBench, *, time_scale: float = 1.0, tell: Callable[[str], None] = lambda device: None
 ) -> list[DeviceCheck]:
     """Return what each device of an open bench answers, the table first. Nothing moves; every link is closed."""
-    found = []
+    found: list[DeviceCheck] = []
     tell("table")
     try:
         found.append(await _check_table(opened, time_scale))
@@ -90,6 +110,12 @@ async def check_bench(
             found.append(await _check_imu(imu, time_scale))
         finally:
             imu.source.close()
+    for device in opened.others:
+        tell(device.name)
+        try:
+            found.append(await _check_other(device, time_scale))
+        finally:
+            device.driver.close()
     for check in found:
         check.counts = opened.link_counts().get(check.device)
     not_even_refused = [check for check in found if not {_LOOK_AT_TABLE, _LOOK_AT_IMU}.isdisjoint(check.wrong)]
@@ -163,6 +189,25 @@ async def _check_table(opened: OpenBench, time_scale: float) -> DeviceCheck:
         slow = sum(axis.round_trip_s for axis in check.axes)
         if slow * bench.table.poll_rate_hz > 1:
             check.wrong.append(sentence("check.too_slow", slow_ms=slow * 1e3, poll_rate_hz=bench.table.poll_rate_hz))
+    return check
+
+
+async def _check_other(device: OpenDevice, time_scale: float) -> OtherCheck:
+    """Ask a device who it is and for one row of its series; it is told nothing."""
+    config, driver = device.config, device.driver
+    check = OtherCheck(device.name, config.spec.name, ", ".join(config.links))
+    check.experimental = not config.spec.checked_against
+    with _heard(check, _LOOK_AT_OTHER):
+        async with asyncio.timeout(_OPEN_S * max(time_scale, 1.0)):
+            await driver.open()
+            check.identity = await driver.identify()
+            if isinstance(driver, AppendsSeries):
+                check.units = dict(driver.columns)
+                async for _, row in driver.rows():
+                    check.values = dict(zip(check.units, row, strict=True))
+                    break
+            refused = await config.kind.refusal(driver, config.settings) if isinstance(config, DeviceConfig) else ""
+            check.wrong += [refused] if refused else []
     return check
 
 

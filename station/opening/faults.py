@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from sims.physics.hidden import HiddenError
-from sims.wires.faults import DeviceFaults, TableFault, WireFaults, device_faults, table_faults
+from sims.wires.faults import DeviceFaults, TableFault, WireFaults, device_faults, table_faults, wire_faults
 from sims.wires.frames import NodeFaults
 from station.bench.bench import Bench
 from station.schema.tables import Table
@@ -28,6 +28,10 @@ def read_faults(of_table: Any, truths: Table, bench: Bench) -> BenchFaults:
         for imu in bench.imus:
             said = truths.again().table(imu.name, optional=True).value("fault", {})
             devices[imu.name], wires[imu.name] = device_faults(said, len(imu.array), f"twin.{imu.name}.fault")
+        for other in bench.others:
+            section = truths.table(other.name, optional=True)
+            wires[other.name] = wire_faults(section.value("fault", {}), f"twin.{other.name}.fault")
+            section.done()
     except HiddenError as error:
         raise truths.fail_at(str(error)) from None
     return BenchFaults(fault, devices, wires)

@@ -8,7 +8,7 @@ from urllib.parse import SplitResult, parse_qs, urlsplit
 from drivers.links.can_link import CanLink
 from drivers.links.serial_link import SerialLink
 from drivers.links.tcp_link import TcpLink
-from drivers.specs import ImuSpec, TableSpec
+from drivers.specs import DeviceSpec
 from drivers.tables.modbus.line import SerialPort
 from station.errors import BenchError, sentence
 from station.schema.tables import link_of
@@ -20,9 +20,7 @@ _TCP_LIMIT_S = 2.0
 _LEAST_GATHER_S = 0.002  # less saves nothing; more, in scaled time, would be more than what a pty holds
 
 
-def driver_link(
-    spec: ImuSpec | TableSpec, link: str, device: str, time_scale: float = 1.0, *, gather_s: float = 0.0
-) -> Any:
+def driver_link(spec: DeviceSpec, link: str, device: str, time_scale: float = 1.0, *, gather_s: float = 0.0) -> Any:
     """Return what the driver of a device is put on, by what its record says of links; BenchError if it is none.
 
     That is a link to CAN frames or bytes, not yet open, or the Address of a driver that opens links itself;

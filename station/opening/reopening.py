@@ -6,21 +6,13 @@ Whatever answers then is asked who it is, and how it is set: another device ends
 import asyncio
 from collections.abc import Callable
 from dataclasses import astuple
-from typing import Protocol
 
 from drivers.errors import BadReply, DeviceFault, DeviceRefused, LinkLost
 from drivers.links.reopen import BackOff, reopen
-from drivers.protocols import Openable
+from drivers.protocols import Device
 from drivers.types import Identity
 
 _LOOK_S = 0.02
-
-
-class Device(Openable, Protocol):
-    """A source or a table: what can be opened again, and says what it is."""
-
-    async def identify(self) -> Identity:
-        """Ask what it is, after ``open``; empty where it cannot be asked."""
 
 
 class Reopening:

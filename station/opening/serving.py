@@ -15,6 +15,7 @@ from sims.wires.slcan_adapter import SlcanAdapter
 from sims.wires.socketcand_server import SocketcandServer
 from sims.wires.wires import ByteDevice, Plug, Write, on_pty, on_tcp
 from station.bench.bench import Bench
+from station.bench.device import DeviceConfig
 from station.bench.imu import ImuConfig
 from station.opening.links import can_address
 from station.opening.twins import Twins
@@ -40,6 +41,8 @@ async def serve_twins(
         for imu in bench.imus:
             link = await (serving.bus(imu) if imu.spec.on_can else serving.imu(imu))
             tell(device=imu.name, link=link, protocol=imu.protocol, rate_hz=imu.rate_hz)
+        for device in bench.others:
+            tell(device=device.name, link=await serving.other(device), protocol=device.spec.name)
         tell(ready=True, time_scale=time_scale)
         await asyncio.Event().wait()
 
@@ -73,6 +76,13 @@ class Serving:
         return await (
             self._tcp(imu.name, make, 0) if self._twins.wire(imu.name) == "tcp" else self._pty(imu.name, make)
         )
+
+    async def other(self, device: DeviceConfig) -> str:
+        """Serve a device of another kind; return its link."""
+        make = partial(self._twins.other_device, device)
+        if self._twins.wire(device.name) == "tcp":
+            return await self._tcp(device.name, make, 0)
+        return await self._pty(device.name, make)
 
     async def bus(self, imu: ImuConfig) -> str:
         """Serve a device on a CAN bus of its own; return its link."""

@@ -16,7 +16,9 @@ from pymodbus.transport import NULLMODEM_HOST
 from drivers.errors import DeviceError
 from drivers.links.can_link import CanLink
 from drivers.links.can_memory import MemoryBus
+from drivers.plugins import PluginError
 from drivers.protocols import ByteLink, FrameLink
+from drivers.specs import DeviceSetup
 from drivers.types import Floats
 from estimator.strict_toml import not_one_of
 from sims.imus.registry import Ride, twin_of
@@ -32,6 +34,7 @@ from sims.wires.faults import Exchanged, FaultyFrames, faulty_device
 from sims.wires.frames import FrameSink, NodeFaults
 from sims.wires.wires import ByteDevice, Plug, Write, in_memory
 from station.bench.bench import Bench
+from station.bench.device import DeviceConfig
 from station.bench.imu import ImuConfig
 from station.errors import BenchError
 from station.opening.faults import read_faults, turn_knobs
@@ -163,6 +166,20 @@ class Twins:
         self._stack.callback(self.bus_device(imu, partial(MemoryBus, channel)).shutdown)
         return CanLink(imu.name, "memory", channel, {})
 
+    def other_device(self, config: DeviceConfig, write: Write) -> ByteDevice:
+        """Return the twin of a device of another kind; PluginError if its record brings none."""
+        if config.spec.twin is None:
+            raise PluginError(f"{config.spec.name} has no twin: its SPEC needs one, or the bench file a link")
+        setup = DeviceSetup(
+            name=config.name, timeout_s=config.timeout_s, options=config.options, settings=config.settings
+        )
+        device: ByteDevice = config.spec.twin(setup, write)
+        return device
+
+    def other_in_memory(self, config: DeviceConfig) -> ByteLink:
+        """Return the near end of a wire to a device of another kind."""
+        return self._in_memory(config.name, partial(self.other_device, config))
+
     def gyros(self, imu: ImuConfig, number: int = 0) -> GyroArray:
         """Return the gyros of a device, on the table; each ``number`` of its kind has its own scale factors."""
         index = [other.name for other in self.bench.imus].index(imu.name)
@@ -204,6 +221,9 @@ class Twins:
             wires[imu.name] = wire = table.string(imu.name, known[0])
             if wire not in known and not (imu.spec.on_can and wire.startswith("can:")):
                 raise table.fail(imu.name, not_one_of(wire, known))
+        for device in self.bench.others:
+            served = tuple(device.kind.wires)
+            wires[device.name] = table.string(device.name, served[0], one_of=served)
         table.done()
         return wires
 

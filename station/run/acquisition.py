@@ -9,17 +9,20 @@ from typing import Any
 import numpy as np
 
 from drivers.clocks.sampling import Alignment
-from drivers.errors import DeviceError, LinkLost
-from drivers.protocols import EarlySource
+from drivers.errors import DeviceError, DeviceRefused, LinkLost
+from drivers.protocols import AppendsSeries, EarlySource
 from drivers.types import Floats, Identity, ImuBlock, LinkCounts, SourceCounts
 from estimator.calibration.error_model import ErrorModel
 from estimator.errors import EstimatorError
 from estimator.estimation.live.sample_columns import SampleColumns
 from estimator.estimation.live.source import LiveSource
+from estimator.geometry.array import SensorArray
 from estimator.observations.timing import TimeOffset
+from estimator.recordings.recording import DEVICES
 from estimator.recordings.writing import RecordingWriter
+from station.bench.device import DeviceConfig
 from station.errors import sentence
-from station.opening import OpenBench, OpenImu
+from station.opening import OpenBench, OpenDevice, OpenImu
 from station.opening.links import ends_here
 from station.opening.reopening import Reopening
 from station.run.event_loop.host import HostWatch
@@ -92,7 +95,8 @@ class Acquisition:
         on_event: Callable[[float, EventKind, str], None] | None,
     ) -> None:
         """Describe table and sources in the recording; ``time_scale`` is how fast the loop's clock runs."""
-        self._imus, self._bench = opened.imus, opened.bench
+        self._imus, self._others, self._bench = opened.imus, opened.others, opened.bench
+        self._described: set[str] = set()  # devices of other kinds that the recording has a group of
         self.writer, self._model, self._reopening, self._on_event = writer, model, reopening, on_event
         self._host_scale, self._scale = time_scale, max(time_scale, 1.0)  # below 1 devices are slow, too
         self.live = LiveEstimate(self._bench.table.gimbals, self._bench.site)
@@ -102,6 +106,7 @@ class Acquisition:
         """What was had of each source, once all is closed."""
         self.closed = False
         self._last_seen_s: dict[str, float] = {}
+        self._accelerometers: set[str] = set()  # sources whose accelerometers the recording has the axes of
         self._noted: dict[str, dict[str, float | int]] = {}
         self._half_width_ns, self._rate_window_ns = 0, 0
         self.host = HostWatch(time_scale)
@@ -131,6 +136,45 @@ class Acquisition:
             self.writer.set_source(name, identity_attributes("", identity))
         return identity
 
+    async def open_others(self) -> tuple[OpenDevice, ...]:
+        """Open the devices of other kinds; record what each is, and the columns that it appends; return them."""
+        for device in self._others:
+            await self._open_other(device)
+        return self._others
+
+    async def prepare_others(self) -> None:
+        """Bring the devices of other kinds to where the run needs them, one after another."""
+        for device in self._others:
+            if isinstance(device.config, DeviceConfig):
+                self.monitor.phase = Phase.PREPARING
+                await device.config.kind.ready(device.driver, device.config.settings)
+
+    async def _open_other(self, device: OpenDevice) -> None:
+        config, driver = device.config, device.driver
+        await driver.open()
+        identity = await self._reopening.identify(device.name, driver)
+        if isinstance(config, DeviceConfig) and (refused := await config.kind.refusal(driver, config.settings)):
+            raise DeviceRefused(device.name, refused)
+        about = {"kind": config.kind.name, "protocol": config.spec.name, "link": ", ".join(config.links)}
+        columns = driver.columns if isinstance(driver, AppendsSeries) else {}
+        self.writer.add_device(device.name, columns, about | identity_attributes("", identity))
+        self._described.add(device.name)
+
+    async def follow(self, device: OpenDevice) -> None:
+        """Take in the series of a device until cancelled; a lost link is opened again while nothing turns."""
+        driver = device.driver
+        if not isinstance(driver, AppendsSeries):
+            return
+        columns = driver.columns
+        while True:
+            try:
+                async for t_ns, row in driver.rows():
+                    values = dict(zip(columns, row, strict=True))
+                    self.writer.append_series(device.name, t_ns, values)
+                    self.monitor.take_series(device.name, columns, values)
+            except LinkLost as error:
+                await self._reopening.restore(device.name, driver, error)
+
     async def acquire(self, imu: OpenImu) -> None:
         """Take in samples until cancelled; a lost link is opened again while nothing turns."""
         while True:
@@ -145,17 +189,13 @@ class Acquisition:
     def _take_block(self, name: str, block: ImuBlock) -> None:
         self._last_seen_s[name] = asyncio.get_running_loop().time()
         self.beside.attempt("the monitor", lambda: self.monitor.take_block(name, block), None)
-        keys = ("t_ns", "arrival_ns", "rate_rps", "temperature_c", "counter")
+        keys = ("t_ns", "arrival_ns", "rate_rps", "temperature_c", "counter", "accel_mps2")
         columns = {key: values for key in keys if (values := getattr(block, key)) is not None}
-        if block.accel_mps2 is not None:
-            columns["accel_mps2"] = self._in_body_axes(name, block.accel_mps2)
+        if block.accel_mps2 is not None and name not in self._accelerometers:
+            self._accelerometers.add(name)
+            self.writer.add_accelerometers(name, _accelerometer_axes(self.live.sources[name].array))
         self.writer.append_rows(f"imu/{name}", columns)
         self.live.sources[name].add(block)
-
-    def _in_body_axes(self, name: str, accel_mps2: Floats) -> Floats:
-        """Return specific force (n, 3) along the body's axes; a device tells it along those of its three gyros."""
-        p = self.live.sources[name].array.p
-        return np.asarray(np.linalg.solve(p, accel_mps2.T).T) if p.shape == (3, 3) else accel_mps2
 
     def take_row(self, row: TableRow) -> None:
         columns = row._asdict()
@@ -226,8 +266,8 @@ class Acquisition:
     def blamed(self, error: DeviceError) -> DeviceError:
         """Return an error of a device, or the error of this computer that is behind it."""
         config = self._bench
-        links = {"table": config.table.links} | {imu.name: (imu.link,) for imu in config.imus}
-        return self.host.blame(error, served_here=any(map(ends_here, links.get(error.device, ()))))
+        device = config.devices.get(error.device)
+        return self.host.blame(error, served_here=device is not None and any(map(ends_here, device.links)))
 
     async def keep_flushing(self) -> None:
         """Write what has come into the journal, some 150 times a second, and now and then into the recording, too.
@@ -306,6 +346,12 @@ class Acquisition:
                 self.writer.set_source(name, self.reports[name].attributes() | _link_attributes("", imu.counts))
             if whole:
                 await self._reopening.ask_at_end(imu.config.name, imu.source)
+        for device in self._others:
+            device.driver.close()
+            if device.counts is not None and device.name in self._described:
+                self.writer.set_attributes(_link_attributes("", device.counts), f"{DEVICES}/{device.name}")
+            if whole:
+                await self._reopening.ask_at_end(device.name, device.driver)
         if whole:
             with suppress(EstimatorError):  # which the batch estimate tells
                 self.live.finish()
@@ -332,6 +378,14 @@ class Acquisition:
         late = f"this computer did not keep up: the run waited for it for up to {self.host.worst_s * 1e3:.0f} ms"
         found += [slow] * (took_s > _SLOW_S) + [late] * (self.host.worst_s > 0.0)
         return [cause for cause in found if cause]
+
+
+def _accelerometer_axes(array: SensorArray) -> Floats:
+    """Return the nominal axes (3, 3) in the body of a device's accelerometers.
+
+    They are those of its gyros if it has three, which a device tells both along; else those of the body.
+    """
+    return array.p if array.p.shape == (3, 3) else np.eye(3)
 
 
 def _link_attributes(prefix: str, counts: LinkCounts) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from station.opening import OpenBench
 from station.opening.reopening import Reopening
 from station.run.live import LiveEstimate
 from station.run.sequencer import Sequencer
-from station.run.snapshot import AxisSnapshot, GyroSnapshot, Phase, Snapshot, SourceSnapshot
+from station.run.snapshot import AxisSnapshot, GyroSnapshot, Phase, SeriesSnapshot, Snapshot, SourceSnapshot
 from station.run.table_watch import TableRow
 from station.scripts.steps.kind import Span
 
@@ -89,6 +89,7 @@ class Monitor:
         self._counts: dict[str, SourceCounts] = {}
         self._open, self._live, self._reopening, self._scale = opened, live, reopening, time_scale
         self._axes = opened.bench.table.gimbals
+        self._series: dict[str, tuple[SeriesSnapshot, ...]] = {}
         self._rows: Counter[str] = Counter()
         self._last: dict[str, ImuBlock] = {}
         self._marks: defaultdict[str, deque[_Mark]] = defaultdict(deque)
@@ -108,6 +109,12 @@ class Monitor:
         if len(block.t_ns):
             self._rows[name] += len(block.t_ns)
             self._last[name] = block
+
+    def take_series(self, device: str, columns: Mapping[str, str], values: Mapping[str, float]) -> None:
+        """Keep the newest row of a device's series; ``columns`` are its units."""
+        self._series[device] = tuple(
+            SeriesSnapshot(device, column, unit, values[column]) for column, unit in columns.items()
+        )
 
     def mark(self) -> None:
         """Keep how far each source is, a few times a second: rates are counted from there."""
@@ -181,6 +188,7 @@ class Monitor:
             sources=tuple(self._source_snapshots(now_s)),
             gyros=tuple(self._gyro_snapshots()),
             links=tuple(f"link of {name}: {counts.text}" for name, counts in self.link_counts().items()),
+            series=tuple(column for columns in self._series.values() for column in columns),
         )
 
     def _axis_snapshots(self, now_s: float) -> Iterator[AxisSnapshot]:

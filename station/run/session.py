@@ -15,7 +15,6 @@ from typing import Any
 
 from drivers.errors import DeviceError
 from drivers.tables.halting import first_look
-from drivers.tables.making_safe import make_safe
 from drivers.types import LinkCounts
 from estimator.calibration.error_model import ErrorModel
 from estimator.calibration.values import Calibration
@@ -33,6 +32,7 @@ from station.run.event_loop.services import leaves, serve
 from station.run.event_loop.signals import heeded_signals
 from station.run.final_estimate import final_estimate
 from station.run.guard.guard import Guard
+from station.run.guard.way_out import WayOut
 from station.run.manual import ManualSequencer
 from station.run.outcome import MANUAL_VERDICT, Outcome, Verdict, judge
 from station.run.sequencer import Sequencer
@@ -130,6 +130,7 @@ class Session:
         self._writer, self._event = self._acquisition.writer, self._acquisition.event
         self._live, self._monitor = self._acquisition.live, self._acquisition.monitor
         self._monitor.planned = script.span
+        self._way_out = WayOut(bench, self._time_scale, self._event)
         self._guard = Guard(bench.guarded, path, time_scale, self._tell_of_guard)
         self._ended_early = ""
         self._early_end = EarlyEnd(bench, self._live, time_scale) if options.end_early else None
@@ -254,6 +255,7 @@ class Session:
             for imu in self._open.imus:
                 self._check_serial(imu.config.name, (await acquisition.open(imu)).serial)
                 services.append(serve(group, acquisition.acquire(imu)))
+            services += [serve(group, acquisition.follow(device)) for device in await acquisition.open_others()]
             await table.open()  # the last: what is not there is known before the table is touched
             await first_look(table, take_over=self._options.reset_fault)
             self._connected = True  # from here on it is ours to stop
@@ -264,6 +266,7 @@ class Session:
             services.append(serve(group, acquisition.watch_silence()))
             if self._options.reset_fault:
                 await table.reset_fault()
+            await acquisition.prepare_others()
             watch_home = serve(group, watch_homing(table))
             monitor.phase = Phase.ENABLING
             await table.enable()
@@ -334,22 +337,13 @@ class Session:
         return self._monitor.sequencer is not None and self._monitor.sequencer.driven_axis is not None
 
     async def _rest(self) -> None:
-        """Bring the table to rest; what goes wrong with that is part of the verdict."""
+        """Make all devices safe, the table first; what goes wrong with that is part of the verdict."""
         self._monitor.phase = Phase.STOPPING
         if not self._connected:
             return
-
-        def unconfirmed(trouble: str) -> None:
-            self._event(EventKind.NOT_AT_REST, f"controlled stop not confirmed: {trouble}")
-
-        rest = await make_safe(
-            self._open.table, time_scale=self._time_scale, unconfirmed=unconfirmed, untrue_readings=bool(self._untrue)
-        )
-        if rest.seen:
-            self._event(EventKind.AT_REST, "table at rest")
-        if rest.trouble:
-            verdict = self._verdict or Verdict(Outcome.FAULT, rest.trouble)
-            self._verdict = replace(verdict, reason="; ".join(dict.fromkeys((verdict.reason, rest.trouble))))
+        for trouble in await self._way_out.go(untrue_readings=bool(self._untrue)):
+            verdict = self._verdict or Verdict(Outcome.FAULT, trouble)
+            self._verdict = replace(verdict, reason="; ".join(dict.fromkeys((verdict.reason, trouble))))
 
     def _tell_of_guard(self, text: str) -> None:
         _log.warning("station: %s", text)

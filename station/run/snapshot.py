@@ -19,6 +19,7 @@ class Phase(StrEnum):
 
     CONNECTING = "connecting"
     ENABLING = "enabling"
+    PREPARING = "preparing devices"
     HOMING = "homing"
     RUNNING = "running"
     STOPPING = "coming to rest"
@@ -100,6 +101,16 @@ class SourceSnapshot:
 
 
 @dataclass(frozen=True, slots=True)
+class SeriesSnapshot:
+    """The newest value of a column that a device appends to the recording."""
+
+    device: str
+    column: str
+    unit: str
+    value: float
+
+
+@dataclass(frozen=True, slots=True)
 class Snapshot:
     """State of a run at one instant; times in seconds of the loop's clock. ``label``: of the step under way, or "".
 
@@ -128,6 +139,7 @@ class Snapshot:
     recent: int = 0
     links: tuple[str, ...] = ()
     longer_s: float = 0.0
+    series: tuple[SeriesSnapshot, ...] = ()
 
     @property
     def doing(self) -> str:

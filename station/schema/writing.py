@@ -4,20 +4,27 @@ import json
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
+from drivers.specs import Key
 from station.schema.tables import keys_of
 
 _COMMENTS = 40  # the column behind which they begin
 
 
 def lines_of(
-    data: Mapping[str, Any], sections: Iterable[str], docs: Mapping[str, str], path: str = "", name: str = ""
+    data: Mapping[str, Any],
+    sections: Iterable[str],
+    docs: Mapping[str, str],
+    path: str = "",
+    name: str = "",
+    *,
+    more: Iterable[Key] = (),
 ) -> Iterator[str]:
-    """Yield the lines of a table with these sections, whose values are those of TOML.
+    """Yield the lines of a table with these sections, and the keys ``more``, whose values are those of TOML.
 
     A key that is left out is shown behind a # if it has an example, a table if it must not be there. ``docs`` are
     comments in place of those that are declared, by path: "table.link", or "imu.array.rate" of the device of a name.
     """
-    keys = {key.name: key for section in sections for key in keys_of(section)}
+    keys = {key.name: key for key in (*(key for section in sections for key in keys_of(section)), *more)}
     inner = {own: value for own, value in data.items() if isinstance(value, dict) or (not path and _tables(value))}
     for own, value in data.items():
         if own not in inner:

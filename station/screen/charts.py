@@ -27,7 +27,7 @@ class Charts(Grid):
 
     def __init__(self, names: Sequence[str], draw: Callable[[str], Drawing | None]) -> None:
         super().__init__()
-        self._names, self._draw = names, draw
+        self._names, self._draw = list(names), draw
         self._charts: list[Chart] = []
         self._turn = 0
         self._window: tuple[float, float] | None = None
@@ -37,12 +37,25 @@ class Charts(Grid):
         self.call_after_refresh(lambda: cast(SeenApp, self.app).work(self._bring, f"charts {id(self)}"))
 
     async def _bring(self) -> None:
+        await self._mount_missing()
+
+    def add(self, names: Sequence[str]) -> None:
+        """Show more charts, after those that are there; a name that is known is passed over."""
+        new = [name for name in names if name not in self._names]
+        self._names = [*self._names, *new]
+        if new and self._charts:
+            self.call_after_refresh(lambda: cast(SeenApp, self.app).work(self._mount_missing, f"more {id(self)}"))
+
+    async def _mount_missing(self) -> None:
         kind = (await asyncio.to_thread(import_module, "station.screen.chart")).Chart
-        if self.is_attached and not self._charts:
-            self._charts = [kind(partial(self.draw, at), name) for at, name in enumerate(self._names)]
-            await self.mount(*self._charts)
-            self.on_resize()
-            self.draw()
+        missing = range(len(self._charts), len(self._names))
+        if not self.is_attached or not missing:
+            return
+        charts = [kind(partial(self.draw, at), self._names[at]) for at in missing]
+        self._charts = [*self._charts, *charts]
+        await self.mount(*charts)
+        self.on_resize()
+        self.draw()
 
     def on_resize(self) -> None:
         """Choose the columns that leave each chart the most room; if that is too little for all, show one."""

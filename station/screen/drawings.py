@@ -62,11 +62,13 @@ class Drawing(NamedTuple):
 
 
 def run_drawing(name: str, run: LiveRun, gyro: GyroSnapshot) -> Drawing:
-    """Return a chart of a run, one of ``RUN_CHARTS``, with its steps marked."""
+    """Return a chart of a run, one of ``RUN_CHARTS`` or ``series_charts``, with its steps marked."""
     if name == "axes" and run.snapshot is not None:
         return _axes_drawing(run, run.snapshot)
     limits = run.hello.get("limits") or {}
-    if name in STATE_CHARTS:
+    if name in series_charts(run.seen[-1]):
+        found = _series_drawing(series_charts(run.seen[-1]).index(name), run.seen)
+    elif name in STATE_CHARTS:
         index = STATE_CHARTS.index(name)
         trend = run.trends.get(gyro.name) or Trend()
         figures = told_figures(limits.get("units"))
@@ -74,6 +76,19 @@ def run_drawing(name: str, run: LiveRun, gyro: GyroSnapshot) -> Drawing:
     else:
         found = _seen(name, run, gyro, [float(limits[key]) for key in ("nis_low", "nis_high") if limits.get(key)])
     return found._replace(marks=run.steps_begin_s, span=(0.0, run.seen[-1].elapsed_s))
+
+
+def series_charts(snapshot: Snapshot) -> list[str]:
+    """Return the names of the charts of what devices append to the recording, a column each."""
+    return [f"series{at}" for at in range(len(snapshot.series))]
+
+
+def _series_drawing(at: int, seen: Sequence[Snapshot]) -> Drawing:
+    """Return a column of a device's series over time."""
+    newest = seen[-1].series[at]
+    values = [s.series[at].value if at < len(s.series) else math.nan for s in seen]
+    words = [(f"{newest.column} ({newest.unit})", ""), (number(newest.value, 2), "line"), (newest.device, "")]
+    return Drawing(words, [Curve([s.elapsed_s for s in seen], values)])
 
 
 def _seen(name: str, run: LiveRun, gyro: GyroSnapshot, nis_limits: Sequence[float]) -> Drawing:

@@ -163,6 +163,55 @@ def test_a_recording_without_site_has_none(tmp_path: Path) -> None:
     assert read_recording(tmp_path / "run.h5").site is None
 
 
+SKEWED_ACCELEROMETERS = np.array([[0.6, 0.8, 0.0], [0.0, 0.6, 0.8], [0.8, 0.0, 0.6], [0.0, 0.0, 1.0]])
+
+
+def with_skewed_accelerometers() -> tuple[Recording, np.ndarray]:
+    """Return a recording whose source has four accelerometers along axes of their own, and the true specific force."""
+    force_mps2 = RNG.normal(size=(200, 3))
+    sent = recording()
+    data = dataclasses.replace(
+        sent.sources["a"], accel_mps2=force_mps2 @ SKEWED_ACCELEROMETERS.T, accel_axes=SKEWED_ACCELEROMETERS
+    )
+    return dataclasses.replace(sent, sources={"a": data}), force_mps2
+
+
+def test_accelerometers_along_axes_of_their_own_give_the_specific_force_of_the_body(tmp_path: Path) -> None:
+    sent, force_mps2 = with_skewed_accelerometers()
+    write_recording(tmp_path / "run.h5", sent)
+    found = read_recording(tmp_path / "run.h5", trusted=True)
+    np.testing.assert_array_equal(found.sources["a"].accel_mps2, sent.sources["a"].accel_mps2)
+    np.testing.assert_allclose(found.sources["a"].specific_force_mps2, force_mps2, atol=1e-12)
+    np.testing.assert_allclose(found.sources["a"].to_frame().iloc[:, -3:], force_mps2, atol=1e-12)
+    assert found.attributes["format_version"] == 2  # who reads only version 1 takes them for axes of the body
+
+
+def test_accelerations_of_a_recording_without_their_axes_are_along_the_body(path: Path) -> None:
+    found = read_recording(path, trusted=True)
+    data = found.sources["a"]
+    assert found.attributes["format_version"] == 1
+    assert data.accel_mps2 is not None
+    assert data.specific_force_mps2 is data.accel_mps2
+
+
+@pytest.mark.parametrize(
+    ("axes", "complaint"),
+    [
+        (np.eye(3), "has 4 accelerometers, but accel_axes of the shape"),
+        (np.ones((4, 3)), "accel_axes do not span all directions"),
+        (np.full((4, 3), np.nan), "accel_axes do not span all directions"),
+    ],
+)
+def test_impossible_axes_of_accelerometers_are_refused(tmp_path: Path, axes: np.ndarray, complaint: str) -> None:
+    write_recording(tmp_path / "run.h5", with_skewed_accelerometers()[0])
+
+    def change(file: Any) -> None:
+        file["imu/a"].attrs["accel_axes"] = axes
+
+    with pytest.raises(RecordingError, match=f"/imu/a.* {complaint}"):
+        read_recording(changed(tmp_path / "run.h5", change), trusted=True)
+
+
 def test_nothing_is_overwritten(path: Path) -> None:
     before = path.read_bytes()
     with pytest.raises(RecordingError, match=r"cannot create .*run\.h5"):

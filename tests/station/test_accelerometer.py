@@ -1,4 +1,4 @@
-"""Accelerometers of a device that is mounted askew: a recording has them along the body's axes."""
+"""Accelerometers of a device that is mounted askew: as it reports them, and turned into the body's axes on reading."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import h5py
 import numpy as np
 import pytest
 
+from estimator.recordings.reading import read_recording
 from station.cli import main
 
 BENCHES = Path(__file__).parents[1] / "data" / "benches"
@@ -46,14 +47,16 @@ def askew(bench: str) -> str:
 
 
 @pytest.mark.parametrize(("bench", "device"), DEVICES.items())
-def test_specific_force_at_rest_points_up_along_the_axes_of_the_body(tmp_path: Path, bench: str, device: str) -> None:
+def test_a_recording_has_raw_accelerations_and_their_axes(tmp_path: Path, bench: str, device: str) -> None:
     (tmp_path / "bench.toml").write_text(askew(bench))
     (tmp_path / "tilts.toml").write_text(SCRIPT)
     path = tmp_path / "tilts.h5"
     options = ("--bench", tmp_path / "bench.toml", "--script", tmp_path / "tilts.toml", "-o", path)
     main(["run", *map(str, options)])
+    data = read_recording(path).sources[device]
+    assert data.accel_mps2 is not None
+    assert data.specific_force_mps2 is not None
     with h5py.File(path) as file:
-        t_ns, force = file[f"imu/{device}/t_ns"][()], file[f"imu/{device}/accel_mps2"][()]
         steps = file["steps"]
         rests = [
             (steps["t_start_ns"][i], steps["t_end_ns"][i])
@@ -62,6 +65,8 @@ def test_specific_force_at_rest_points_up_along_the_axes_of_the_body(tmp_path: P
         ]
     assert len(rests) == len(UP_IN_BODY)
     for (start_ns, end_ns), up in zip(rests, UP_IN_BODY, strict=True):
-        # A device gives what is along its own axes, which are askew: it shows none of these numbers itself.
-        within = (t_ns > start_ns + 5e8) & (t_ns < end_ns - 1e8)
-        np.testing.assert_allclose(force[within].mean(axis=0), GRAVITY_MPS2 * np.array(up), atol=0.01)
+        within = (data.t_ns > start_ns + 5e8) & (data.t_ns < end_ns - 1e8)
+        force_mps2 = GRAVITY_MPS2 * np.array(up)
+        # The device measures along its own axes, which are askew.
+        np.testing.assert_allclose(data.accel_mps2[within].mean(axis=0), data.array.p @ force_mps2, atol=0.01)
+        np.testing.assert_allclose(data.specific_force_mps2[within].mean(axis=0), force_mps2, atol=0.01)

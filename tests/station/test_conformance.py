@@ -16,7 +16,7 @@ from station.cli import main
 from station.commands.conformance import complaint, suites_of
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
-FILES = [EXAMPLES / "counted_imu.py", EXAMPLES / "numbered_table.py"]
+FILES = {"counted_imu.py": 6, "numbered_table.py": 6, "climate_chamber.py": 4}
 # test_table_conformance tries the station's own tables harder, on its own wires; tests of each decoder cut and spoil.
 LONG = ("framing cut anywhere", "garbage", "clock", "loss")
 DEVICES = [
@@ -31,13 +31,13 @@ def test_a_device_of_the_station_passes(spec: ImuSpec | TableSpec, suite: str) -
     assert complaint(spec, suite) == ""
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
-def test_the_examples_pass_and_each_suite_is_told(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["conformance", str(path), "--json"]) == 0
+@pytest.mark.parametrize(("file", "suites"), FILES.items())
+def test_the_examples_pass_and_each_suite_is_told(file: str, suites: int, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["conformance", str(EXAMPLES / file), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["ok"]
     assert all(finding["wrong"] == "" for finding in told["findings"])
-    assert len(told["findings"]) == 6
+    assert len(told["findings"]) == suites
 
 
 FRAMES = """
@@ -176,6 +176,27 @@ def test_what_follows_from_a_wrong_unit_is_not_told_as_more_faults(
     said = capsys.readouterr().out.splitlines()
     assert [line for line in said if line.startswith("FAIL")] == [said[0]]
     assert "skip  counted, clock: it judges by rates, and units fails" in said
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "told"),
+    [
+        (
+            "yield round(asyncio.get_running_loop().time() * 1e9), (",
+            "yield 1, (",
+            "instants of its series do not always",
+        ),
+        ('f"TEMP, S{SAFE_C:.1f}"', 'f"TEMP, X{SAFE_C:.1f}"', "it was told to go to 25 degC and goes to 27 degC"),
+    ],
+)
+def test_a_device_of_another_kind_that_is_wrong_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], right: str, wrong: str, told: str
+) -> None:
+    text = (EXAMPLES / "climate_chamber.py").read_text()
+    assert right in text
+    (tmp_path / "mine.py").write_text(text.replace(right, wrong))
+    assert main(["conformance", str(tmp_path / "mine.py")]) == 1
+    assert told in " ".join(capsys.readouterr().out.split())
 
 
 def test_a_file_without_a_device_is_told_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

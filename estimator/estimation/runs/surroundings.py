@@ -92,10 +92,11 @@ def force_at(recording: Recording, data: ImuData, grid_s: Floats) -> Floats:
         w, x, y, z = reference.attitude_wxyz[good].T
         up = np.column_stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]) * GRAVITY_MPS2
         return np.column_stack([np.interp(grid_s, at, column) for column in up.T])
-    if data.accel_mps2 is None:
+    force_mps2 = data.specific_force_mps2
+    if force_mps2 is None:
         return np.full((len(grid_s), 3), np.nan)
-    good = np.isfinite(data.accel_mps2).all(axis=1)
-    t_s, accel = data.t_ns[good] * 1e-9, data.accel_mps2[good]
+    good = np.isfinite(force_mps2).all(axis=1)
+    t_s, accel = data.t_ns[good] * 1e-9, force_mps2[good]
     if not len(t_s):
         return np.full((len(grid_s), 3), np.nan)
     width = max(round(_SMOOTH_S / max(float(np.median(np.diff(t_s))), 1e-6)), 1)

@@ -1,4 +1,4 @@
-"""The station's side of the guard: starts it, gives it the table, sees that it lives, and dismisses it."""
+"""The station's side of the guard: starts it, gives it the devices, sees that it lives, and dismisses it."""
 
 import asyncio
 import os
@@ -9,7 +9,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from station.opening import GuardedTable
+from station.opening import GuardedDevices
 from station.run.guard.words import ARM, DISMISS, Order
 
 _READY_LIMIT_S = 10.0
@@ -24,14 +24,16 @@ def guard_log_of(recording: Path) -> Path:
 
 
 class Guard:
-    """A process that stops the table if this one is killed; started anew if it is killed itself.
+    """A process that makes devices safe if this one is killed; started anew if it is killed itself.
 
     Without it a run goes on: ``tell`` says so.
     """
 
-    def __init__(self, table: GuardedTable | None, recording: Path, time_scale: float, tell: Callable[[str], None]):
-        """Nothing is started yet; ``table`` is None if it is a twin in this process."""
-        self._table, self._tell, self._time_scale = table, tell, time_scale
+    def __init__(
+        self, devices: GuardedDevices | None, recording: Path, time_scale: float, tell: Callable[[str], None]
+    ) -> None:
+        """Nothing is started yet; ``devices`` is None if all that are to be made safe are twins in this process."""
+        self._devices, self._tell, self._time_scale = devices, tell, time_scale
         self._log = str(guard_log_of(recording).absolute())
         self._process: subprocess.Popen[bytes] | None = None
         self._heard = asyncio.Event()
@@ -40,13 +42,13 @@ class Guard:
 
     def start(self) -> None:
         """Start the process, which takes a fraction of a second to be ready."""
-        if self._table is None:
+        if self._devices is None:
             return
         self._starts += 1
         self._ready = False
         order = Order(
-            table=self._table.packed,
-            locks=self._table.locks,
+            devices=self._devices.packed,
+            locks=self._devices.locks,
             pid=os.getpid(),
             who=f"the station (process {os.getpid()})",
             log=self._log,
@@ -58,7 +60,7 @@ class Guard:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 bufsize=0,
-                pass_fds=self._table.locks,
+                pass_fds=self._devices.locks,
                 start_new_session=True,
             )
         except OSError as error:
@@ -72,7 +74,7 @@ class Guard:
         asyncio.get_running_loop().add_reader(self._process.stdout.fileno(), self._hear)
 
     async def arm(self) -> None:
-        """Have the table guarded from now on; waits until a guard can act, or until it is told that none can."""
+        """Have the devices guarded from now on; waits until a guard can act, or until it is told that none can."""
         self._armed = True
         await self._see_ready()
 
@@ -84,12 +86,12 @@ class Guard:
             await self._see_ready()
 
     async def _see_ready(self) -> None:
-        """Start guards until one is ready, and give it the table; each that fails is told."""
+        """Start guards until one is ready, and give it the devices; each that fails is told."""
         limit_s = asyncio.get_running_loop().time() + _READY_LIMIT_S * max(self._time_scale, 1.0)
-        while self._table is not None and (self._process is None or not self._ready):
+        while self._devices is not None and (self._process is None or not self._ready):
             if self._process is None:
                 if self._starts == _MOST_STARTS:
-                    self._table = None
+                    self._devices = None
                     self._tell(f"guards end by themselves, no more are started: {_UNGUARDED}")
                     return
                 self._tell("the guard process has ended, another is started")
@@ -105,9 +107,9 @@ class Guard:
             self._send(ARM)
 
     def dismiss(self) -> None:
-        """Let the guard go: the table is at rest, or was never touched."""
+        """Let the guard go: the devices are safe, or were never touched."""
         self._armed = False
-        self._table = None
+        self._devices = None
         self._send(DISMISS)
         self._close()
 

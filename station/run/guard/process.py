@@ -1,4 +1,4 @@
-"""The guard's own process: waits for the death of the station, then brings the table to rest and switches it off.
+"""The guard's own process: waits for the death of the station, then makes its devices safe, the table first.
 
 It imports no more than that needs, and all of that before the table is enabled: memory and disk may be short when it
 is called on. Run as ``python -m station.run.guard.process``; standard input is the pipe from the station.
@@ -13,7 +13,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Sequence
 from contextlib import suppress
 from functools import partial
 from typing import Any
@@ -21,10 +21,9 @@ from typing import Any
 import serial  # noqa: F401  a serial link imports it when it is opened, which would be late
 
 from drivers.errors import DeviceError
+from drivers.kind import DeviceKind, SafeState
 from drivers.links.lock import check_own, inherited
-from drivers.protocols import Turntable
-from drivers.tables.making_safe import Rest, make_safe
-from drivers.tables.recipe import unpacked_table
+from drivers.recipe import unpacked_device
 from station.run.event_loop.loops import ScaledLoop
 from station.run.guard.words import ARM, DISMISS, READY, Order
 
@@ -33,6 +32,9 @@ _GIVE_UP_S, _PAUSE_S = 60.0, 0.5
 _LAST_WORDS_S = 1.0  # for the terminal and the disk, by the wall's clock
 _PR_SET_PDEATHSIG = 1
 _OOM_STEPS = range(-1000, 1000, 100)
+
+_Device = tuple[DeviceKind, Any]
+"""A kind and a driver of it."""
 
 
 def main() -> None:
@@ -80,20 +82,20 @@ def _ask_to_be_continued() -> None:
 
 async def _guard(order: Order) -> None:
     try:
-        table = unpacked_table(order.table)
+        devices = [unpacked_device(packed) for packed in order.devices]
     except Exception as error:  # what stands in a plug-in
-        os.write(2, f"station: the guard cannot make the table's driver: {type(error).__name__}: {error}\n".encode())
+        os.write(2, f"station: the guard cannot make a driver: {type(error).__name__}: {error}\n".encode())
         return
     log = _Log(order)
     os.write(1, READY)
     if await _station_dies(order.pid):
-        with inherited(order.locks, f"guard of {order.who}, which has died: it stops the table"):
-            await _act(order, table, log)
+        with inherited(order.locks, f"guard of {order.who}, which has died: it stops {_named(devices)}"):
+            await _act(order, devices, log)
         log.close()
 
 
 async def _station_dies(pid: int) -> bool:
-    """Return at the station's death whether the table was its own then, or false when this guard is dismissed.
+    """Return at the station's death whether the devices were its own then, or false when this guard is dismissed.
 
     The death shows at the pipe and, on Linux, at the process: a child of the station's that was forked without
     ``exec`` keeps the pipe open.
@@ -148,31 +150,39 @@ def _words() -> tuple[bytes, bool]:
     return words, False
 
 
-async def _act(order: Order, table: Turntable, say: "_Log") -> None:
-    """Bring the table to rest and take its power off, again and again for a minute."""
-    say(f"{order.who} has died with the table in its hands: the guard stops it")
+def _named(devices: Sequence[_Device]) -> str:
+    return " and ".join(kind.what for kind, _ in devices)
+
+
+async def _act(order: Order, devices: Sequence[_Device], say: "_Log") -> None:
+    """Make devices safe in their order; those that are not are tried again and again for a minute."""
+    say(f"{order.who} has died with {_named(devices)} in its hands: the guard stops {'them' if devices[1:] else 'it'}")
     loop = asyncio.get_running_loop()
     began_s = loop.time()
-    while True:
-        rest = await _tried(make_safe(table, time_scale=order.time_scale, unconfirmed=say))
-        after_s = (loop.time() - began_s) / order.time_scale
-        if not rest.trouble:
-            say(f"the table is at rest, its power off, {after_s:.2f} s after the death was known")
-            return
-        if after_s > _GIVE_UP_S:
-            say(f"the guard gives up after {after_s:.0f} s: {rest.trouble}")
-            return
-        say(f"{rest.trouble}; the guard tries again")
-        with suppress(DeviceError, OSError):
-            table.close()
-        await asyncio.sleep(_PAUSE_S * order.time_scale)
+    left = list(devices)
+    while left:
+        for kind, device in tuple(left):
+            state = await _tried(kind.make_safe(device, time_scale=order.time_scale, unconfirmed=say))
+            after_s = (loop.time() - began_s) / order.time_scale
+            if not state.trouble:
+                say(f"{kind.made_safe}, {after_s:.2f} s after the death was known")
+                left.remove((kind, device))
+            elif after_s > _GIVE_UP_S:
+                say(f"the guard gives up after {after_s:.0f} s: {state.trouble}")
+                left.remove((kind, device))
+            else:
+                say(f"{state.trouble}; the guard tries again")
+                with suppress(DeviceError, OSError):
+                    device.close()
+        if left:
+            await asyncio.sleep(_PAUSE_S * order.time_scale)
 
 
-async def _tried(way: Coroutine[Any, Any, Rest]) -> Rest:
+async def _tried(way: Coroutine[Any, Any, SafeState]) -> SafeState:
     try:
         return await way
-    except Exception as error:  # a driver from outside may raise anything: there is nobody else to stop the table
-        return Rest(trouble=f"defect of the driver ({type(error).__name__}: {error})", seen=False)
+    except Exception as error:  # a driver from outside may raise anything: there is nobody else to make it safe
+        return SafeState(trouble=f"defect of the driver ({type(error).__name__}: {error})", seen=False)
 
 
 class _Log:

@@ -14,7 +14,7 @@ from station.run.snapshot import Snapshot
 from station.screen.bars import SILENCE_S, Lines
 from station.screen.charts import Charts
 from station.screen.dialogs import AskTextDialog
-from station.screen.drawings import DIALS, RUN_CHARTS, Drawing, run_drawing
+from station.screen.drawings import DIALS, RUN_CHARTS, Drawing, run_drawing, series_charts
 from station.screen.figures import templated
 from station.screen.sessions.live_run import LiveRun, Stage
 from station.screen.tabs.manual import ManualScreen
@@ -76,6 +76,8 @@ class RunScreen(ManualScreen):
             self._show(name, sources)
         events = {"events": list(run.events)[-_MOST_EVENTS:], "wrap": textwrap.wrap, "width": max(width, 30)}
         self._show("events", templated("events.rich", events))
+        if run.snapshot.series:
+            self.query(Charts).last().add(series_charts(run.snapshot))
         for charts in self.query(Charts):
             charts.draw_next()
 

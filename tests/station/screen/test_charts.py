@@ -50,6 +50,26 @@ def test_a_snapshot_tells_rate_and_residual_of_each_gyro_and_one_of_before_is_re
     assert math.isnan(old.gyros[0].rate_rps)
 
 
+def test_what_a_device_appends_gets_a_chart_of_its_own_by_itself(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    column = {"device": "chamber", "column": "temperature_c", "unit": "degC", "value": 26.5}
+    lines = [json.loads(line) for line in (STREAMS / "pass.jsonl").read_text().splitlines()]
+    for line in lines:
+        if line["kind"] == "snapshot":
+            line["series"] = [column]
+    monkeypatch.setattr("streams._lines", lambda name: lines)
+
+    async def drive(pilot: Pilot[None]) -> None:
+        await until(pilot, lambda: any("temperature_c" in title(chart) for chart in charts(app)))
+        (chart,) = [chart for chart in charts(app) if "temperature_c" in title(chart)]
+        assert title(chart).startswith(" temperature_c (degC) ")
+        assert "26.50" in title(chart)
+        assert not any(chart.region.overlaps(other.region) for other in charts(app) if other is not chart)
+
+    with Replay("pass", 20.0):
+        app = StationApp(CHOICES, attach=True)
+        driven(app, drive, (200, 60))
+
+
 @pytest.mark.full
 @pytest.mark.parametrize(("size", "count"), [((80, 24), 1), ((120, 40), 9), ((200, 60), 9)])
 def test_charts_fill_the_room_there_is(place: Path, size: tuple[int, int], count: int) -> None:

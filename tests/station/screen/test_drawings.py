@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from streams import STREAMS
 
-from station.screen.drawings import STATE_CHARTS, run_drawing
+from station.run.snapshot import SeriesSnapshot
+from station.screen.drawings import STATE_CHARTS, run_drawing, series_charts
 from station.screen.sessions.live_run import LiveRun
 
 
@@ -52,3 +54,24 @@ def test_no_state_has_an_empty_frame_and_each_has_its_uncertainty(until_s: float
             drawing = run_drawing(name, run, gyro)
             assert drawing.curves, name
             assert any("±" in text for text, style in drawing.words if style == "line"), drawing.words
+
+
+def test_each_column_that_a_device_appends_is_a_chart_from_when_it_came() -> None:
+    run = watched("pass", 36.0)
+    columns = ("temperature_c", "degC", "supply", "V")
+    for count, snapshot in enumerate(run.seen):
+        series = (
+            SeriesSnapshot("chamber", columns[0], columns[1], 20.0 + count),
+            SeriesSnapshot("supply", columns[2], columns[3], 5.0),
+        )
+        run.seen[count] = replace(snapshot, series=series if count else series[:1])
+    names = series_charts(run.seen[-1])
+    temperature, voltage = (run_drawing(name, run, run.seen[-1].gyros[0]) for name in names)
+    assert [text for text, _ in temperature.words] == [
+        "temperature_c (degC)",
+        f"{20 + len(run.seen) - 1}.00",
+        "chamber",
+    ]
+    assert list(temperature.curves[0].values) == [20.0 + count for count in range(len(run.seen))]
+    assert math.isnan(voltage.curves[0].values[0])
+    assert set(voltage.curves[0].values[1:]) == {5.0}

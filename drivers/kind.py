@@ -1,0 +1,115 @@
+"""A kind of device as one record: its section of the bench file, its protocols, what ready and safe mean for it.
+
+``drivers.kinds`` lists those of the station; a package or a file brings others. The station loops over kinds.
+"""
+
+import asyncio
+from collections.abc import Awaitable, Callable, Collection, Coroutine, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from drivers.errors import DeviceError
+from drivers.plugins import Registry
+from drivers.protocols import ChecksSetPoint, MadeSafe
+from drivers.specs import Key
+
+_SAFE_LIMIT_S, _PAUSE_S = 15.0, 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SafeState:
+    """How a device was left: ``trouble`` says what went wrong, empty if it is safe; ``seen``: it was seen to be."""
+
+    trouble: str
+    seen: bool
+
+
+class MakeSafe(Protocol):
+    """What makes a device safe at the end of a run, and after the death of the station that drove it."""
+
+    def __call__(
+        self,
+        device: Any,
+        /,
+        *,
+        time_scale: float,
+        unconfirmed: Callable[[str], None],
+        untrue_readings: bool = False,
+    ) -> Coroutine[Any, Any, SafeState]:
+        """Make it safe, whatever has become of its link.
+
+        ``unconfirmed(trouble)`` is called if the usual way was not confirmed, before a harder one is tried. With
+        ``untrue_readings`` nothing that the device says is believed. ``time_scale`` is how fast the clock runs.
+        """
+
+
+async def make_safe(
+    device: Any, /, *, time_scale: float, unconfirmed: Callable[[str], None], untrue_readings: bool = False
+) -> SafeState:
+    """Make a device safe by its driver's ``make_safe``, again and again for 15 s, each time on a new connection.
+
+    One whose driver has no ``make_safe`` is safe as it is.
+    """
+    if not isinstance(device, MadeSafe):
+        return SafeState(trouble="", seen=True)
+    loop = asyncio.get_running_loop()
+    limit_s = _SAFE_LIMIT_S * time_scale
+    until_s = loop.time() + limit_s
+    trouble = await tried(device.make_safe(), limit_s)
+    if trouble:
+        unconfirmed(trouble)
+    while trouble and loop.time() < until_s:
+        device.close()
+        await asyncio.sleep(_PAUSE_S * time_scale)
+        trouble = await tried(device.make_safe(), limit_s)
+    return SafeState(trouble=trouble, seen=not trouble)
+
+
+async def tried(what: Coroutine[Any, Any, object], limit_s: float | None) -> str:
+    """Do what makes a device safe; return in words what went wrong, "" if nothing. None: it ends by itself."""
+    try:
+        async with asyncio.timeout(limit_s):
+            await what
+    except (DeviceError, TimeoutError) as error:
+        return str(error) or "no answer in time"
+    return ""
+
+
+async def _nothing(device: Any, settings: Mapping[str, Any]) -> None:
+    """Leave a device as it is."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DeviceKind:
+    """A kind of device.
+
+    ``name`` is its section of the bench file, [[name]], or [name] where a bench has but one (``single``); ``what`` says
+    in words what it is. ``protocols`` are the records of those that are known, ``keys`` stand in its section beside
+    name, protocol, link, timeout and used.
+
+    ``ready(driver, settings)`` brings it to where a run needs it, given the values of ``keys``, and returns when it is
+    there. Before anything is done, a driver that ``ChecksSetPoint`` is asked about the value of the key ``set_point``.
+
+    Where ``safe_order`` is a number it is made safe on every way out, the least number first, and its link is held
+    against other programs; ``made_safe`` is what is then said of it. The table comes first, at 0.
+
+    ``wires`` are what a twin may be served on, the usual one first.
+    """
+
+    name: str
+    what: str
+    protocols: Registry[Any]
+    single: bool = False
+    keys: tuple[Key, ...] = ()
+    ready: Callable[[Any, Mapping[str, Any]], Awaitable[None]] = _nothing
+    set_point: str = ""
+    safe_order: int | None = None
+    make_safe: MakeSafe = make_safe
+    made_safe: str = "it is safe"
+    wires: Collection[str] = ("tcp", "serial")
+
+    async def refusal(self, device: Any, settings: Mapping[str, Any]) -> str:
+        """Return why an open device would not take its set point of ``settings``; empty if it would, or cannot tell."""
+        if not self.set_point or not isinstance(device, ChecksSetPoint):
+            return ""
+        return await device.refused(settings[self.set_point])

@@ -1,0 +1,67 @@
+"""What a bench file says of any device: its kind, its protocol, how it is reached."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+from drivers.kind import DeviceKind
+from drivers.plugins import Registry
+from drivers.specs import DeviceSpec
+from station.schema.tables import Table, known_in
+
+
+class AnyDevice(Protocol):
+    """What is known of a device of whatever kind."""
+
+    @property
+    def name(self) -> str:
+        """Its name on the bench; that of the table is table."""
+
+    @property
+    def kind(self) -> DeviceKind:
+        """Its kind."""
+
+    @property
+    def spec(self) -> DeviceSpec:
+        """Its protocol."""
+
+    @property
+    def used(self) -> bool:
+        """Whether a run drives it."""
+
+    @property
+    def links(self) -> tuple[str, ...]:
+        """Its links, each once."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class DeviceConfig:
+    """A device of a kind that the station knows no more of than its record says.
+
+    ``options`` are the values of the protocol's keys, ``settings`` those of the kind's.
+    """
+
+    name: str
+    kind: DeviceKind
+    spec: DeviceSpec
+    link: str
+    timeout_s: float
+    used: bool = True
+    options: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def links(self) -> tuple[str, ...]:
+        """Its link."""
+        return (self.link,)
+
+
+def read_device(table: Table, folder: Path, kind: DeviceKind, known: Registry[Any]) -> DeviceConfig:
+    """Read a section of a kind; the table's error with line and key for what is wrong."""
+    own = table.read("bench.device", folder, protocol=known_in(known))
+    name = own.pop("name") or kind.name
+    options = table.options(own["spec"].keys, folder)
+    settings = table.options(kind.keys, folder)
+    table.done()
+    return DeviceConfig(name=name, kind=kind, options=options, settings=settings, **own)
