@@ -27,6 +27,10 @@ class AnyDevice(Protocol):
         """Its protocol."""
 
     @property
+    def settings(self) -> Mapping[str, Any]:
+        """Values of the keys of its kind."""
+
+    @property
     def used(self) -> bool:
         """Whether a run drives it."""
 

@@ -20,7 +20,6 @@ from estimator.geometry.array import SensorArray
 from estimator.observations.timing import TimeOffset
 from estimator.recordings.recording import DEVICES
 from estimator.recordings.writing import RecordingWriter
-from station.bench.device import DeviceConfig
 from station.errors import sentence
 from station.opening import OpenBench, OpenDevice, OpenImu
 from station.opening.links import ends_here
@@ -145,15 +144,14 @@ class Acquisition:
     async def prepare_others(self) -> None:
         """Bring the devices of other kinds to where the run needs them, one after another."""
         for device in self._others:
-            if isinstance(device.config, DeviceConfig):
-                self.monitor.phase = Phase.PREPARING
-                await device.config.kind.ready(device.driver, device.config.settings)
+            self.monitor.phase = Phase.PREPARING
+            await device.config.kind.ready(device.driver, device.config.settings)
 
     async def _open_other(self, device: OpenDevice) -> None:
         config, driver = device.config, device.driver
         await driver.open()
         identity = await self._reopening.identify(device.name, driver)
-        if isinstance(config, DeviceConfig) and (refused := await config.kind.refusal(driver, config.settings)):
+        if refused := await config.kind.refusal(driver, config.settings):
             raise DeviceRefused(device.name, refused)
         about = {"kind": config.kind.name, "protocol": config.spec.name, "link": ", ".join(config.links)}
         columns = driver.columns if isinstance(driver, AppendsSeries) else {}
