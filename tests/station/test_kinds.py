@@ -248,10 +248,22 @@ def test_init_asks_for_the_devices_of_an_installed_kind(place: Path) -> None:
     assert main(["check", "mine.toml", "--json"]) == 0
 
 
-def test_a_name_that_two_devices_have_is_refused(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (place / "bench.toml").write_text(default_bench_text() + CHAMBER + CHAMBER)
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        (CHAMBER, "'chamber' is the name of something else"),
+        (CHAMBER + 'name = "array"\n', "'array' is the name of something else"),
+        (CHAMBER + 'name = "a/b"\n', "begin with a letter"),
+        (CHAMBER + 'name = "two"\nwithin = -1\n', "within: must be above zero"),
+        (CHAMBER.replace("espec", "espek") + 'name = "two"\n', "'espek' is not one of espec"),
+    ],
+)
+def test_a_section_that_cannot_be_is_refused(
+    place: Path, capsys: pytest.CaptureFixture[str], more: str, told: str
+) -> None:
+    (place / "bench.toml").write_text(default_bench_text() + CHAMBER + more.replace("within = 2\n", ""))
     assert run() == 2
-    assert "'chamber' is the name of something else" in capsys.readouterr().out
+    assert told in json.loads(capsys.readouterr().out)["reason"]
 
 
 def test_a_new_kind_is_one_file_of_150_lines_and_nothing_elsewhere() -> None:
