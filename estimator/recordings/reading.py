@@ -115,7 +115,7 @@ def _read(path: Path, file: Any) -> Recording:
         raise RecordingError(f"{path} holds no IMU samples (group /imu is missing or empty)")
     kept = _read_innovations(file, str(attributes.get("model_sha256", "")))
     reference, series = _read_reference(path, file), _read_series(path, file)
-    return Recording(sources, reference, site, attributes, path, kept, series)
+    return Recording(sources, reference, site, attributes, path, kept_innovations=kept, series=series)
 
 
 def _read_innovations(file: Any, model_sha256: str) -> KeptInnovations | None:

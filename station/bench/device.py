@@ -1,5 +1,6 @@
 """What a bench file says of any device: its kind, its protocol, how it is reached."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,6 +10,8 @@ from drivers.kind import DeviceKind
 from drivers.plugins import Registry
 from drivers.specs import DeviceSpec
 from station.schema.tables import Table, known_in
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")  # it is the name of a group of the recording
 
 
 class AnyDevice(Protocol):
@@ -25,6 +28,10 @@ class AnyDevice(Protocol):
     @property
     def spec(self) -> DeviceSpec:
         """Its protocol."""
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """Values of the keys of its kind."""
 
     @property
     def used(self) -> bool:
@@ -61,6 +68,8 @@ def read_device(table: Table, folder: Path, kind: DeviceKind, known: Registry[An
     """Read a section of a kind; the table's error with line and key for what is wrong."""
     own = table.read("bench.device", folder, protocol=known_in(known))
     name = own.pop("name") or kind.name
+    if not _NAME.fullmatch(name):
+        raise table.fail("name", f"{name!r}: begin with a letter, then letters, digits, _ and -")
     options = table.options(own["spec"].keys, folder)
     settings = table.options(kind.keys, folder)
     table.done()

@@ -57,6 +57,11 @@ class ImuConfig:
         return (self.link,)
 
     @property
+    def settings(self) -> Mapping[str, Any]:
+        """Nothing: its section is read by the station."""
+        return {}
+
+    @property
     def protocol(self) -> str:
         """Name of its protocol."""
         return self.spec.name

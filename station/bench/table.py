@@ -53,6 +53,11 @@ class TableConfig:
         return True
 
     @property
+    def settings(self) -> Mapping[str, Any]:
+        """Nothing: its section is read by the station."""
+        return {}
+
+    @property
     def protocol(self) -> str:
         """Name of its protocol."""
         return self.spec.name

@@ -29,7 +29,6 @@ from drivers.types import AxisState, Floats, ImuBlock, SourceCounts
 from estimator.strict_toml import not_one_of
 from station.bench.bench import Bench, read_bench
 from station.bench.descriptions import load_description
-from station.bench.device import DeviceConfig
 from station.bench.imu import ImuConfig
 from station.errors import UsageError
 from station.init.gyros import GYROS, built_in_channels
@@ -216,7 +215,6 @@ async def _ready(opened: OpenBench) -> str:
     """Bring the device of another kind to where a run needs it, and listen to what it appends."""
     (device,) = opened.others
     config, driver = device.config, device.driver
-    assert isinstance(config, DeviceConfig)
     await driver.open()
     first, second = await driver.identify(), await driver.identify()
     if first != second:
@@ -242,7 +240,6 @@ async def _left_safe(opened: OpenBench, at_s: float = 2.0) -> str:
     """Cancel the device of another kind on its way to where a run needs it, and make it safe."""
     (device,) = opened.others
     config = device.config
-    assert isinstance(config, DeviceConfig)
     await device.driver.open()
     way = asyncio.ensure_future(config.kind.ready(device.driver, config.settings))
     await asyncio.sleep(at_s - asyncio.get_running_loop().time())

@@ -181,8 +181,14 @@ async def open_bench(bench: Bench, *, time_scale: float = 1.0) -> AsyncIterator[
         devices += [_other(device, twins, time_scale) for device in bench.others if device.used]
         recipes = tuple(device.packed for device in in_safe_order(devices) if device.packed)
         guarded = GuardedDevices(packed=recipes, locks=locks) if recipes else None
-        by_name = {device.name: device for device in devices}
-        yield OpenBench(bench, table, imus, twins.table.at_rest, guarded, by_name)
+        yield OpenBench(
+            bench=bench,
+            table=table,
+            imus=imus,
+            at_rest=twins.table.at_rest,
+            guarded=guarded,
+            devices={device.name: device for device in devices},
+        )
 
 
 async def _table(bench: Bench, twins: Twins, time_scale: float) -> tuple[Turntable, bytes]:

@@ -2,19 +2,20 @@
 
 import asyncio
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 
 from drivers.errors import BadReply, DeviceError, LinkLost
+from drivers.imus.kind import SPEC as IMU
 from drivers.protocols import AppendsSeries, ImuSource, TellsOrders, Turntable
+from drivers.tables.kind import SPEC as TABLE
 from drivers.types import Floats, Identity, ImuBlock, LinkCounts, SourceCounts, Stamps
-from station.bench.device import DeviceConfig
 from station.bench.imu import ImuConfig
 from station.errors import sentence
-from station.opening import OpenBench, OpenDevice, OpenImu
+from station.opening import OpenBench, OpenDevice
 
 LISTEN_S = 2.0
 _OPEN_S = 5.0
@@ -98,22 +99,12 @@ async def check_bench(
     opened: OpenBench, *, time_scale: float = 1.0, tell: Callable[[str], None] = lambda device: None
 ) -> list[DeviceCheck]:
     """Return what each device of an open bench answers, the table first. Nothing moves; every link is closed."""
-    found: list[DeviceCheck] = []
-    tell("table")
-    try:
-        found.append(await _check_table(opened, time_scale))
-    finally:
-        opened.table.close()
-    for imu in opened.imus:
-        tell(imu.config.name)
-        try:
-            found.append(await _check_imu(imu, time_scale))
-        finally:
-            imu.source.close()
-    for device in opened.others:
+    found = []
+    for device in opened.devices.values():
         tell(device.name)
+        check_device = _OF_KIND.get(device.config.kind.name, _check_other)
         try:
-            found.append(await _check_other(device, time_scale))
+            found.append(await check_device(opened, device, time_scale))
         finally:
             device.driver.close()
     for check in found:
@@ -141,9 +132,9 @@ def _heard(check: DeviceCheck, look_at: str) -> Iterator[None]:
         check.wrong.append(f"its driver failed ({type(error).__name__}: {error}); `station conformance` tries drivers")
 
 
-async def _check_table(opened: OpenBench, time_scale: float) -> DeviceCheck:
+async def _check_table(opened: OpenBench, device: OpenDevice, time_scale: float) -> DeviceCheck:
     bench, table = opened.bench, opened.table
-    check = DeviceCheck("table", bench.table.protocol, ", ".join(bench.table.links))
+    check = DeviceCheck(device.name, bench.table.protocol, ", ".join(bench.table.links))
     check.experimental = not bench.table.spec.checked_against
     loop = asyncio.get_running_loop()
     with _heard(check, _LOOK_AT_TABLE):
@@ -192,7 +183,7 @@ async def _check_table(opened: OpenBench, time_scale: float) -> DeviceCheck:
     return check
 
 
-async def _check_other(device: OpenDevice, time_scale: float) -> OtherCheck:
+async def _check_other(opened: OpenBench, device: OpenDevice, time_scale: float) -> DeviceCheck:
     """Ask a device who it is and for one row of its series; it is told nothing."""
     config, driver = device.config, device.driver
     check = OtherCheck(device.name, config.spec.name, ", ".join(config.links))
@@ -206,7 +197,7 @@ async def _check_other(device: OpenDevice, time_scale: float) -> OtherCheck:
                 async for _, row in driver.rows():
                     check.values = dict(zip(check.units, row, strict=True))
                     break
-            refused = await config.kind.refusal(driver, config.settings) if isinstance(config, DeviceConfig) else ""
+            refused = await config.kind.refusal(driver, config.settings)
             check.wrong += [refused] if refused else []
     return check
 
@@ -240,7 +231,8 @@ def _told_by_others(before: Mapping[str, Mapping[str, float]], now: Mapping[str,
     return found
 
 
-async def _check_imu(imu: OpenImu, time_scale: float) -> DeviceCheck:
+async def _check_imu(opened: OpenBench, device: OpenDevice, time_scale: float) -> DeviceCheck:
+    imu = next(imu for imu in opened.imus if imu.config.name == device.name)
     config, source = imu.config, imu.source
     check = DeviceCheck(config.name, config.protocol, config.link, experimental=not config.spec.checked_against)
     blocks: dict[str, list[ImuBlock]] = {}
@@ -263,6 +255,13 @@ async def _check_imu(imu: OpenImu, time_scale: float) -> DeviceCheck:
             check.sources.append(source_check)
             check.wrong += _complaints(config, source_check, _counted(blocks[name]))
     return check
+
+
+_OF_KIND: Mapping[str, Callable[[OpenBench, OpenDevice, float], Awaitable[DeviceCheck]]] = {
+    TABLE.name: _check_table,
+    IMU.name: _check_imu,
+}
+"""What looks at the devices of a kind, where a kind has more to show than who it is and what it appends."""
 
 
 async def _listen(source: ImuSource, duration_s: float) -> dict[str, list[ImuBlock]]:

@@ -3,7 +3,7 @@
 import asyncio
 import json
 import socket
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from contextlib import AsyncExitStack, suppress
 from functools import partial
 from typing import Any
@@ -11,11 +11,13 @@ from typing import Any
 import can
 
 from drivers.errors import DeviceError
+from drivers.imus.kind import SPEC as IMU
+from drivers.tables.kind import SPEC as TABLE
 from sims.wires.slcan_adapter import SlcanAdapter
 from sims.wires.socketcand_server import SocketcandServer
 from sims.wires.wires import ByteDevice, Plug, Write, on_pty, on_tcp
 from station.bench.bench import Bench
-from station.bench.device import DeviceConfig
+from station.bench.device import AnyDevice
 from station.bench.imu import ImuConfig
 from station.opening.links import can_address
 from station.opening.twins import Twins
@@ -37,12 +39,8 @@ async def serve_twins(
         def tell(**said: Any) -> None:
             announce(json.dumps(said))
 
-        tell(device="table", **await serving.table(port))
-        for imu in bench.imus:
-            link = await (serving.bus(imu) if imu.spec.on_can else serving.imu(imu))
-            tell(device=imu.name, link=link, protocol=imu.protocol, rate_hz=imu.rate_hz)
-        for device in bench.others:
-            tell(device=device.name, link=await serving.other(device), protocol=device.spec.name)
+        for device in bench.devices.values():
+            tell(device=device.name, **await serving.serve(device, port))
         tell(ready=True, time_scale=time_scale)
         await asyncio.Event().wait()
 
@@ -52,6 +50,15 @@ class Serving:
 
     def __init__(self, twins: Twins, stack: AsyncExitStack, host: str) -> None:
         self._twins, self._stack, self._host = twins, stack, host
+
+    async def serve(self, device: AnyDevice, port: int) -> dict[str, Any]:
+        """Serve the twin of a device; return what is announced of it, its link first. ``port`` is that of the table."""
+        of_kind: dict[str, Callable[[Any], Awaitable[dict[str, Any]]]] = {
+            TABLE.name: lambda _: self.table(port),
+            IMU.name: self.imu,
+        }
+        serve = of_kind.get(device.kind.name)
+        return await (self.other(device) if serve is None else serve(device))
 
     async def table(self, port: int) -> dict[str, Any]:
         """Return what is announced of the table."""
@@ -70,21 +77,22 @@ class Serving:
             return {"link": f"tcp://{bound[0]}:{bound[1]}", **said}
         return {"link": await self._tcp("table", self._twins.table_device, port), **said}
 
-    async def imu(self, imu: ImuConfig) -> str:
-        """Serve a device that speaks bytes; return its link."""
+    async def imu(self, imu: ImuConfig) -> dict[str, Any]:
+        """Serve a device under test."""
         make = partial(self._twins.imu_device, imu)
-        return await (
-            self._tcp(imu.name, make, 0) if self._twins.wire(imu.name) == "tcp" else self._pty(imu.name, make)
-        )
+        link = await (self._bus(imu) if imu.spec.on_can else self._bytes(imu.name, make))
+        return {"link": link, "protocol": imu.protocol, "rate_hz": imu.rate_hz}
 
-    async def other(self, device: DeviceConfig) -> str:
-        """Serve a device of another kind; return its link."""
-        make = partial(self._twins.other_device, device)
-        if self._twins.wire(device.name) == "tcp":
-            return await self._tcp(device.name, make, 0)
-        return await self._pty(device.name, make)
+    async def other(self, device: Any) -> dict[str, Any]:
+        """Serve a device of another kind."""
+        link = await self._bytes(device.name, partial(self._twins.other_device, device))
+        return {"link": link, "protocol": device.spec.name}
 
-    async def bus(self, imu: ImuConfig) -> str:
+    async def _bytes(self, device: str, make: Callable[[Write], ByteDevice]) -> str:
+        """Serve a device that speaks bytes; return its link."""
+        return await (self._tcp(device, make, 0) if self._twins.wire(device) == "tcp" else self._pty(device, make))
+
+    async def _bus(self, imu: ImuConfig) -> str:
         """Serve a device on a CAN bus of its own; return its link."""
         wire = self._twins.wire(imu.name)
         if wire == "slcan":

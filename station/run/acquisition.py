@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from drivers.clocks.sampling import Alignment
-from drivers.errors import DeviceError, DeviceRefused, LinkLost
+from drivers.errors import DeviceError, DeviceFault, DeviceRefused, LinkLost
 from drivers.protocols import AppendsSeries, EarlySource
 from drivers.types import Floats, Identity, ImuBlock, LinkCounts, SourceCounts
 from estimator.calibration.error_model import ErrorModel
@@ -20,7 +20,6 @@ from estimator.geometry.array import SensorArray
 from estimator.observations.timing import TimeOffset
 from estimator.recordings.recording import DEVICES
 from estimator.recordings.writing import RecordingWriter
-from station.bench.device import DeviceConfig
 from station.errors import sentence
 from station.opening import OpenBench, OpenDevice, OpenImu
 from station.opening.links import ends_here
@@ -96,6 +95,7 @@ class Acquisition:
     ) -> None:
         """Describe table and sources in the recording; ``time_scale`` is how fast the loop's clock runs."""
         self._imus, self._others, self._bench = opened.imus, opened.others, opened.bench
+        self._devices = tuple(opened.devices.values())
         self._described: set[str] = set()  # devices of other kinds that the recording has a group of
         self.writer, self._model, self._reopening, self._on_event = writer, model, reopening, on_event
         self._host_scale, self._scale = time_scale, max(time_scale, 1.0)  # below 1 devices are slow, too
@@ -136,44 +136,54 @@ class Acquisition:
             self.writer.set_source(name, identity_attributes("", identity))
         return identity
 
-    async def open_others(self) -> tuple[OpenDevice, ...]:
-        """Open the devices of other kinds; record what each is, and the columns that it appends; return them."""
+    async def open_others(self) -> None:
+        """Open the devices of other kinds, and record what each is; DeviceRefused if one would refuse its set point."""
         for device in self._others:
-            await self._open_other(device)
-        return self._others
+            config, driver = device.config, device.driver
+            await driver.open()
+            identity = await self._reopening.identify(device.name, driver)
+            if refused := await config.kind.refusal(driver, config.settings):
+                raise DeviceRefused(device.name, refused)
+            about = {"kind": config.kind.name, "protocol": config.spec.name, "link": ", ".join(config.links)}
+            self.writer.add_device(device.name, {}, about | identity_attributes("", identity))
+            self._described.add(device.name)
+
+    def appending(self) -> list[OpenDevice]:
+        """Return the devices of any kind that append a series, whose columns are recorded from now on."""
+        found = [device for device in self._devices if isinstance(device.driver, AppendsSeries)]
+        for device in found:
+            assert isinstance(device.driver, AppendsSeries)
+            self.writer.add_device(device.name, device.driver.columns, {})
+        return found
 
     async def prepare_others(self) -> None:
         """Bring the devices of other kinds to where the run needs them, one after another."""
         for device in self._others:
-            if isinstance(device.config, DeviceConfig):
-                self.monitor.phase = Phase.PREPARING
-                await device.config.kind.ready(device.driver, device.config.settings)
-
-    async def _open_other(self, device: OpenDevice) -> None:
-        config, driver = device.config, device.driver
-        await driver.open()
-        identity = await self._reopening.identify(device.name, driver)
-        if isinstance(config, DeviceConfig) and (refused := await config.kind.refusal(driver, config.settings)):
-            raise DeviceRefused(device.name, refused)
-        about = {"kind": config.kind.name, "protocol": config.spec.name, "link": ", ".join(config.links)}
-        columns = driver.columns if isinstance(driver, AppendsSeries) else {}
-        self.writer.add_device(device.name, columns, about | identity_attributes("", identity))
-        self._described.add(device.name)
+            self.monitor.phase = Phase.PREPARING
+            await device.config.kind.ready(device.driver, device.config.settings)
 
     async def follow(self, device: OpenDevice) -> None:
-        """Take in the series of a device until cancelled; a lost link is opened again while nothing turns."""
+        """Take in the series of a device until cancelled; a lost link is opened again while nothing turns.
+
+        That of a device under test or of the table is opened again by whoever takes in its samples or readings.
+        """
         driver = device.driver
-        if not isinstance(driver, AppendsSeries):
-            return
+        assert isinstance(driver, AppendsSeries)
         columns = driver.columns
         while True:
             try:
                 async for t_ns, row in driver.rows():
+                    if len(row) != len(columns):
+                        raise DeviceFault(device.name, f"a row of its series has {len(row)} of {len(columns)} values")
                     values = dict(zip(columns, row, strict=True))
                     self.writer.append_series(device.name, t_ns, values)
                     self.monitor.take_series(device.name, columns, values)
+                return
             except LinkLost as error:
-                await self._reopening.restore(device.name, driver, error)
+                if device in self._others:
+                    await self._reopening.restore(device.name, driver, error)
+                else:
+                    await asyncio.sleep(_LOOK_S * self._scale)
 
     async def acquire(self, imu: OpenImu) -> None:
         """Take in samples until cancelled; a lost link is opened again while nothing turns."""

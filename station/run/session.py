@@ -255,7 +255,7 @@ class Session:
             for imu in self._open.imus:
                 self._check_serial(imu.config.name, (await acquisition.open(imu)).serial)
                 services.append(serve(group, acquisition.acquire(imu)))
-            services += [serve(group, acquisition.follow(device)) for device in await acquisition.open_others()]
+            await acquisition.open_others()
             await table.open()  # the last: what is not there is known before the table is touched
             await first_look(table, take_over=self._options.reset_fault)
             self._connected = True  # from here on it is ours to stop
@@ -266,6 +266,7 @@ class Session:
             services.append(serve(group, acquisition.watch_silence()))
             if self._options.reset_fault:
                 await table.reset_fault()
+            services += [serve(group, acquisition.follow(device)) for device in acquisition.appending()]
             await acquisition.prepare_others()
             watch_home = serve(group, watch_homing(table))
             monitor.phase = Phase.ENABLING

@@ -146,7 +146,7 @@ async def twin_table(protocol: str, folder: Path, watchdog_s: float) -> AsyncIte
         serving = Serving(twins, stack, "127.0.0.1")
         imu = bench.imus[0]
         links = {"table": str((await serving.table(0))["link"])}
-        links[imu.name] = await (serving.bus(imu) if imu.spec.on_can else serving.imu(imu))
+        links[imu.name] = str((await serving.imu(imu))["link"])
         yield TwinTable(path, twins, links)
 
 

@@ -107,7 +107,7 @@ def test_an_installed_chamber_is_brought_to_temperature_before_the_script_and_re
     assert main(["export", "run.h5", "--series", "chamber"]) == 0
     heading, first, *others = capsys.readouterr().out.splitlines()
     assert heading == "t_s,temperature_c (degC),set_point_c (degC)"
-    assert first == f"{series.t_ns[0] * 1e-9:.9f},23.0,23.0"
+    assert first.startswith(f"{series.t_ns[0] * 1e-9:.9f},23.0,")
     assert len(others) == len(series.t_ns) - 1
     assert main(["export", "run.h5", "--series", "oven"]) == 2
     assert "--series oven" in capsys.readouterr().err
@@ -199,6 +199,34 @@ def test_after_ctrl_c_the_chamber_is_safe(place: Path) -> None:
         assert not guard_log_of(place / "run.h5").exists()
 
 
+SUPPLY = """
+    columns = {"supply_v": "V"}
+
+    async def rows(self):
+        loop = asyncio.get_running_loop()
+        while True:
+            yield round(loop.time() * 1e9), (5.0,)
+            await asyncio.sleep(2.0)
+
+    def flush("""
+
+
+def test_a_device_under_test_may_append_a_series_as_well(tmp_path: Path) -> None:
+    text = (EXAMPLE.parent / "counted_imu.py").read_text()
+    (tmp_path / "mine.py").write_text(text.replace("    def flush(", SUPPLY.lstrip("\n")))
+    head, _, tail = default_bench_text().partition("[[imu]]")
+    imu = '[[imu]]\nname = "mine"\nprotocol = "counted"\narray = "triad"\nrate = "50 Hz"\n'
+    sheet = '[imu.datasheet]\narw = "0.005 deg/s/rtHz"\n[undeclared]\neffects = "none"\n'
+    (tmp_path / "bench.toml").write_text(f'plugins = ["mine.py"]\n{head}{imu}{sheet}')
+    (tmp_path / "script.toml").write_text(SCRIPT)
+    words = ["--bench", tmp_path / "bench.toml", "--script", tmp_path / "script.toml", "-o", tmp_path / "run.h5"]
+    main(["run", *map(str, words)])
+    series = read_recording(tmp_path / "run.h5").series["mine"]
+    assert series.units == {"supply_v": "V"}
+    assert len(series.t_ns) >= 8  # one every two seconds
+    assert set(series.columns["supply_v"]) == {5.0}
+
+
 def test_init_asks_for_the_devices_of_an_installed_kind(place: Path) -> None:
     proposals = [""] * 25  # the table and its axes, a device under test
     answers = ["Lab", *proposals, "no", "yes", "", "", "35 degC", "no"]
@@ -220,10 +248,22 @@ def test_init_asks_for_the_devices_of_an_installed_kind(place: Path) -> None:
     assert main(["check", "mine.toml", "--json"]) == 0
 
 
-def test_a_name_that_two_devices_have_is_refused(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (place / "bench.toml").write_text(default_bench_text() + CHAMBER + CHAMBER)
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        (CHAMBER, "'chamber' is the name of something else"),
+        (CHAMBER + 'name = "array"\n', "'array' is the name of something else"),
+        (CHAMBER + 'name = "a/b"\n', "begin with a letter"),
+        (CHAMBER + 'name = "two"\nwithin = -1\n', "within: must be above zero"),
+        (CHAMBER.replace("espec", "espek") + 'name = "two"\n', "'espek' is not one of espec"),
+    ],
+)
+def test_a_section_that_cannot_be_is_refused(
+    place: Path, capsys: pytest.CaptureFixture[str], more: str, told: str
+) -> None:
+    (place / "bench.toml").write_text(default_bench_text() + CHAMBER + more.replace("within = 2\n", ""))
     assert run() == 2
-    assert "'chamber' is the name of something else" in capsys.readouterr().out
+    assert told in json.loads(capsys.readouterr().out)["reason"]
 
 
 def test_a_new_kind_is_one_file_of_150_lines_and_nothing_elsewhere() -> None:
