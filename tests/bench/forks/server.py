@@ -16,7 +16,7 @@ import atexit
 import gc
 import importlib
 import io
-import json
+import marshal
 import os
 import pkgutil
 import selectors
@@ -83,7 +83,7 @@ class Server:
             return None
         order, streams = received
         if of_the_start(order["environment"]) != self._start:
-            client.sendall(b"null\n")
+            client.sendall(b"\n")
             client.close()
             _close(streams)
             return None
@@ -146,7 +146,7 @@ def receive(client: socket.socket) -> tuple[dict[str, Any], list[int]] | None:
         if not part:
             _close(list(streams))
             return None
-    return (json.loads(packed), list(streams)) if head else None
+    return (marshal.loads(packed), list(streams)) if head else None
 
 
 def _close(handles: list[int]) -> None:
