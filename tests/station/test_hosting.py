@@ -22,7 +22,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from support import command
+from support import command, forked
 from test_run import bench_file, events, run_json
 
 from station.errors import UsageError
@@ -474,7 +474,7 @@ def test_a_run_whose_terminal_is_closed_is_aborted_and_says_so_by_its_exit_code(
 
 def test_without_a_host_the_run_ends_with_its_terminal(tmp_path: Path) -> None:
     path = tmp_path / "r.h5"
-    run = subprocess.Popen(command("run", "--json", "-o", path), stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    run = subprocess.Popen(forked("run", "--json", "-o", path), stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     try:
         _wait_until(lambda: path.exists() and path.stat().st_size > 300_000)
         run.send_signal(signal.SIGHUP)
