@@ -31,6 +31,8 @@ from contextlib import suppress
 from importlib.util import find_spec
 from typing import Any
 
+import drivers
+import sims
 import station.cli
 import station.commands
 from station.campaigns import ONE_BLAS_THREAD
@@ -38,7 +40,8 @@ from station.campaigns import ONE_BLAS_THREAD
 PROGRAM = "station.cli"
 ALSO = (
     *("scipy.linalg", "scipy.optimize", "scipy.signal", "scipy.special", "scipy.stats"),
-    *("cantools", "filterpy.kalman", "matplotlib.backends.backend_svg", "station.report.document"),
+    *("cantools", "filterpy.kalman", "jinja2", "matplotlib.figure", "matplotlib.backends.backend_svg"),
+    *("multiprocessing.popen_fork", "station.report.dcc", "station.report.document"),
 )
 """What commands import when they come to need it."""
 OF_THE_START = ("PYTHON", "LC_", "LANG", "OPENBLAS_", "OMP_", "MKL_", "MPL", "HOME", "XDG_CONFIG_", "XDG_CACHE_", "LD_")
@@ -227,6 +230,9 @@ def import_all() -> None:
     """Import what commands are made of, and leave it out of what later collections look at."""
     for module in pkgutil.iter_modules(station.commands.__path__, "station.commands."):
         importlib.import_module(module.name)
+    for package in (drivers, sims):
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            importlib.import_module(module.name)
     for name in ALSO:
         importlib.import_module(name)
     gc.collect()
