@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
+from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -32,12 +34,16 @@ LONGEST = [
     "test_processes",
     "test_walks",
     "test_hosting",
+    "test_host",
+    "test_guard",
     "test_report",
     "test_pictures",
+    "test_one_verdict",
     "test_run",
-    "test_plugins",
     "test_runs_with_faults",
     "test_stop",
+    "test_papers",
+    "test_strangers_files",
     "test_tracing",
     "test_investigate",
     "test_loop",
@@ -58,6 +64,10 @@ LONGEST = [
     "test_records",
     "test_ways_out",
     "test_narrow",
+    "test_results_first",
+    "test_slow_lines",
+    "test_improve",
+    "test_plugins",
     "test_runs_on_wires",
 ]
 """Files that take long, begun first so that no worker is left alone with one; those of real time before all others."""
@@ -68,6 +78,17 @@ def pytest_configure(config: pytest.Config) -> None:
     stack = ExitStack()
     stack.enter_context(forks.offered())
     config.add_cleanup(stack.close)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """Leave what is imported and collected out of what is looked through for garbage: none of it is."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

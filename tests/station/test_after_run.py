@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from support import command
+from support import forked
 
 from station.bench.bench import default_bench_text
 from station.cli import main
@@ -67,7 +67,7 @@ def test_what_a_program_leaves_running_is_not_waited_for() -> None:
 def test_the_result_is_told_before_the_program_has_ended(tmp_path: Path) -> None:
     waits = "import os, sys, time; open('begun', 'w').close()\nwhile not os.path.exists('seen'): time.sleep(0.01)"
     bench = _bench(tmp_path, sys.executable, "-c", waits)
-    words = command("run", "--bench", bench, "--script", "script.toml", "-o", "run.h5")
+    words = forked("run", "--bench", bench, "--script", "script.toml", "-o", "run.h5")
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as run:
         assert run.stdout is not None
         lines = [next(run.stdout)]

@@ -19,10 +19,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import forks
 import h5py
 import numpy as np
 import pytest
-from support import command
+from support import command, forked
 from test_run import bench_file, events, run_json
 
 from station.errors import UsageError
@@ -100,20 +101,26 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 class Run:
-    """`station run --host` on twins in memory, three times as fast as real time."""
+    """`station run --host` on twins in memory, three times as fast as real time.
 
-    def __init__(self, folder: Path, *options: str | Path, **how: Any) -> None:
+    ``line`` is ``command`` for what asks for the number of its process, or ends it by SIGKILL.
+    """
+
+    def __init__(self, folder: Path, *options: str | Path, line: Callable[..., list[str]] = forked, **how: Any) -> None:
         script = folder / "script.toml"
         script.write_text(SCRIPT)
         self.path = folder / "r.h5"
-        words = command("run", "--host", "--scale", "3", "--bench", bench_file(folder))
+        words = line("run", "--host", "--scale", "3", "--bench", bench_file(folder))
         words += [] if "--manual" in options else ["--script", str(script)]
         words += [*map(str, options), "--json", "-o", str(self.path)]
-        self.process = subprocess.Popen(words, **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **how})
+        self._others = {*running_sessions()}
+        environment = os.environ | forks.HOSTS_TOO
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        self.process = subprocess.Popen(words, **{"env": environment, **pipes, **how})
 
     @property
     def socket(self) -> Path | None:
-        return next((path for path in running_sessions() if path.stem == str(self.process.pid)), None)
+        return next((path for path in running_sessions() if path not in self._others), None)
 
     async def connect(self) -> RemoteSession:
         while (path := self.socket) is None:
@@ -393,13 +400,14 @@ def say_nonsense(path: Path) -> None:
 
 @pytest.mark.full
 def test_each_run_has_its_socket_and_that_of_a_dead_one_is_cleared_away(place: Path, tmp_path: Path) -> None:
-    runs = []
+    runs: list[Run] = []
+    hellos = []
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
-        runs.append(Run(tmp_path / name))
+        runs.append(Run(tmp_path / name, line=command))
+        hellos.append(asyncio.run(_connected(runs[-1])))
     first, second = runs
     try:
-        hellos = [asyncio.run(_connected(run)) for run in runs]
         assert [hello["pid"] for hello in hellos] == [run.process.pid for run in runs]
         assert {first.socket, second.socket} <= set(running_sessions())
         left = second.socket
@@ -474,7 +482,7 @@ def test_a_run_whose_terminal_is_closed_is_aborted_and_says_so_by_its_exit_code(
 
 def test_without_a_host_the_run_ends_with_its_terminal(tmp_path: Path) -> None:
     path = tmp_path / "r.h5"
-    run = subprocess.Popen(command("run", "--json", "-o", path), stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    run = subprocess.Popen(forked("run", "--json", "-o", path), stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     try:
         _wait_until(lambda: path.exists() and path.stat().st_size > 300_000)
         run.send_signal(signal.SIGHUP)

@@ -92,7 +92,7 @@ def folder(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         "history . --serial SN-0042",
         "export run-20261121-101500.h5 --all out --details",
         "report run-20261121-101500.h5 -o r.html",
-        "calibrate .",
+        "calibrate . --jobs 1",
         "calibrate note.h5",
         "run --bench run-20261121-101500.h5",
         "run -o run-20261121-101500.h5",

@@ -174,6 +174,9 @@ def test_calibrate_history_report_and_the_folder_give_one_outcome_and_one_nis(
         assert found["nis_mean"] is None or f"{found['nis_mean']:.3f}" in line
         if path.stem == "ABORTED-early":  # which holds nothing to report
             continue
+        if path.stem != "PASS":  # one report has pictures of the live estimates, which take the most of its time
+            with h5py.File(path, "r+") as file:
+                file.pop("estimate", None)
         _, (told,) = asked(capsys, "report", str(path), "-o", str(tmp_path / f"{path.stem}.html"))
         assert told["outcome"] == outcome_of(path)
         if outcome_of(path) in ("PASS", "FAIL"):

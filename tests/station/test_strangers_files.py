@@ -114,16 +114,24 @@ def marked(value: Any) -> Any:
     return f"{value} {EVIL}" if isinstance(value, str) and " " in value else value
 
 
-def short_run(folder: Path) -> Path:
+@pytest.fixture(scope="module")
+def short_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a recording of a short run on the built-in twins."""
+    folder = tmp_path_factory.mktemp("short")
     (folder / "script.toml").write_text(SCRIPT)
     recording = folder / "run.h5"
     assert main(["run", "--script", str(folder / "script.toml"), "--json", "--seed", "3", "-o", str(recording)]) == 1
     return recording
 
 
-def test_an_investigation_steers_no_terminal_and_turns_no_text_in_the_report(tmp_path: Path) -> None:
-    recording, found = short_run(tmp_path), tmp_path / "found.h5"
+@pytest.fixture
+def recording(short_run: Path, tmp_path: Path) -> Path:
+    """Return a copy of the run to be changed."""
+    return Path(shutil.copy(short_run, tmp_path))
+
+
+def test_an_investigation_steers_no_terminal_and_turns_no_text_in_the_report(recording: Path, tmp_path: Path) -> None:
+    found = tmp_path / "found.h5"
     assert main(["investigate", str(recording), "-o", str(found), "--most-effects", "1", "--json"]) == 0
     with h5py.File(found, "r+") as file:
         held = json.loads(file["investigation"].attrs["json"])
@@ -136,8 +144,9 @@ def test_an_investigation_steers_no_terminal_and_turns_no_text_in_the_report(tmp
     assert "[2J" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
-def test_what_a_recording_holds_steers_no_terminal_and_turns_no_text_in_its_report(tmp_path: Path) -> None:
-    recording = short_run(tmp_path)
+def test_what_a_recording_holds_steers_no_terminal_and_turns_no_text_in_its_report(
+    recording: Path, tmp_path: Path
+) -> None:
     with h5py.File(recording, "r+") as file:
         file.attrs["operator"] = EVIL
         file.attrs["reason"] = EVIL

@@ -18,6 +18,8 @@ from pathlib import Path
 
 _HERE = Path(__file__).parent
 _FOLDER = "STATION_TESTS_FORKS"
+HOSTS_TOO = {"STATION_TESTS_FORKS_HOSTS": "yes"}
+"""Set for a command with ``--host`` that may be forked: nobody looks for its session by the number of the process."""
 _START_LIMIT_S = 60.0
 PYTHON = sys.executable
 
