@@ -198,7 +198,7 @@ def test_an_adapter_that_is_unplugged_is_a_lost_link_in_plain_words() -> None:
             pty.unplug()
             with pytest.raises(LinkLost, match=r"^imu: CAN bus slcan:/dev/pts/\d+ failed \([^\n]+\)$"):
                 await receive(link, 1)
-            with pytest.raises(LinkLost, match="does not take frames"):
+            with pytest.raises(LinkLost, match="does not accept frames"):
                 link.send(Frame(0, 1, False, b""))
 
     run(main)

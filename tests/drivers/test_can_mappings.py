@@ -345,7 +345,7 @@ def test_an_unknown_mapping_is_answered_by_those_that_there_are() -> None:
 
 
 def test_a_mapping_must_fit_the_array() -> None:
-    with pytest.raises(MappingError, match=r"imu: the mapping SBG Systems ECAN has 3 gyros, the array 4"):
+    with pytest.raises(MappingError, match=r"imu: the mapping SBG Systems ECAN has 3 gyros, but the array has 4"):
         channels_of(load_mapping("sbg_ecan"), "imu", ("a", "b", "c", "d"))
 
 
@@ -354,7 +354,7 @@ def test_a_mapping_must_fit_the_array() -> None:
     [
         ({"counter": "F.Q"}, "Q in own.dbc is no whole number"),
         ({"counter": "M.N", "time": "M.N"}, "has unit '', not s or ms"),
-        ({"temperature": "M.W"}, "own.dbc has no signal M.W: write it as MESSAGE.Signal"),
+        ({"temperature": "M.W"}, "own.dbc has no signal M.W. Write it as MESSAGE.Signal"),
     ],
 )
 def test_signals_that_cannot_be_what_the_mapping_says_are_refused(
@@ -370,7 +370,7 @@ def test_signals_that_cannot_be_what_the_mapping_says_are_refused(
 
 def test_rates_of_one_source_must_be_of_one_message(tmp_path: Path) -> None:
     mapping = own_mapping(tmp_path, OWN_TOML.replace('"M.Z"', '"F.Q"'))
-    with pytest.raises(DeviceError, match="X, Y, Q are rates of one source in several messages"):
+    with pytest.raises(DeviceError, match="X, Y, Q, rates of one source, are in several messages"):
         CanImu(
             ImuSetup("imu", 100.0, 0.5, signals=CanSource(mapping.dbc, channels(mapping))),
             CanLink("imu", "memory", "nowhere", {}),
