@@ -96,7 +96,7 @@ def test_outputs_that_are_exactly_zero_at_slow_rates_are_a_dead_zone(
     run, _ = imported(capsys, tmp_path, TOP + RATE)
     gyros, told = calibrated(capsys, run)
     right(gyros, all_but())
-    assert re.search(r"x: its output is exactly 0 in .* less than (3\.\d+|4) deg/s: a dead zone", told)
+    assert re.search(r"x: the output is exactly 0 in .* below (3\.\d+|4) deg/s. This is a dead zone", told)
     assert "stuck" not in told
 
 

@@ -153,4 +153,4 @@ def test_a_reference_that_is_read_often_enough_is_not_told(step_s: float) -> Non
 @pytest.mark.parametrize("step_s", [1.0, 2.0])
 def test_a_reference_that_is_read_too_seldom_for_its_motion_is_told(step_s: float) -> None:
     doubts = calibrate(read_every(step_s)).doubts
-    assert any(f"the reference is read every {step_s:g} s, too seldom for this motion" in doubt for doubt in doubts)
+    assert any(f"the reference is read every {step_s:g} s, too rarely for this motion" in doubt for doubt in doubts)
