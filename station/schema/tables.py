@@ -184,5 +184,5 @@ def link_of(value: object) -> str:
             raise ValueError(not_one_of(url.scheme, _LINKS))
         _ = url.port
     except ValueError as error:
-        raise ValueError(f"{link!r} is no link it can use ({error}): write tcp://host:port, or twin:") from None
+        raise ValueError(f"{link!r} is not a link it supports ({error}). Write tcp://host:port, or twin:") from None
     return link
