@@ -139,7 +139,7 @@ def load_bench(path: Path | None) -> Bench:
     """Read a bench file, or the built-in one; BenchError with line and key for what is wrong."""
     if path is None:
         return read_bench(default_bench_text(), "built-in bench")
-    text = read_text(path, BenchError, "a bench file: a bench file is a .toml file")
+    text = read_text(path, BenchError, "a bench file. Give a .toml file")
     return read_bench(text, str(path), path.stem, path.parent, sorted((path.parent / "plugins").glob("*.py")))
 
 

@@ -102,7 +102,7 @@ def paper_script() -> Script:
 
 def load_script(path: Path) -> Script:
     """Read a script from TOML; ScriptError with the line of what is wrong."""
-    own = Table.load(path, ScriptError, "a script: a script is a .toml file").read_all("script.script")
+    own = Table.load(path, ScriptError, "a script. Give a .toml file").read_all("script.script")
     if not own["step"]:
         raise ScriptError(f'{path}: no [[step]] in it; a step is kind = "rest", "move" or "rotate"')
     return Script(own["name"] or path.stem, tuple(map(_read_step, own["step"])))

@@ -147,7 +147,7 @@ def test_blank_names_and_countries_that_there_are_not_are_refused(tmp_path: Path
     for text, said in {
         '[customer]\nname = " "': r"line 2: customer.name: ' ' is blank: write it, or leave it out",
         '[customer]\naddress = ["Bern", ""]': r"line 2: customer.address: .* is blank",
-        '[laboratory]\ncountry = "XX"': r"line 2: laboratory.country: 'XX' is no country of ISO 3166-1",
+        '[laboratory]\ncountry = "XX"': r"line 2: laboratory.country: 'XX' is not a country code of ISO 3166-1",
         '[laboratory]\ncountry = "ch"': r"line 2: laboratory.country: 'ch' is no country .* two capital letters",
     }.items():
         with pytest.raises(UsageError, match=said):

@@ -197,7 +197,7 @@ def test_ctrl_c_in_a_run_brings_the_table_to_rest_and_keeps_the_recordings(tmp_p
     [
         (["--minutes", "10"], ("", ""), "the first three runs take 17.1 min"),
         (["-o", "."], ("", ""), "is there already"),
-        ([], ('max_rate = "100 deg/s"', 'max_rate = "40 deg/s"'), "45 deg/s is beyond axis x's limit of 40 deg/s"),
+        ([], ('max_rate = "100 deg/s"', 'max_rate = "40 deg/s"'), "45 deg/s exceeds the limit of axis x, 40 deg/s"),
         (["--device", "nothing"], ("", ""), "no device 'nothing'"),
     ],
 )

@@ -440,7 +440,9 @@ def test_laws_that_were_constructed_are_printed_and_reported_in_words_and_as_for
     assert f"constructed: {in_words}" in words
     assert "a lag(abs(u), 5)" in words
     assert "u: rate about the sense axis in rad/s" in words
-    assert re.search(r"Not undone: constructed: bias proportional to cos of \(.*goes with the axes of the table", words)
+    assert re.search(
+        r"Not undone: constructed: bias proportional to cos of \(.*belongs to " r"the axes of the table", words
+    )
     arrays = {name: data.array for name, data in read_recording(copy).sources.items()}
     calibration = read_calibration(copy)
     compensation = Compensation.of(calibration.gyros, arrays, calibration.model)
@@ -614,7 +616,9 @@ def test_files_that_are_there_or_cannot_be_are_refused_before_the_work(
 def test_an_investigation_of_other_gyros_or_none_is_refused(
     run: Path, traced: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert "holds no investigation" in refused(capsys, run, "-o", tmp_path / "r.html", "--investigation", run)
+    assert "is not the result of an investigation" in refused(
+        capsys, run, "-o", tmp_path / "r.html", "--investigation", run
+    )
     other = Path(shutil.copy(traced[1], tmp_path / "other.h5"))
     with h5py.File(other, "r+") as file:
         file["investigation/name"][0] = b"gyroX"

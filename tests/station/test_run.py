@@ -263,11 +263,11 @@ def test_a_wrong_bench_file_is_told_with_its_line_and_nothing_is_made(
     ("step", "says"),
     [
         ('kind = "rotate"\naxis = "x"\nrate = "200 deg/s"\nduration = "40 s"', "beyond axis x's limit of 100 deg/s"),
-        ('kind = "rotate"\naxis = "x"\nrate = "20 deg/s"\nduration = "1 s"', "not enough for the two ramps"),
+        ('kind = "rotate"\naxis = "x"\nrate = "20 deg/s"\nduration = "1 s"', "too short for two ramps"),
         ('kind = "rotate"\naxis = "x"\nrate = "2 deg/s"\nacceleration = "80 deg/s2"\nduration = "9 s"', "50 deg/s2"),
         ('kind = "rest"\nduration = "-3 s"', "give a time above zero"),
         ('kind = "dance"', "'dance' is not one of rest, move, rotate"),
-        ('kind = "rest"\nduraton = "3 s"', "duration is missing; is it misspelt as duraton?"),
+        ('kind = "rest"\nduraton = "3 s"', "duration is missing; is it misspelled as duraton?"),
     ],
 )
 def test_a_script_that_cannot_be_done_is_refused_before_motion(
@@ -285,11 +285,11 @@ def test_a_script_that_cannot_be_done_is_refused_before_motion(
     [
         ("table=tcp://127.0.0.1:1", 4, "table: nothing answers at 127.0.0.1:1"),
         ("table=serial:///dev/null", 4, "table: cannot open serial port /dev/null"),
-        ("table=udp://1.2.3.4:5", 2, "is no link it can use"),
-        ("table=tcp://[::1", 2, "table: 'tcp://[::1' is no link"),
-        ("table=rfc2217://1.2.3.4:99999", 2, "is no link"),
+        ("table=udp://1.2.3.4:5", 2, "is not a link it supports"),
+        ("table=tcp://[::1", 2, "table: 'tcp://[::1' is not a link"),
+        ("table=rfc2217://1.2.3.4:99999", 2, "is not a link"),
         ("array=can:nosuch:0", 4, "array: cannot open CAN bus"),
-        ("array=tcp://1.2.3.4:5", 2, "is no CAN link"),
+        ("array=tcp://1.2.3.4:5", 2, "is not a CAN link"),
         ("stim300=serial:///dev/nosuch", 4, "stim300: cannot open serial port"),
         ("nosuch=twin:", 2, "has no device 'nosuch'"),
         ("nonsense", 2, "write DEVICE=URL"),

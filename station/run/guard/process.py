@@ -82,12 +82,12 @@ async def _guard(order: Order) -> None:
     try:
         table = unpacked_table(order.table)
     except Exception as error:  # what stands in a plug-in
-        os.write(2, f"station: the guard cannot make the table's driver: {type(error).__name__}: {error}\n".encode())
+        os.write(2, f"station: the guard cannot create the table driver: {type(error).__name__}: {error}\n".encode())
         return
     log = _Log(order)
     os.write(1, READY)
     if await _station_dies(order.pid):
-        with inherited(order.locks, f"guard of {order.who}, which has died: it stops the table"):
+        with inherited(order.locks, f"guard of {order.who}, which has died: stopping the table"):
             await _act(order, table, log)
         log.close()
 
@@ -150,14 +150,14 @@ def _words() -> tuple[bytes, bool]:
 
 async def _act(order: Order, table: Turntable, say: "_Log") -> None:
     """Bring the table to rest and take its power off, again and again for a minute."""
-    say(f"{order.who} has died with the table in its hands: the guard stops it")
+    say(f"{order.who} died while it controlled the table: the guard stops the table")
     loop = asyncio.get_running_loop()
     began_s = loop.time()
     while True:
         rest = await _tried(make_safe(table, time_scale=order.time_scale, unconfirmed=say))
         after_s = (loop.time() - began_s) / order.time_scale
         if not rest.trouble:
-            say(f"the table is at rest, its power off, {after_s:.2f} s after the death was known")
+            say(f"the table is at rest, its power off, {after_s:.2f} s after the death was detected")
             return
         if after_s > _GIVE_UP_S:
             say(f"the guard gives up after {after_s:.0f} s: {rest.trouble}")
