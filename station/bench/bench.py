@@ -184,7 +184,7 @@ def read_bench(
     )
     names = [imu.name for imu in bench.imus]
     if not names or len(set(names)) != len(names):
-        raise BenchError(f"{file}: it needs one [[imu]] or more, each with a name of its own; it has {names}")
+        raise BenchError(f"{file}: it needs at least one [[imu]], each with a different name; it has {names}")
     origins = {tables.origin(bench.table.protocol), *(imus.origin(imu.protocol) for imu in bench.imus)}
     origins |= {*map(origin_of, modules), *(record.origin for record in records())}
     return replace(bench, plugins=tuple(sorted(origins - {""})))
@@ -229,7 +229,7 @@ def _limits(table: Table, units: Table) -> Limits:
 
 def read_excluded(text: str, plugins: Sequence[str] = ()) -> frozenset[str] | None:
     """Return the effects that a bench file's text rules out, None if all; its run knew those of ``plugins``, too."""
-    had = f"; the run had {', '.join(plugins) or 'no plug-ins'}; --plugin gives a file"
+    had = f"; the run used {', '.join(plugins) or 'no plug-ins'}; --plugin gives a file"
     return _excluded(_recorded(text, "undeclared"), had)
 
 
@@ -260,5 +260,5 @@ def _matched(text: str, pattern: str, option: str, key: str) -> str:
     if not kept.isprintable() or not 0 < len(kept) <= _LONGEST_NAME:
         raise UsageError(f"{option} {text!r}: give 1 to {_LONGEST_NAME} printable characters")
     if pattern and not re.fullmatch(pattern, kept):
-        raise UsageError(f"{option} {kept!r} is not what this bench expects: {pattern} ({key} in [station])")
+        raise UsageError(f"{option} {kept!r} does not match the pattern of this bench: {pattern} ({key} in [station])")
     return kept

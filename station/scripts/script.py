@@ -104,7 +104,7 @@ def load_script(path: Path) -> Script:
     """Read a script from TOML; ScriptError with the line of what is wrong."""
     own = Table.load(path, ScriptError, "a script. Give a .toml file").read_all("script.script")
     if not own["step"]:
-        raise ScriptError(f'{path}: no [[step]] in it; a step is kind = "rest", "move" or "rotate"')
+        raise ScriptError(f'{path}: it has no [[step]]; a step has kind = "rest", "move" or "rotate"')
     return Script(own["name"] or path.stem, tuple(map(_read_step, own["step"])))
 
 
@@ -119,7 +119,7 @@ def check(script: Script, limits: Mapping[str, AxisLimits]) -> Script:
         where = f"script {script.name}, step {number} ({step.label})"
         if isinstance(step, Rest):
             if not 0 < step.duration_s < math.inf:
-                raise ScriptError(f"{where}: a rest of {step.duration_s:g} s; give a time above zero")
+                raise ScriptError(f"{where}: a rest of {step.duration_s:g} s. Give a time above zero")
             driven.append(step)
             continue
         if step.axis not in limits:

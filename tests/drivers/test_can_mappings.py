@@ -323,7 +323,7 @@ def test_a_mapping_of_ones_own_with_units_that_the_dbc_does_not_state(tmp_path: 
         (OWN_TOML.replace("name", "nam", 1), "name is missing"),
         (OWN_TOML.replace('dbc = "own.dbc"', ""), "dbc is missing"),
         (OWN_TOML.replace("[[sources]]", "[[source]]"), "source: unknown key; did you mean sources?"),
-        (OWN_TOML.split("[[")[0], "needs one [[sources]] or more"),
+        (OWN_TOML.split("[[")[0], "needs at least one [[sources]]"),
         (OWN_TOML + "speed = 1\n", "sources.0.speed: unknown key"),
         (OWN_TOML + "temperature = 3\n", "sources.0.temperature: 3 is not a text"),
         (OWN_TOML + 'acceleration = ["M.X"]\n', "sources.0.acceleration: names 1 signals, not x, y and z"),
@@ -352,7 +352,7 @@ def test_a_mapping_must_fit_the_array() -> None:
 @pytest.mark.parametrize(
     ("more", "message"),
     [
-        ({"counter": "F.Q"}, "Q in own.dbc is no whole number"),
+        ({"counter": "F.Q"}, "Q in own.dbc is not an integer"),
         ({"counter": "M.N", "time": "M.N"}, "has unit '', not s or ms"),
         ({"temperature": "M.W"}, "own.dbc has no signal M.W. Write it as MESSAGE.Signal"),
     ],

@@ -110,7 +110,9 @@ def test_a_run_about_one_axis_says_what_it_has_not_seen() -> None:
 def test_a_run_at_rest_sees_no_scale_factor() -> None:
     calibration = calibrate(recorded(2, axes=""))
     for gyro in calibration.gyros:
-        assert any(note.startswith(f"{gyro.name}: scale factor error k is not seen") for note in calibration.notes)
+        assert any(
+            note.startswith(f"{gyro.name}: scale factor error k is not determined") for note in calibration.notes
+        )
         assert not any(note.startswith(f"{gyro.name}: bias") for note in calibration.notes)
 
 

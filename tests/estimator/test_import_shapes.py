@@ -125,7 +125,7 @@ def test_held_values_repeated_rows_and_coarse_stamps_are_seen_through(tmp_path: 
     notes = "\n".join(run.notes)
     assert "the gyro is new in one row of 4 (50 Hz)" in notes
     assert "the reference is new in one row of 3 (66.7 Hz)" in notes
-    assert "written twice" in notes
+    assert "duplicate rows were skipped" in notes
     t_s = source(run.recording).t_ns * 1e-9
     assert len(t_s) == pytest.approx(2000, abs=2)
     assert np.median(np.diff(t_s)) == pytest.approx(0.02, rel=1e-3)
@@ -151,7 +151,7 @@ def test_a_wrong_sign_or_count_is_told_and_does_not_pull_the_estimate(
     recording, calibration = calibrated(tmp_path, mapping, log)
     assert re.search(told, str(recording.attributes["imported"]))
     assert only(calibration).states[0] == pytest.approx(k, abs=0.002)
-    assert any("z: the output is" in note for note in calibration.notes)
+    assert any(re.match("z: (its|the) output is", note) for note in calibration.notes)
 
 
 def test_the_angle_of_an_encoder_is_a_table_of_one_axis(tmp_path: Path) -> None:
@@ -213,7 +213,7 @@ def test_a_triad_on_a_spindle_gives_what_one_axis_can(tmp_path: Path) -> None:
         assert np.degrees(gyro.states[1]) == pytest.approx(b, abs=0.02)
     notes = "\n".join(calibration.notes)
     assert "the body turns about z only" in notes
-    assert "x: scale factor error k is not seen" in notes
+    assert "x: scale factor error k is not determined" in notes
     assert "z: scale factor error k" not in notes
 
 
@@ -408,7 +408,7 @@ def test_an_accelerometer_in_another_unit_is_told(tmp_path: Path) -> None:
 def test_a_log_with_broken_lines_loses_only_these(tmp_path: Path) -> None:
     recording, calibration = calibrated(tmp_path, shape("broken_log"), broken_log(tmp_path / "log.csv"))
     assert recording.attributes["skipped_lines"] == 42  # 40 spoilt, heading and units once more
-    assert "42 broken lines skipped, the first is line " in str(recording.attributes["imported"])
+    assert "42 broken lines are skipped, the first is line " in str(recording.attributes["imported"])
     t_ns = source(recording).t_ns
     assert t_ns[-1] == (1500 - 1 + 1) * 20_000_000  # each spoilt line keeps its place, as does the row of units
     for gyro in calibration.gyros:
@@ -467,9 +467,9 @@ def test_every_example_is_a_mapping(path: Path) -> None:
     ("name", "old", "new", "message"),
     [
         ("gyro_encoder_rate", 'axis = "z"', "", r'reference.columns: is one column: add axis = "z"'),
-        ("gyro_encoder_rate", 'axes = ["z"]', "", r"there are 1 columns and 3 axes .*axes = \[\"z\"\] for one gyro"),
+        ("gyro_encoder_rate", 'axes = ["z"]', "", r"there are 1 columns but 3 axes .*axes = \[\"z\"\] for one gyro"),
         ("gyro_encoder_rate", 'scale = "from data"', "", r"line \d+: gyro: count is missing"),
-        ("gyro_encoder_angle", 'axis = "z"', 'axis = "q"', r"line \d+: reference.axis: 'q' is no axis"),
+        ("gyro_encoder_angle", 'axis = "z"', 'axis = "q"', r"line \d+: reference.axis: 'q' is not an axis"),
         (
             "up_and_down",
             "latitude_deg = 48.14",

@@ -190,7 +190,7 @@ def test_a_log_of_candump_is_read_by_the_signals_of_a_dbc(tmp_path: Path, style:
     np.testing.assert_allclose(data.t_ns * 1e-9, np.arange(150) / 100, atol=1e-6)
     assert data.accel_mps2 is not None
     np.testing.assert_allclose(data.accel_mps2[:, 1], np.arange(150) / 256, atol=1e-6)  # the lost one is interpolated
-    assert "damaged frames are left out" in told(tmp_path)
+    assert "damaged frames were skipped" in told(tmp_path)
 
 
 # --- what cannot be read

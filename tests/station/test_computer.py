@@ -121,7 +121,7 @@ def _interface(kind: str, *flags: str, **data: Any) -> dict[str, Any]:
     ("described", "text", "command"),
     [
         ({}, "is not there", "ip -brief link show type can"),
-        (_interface("bridge", "UP"), "is no CAN interface", "ip -brief link show type can"),
+        (_interface("bridge", "UP"), "is not a CAN interface", "ip -brief link show type can"),
         (_interface("can"), "has no bit rate", "sudo ip link set can0 up type can bitrate 500000 restart-ms 100"),
         (
             _interface("can", bittiming={"bitrate": 1000000}),
@@ -231,4 +231,4 @@ def test_a_system_that_names_no_peers_runs_and_says_so(
     script.write_text('[[step]]\nkind = "rest"\nduration = "9 s"\n')
     output = str(tmp_path / "run.h5")
     assert main(["run", "--host", "--scale", "20", "--script", str(script), "-o", output]) in (0, 1)
-    assert "does not tell who connects" in capsys.readouterr().err
+    assert "does not identify the user" in capsys.readouterr().err

@@ -680,7 +680,7 @@ def test_bad_input_is_refused_with_what_to_do(
     path.write_bytes(good)
     there = tmp_path / "there.h"
     there.write_text("mine")
-    assert "not written over" in refused(path, "--format", "c", "-o", there)
+    assert "not overwritten" in refused(path, "--format", "c", "-o", there)
     assert there.read_text() == "mine"
     assert main(["export", str(path), "--format", "c", "-o", str(there), "--force"]) == 0
     assert "my_gyro_1_correct" in there.read_text()
@@ -748,7 +748,7 @@ def test_all_forms_that_can_hold_a_calibration_are_written_at_once(
     assert sorted(folder.iterdir()) == sorted(map(Path, said["files"].values()))
     assert "three gyros" in said["refused"]["px4"]
     assert main(["export", str(path), "--all", str(folder)]) == 2
-    assert "is there already" in capsys.readouterr().err
+    assert "exists already" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("form", ["c", "c-float"])

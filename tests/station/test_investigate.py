@@ -161,7 +161,7 @@ def test_clean_recordings_need_nothing(tmp_path: Path, capsys: pytest.CaptureFix
         (["nowhere.h5"], "nowhere.h5 is not a file"),
         (["{0}", "--verify", "{0}"], "is given both to fit and to verify"),
         (["{0}", "--plot", "residual.bmp"], "must end in one of"),
-        (["{0}", "-o", "{1}"], "is there already"),
+        (["{0}", "-o", "{1}"], "exists already"),
         (["{0}", "--bench", "nowhere.toml"], "nowhere.toml"),
     ],
 )

@@ -605,10 +605,10 @@ def test_files_that_are_there_or_cannot_be_are_refused_before_the_work(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "there.html").write_text("kept")
-    assert "is there already" in refused(capsys, run, "-o", tmp_path / "there.html")
-    assert "is there already" in refused(capsys, run, "-o", tmp_path / "there.pdf")
+    assert "exists already" in refused(capsys, run, "-o", tmp_path / "there.html")
+    assert "exists already" in refused(capsys, run, "-o", tmp_path / "there.pdf")
     assert (tmp_path / "there.html").read_text() == "kept"
-    assert "no directory" in refused(capsys, run, "-o", tmp_path / "none" / "r.html")
+    assert "does not exist" in refused(capsys, run, "-o", tmp_path / "none" / "r.html")
     assert ".html or .pdf" in refused(capsys, run, "-o", tmp_path / "r.docx")
     assert "not a file" in refused(capsys, tmp_path / "missing.h5", "-o", tmp_path / "r.html")
 

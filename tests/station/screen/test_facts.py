@@ -103,7 +103,7 @@ def test_what_the_form_keeps_is_what_a_report_states(jobs: Path) -> None:
         await entered(pilot, "customer.address", "Langstrasse 1 | Bern")
         assert line(pilot, "customer.name") == "customer name Aerial surveys entered"
         await entered(pilot, "certificate.issued", "1.5.2026")
-        assert "WRONG: '1.5.2026' is no date: write it as 2026-11-23" in line(pilot, "certificate.issued")
+        assert "WRONG: '1.5.2026' is not a date. Write it as 2026-11-23" in line(pilot, "certificate.issued")
         await keep(pilot)  # is refused, and leads to what is wrong
         await form_of(pilot, "WRONG certificate.issued")
         assert not list(jobs.glob("*.toml"))
