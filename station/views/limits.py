@@ -101,7 +101,7 @@ class LimitLine:
             return "Mean NIS out of range: `station investigate` looks for errors that the model misses."
         if self.what == SAMPLES_LOST:
             return "Samples lost: `station check` tests each link."
-        return "" if self.note else "A state exceeds its limit: the device is out of tolerance or mounted differently."
+        return "" if self.note else "A state exceeds its limit: out of tolerance, or mounted differently."
 
 
 def _apart(value: float, bound: float) -> tuple[str, str]:

@@ -58,7 +58,7 @@ def _rtu_busy(reply: bytes) -> bytes:
 
 _NOISE = random.Random(1).randbytes(40).replace(b":", b";").replace(b"?", b"!")
 _LOST = "does not answer|no answer|closed|broke|reset|gone"
-_WRONG = "not as|does not answer|no answer|answers|refuses|Modbus exception|not known"
+_WRONG = "violates Modbus|does not answer|no answer|answers|refuse[sd]|Modbus exception|unknown whether"
 
 COMMON = (
     Kind("closed", "closed|reset|broke", ends="close"),  # reset, if something was on its way

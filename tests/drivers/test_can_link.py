@@ -283,7 +283,7 @@ def test_a_bus_that_cannot_be_opened_is_a_lost_link_in_one_line(
     interface: str, channel: str, options: dict[str, Any]
 ) -> None:
     async def main() -> None:
-        with pytest.raises(LinkLost, match=rf"^imu: cannot open CAN bus {interface}:{channel} \([^\n]+\); is it"):
+        with pytest.raises(LinkLost, match=rf"^imu: cannot open CAN bus {interface}:{channel} \([^\n]+\)\. Is it"):
             await CanLink("imu", interface, channel, options).open()
 
     run(main)

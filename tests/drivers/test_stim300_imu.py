@@ -195,7 +195,7 @@ def test_external_trigger_and_a_gyro_that_is_off_are_refused() -> None:
             await Stim300Imu(imu_setup("stim300", "imu", 2000), near).identify()
 
     virtually(lambda: scene(2, 5 << 5, "external trigger"))
-    virtually(lambda: scene(4, 0x50, "gyro y is off"))
+    virtually(lambda: scene(4, 0x50, "gyro y is switched off"))
 
 
 @pytest.mark.parametrize("rate_hz", [125, 2000])

@@ -449,7 +449,7 @@ def test_noise_that_looks_like_a_long_message_does_not_hide_an_answer_for_long()
     ("granted", "error", "why"),
     [
         (b"\x80\x20\x01", BadReply, "OutputConfiguration is invalid"),
-        (encode_outputs([Output(SAMPLE_TIME_FINE, EVERY)]), DeviceRefused, "does not grant RateOfTurn"),
+        (encode_outputs([Output(SAMPLE_TIME_FINE, EVERY)]), DeviceRefused, "does not provide RateOfTurn"),
         (encode_outputs([Output(RATE_OF_TURN, 100)]), DeviceRefused, "neither SampleTimeFine nor PacketCounter"),
     ],
 )

@@ -123,7 +123,7 @@ def test_a_note_on_many_files_is_told_once(tmp_path: Path, capsys: pytest.Captur
     for number, name in enumerate(names):
         write(tmp_path / name, "t,gx,gy,gz,rx,ry,rz", T_S, np.round(outputs(W, number) / 2) * 2, W)
     _, said = recorded(capsys, tmp_path, TOP + RATE, *names)
-    notes = [line for line in said.splitlines() if "x: its steps" in line]
+    notes = [line for line in said.splitlines() if "x: the resolution" in line]
     assert len(notes) == 1, said
     assert "5 files" in notes[0] or "4 more files" in notes[0]
 

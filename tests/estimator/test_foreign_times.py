@@ -120,4 +120,4 @@ def test_stamps_that_jitter_are_kept_only_if_the_readings_are_of_these_instants(
     run, said = imported(capsys, tmp_path, TOP + RATE + BESIDE)
     gyros, _ = calibrated(capsys, run)
     right(gyros, 0.0003)
-    assert ("log_reference.csv: even grid of" in said) == (sampled == "evenly")
+    assert ("log_reference.csv: uniform rate of" in said) == (sampled == "evenly")

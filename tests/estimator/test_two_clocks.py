@@ -26,7 +26,7 @@ BROAD = HEAD + (
     '[gyro]\ncolumns = ["x", "y", "z"]\nunit = "rad/s"\n[reference]\nkind = "attitude"\norder = "wxyz"\n'
     'columns = ["q0", "q1", "q2", "q3"]\nfile = "reference.csv"\n'
 )
-TOLD = re.compile(r"the clock of reference.csv goes ([\d.]+) \+- ([\d.]+) ppm (slow|fast)")
+TOLD = re.compile(r"the clock of reference.csv is ([\d.]+) \+- ([\d.]+) ppm (slow|fast)")
 
 
 def written(path: Path, heading: str, *columns: np.ndarray) -> None:

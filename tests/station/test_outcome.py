@@ -115,7 +115,7 @@ def test_what_is_no_number_does_not_pass() -> None:
 def test_innovations_that_do_not_fit_their_sigmas_fail(nis: float) -> None:
     verdict = judge(replace(GOOD, nis_mean=nis), LIMITS)
     assert verdict.outcome is Outcome.FAIL
-    assert verdict.reason.startswith(f"mean NIS {nis:.3f} outside 0.8 to 1.2")
+    assert verdict.reason.startswith(f"mean NIS {nis:.3f} is outside 0.8 to 1.2")
 
 
 def test_without_innovations_the_rest_is_judged() -> None:
