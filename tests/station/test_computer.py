@@ -120,7 +120,7 @@ def _interface(kind: str, *flags: str, **data: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("described", "text", "command"),
     [
-        ({}, "is not there", "ip -brief link show type can"),
+        ({}, "does not exist", "ip -brief link show type can"),
         (_interface("bridge", "UP"), "is not a CAN interface", "ip -brief link show type can"),
         (_interface("can"), "has no bit rate", "sudo ip link set can0 up type can bitrate 500000 restart-ms 100"),
         (
@@ -203,7 +203,7 @@ def test_check_tells_of_the_computer_in_words_and_as_json(capsys: pytest.Capture
     computer = json.loads(capsys.readouterr().out)["computer"]
     assert [each["about"] for each in computer if each["wrong"]] == ["/dev/ttyUSB97"]
     assert main(["check", *link]) == 4
-    assert "/dev/ttyUSB97 is not there" in capsys.readouterr().out
+    assert "/dev/ttyUSB97 does not exist" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("module", ["fcntl", "termios", "resource"])

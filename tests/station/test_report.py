@@ -183,12 +183,12 @@ def test_who_what_and_how_are_on_it(run: Path, html: str) -> None:
         assert chapter in text
     assert "script begins" in text
     assert "coverage factor of 2" in text
-    assert "No certificate of the table's own calibration is stated" in text
+    assert "No calibration certificate of the table is stated" in text
     # The states mean nothing without their signs and axes; an uncertainty says what it leaves out.
     assert "without rotation the output is −b, so b is to be added" in text
     assert "gyro2 0.94281 0.00000 0.33333 −0.33333 0.00000 0.94281 0.00000 −1.00000 0.00000" in text
     assert "u combines the lines of the uncertainty budget in squares" in text
-    assert "allows for no drift since" in text
+    assert "does not include later drift" in text
 
 
 def test_the_same_recording_gives_the_same_bytes_and_json_says_what_was_written(
@@ -285,7 +285,7 @@ def test_the_combined_uncertainty_of_a_fine_gyro_is_a_number_however_small(copy:
     ("outcome", "title"),
     [
         ("ABORTED", "Report of an aborted run"),
-        ("FAULT", "Report of a run that ended by a fault"),
+        ("FAULT", "Report of a run that ended with a fault"),
         ("FAIL", "Report of a failed calibration"),
     ],
 )
@@ -519,8 +519,8 @@ def test_data_measured_elsewhere_get_a_report(tmp_path: Path) -> None:
     assert title_of(text) == "Calibration report"
     words = words_of(parsed(text))
     assert "NOT JUDGED" in words
-    assert "turns of known angle that were measured elsewhere" in words
-    assert "states no uncertainty of it" in words
+    assert "turns of known angle measured elsewhere" in words
+    assert "states no uncertainty for it" in words
     assert "Type B: none" in words
     assert "Adjustment" not in words  # nobody knows
 
