@@ -82,7 +82,7 @@ def test_a_bench_of_two_described_imus_runs_and_passes(tmp_path: Path, capsys: p
             HI91,
             '{ text = "LOG ENABLE\\r\\n" }',
             '{ text = "LOG", hex = "00" }',
-            r"start.1: needs text or hex",
+            r"start.1: needs either text or hex",
         ),
     ],
 )
