@@ -35,14 +35,14 @@ def load_files(paths: Iterable[Path] = ()) -> list[ModuleType]:
     """
     given = [Path(file) for file in os.environ.get(GIVEN, "").split(os.pathsep) if file]
     if here := [str(path) for path in given if not path.is_absolute()]:  # the working folder decides nothing
-        raise PluginError(f"{GIVEN} has {', '.join(here)}: give the whole path")
+        raise PluginError(f"{GIVEN} has {', '.join(here)}. Give the full path")
     named = dict.fromkeys(path.resolve() for path in given)
     beside = [path for path in paths if path.resolve() not in named]
     for path in beside:
         if reason := _changed_by_others(path):
             raise PluginError(
-                f"plug-in {path} is not loaded: {reason}, and it is code that would run as you. Copy it to a folder "
-                "that only you may write to; or, if you have looked at it and trust who may change it, name it: "
+                f"plug-in {path} is not loaded: {reason}, and its code would run with your rights. Copy it to "
+                "a folder that only you can write to; or, if you trust it and everyone who can change it, name it: "
                 f"--plugin {path}"
             )
     return [load_file(path) for path in (*named, *dict.fromkeys(path.resolve() for path in beside))]
@@ -58,7 +58,7 @@ def load_file(path: Path) -> ModuleType:
     def run() -> ModuleType:
         spec = spec_from_file_location(name, path)
         if spec is None or spec.loader is None:
-            raise ImportError("it is no Python file")
+            raise ImportError("it is not a Python file")
         module = sys.modules[name] = module_from_spec(spec)
         spec.loader.exec_module(module)
         return module
@@ -112,7 +112,7 @@ def _on_the_way(path: Path) -> Iterator[Path]:
         left += reversed(target.parts)
         if target.is_absolute():
             here = Path(left.pop())
-    raise OSError(f"{path} does not come to an end")
+    raise OSError(f"{path} is a loop of symbolic links")
 
 
 def _user(uid: int) -> str:
@@ -182,7 +182,7 @@ class Registry(Mapping[str, T]):
         if not isinstance(record, self._kind):
             raise PluginError(f"{what}: {type(record).__name__} is no {self._kind.__name__}")
         if (called := getattr(record, "name", "")) != name:
-            raise PluginError(f"{what}: it calls itself {called}: announce it by that name")
+            raise PluginError(f"{what}: it is called {called}. Register it by that name")
         return record
 
     def tried(self) -> dict[str, T | PluginError]:
@@ -213,7 +213,7 @@ class Registry(Mapping[str, T]):
         return _announced(self._group, tuple(sys.path))
 
     def _taken(self, name: str) -> PluginError:
-        return PluginError(f"two {self._group.rpartition('.')[2]} are called {name}: give yours a name of its own")
+        return PluginError(f"two {self._group.rpartition('.')[2]} are called {name}: choose another name for yours")
 
 
 @lru_cache(16)  # it opens a file of every package that is installed

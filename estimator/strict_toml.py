@@ -154,7 +154,7 @@ class StrictTable:
         for key in self._data:
             known = sorted({*self._known, *also})
             if key in known:
-                raise self.fail(key, "has no place beside the other keys: leave it out")
+                raise self.fail(key, "cannot be combined with the other keys. Leave it out")
             close = difflib.get_close_matches(key, known, 1)
             hint = f"did you mean {close[0]}?" if close else f"known here: {', '.join(known)}"
             raise self.fail(key, f"unknown key; {hint}")
@@ -190,7 +190,7 @@ class StrictTable:
         if key not in self._data:
             if default is None:
                 close = difflib.get_close_matches(key, self._data, 1, 0.7)
-                hint = f"; is it misspelt as {close[0]}?" if close else ""
+                hint = f"; is it misspelled as {close[0]}?" if close else ""
                 raise self.fail(None, f"{key} is missing{hint}")
             return default
         try:
@@ -215,7 +215,7 @@ def _check_depth(value: object, left: int = _DEEPEST) -> None:
     if not left:
         raise RecursionError
     if isinstance(value, str) and "\N{REPLACEMENT CHARACTER}" in harmless(value.replace("\r", "")):
-        raise ValueError(f"{value[:60]!r} has characters that steer a terminal; bytes of a device are written in hex")
+        raise ValueError(f"{value[:60]!r} has control characters; write bytes of a device in hex")
     for inner in (*value, *value.values()) if isinstance(value, dict) else value if isinstance(value, list) else ():
         _check_depth(inner, left - 1)
 

@@ -66,7 +66,7 @@ def read_bytes(
     if wanted and content.startswith(_HDF5_SIGNATURE):
         raise error(f"{name} is a recording, not {wanted}")
     if len(content) > most_bytes:
-        raise error(f"{name} has more than {most_bytes >> 20} MB: that is no such file, or split it")
+        raise error(f"{name} is larger than {most_bytes >> 20} MB: check that it is the right file, or split it")
     return content
 
 

@@ -15,7 +15,7 @@ _PICTURES = (".png", ".svg", ".pdf")
 def check_new_file(path: Path, option: str) -> None:
     """See, before any long work, that a file can be created there; UsageError if not."""
     if path.exists():
-        raise UsageError(f"{option} {path} is there already: give another name")
+        raise UsageError(f"{option} {path} exists already. Give another name")
     _check_folder(path, option)
 
 
@@ -25,9 +25,9 @@ def check_new_recording(path: Path) -> None:
     The folder may be missing: it is made with the recording.
     """
     if path.is_dir():
-        raise UsageError(f"--output {path} is a folder: name a file in it, for instance {path / 'run.h5'}")
+        raise UsageError(f"--output {path} is a folder. Name a file in it, for instance {path / 'run.h5'}")
     if path.exists():
-        raise UsageError(f"--output {path} is there already, and is never written over: give another name")
+        raise UsageError(f"--output {path} exists already and is never overwritten. Give another name")
 
 
 def check_picture(path: Path) -> None:
@@ -39,7 +39,7 @@ def check_picture(path: Path) -> None:
 
 def _check_folder(path: Path, option: str) -> None:
     if not path.resolve().parent.is_dir():
-        raise UsageError(f"{option} {path}: there is no directory {path.parent}")
+        raise UsageError(f"{option} {path}: the folder {path.parent} does not exist")
     try:
         tempfile.TemporaryFile(dir=path.resolve().parent).close()
     except OSError as error:
@@ -73,7 +73,7 @@ def write_whole(
     Raises UsageError, which says why, if that cannot be done; what was there is then as it was.
     """
     if path.exists() and (not replace or not path.is_file()):
-        what = "is there already, and is not written over" if path.is_file() else "is no file"
+        what = "exists already and is not overwritten" if path.is_file() else "is not a file"
         raise UsageError(f"{path} {what}: give another name")
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:

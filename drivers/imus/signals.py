@@ -67,7 +67,7 @@ class SignalReader:
             self.message: Any = database.get_message_by_name(message_name)
             signal: Any = self.message.get_signal_by_name(signal_name)
         except KeyError:
-            raise DeviceError(device, f"{dbc.name} has no signal {name}: write it as MESSAGE.Signal") from None
+            raise DeviceError(device, f"{dbc.name} has no signal {name}. Write it as MESSAGE.Signal") from None
         self.name, self.key = signal_name, message_key(self.message)
         self.length = int(self.message.length)
         self.bits = int(signal.length)

@@ -97,7 +97,7 @@ class CanLink:
         try:
             self._bus.send(message, _SEND_LIMIT_S)
         except (can.CanError, OSError, ValueError) as error:
-            raise LinkLost(self._device, f"{self._named} does not take frames ({_plain(error)})") from None
+            raise LinkLost(self._device, f"{self._named} does not accept frames ({_plain(error)})") from None
 
     def end(self, reason: str) -> None:
         """Let the reader know that the bus is gone."""

@@ -52,7 +52,7 @@ def check_own(path: str, file: int) -> None:
     named = os.lstat(path)
     _check_is_own(path, named)
     if not os.path.samestat(named, os.fstat(file)):
-        raise OSError(f"{path} was exchanged meanwhile: try again")
+        raise OSError(f"{path} was replaced meanwhile. Try again")
 
 
 async def _names(link: str, default_port: int | None) -> list[str]:
@@ -95,7 +95,9 @@ def _lock(stack: ExitStack, device: str, link: str, name: str, what: str) -> int
             _check_unlocked(other)
     except BlockingIOError as error:
         holder = error.args[0] if isinstance(error, _InUse) else _holder(file)
-        raise DeviceRefused(device, f"{link} is in use by {holder}: a table has one master; end that first") from None
+        raise DeviceRefused(
+            device, f"{link} is in use by {holder}. A table must have one master; end that program first"
+        ) from None
     except OSError as error:
         raise DeviceRefused(device, f"{link} cannot be locked against a second master: {error}") from None
     return file
@@ -126,11 +128,13 @@ def _check_is_own(path: str, found: os.stat_result) -> None:
     elif found.st_uid != os.geteuid():
         wrong = f"belongs to {_user(found.st_uid)}"
     elif found.st_nlink != 1:
-        wrong = "has another name as well (hard link)"
+        wrong = "has a second name (hard link)"
     else:
         return
     who = "" if found.st_uid == os.geteuid() else f"have {_user(found.st_uid)} or root "
-    raise OSError(f"{path} {wrong}, and this program did not make it: {who}remove it, and ask how it came there")
+    raise OSError(
+        f"{path} {wrong}, and this program did not create it: {who}remove it, and find out where it came from"
+    )
 
 
 def _other_files(folder: str, stem: str) -> Iterator[str]:

@@ -79,7 +79,7 @@ class SerialLink:
             self._reader.write(data)
         except OSError as error:
             timeout = isinstance(error, _StuckError) or type(error).__name__ == "SerialTimeoutException"
-            reason = "takes no more bytes: is its handshake or its cable stuck?" if timeout else "is gone"
+            reason = "accepts no more bytes. Check its handshake and its cable" if timeout else "is gone"
             self._inbox.fail(f"serial port {self._url} {reason}")
 
     def close(self) -> None:
@@ -214,7 +214,7 @@ class _Reader:
 
     def _end_inbox(self) -> None:
         if not self._closing.is_set():
-            what = "closed the connection" if _is_url(self._url) else "is gone: unplugged, or without power"
+            what = "closed the connection" if _is_url(self._url) else "is gone: unplugged or without power"
             self._inbox.end(f"serial port {self._url} {what}")
 
 
@@ -248,9 +248,9 @@ def _why_not(url: str, error: Exception) -> str:
     if isinstance(error, ValueError):
         return f"{text}; write a device such as /dev/ttyUSB0, socket://host:port or rfc2217://host:port"
     if "lock" in text:
-        return "another program has it open; close that first"
+        return "another program uses it. Close that program first"
     if _is_url(url):
-        return f"nothing there answers as it should ({text}); is the converter on, and the address right?"
+        return f"no valid answer ({text}). Is the converter switched on? Is the address correct?"
     if getattr(error, "errno", None) == 13:
-        return "it is not allowed to you; on Linux, join the group dialout"
-    return f"is it plugged in, and the name right? ({text})"
+        return "you may not access it. On Linux, join the group dialout"
+    return f"is it plugged in and spelled correctly? ({text})"

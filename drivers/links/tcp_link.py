@@ -56,7 +56,7 @@ class TcpLink:
         if self._writer.is_closing():
             raise self._end("closed the connection")
         if self._writer.transport.get_write_buffer_size() > _MOST_UNSENT:
-            raise self._end("takes no more bytes")
+            raise self._end("accepts no more bytes")
         self._writer.write(data)
 
     def close(self) -> None:

@@ -146,7 +146,7 @@ class Exchange:
                     async with asyncio.timeout_at(began + attempt * self._timeout_s):
                         await self._be_in_step()
                         if sent and not repeat:
-                            raise Unanswered(self._device, f"it is not known whether {line!r} was carried out")
+                            raise Unanswered(self._device, f"it is unknown whether {line!r} was carried out")
                         repeated, sent = sent, True
                         return await self._once(line, pattern, repeated)
                 except TimeoutError:
@@ -190,10 +190,10 @@ class Exchange:
 
     def _silent(self, to_what: str) -> LinkLost:
         self._silence_s, self._failed = asyncio.get_running_loop().time(), True
-        within = f"within {_ATTEMPTS * self._timeout_s:g} s, twice asked"
-        why = "is the controller on, and the link to it whole?"
+        within = f"within {_ATTEMPTS * self._timeout_s:g} s after two requests"
+        why = "is the controller switched on and connected?"
         if self._heard:
-            why = f"what comes is none, or late ({self._heard[-20:]!r})"
+            why = f"only late or unrelated data arrived ({self._heard[-20:]!r})"
         return LinkLost(self._device, f"no answer {to_what + ' ' if to_what else ''}{within}: {why}")
 
     async def _be_in_step(self) -> None:
@@ -265,4 +265,4 @@ class Exchange:
         try:
             self._link.write(data)
         except OSError as error:
-            raise LinkLost(self._device, f"cannot send ({error}): is it still plugged in?") from None
+            raise LinkLost(self._device, f"cannot send ({error}). Is it still plugged in?") from None

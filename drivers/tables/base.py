@@ -31,7 +31,7 @@ class Table:
                 continue
             await self._clear_fault(axis)
             if trouble := (await self.status(axis)).trouble:
-                raise DeviceFault(self._device, f"{trouble}; it stays after a reset, its cause is still there")
+                raise DeviceFault(self._device, f"{trouble}; a reset does not clear it, so its cause is still present")
 
     async def _clear_fault(self, axis: str) -> None:
         raise NotImplementedError
@@ -40,7 +40,7 @@ class Table:
         """Return the status of an axis that is to be enabled; DeviceFault in a fault or interlock."""
         status = await self.status(axis)
         if status.trouble:
-            raise DeviceFault(self._device, f"{status.trouble}; clear its cause, then start with --reset-fault")
+            raise DeviceFault(self._device, f"{status.trouble}; clear the cause, then start with --reset-fault")
         return status
 
     async def _at_home(self, axis: str) -> bool:
@@ -60,7 +60,7 @@ class Table:
                     self.homing.discard(axis)
             if self.homing and loop.time() > deadline:
                 await self._give_up_homing()
-                said = f"axis {', '.join(sorted(self.homing))} found no home within {_HOMING_LIMIT_S:.0f} s"
+                said = f"axis {', '.join(sorted(self.homing))} did not complete homing within {_HOMING_LIMIT_S:.0f} s"
                 raise DeviceRefused(self._device, said)
             await asyncio.sleep(poll_s)
 

@@ -79,10 +79,10 @@ class _Axis:
 
     def text(self, now_s: float) -> str:
         if self._last is None:
-            return f"axis {self.name} was not seen any more"
+            return f"axis {self.name} no longer reports its state"
         if self.contradicts_itself:
             rate_dps, angle_deg = math.degrees(self._last.rate_rps), math.degrees(self._last.angle_rad)
-            return f"axis {self.name} reports {rate_dps:.2f} deg/s, and a position that stays at {angle_deg:.2f} deg"
+            return f"axis {self.name} reports {rate_dps:.2f} deg/sbut a position that stays at {angle_deg:.2f} deg"
         rate_dps, ago_s = math.degrees(self._last.rate_rps), now_s - self._last.rate_t_ns * 1e-9
         return f"axis {self.name} turned at {rate_dps:.2f} deg/s when last seen, {ago_s:.1f} s ago"
 
@@ -152,8 +152,8 @@ def _not_at_rest(device: str, axes: Sequence[_Axis], failures: Sequence[DeviceEr
         kind = BadReply if isinstance(failures[0], BadReply) else LinkLost
         return kind(device, f"{failures[0].message}; {said}: look at the table")
     if all(axis.contradicts_itself for axis in axes):
-        return DeviceRefused(device, f"told to stop, {said}: its readings do not tell whether it stands")
-    return DeviceRefused(device, f"told to stop, {said}: it keeps turning, cut its power")
+        return DeviceRefused(device, f"told to stop, {said}: its readings do not show whether it is at rest")
+    return DeviceRefused(device, f"told to stop, {said}: it keeps turning. Cut its power")
 
 
 async def first_look(table: Turntable, *, take_over: bool) -> None:

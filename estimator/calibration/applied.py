@@ -34,7 +34,7 @@ def applied(
         wanted = f"N x {len(names)}: {', '.join(names)}, in this order"
         raise CompensationError(f"give the outputs as an array of {wanted}; this one is {shape}")
     if t_s is None and "time" in needs_of(compensation):
-        raise CompensationError("the effects of these gyros cannot be undone without t_s, the instants of the samples")
+        raise CompensationError("correcting the effects of these gyros needs t_s, the times of the samples")
     instants_s = np.zeros(len(rates_rps)) if t_s is None else np.asarray(t_s, dtype=np.float64)
     given = {"t_s": instants_s, "temperature_c": temperature_c, "accel_mps2": accel_mps2}
     for name, values in given.items():

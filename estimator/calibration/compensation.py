@@ -30,7 +30,7 @@ MOST_ITERATIONS = 30
 """After which effects of the rate that are not undone to ``TOLERANCE_RPS`` are beyond what the model can be undone."""
 TOLERANCE_RPS = 1e-13
 
-_OF_THAT_TABLE = "it goes with the axes of the table that it was found on: away from that table it is not there"
+_OF_THAT_TABLE = "it belongs to the axes of the table on which it was found, and is absent elsewhere"
 
 
 class CompensationError(EstimatorError):
@@ -89,7 +89,7 @@ class Compensation:
             elif effect.axes:
                 left_out[called] = _OF_THAT_TABLE
             elif acts is None:
-                raise CompensationError(f"the calibration has the effect {called}, which this version cannot undo")
+                raise CompensationError(f"the calibration has the effect {called}, which this version cannot correct")
             else:
                 effects.append(HeldEffect(effect, values, acts))
         return cls(_joined(gyros, arrays), np.array([g.states for g in gyros]), tuple(effects), delay_s, left_out)

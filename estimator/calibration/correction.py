@@ -70,7 +70,7 @@ def _check(of: Compensation, temperature_c: Floats | None, accel_mps2: Floats | 
     given = {"temperature": temperature_c, "specific force": accel_mps2}
     lacking = [what for what, values in given.items() if values is None and what in needs_of(of)]
     if lacking:
-        raise CompensationError(f"the effects of these gyros cannot be undone without {' and '.join(lacking)}")
+        raise CompensationError(f"correcting the effects of these gyros needs {' and '.join(lacking)}")
 
 
 def _inverted(

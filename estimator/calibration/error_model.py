@@ -106,7 +106,7 @@ class KnownEffect:
                 return made
             raise ModelError(
                 f"the model's {self.called} has {len(self.sizes)} parameters, but {len(made.parameters)} on a table "
-                f"with the axes {', '.join(gimbals)}: it was found on another table; leave out --model"
+                f"with the axes {', '.join(gimbals)}: it was found on another table. Leave out --model"
             )
         sizes = zip(made.parameters, self.sizes, strict=True)
         return replace(made, parameters=tuple(replace(p, name=s.name, largest=s.sd) for p, s in sizes))
@@ -158,18 +158,18 @@ class ErrorModel:
         try:
             whole = read_json(text)
         except (ValueError, RecursionError):
-            raise ModelError(f"{where} is no error model: {_GIVE}") from None
+            raise ModelError(f"{where} is not an error model. {_GIVE}") from None
         if not isinstance(whole, dict) or whole.get("format") != FORMAT:
-            raise ModelError(f"{where} is no error model: {_GIVE}")
+            raise ModelError(f"{where} is not an error model. {_GIVE}")
         if (version := whole.get("format_version")) != FORMAT_VERSION:
             raise ModelError(sentence("calibration.other_version", where=where, version=version, ours=FORMAT_VERSION))
         try:
             effects = tuple(_read_effect(entry, where) for entry in whole["effects"])
             left_out = {str(name): str(reason) for name, reason in whole.get("left_out", {}).items()}
         except MISSHAPEN as error:
-            raise ModelError(f"{where} is a damaged error model ({type(error).__name__}: {error}): {_GIVE}") from None
+            raise ModelError(f"{where} is a damaged error model ({type(error).__name__}: {error}). {_GIVE}") from None
         if len({known.called for known in effects}) < len(effects):
-            raise ModelError(f"{where} is a damaged error model: it has an effect twice")
+            raise ModelError(f"{where} is a damaged error model: it lists an effect twice")
         return cls(effects, left_out)
 
     @classmethod
@@ -178,7 +178,7 @@ class ErrorModel:
         path = Path(path)
         try:
             if not path.is_file():
-                raise ModelError(f"{path} is not a file: {_GIVE}")
+                raise ModelError(f"{path} is not a file. {_GIVE}")
             if h5py.is_hdf5(path):
                 return cls.parse(_text_in(path), str(path))
         except (OSError, ValueError) as error:
@@ -186,7 +186,7 @@ class ErrorModel:
         return cls.parse(read_text(path, ModelError), str(path))
 
 
-_GIVE = "give the file that `station investigate ... -o FILE` wrote"
+_GIVE = "Give the file that `station investigate ... -o FILE` wrote"
 
 _REMEDIES = {
     "temperature": "the recording must hold the temperature of the gyros: record it with the rates",
@@ -199,7 +199,7 @@ def _read_effect(entry: Mapping[str, Any], where: str) -> KnownEffect:
     name = str(entry["effect"])
     record = record_of(name)
     if record is None or record.not_kept:
-        remedy = "use the version of the station that found it, --plugin for one of your own, or investigate again"
+        remedy = "use the version of the station that found it, give --plugin for your own effect, or investigate again"
         if "from" in entry:
             remedy = f"it is of {entry['from']}; install the package, or give the file with --plugin"
         raise ModelError(f"{where} has the effect {name}, which this station's catalogue does not know: {remedy}")
@@ -234,6 +234,6 @@ def _text_in(path: Path) -> str:
     with h5py.File(path, "r") as file:
         held = file.get(WHERE)
         if not isinstance(held, h5py.Dataset) or held.shape != ():
-            raise ModelError(f"{path} holds no error model: {_GIVE}, as of this version")
+            raise ModelError(f"{path} holds no error model. {_GIVE} with this version")
         value = held[()]
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)

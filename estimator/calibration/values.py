@@ -143,7 +143,7 @@ def unseen_notes(name: str, covariance: Floats, prior: Prior) -> list[str]:
     ratio = np.sqrt(np.diag(covariance) / prior.variances())
     labels = ("scale factor error k", "bias b", "misalignment sigma_j", "misalignment sigma_k")
     return [
-        f"{name}: {label} is not seen by this run (its sigma is {r:.0%} of what the data sheet says)"
+        f"{name}: {label} is not determined by this run (its sigma is {r:.0%} of the data sheet value)"
         for label, r in zip(labels, ratio, strict=True)
         if r > _UNSEEN
     ]

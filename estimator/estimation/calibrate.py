@@ -115,9 +115,9 @@ def _usable(recording: Recording) -> tuple[Recording, Sources, list[str], tuple[
     defective = tuple(e for its in seen.sources.values() for e in its.usable.excluded)
     if not sources:
         reasons = "; ".join(f"{e.name}: {e.reason}" for e in defective)
-        raise RecordingError(f"{recording.name}: no gyro of it can be estimated: {reasons}")
+        raise RecordingError(f"{recording.name}: no gyro can be estimated: {reasons}")
     notes = [*seen.notes, *(note for its in seen.sources.values() for note in its.usable.notes)]
-    notes += [f"{e.name} is not estimated: {e.reason}; the others are" for e in defective]
+    notes += [f"{e.name} is not estimated: {e.reason}. The others are" for e in defective]
     notes += [*motion_notes(recording), *foreign_motion_notes(recording)]
     return seen.recording, sources, notes, defective
 
@@ -141,7 +141,7 @@ def _devices(
         except RecordingError as error:
             if isinstance(error, TooShort) or not defective:
                 raise
-            reasons = "; ".join(f"{gyro.name} is left out: {gyro.reason}" for gyro in defective)
+            reasons = "; ".join(f"{gyro.name} is excluded: {gyro.reason}" for gyro in defective)
             raise RecordingError(f"{error}; {reasons}") from None
     return found
 
@@ -244,5 +244,5 @@ def _parity_notes(checks: list[GyroParity]) -> list[str]:
     worst = max(suspects, key=lambda check: check.worst_sigma)
     where = f"{worst.worst_sigma:.0f} sigma at {worst.worst_t_s:.0f} s"
     if worst.told_apart:
-        return [f"{worst.name} disagrees with the other gyros of its device (parity {where}): check it"]
-    return [f"the gyros {', '.join(c.name for c in suspects)} disagree (parity {where}): one of them is wrong"]
+        return [f"{worst.name} disagrees with the other gyros of its device (parity {where}). Check it"]
+    return [f"the gyros {', '.join(c.name for c in suspects)} disagree (parity {where}). One of them is wrong"]

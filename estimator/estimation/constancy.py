@@ -32,7 +32,7 @@ _LEAST = 1e-7  # share of all that is known of a state that must be left of a ch
 _MOST_NAMED = 3
 _WORTH = 0.75  # of what is told: finer parts, and noise found without the change, make more of it
 _ALIKE = 9.2  # twice the logarithm of the odds, 100, below which two causes are not told apart
-_WAY = "the way of axis {} beside its readings"
+_WAY = "the gyros and the {} encoder disagreed"
 _DEG = float(np.degrees(1.0))
 _STATES: tuple[Key, ...] = (("k", 1e6, "ppm"), ("b", _DEG, "deg/s"), ("sigma_j", _DEG, "deg"), ("sigma_k", _DEG, "deg"))
 
@@ -73,7 +73,7 @@ def changes(joint: Joint) -> list[str]:
     if not found or found[0].sigmas <= limit:
         return []
     alike = [one.text for one in found if found[0].sigmas ** 2 - one.sigmas**2 < _ALIKE]
-    return [f"what was measured changed in mid-run: {' or '.join(alike[:_MOST_NAMED])} ({found[0].sigmas:.0f} sigma)"]
+    return [f"{' or '.join(alike[:_MOST_NAMED])} ({found[0].sigmas:.0f} sigma)"]
 
 
 def _beside(joint: Joint, columns: Sequence[Mapping[Key, Floats]], change: _Change, edges_s: Floats) -> float:
@@ -142,12 +142,12 @@ def _worst(key: Key, spans: Floats, edges_s: Floats) -> _Change:
         first = 0
     of_span = size = float(score[first, last] / max(variance[first, last], 1e-300))
     parts, since = len(edges_s) - 1, edges_s - edges_s[0]
-    when = f"between {since[first]:.0f} and {since[last]:.0f} s"
+    when = f"from {since[first]:.0f} to {since[last]:.0f} s"
     if first == 0 or last == parts:  # what was so until then is off from then on
         size, at_s = (size, since[first]) if last == parts else (-size, since[last])
-        when = f"from {at_s:.0f} s on"
+        when = f"from {at_s:.0f} s on,"
     name, factor, unit = key
-    text = f"{name} by {size * factor:+.3g} {unit} {when}"
+    text = f"{when} {name} by {size * factor:+.3g} {unit}"
     return _Change(float(sigmas[first, last]), text, key, of_span, (first, last))
 
 
@@ -164,7 +164,7 @@ def _columns(run: Run) -> list[dict[Key, Floats]]:
     for i, name in enumerate(run.array.names):
         who = name.partition(" ")[2]
         found.append(
-            {(f"{state} of {who}", f, u): its for (state, f, u), its in zip(_STATES, states[i].T, strict=True)}
+            {(f"{state} of {who} differed", f, u): its for (state, f, u), its in zip(_STATES, states[i].T, strict=True)}
         )
         if gimbals:
             ways = effect.columns(even, run.array, i)

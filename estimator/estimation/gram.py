@@ -104,13 +104,13 @@ def gram_of(recording: Recording, source: str, data: ImuData) -> Gram:
     if isinstance(recording.reference, Turns) and gram.rows < 4:
         raise RecordingError(
             f"{recording.name}: {gram.rows} of {len(recording.reference.sd_rad)} turns hold samples of {source}: "
-            "four states a gyro need four turns or rests at the least"
+            "four states per gyro need at least four turns or rests"
         )
     if not isinstance(recording.reference, Turns | Poses) and gram.rows < 8:
         step_s = float(np.median(np.diff(recording.reference.t_ns, prepend=0))) * 1e-9
         seldom = f", whose readings are {step_s:.3g} s apart: read it more often" if step_s > GAP_NS * 1e-9 else ""
         raise RecordingError(
-            f"{recording.name}: source {source} has {len(data.t_ns)} samples, of which {gram.rows} lie within the "
-            f"reference: too few to estimate four states a gyro{seldom}"
+            f"{recording.name}: source {source} has {len(data.t_ns)} samples, {gram.rows} of them with "
+            f"reference data: too few to estimate four states per gyro{seldom}"
         )
     return gram

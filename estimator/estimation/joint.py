@@ -56,7 +56,7 @@ _BLOCK_ROWS = 4  # fewer samples do not tell their scatter
 def check_model(model: ErrorModel, recording: Recording) -> None:
     """See that a recording can show the effects of a model at all; ModelError if not."""
     if isinstance(recording.reference, Poses):
-        raise ModelError(f"{recording.name}: against gravity between rests there are no effects yet: leave out --model")
+        raise ModelError(f"{recording.name}: effects cannot be estimated from gravity between rests. Leave out --model")
     if not isinstance(recording.reference, Turns):
         return
     within = [known.called for known in model.effects if known.record.within_turns]
@@ -64,8 +64,8 @@ def check_model(model: ErrorModel, recording: Recording) -> None:
         raise ModelError(sentence("estimation.within_turns", recording=recording.name, effects=", ".join(within)))
     if len(recording.reference.sd_rad) < FEWEST_TURNS:
         raise ModelError(
-            f"{recording.name}: {len(recording.reference.sd_rad)} turns are too few to estimate effects beside the "
-            f"states, at least {FEWEST_TURNS} are needed: leave out --model"
+            f"{recording.name}: {len(recording.reference.sd_rad)} turns are too few to estimate effects in addition "
+            f"to the states; at least {FEWEST_TURNS} are needed. Leave out --model"
         )
 
 
@@ -405,7 +405,9 @@ def _clustered(joint: Joint) -> tuple[list[Floats], list[str]]:
     used = np.unique(np.concatenate([c[run.weight > 0] for run, c in zip(runs, clusters, strict=True)]))
     who = ", ".join(dict.fromkeys(run.source for run in runs))
     if len(used) < FEWEST_CLUSTERS:
-        return joint.covariances, [f"{who}: too short to tell how the residual hangs together; sigmas assume noise"]
+        return joint.covariances, [
+            f"{who}: too short to estimate the correlation of the residual; sigmas assume white noise"
+        ]
     places = [np.r_[g * own : (g + 1) * own, n * own : n * own + whole - own] for g in range(n)]
     precision = np.ones(n * own + whole - own)
     information = np.zeros((len(precision),) * 2)
@@ -432,7 +434,7 @@ def _clustered(joint: Joint) -> tuple[list[Floats], list[str]]:
             grown.append((np.diag(out[-1])[:4] / np.diag(of_white))[[0, 2, 3]])  # a bias always wanders
     if np.mean(grown) > COLOURED**2:
         worst = float(np.sqrt(np.max(grown)))
-        notes.append(f"{who}: the residual is no white noise; sigmas are up to {worst:.1f} times as large")
+        notes.append(f"{who}: the residual is not white; sigmas were increased up to {worst:.1f} times")
     return out, notes
 
 

@@ -88,7 +88,7 @@ def estimate_laid(poses: Poses, sources: Sources) -> DeviceEstimate:
         lines = [(Contribution("noise", covariance),) for covariance in own]
         samples = len(data.t_ns) * m
         estimates.append(SourceEstimate(source, data, found.x, lines, [None] * m, [()] * m, found.noise_rps, samples))
-        notes.append(f"{source}: gravity was carried over {found.turns} turns between {len(poses.up)} rests")
+        notes.append(f"{source}: gravity was propagated over {found.turns} turns between {len(poses.up)} rests")
         if found.excess > _EXCESS:
             doubts.append(sentence("estimation.gravity_missed", source=source, times=np.sqrt(found.excess)))
     return DeviceEstimate(estimates, notes, doubts)

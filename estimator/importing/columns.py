@@ -42,11 +42,11 @@ def read_table(path: Path, file_format: FileFormat, wanted: Wanted) -> Table:
         except MISSHAPEN as error:
             raise RecordingError(f"{path.name} cannot be read: it is damaged ({first_line(error)})") from None
         if not columns:
-            raise RecordingError(f"{path.name} holds no message of {file_format.kind}: check [file]")
+            raise RecordingError(f"{path.name} holds no message of {file_format.kind}. Check [file]")
         _check_present(path.name, wanted.all, list(columns), "the capture")
         return Table(path.name, columns, notes=notes)
     if raw[:4] == b"PK\x03\x04":
-        raise RecordingError(f"{path.name} is a spreadsheet or an archive: save its table as CSV")
+        raise RecordingError(f"{path.name} is a spreadsheet or an archive. Save its table as CSV")
     if raw[:1] not in (b"\xff", b"\xfe") and len(raw[:_LOOKED_AT].translate(None, _TEXT)) > _BINARY * len(
         raw[:_LOOKED_AT]
     ):
@@ -82,8 +82,8 @@ def _read_binary(name: str, raw: bytes, record: np.dtype[Any], header_bytes: int
         columns = {key: rows[key].astype(np.float64) for key in wanted}
     size = np.concatenate([np.abs(column).ravel() for column in columns.values()])
     if np.mean((size > HUGE) | ((size > 0) & (size < 1 / HUGE))) > _ABSURD_SHARE:
-        raise RecordingError(f"{name} holds no sensible numbers: check record, header_bytes and byte_order in [file]")
-    notes = (f"it ends within a record: the last {rest} bytes are left out",) if rest else ()
+        raise RecordingError(f"{name} holds no plausible numbers. Check record, header_bytes and byte_order in [file]")
+    notes = (f"it ends within a record; the last {rest} bytes were skipped",) if rest else ()
     return Table(name, columns, notes=notes)
 
 

@@ -29,7 +29,7 @@ def reference_rows(reference: Measured, table: Table) -> Floats:
         length = np.linalg.norm(rows, axis=1, keepdims=True)
         rows = np.where(np.abs(length - 1) < _NORM_OFF, rows / np.where(length > 0, length, 1.0), np.nan)
     if not np.isfinite(rows).all(axis=1).any():
-        raise RecordingError(f"{table.name} has not one usable row of the reference: check [reference] columns")
+        raise RecordingError(f"{table.name} has no usable row of the reference. Check [reference] columns")
     return rows
 
 

@@ -135,10 +135,10 @@ def _signs(array: SensorArray, found: Sequence[_Gain | None], notes: list[str]) 
     signs = np.ones(len(array))
     for i, (name, gain) in enumerate(zip(array.names, found, strict=True)):
         if gain is None or not gain.told:
-            notes.append(f"{name}: the motion does not tell its sign, which is taken as stated")
+            notes.append(f"{name}: the motion does not show its sign, so the stated sign is used")
         elif gain.factor < 0:
             signs[i] = -1.0
-            notes.append(f"{name}: its output is opposite to the stated axis: {axis_text(-array.p[i])} is taken")
+            notes.append(f"{name}: its output is opposite to the stated axis, so {axis_text(-array.p[i])} is used")
     return signs
 
 
@@ -155,7 +155,7 @@ def _factors(array: SensorArray, found: Sequence[_Gain | None], gyro: GyroColumn
             continue
         size = float(f"{size_dps * taken:.3g}")
         factors[i] = size / size_dps
-        how = "from the data" if np.isfinite(factor) else "as of the others: the motion does not tell it"
+        how = "from the data" if np.isfinite(factor) else "the same as the others, since the motion does not show it"
         what = f"one count is {size:g} deg/s" if gyro.columns.raw else f"its output is multiplied by {size:g}"
         notes.append(f"{name}: {what}, {how}")
     return factors
@@ -191,8 +191,8 @@ def _gain_notes(array: SensorArray, found: Sequence[_Gain | None], size_rps: flo
             )
         elif abs(gain.factor + 1) < FAR_OFF:
             notes.append(
-                f"{name}: its output is opposite to the reference (factor {gain.factor:.3f}): write axis "
-                f'{axis_text(-axis)} in place of {axis_text(axis)} in [gyro], or sign = "from data"'
+                f"{name}: its output is opposite to the reference (factor {gain.factor:.3f}). Write axis "
+                f'{axis_text(-axis)} instead of {axis_text(axis)} in [gyro], or sign = "from data"'
             )
         elif abs(gain.factor - 1) > FAR_OFF:
             sign = ' and sign = "from data"' if gain.factor < 0 else ""

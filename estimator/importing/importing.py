@@ -77,7 +77,7 @@ def import_recording(mapping: Mapping, data_paths: Sequence[Path]) -> Imported:
     when nothing is left.
     """
     if not data_paths:
-        raise RecordingError("no data files are given: name at least one beside the mapping")
+        raise RecordingError("no data file is given. Name at least one after the mapping")
     if mapping.reference_file:  # "*.csv" names the references, too
         others = {other for path in data_paths if (other := mapping.reference_file.beside(path)) != path}
         data_paths = [path for path in data_paths if path not in others]
@@ -115,7 +115,7 @@ def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused
     log = timed(path, table, mapping.timing, mapping.format, np.hstack([rate, *_present(others.values())]))
     time, left_out = log.time, list[Refused]()
     if not np.isfinite(rate[time.rows]).any(axis=0).all():
-        raise RecordingError(f"{path.name} has a gyro column without a single number: check [gyro] columns")
+        raise RecordingError(f"{path.name} has a gyro column without any number. Check [gyro] columns")
     notes = [*log.notes, *_unit_notes(mapping, table)]
     if mapping.accelerometer_file and mapping.accelerometer:
         accel = _felt_beside(mapping.accelerometer_file, mapping.accelerometer, log, len(rate), notes)
@@ -154,7 +154,7 @@ def _new(what: str, t_s: Floats, values: Floats, notes: list[str]) -> NDArray[np
         return np.arange(len(values))
     each_hz = (len(fresh) - 1) / float(t_s[fresh[-1]] - t_s[fresh[0]])
     often = f"one row of {len(t_s) / len(fresh):.2g} ({each_hz:.3g} Hz)"
-    notes.append(f"{what} is new in {often}; rows between are left out")
+    notes.append(f"{what} is new in {often}; rows between were skipped")
     return fresh
 
 
@@ -282,7 +282,9 @@ def _felt_beside(other: ReferenceFile, accelerometer: Columns, log: Log, rows: i
     at_s = log.time.t_s
     if whole.sum() < 2 or t_s[whole][0] > at_s[-1] or t_s[whole][-1] < at_s[0]:
         raise RecordingError(
-            f"{path.name} has no sample of the time of {log.path.name}: check its columns and unit, or state offset_s, "
+            f"{path.name} has no sample within the time of {log.path.name}. "
+            "Check its columns and "
+            "unit, or state offset_s, "
             "which is added to its stamps, in [accelerometer.time]"
         )
     felt = np.full((rows, 3), np.nan)
@@ -296,7 +298,7 @@ def _unit_notes(mapping: Mapping, table: Table) -> list[str]:
     columns = mapping.gyro.columns
     said = {table.units.get(name, "").lower() for name in columns.names}
     return [
-        f"the row of units says {unit} of the gyro, the mapping does not: check unit in [gyro]"
+        f"the row of units says {unit} for the gyro, but the mapping does not. Check unit in [gyro]"
         for unit, spellings in _UNIT_ROW.items()
         if not columns.raw and columns.scale != UNITS["rate"][unit] and said & set(spellings)
     ]
@@ -331,7 +333,7 @@ def _filled(log: Log, own: NDArray[np.intp], values: Floats | None, what: str) -
     kept = values[log.time.rows]
     whole = np.asarray(np.isfinite(kept).all(axis=1))
     if not whole.any():
-        raise RecordingError(f"{log.table.name} has not one whole row of the {what}: check [{what}]")
+        raise RecordingError(f"{log.table.name} has no complete row of the {what}. Check [{what}]")
     if whole[own].all():
         return kept[own]
     at, t_s = log.time.t_s[own], log.time.t_s[whole]
@@ -363,7 +365,7 @@ def _joined(mapping: Mapping, parts: list[_Part], refused: list[Refused]) -> tup
         notes += earth_note(mapping, rests)
     elif mapping.site and not earth:
         fixed = (isinstance(reference, Measured) and reference.kind != "angle") or isinstance(reference, StatedTurns)
-        how = "Earth rate is for kind = angle and rest" if fixed else "add earth_rate = true to [reference]"
+        how = "Earth rate is available for kind = angle and rest" if fixed else "add earth_rate = true to [reference]"
         notes.append(f"the site is not used: {how}")
     attributes = {
         "device": mapping.device,
@@ -399,7 +401,7 @@ def _told_once(parts: Sequence[_Part]) -> list[str]:
         if len(own) > 1 and len(texts) == 1:
             told.append(f"{note} ({len(own)} files, the first {name})")
         elif len(own) > _MOST_ALIKE:
-            told.append(f"{name}: {note} (and likewise {len(own) - 1} files more)")
+            told.append(f"{name}: {note} (and likewise {len(own) - 1} more files)")
         else:
             told += [f"{other}: {text}" for other, text in own]
     return told

@@ -31,11 +31,13 @@ class Log:
         table, notes = self.table, [*self.table.notes]
         if table.skipped_lines:
             lines = "line is" if table.skipped_lines == 1 else "lines are"
-            notes.append(f"{table.skipped_lines} broken {lines} left out, the first is {table.first_skipped}")
+            notes.append(f"{table.skipped_lines} broken {lines} skipped, the first is {table.first_skipped}")
         if self.time.doubled:
-            notes.append(f"{self.time.doubled} rows are left out that were written twice")
+            notes.append(f"{self.time.doubled} duplicate rows were skipped")
         if not _LEAST_USUAL_S < (step_s := self.time.step_s) < _LARGEST_USUAL_S:
-            notes.append(f"its samples are {step_s:.3g} s apart by [time]: if that is not so, correct its unit")
+            notes.append(
+                f"its samples are {step_s:.3g} s apart according to [time]. If that is wrong, correct its unit"
+            )
         return notes
 
 
@@ -59,7 +61,7 @@ def timed(path: Path, table: Table, timing: Timing, file_format: FileFormat, val
     time = _all_times(timing, table, position, read, values)
     kept = (time.t_s >= part.from_s) & (time.t_s <= part.until_s)
     if kept.sum() < 2:
-        raise RecordingError(f"{table.name} lasts {time.t_s[-1]:.6g} s: check from_s and until_s in [file]")
+        raise RecordingError(f"{table.name} lasts {time.t_s[-1]:.6g} s. Check from_s and until_s in [file]")
     other_s = None if time.other_s is None else time.other_s[kept]
     return Log(path, table, replace(time, t_s=time.t_s[kept], rows=read[time.rows][kept], other_s=other_s))
 
@@ -78,7 +80,9 @@ def _all_times(
         except RecordingError as error:
             raise RecordingError(f"{table.name} {error}") from None
         if not _LEAST_STEP_S < fit.step_s < _LARGEST_STEP_S:
-            raise RecordingError(f"{table.name}: its samples are {fit.step_s:.6g} s apart by [time]: correct its unit")
+            raise RecordingError(
+                f"{table.name}: its samples are {fit.step_s:.6g} s apart according to [time]. Correct its unit"
+            )
         return fit
     rate_hz = table.number(timing.rate) if isinstance(timing.rate, str) else timing.rate
     if rate_hz <= 0:

@@ -92,7 +92,7 @@ def look(path: Path) -> Look:
     notes = []
     gyro = _first(triples, "gyro")
     if gyro is None:
-        notes.append("no three columns look like a gyro: name them in [gyro]")
+        notes.append("no three columns look like a gyro. Name them in [gyro]")
     felt = _first(triples, "accelerometer")
     tables.append(_gyro(file, gyro))
     if felt is not None:
@@ -104,12 +104,12 @@ def look(path: Path) -> Look:
             break
     rests = _rests(file, gyro, step_s)
     if rests:
-        notes.append(f"it seems to rest {'once' if rests == 1 else f'{rests} times'} for {_REST_S:g} s or more")
+        notes.append(f"it appears to rest {'once' if rests == 1 else f'{rests} times'} for {_REST_S:g} s or more")
     tables.append(_reference(file, triples, rests, felt is not None))
     if time is None:
-        notes.append("nothing looks like a time: state rate_hz in [time]")
+        notes.append("no column looks like a time. State rate_hz in [time]")
     elif step_s > 0:
-        notes.append(f"samples come at {1 / step_s:.4g} Hz by the column {time}")
+        notes.append(f"the sample rate is {1 / step_s:.4g} Hz according to the column {time}")
     columns = tuple(_column(file, name) for name in file.names)
     return Look(
         columns,
@@ -156,11 +156,13 @@ def _text(path: Path) -> _File:
     text = raw.decode("utf-16" if raw[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig", errors="replace")
     if "\0" in text[:4000]:
         raise RecordingError(
-            f'{path.name} is no text: say what it is by format in [file] ("mat", "binary" with its record, a protocol)'
+            f"{path.name} is not a text file. State its format in [file] "
+            '("mat", "binary" with '
+            "its record, or a protocol)"
         )
     lines = [line for line in re.split(r"\r\n|\n|\r", text) if line.strip()][:_MOST_ROWS]
     if len(lines) < 3:
-        raise RecordingError(f"{path.name} has {len(lines)} lines: too few to tell anything")
+        raise RecordingError(f"{path.name} has {len(lines)} lines, too few to analyse")
     middle = lines[len(lines) // 2]
     delimiter = next((mark for mark in (";", "\t", ",") if mark in middle), None)
     split = [[f.strip().strip("\"'") for f in (line.split(delimiter) if delimiter else line.split())] for line in lines]
@@ -235,7 +237,7 @@ def _time(file: _File) -> tuple[str | None, list[str], float]:
     if file.rate is not None:
         name, rate_hz = file.rate
         return name, [f'rate_variable = "{name}"'], 1 / rate_hz
-    return None, ["rate_hz = 100  # nothing looks like a time: how often it was sampled"], 0.0
+    return None, ["rate_hz = 100  # no column looks like a time; state the sample rate"], 0.0
 
 
 def _base(name: str) -> str:
@@ -317,7 +319,7 @@ def _gyro(file: _File, names: Sequence[str] | None) -> str:
     unit, how = _rate_unit(file, names)
     file.guesses.update(dict.fromkeys(names, f"gyro ({unit}, {how})"))
     count = (
-        '\ncount = 0.01  # size of one, in count_unit: see the data sheet\ncount_unit = "deg/s"'
+        '\ncount = 0.01  # size of one count, in count_unit: see the data sheet\ncount_unit = "deg/s"'
         if unit == "raw"
         else ""
     )
@@ -378,5 +380,5 @@ def _reference(file: _File, triples: Mapping[str, tuple[str, list[str]]], rests:
             file.guesses[name] = f"angle of an encoder ({unit}, a guess)"
             return f'[reference]\nkind = "angle"\ncolumn = "{name}"\nunit = "{unit}"\naxis = "z"  # a guess'
     if felt and rests >= _POSES:
-        return '[reference]\nkind = "gravity"  # rests, between which hands turn it; "rest" takes the rests alone'
+        return '[reference]\nkind = "gravity"  # rests with turns by hand between them; "rest" uses the rests alone'
     return '[reference]\nkind = "rest"'

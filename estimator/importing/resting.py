@@ -77,7 +77,7 @@ def rests_of(
         if pose.up is not None and accel is None and len(rests) > 1:
             notes.append(sentence("importing.several_poses", rests=len(rests)))
     if stated.earth_rate and any(rest.up is None for rest in rests):
-        raise RecordingError(f'{name}: nothing says what points up: add "{name}" to [reference.files]')
+        raise RecordingError(f'{name}: the direction up is not stated: add "{name}" to [reference.files]')
     if rests:
         total, count = sum(r.end_s - r.start_s for r in rests), f"{len(rests)} rest{'s' if len(rests) > 1 else ''}"
         notes.append(f"at rest for {total:.6g} of {t_s[-1] - t_s[0]:.6g} s ({count})")

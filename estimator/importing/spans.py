@@ -67,8 +67,8 @@ def _turn_of_file(mapping: Mapping, reference: StatedTurns, path: Path) -> Turn:
         found = groups_of(reference.pattern, path.name)
     except TimeoutError:
         raise RecordingError(
-            f"{path.name}: file_name in [reference] of {mapping.name} does not come to an end with this name within "
-            f"{SEARCH_LIMIT_S:g} s: write it without a repetition within a repetition, as (a+)+"
+            f"{path.name}: file_name in [reference] of {mapping.name} takes more than {SEARCH_LIMIT_S:g} s "
+            "on this name. Avoid nested repetitions such as (a+)+"
         ) from None
     if found is None:
         raise RecordingError(f"{path.name}: its name does not match file_name in [reference] of {mapping.name}")
@@ -138,12 +138,14 @@ def _listed(path: Path, table: Table) -> list[tuple[str, int, int]]:
     if table.skipped_lines:
         raise RecordingError(sentence("importing.broken_and_listed", file=table.name, lines=table.skipped_lines))
     if not path.is_file():
-        raise RecordingError(f"{table.name}: its section list {path.name} is not beside it")
+        raise RecordingError(f"{table.name}: its section list {path.name} is not in the same folder")
     try:
         values: Any = read_json(read_text(path, RecordingError))
         limits = {str(name): (int(value["start"]), int(value["end"])) for name, value in values.items()}
     except MISSHAPEN:
-        raise RecordingError(f'{path.name} is no section list: write {{"name": {{"start": 0, "end": 100}}}}') from None
+        raise RecordingError(
+            f'{path.name} is not a section list. Write {{"name": {{"start": 0, "end": 100}}}}'
+        ) from None
     rows = len(next(iter(table.columns.values())))
     for name, (start, end) in limits.items():
         if not 0 <= start < end <= rows:
@@ -172,7 +174,7 @@ def _span(mapping: Mapping, stated: StatedTurns, t_s: Floats, rate: Floats, turn
     if not turn.angle_rad:
         worst = float(np.abs(turned).max()) / length_s
         if worst > limit:
-            raise RecordingError(f"it is said to be at rest but turns at {np.degrees(worst):.1f} deg/s on average")
+            raise RecordingError(f"it should be at rest but turns at {np.degrees(worst):.1f} deg/s on average")
         return Span(float(t_s[0]), float(t_s[-1]), np.zeros(3), stated.rest_sd_rad)
     angle = _checked_angle(mapping, stated, turned, turn)
     sd = float(np.hypot(stated.sd_rad, stated.sd_share * angle))
@@ -184,7 +186,9 @@ def _checked_angle(mapping: Mapping, stated: StatedTurns, turned_rad: Floats, tu
     p, axis, angle = mapping.gyro.array.p, np.array(turn.axis), turn.angle_rad
     if np.linalg.lstsq(p, p @ axis, rcond=None)[0] @ axis < _SENSED:
         if stated.sign_from_data:
-            raise RecordingError("no gyro senses the axis of its turn, so the data cannot tell the sign: state it")
+            raise RecordingError(
+                "no gyro senses the axis of its turn, so its sign cannot be found from the data. State it"
+            )
         return angle
     # What the body turned by, as far as the gyros tell: least squares over their nominal axes.
     measured = float(np.linalg.lstsq(p, turned_rad, rcond=None)[0] @ axis)

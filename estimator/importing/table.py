@@ -19,7 +19,7 @@ def no_column(name: str, missing: Sequence[str], where: str, present: Sequence[s
     """Return the error of a file that lacks columns that the mapping names."""
     return RecordingError(
         f"{name} has no column {', '.join(missing)}: {where} has {', '.join(present)[:400]}; correct the mapping "
-        f"(names, delimiter) or give the file it is for{hint}"
+        f"(names, delimiter) or give the matching file{hint}"
     )
 
 

@@ -99,7 +99,7 @@ class _Body:
         if width != len(self.header) and width > 1 and count > (1 - BROKEN_SHARE) * len(self.lines):
             return (
                 f"its heading names {len(self.header)} columns ({', '.join(self.header)[:_SHOWN]}) and its rows have "
-                f"{width} fields: name these by columns = [...] in [file]"
+                f"{width} fields: name them with columns = [...] in [file]"
             )
         mark, now = "," if self.format.decimal == "." else ".", self.careful()
         for other, hint in (
@@ -155,7 +155,7 @@ def read_rows(name: str, text: str, file_format: FileFormat, wanted: Wanted) -> 
         raise RecordingError(f"{name} has a heading but no rows")
     if found.skipped_lines > BROKEN_SHARE * rows:
         raise RecordingError(
-            f"{name}: {found.skipped_lines} of {rows} lines are no rows of {len(header)} fields with delimiter "
+            f"{name}: {found.skipped_lines} of {rows} lines are not rows of {len(header)} fields with delimiter "
             f"{file_format.delimiter or 'space'!r} and decimal mark {file_format.decimal!r}, the first is "
             f"{found.first_skipped}: {replace(own, lines=own.lines[:_PREAMBLE_LINES]).hint()}"
         )
@@ -191,7 +191,7 @@ def _heading_hint(lines: Lines, file_format: FileFormat, wanted: Wanted, missing
     if alike := [like for key in missing if (like := _like(key, best))]:
         return "; did you mean " + ", ".join(f'"{like}"' for like in alike) + "?"
     if len(missing) == len(wanted.all):
-        return "; if it has no heading, name its columns by columns = [...] in [file]"
+        return "; if it has no heading, name its columns with columns = [...] in [file]"
     return "; if it has no time, state rate_hz in [time]" if set(missing) <= set(wanted.needed) else ""
 
 

@@ -16,15 +16,15 @@ def holds_for(recording: Recording) -> str:
     if max(max(-low, high) for low, high in ranges) < _STILL_DPS:
         said = ["rest"]
     else:
-        about = [f"{low:.3g} to {high:.3g} about {axis}" for (low, high), axis in zip(ranges, "xyz", strict=True)]
+        about = [f"{low:.3g} to {high:.3g} deg/s about {axis}" for (low, high), axis in zip(ranges, "xyz", strict=True)]
         ways = [a for (low, high), a in zip(ranges, "xyz", strict=True) if (low < -_STILL_DPS) != (high > _STILL_DPS)]
-        said = [f"rates of {', '.join(about)} deg/s" + (f" ({', '.join(ways)} in one direction)" if ways else "")]
+        said = [f"rates of {', '.join(about)}" + (f" ({', '.join(ways)} in one direction)" if ways else "")]
     sources = recording.sources.values()
     known = np.concatenate([np.empty(0), *(d.temperature_c for d in sources if d.temperature_c is not None)])
     known = known[np.isfinite(known)]
-    said.append(f"{known.min():.1f} to {known.max():.1f} degC" if len(known) else "the temperature that it had")
+    said.append(f"{known.min():.1f} to {known.max():.1f} degC" if len(known) else "an unrecorded temperature")
     span_s = max(float(data.t_ns.max() - data.t_ns.min()) for data in sources if len(data.t_ns)) * 1e-9
-    return "; ".join([*said, f"0 to {span_s:.0f} s after its start"])
+    return "; ".join([*said, f"0 to {span_s:.0f} s after the start"])
 
 
 def _rates_rps(recording: Recording) -> list[Floats]:

@@ -80,5 +80,5 @@ def factor_notes(name: str, k: float, sd: float) -> list[str]:
     if abs(k) < FAR_OFF + 3 * sd:
         return []
     if abs(k - 2) < FAR_OFF:
-        return [f"{name}: its output is opposite to the reference, so k is near 2: turn the sign of its axis"]
+        return [f"{name}: its output is opposite to the reference, so k is near 2. Reverse the sign of its axis"]
     return [sentence("observations.far_off", gyro=name, factor=1 - k)]

@@ -51,7 +51,7 @@ def usable(data: ImuData, *, fine: bool, beside: Beside | None = None) -> Usable
         column = data.rate_rps[:, i]
         finite = np.isfinite(column)
         if not finite.any():
-            excluded.append(Excluded(name, "not one sample is a number"))
+            excluded.append(Excluded(name, "no sample is a valid number"))
             continue
         if reason := _dead(column, i, fine=fine, beside=beside):
             excluded.append(Excluded(name, reason))
@@ -77,7 +77,7 @@ def in_order(data: ImuData) -> tuple[ImuData, list[str]]:
     data = _rows(data, kept)
     for name, finite in zip(data.array.names, np.isfinite(data.rate_rps).T, strict=True):
         if finite.any() and not finite.all():
-            notes.append(f"{name}: {int((~finite).sum())} of {len(finite)} samples are no numbers; they are left out")
+            notes.append(f"{name}: {int((~finite).sum())} of {len(finite)} samples are not numbers and were excluded")
     return data, notes
 
 
@@ -87,7 +87,7 @@ def _dead(column: Floats, gyro: int, *, fine: bool, beside: Beside | None) -> st
     if low == high and (fine or (beside is not None and beside.turns(gyro))):
         return f"its output is constant at {low * _DEG:.4g} deg/s: disconnected or stuck"
     if beside is not None and beside.dead(gyro):
-        return "its output does not follow the reference, and those of other gyros do: dead, or disconnected"
+        return "its output does not follow the reference while those of other gyros do: it is dead or disconnected"
     return ""
 
 

@@ -57,10 +57,10 @@ def estimate(data: ImuData, poses: Poses, prior: Prior) -> Laid:
     """
     array, m = data.array, len(data.array)
     if np.linalg.matrix_rank(array.p, tol=0.1) < 3:
-        raise RecordingError("gravity between rests takes gyros about three axes: an attitude is what they sum up to")
+        raise RecordingError("gravity between rests needs gyros about three axes to compute the attitude")
     turns, still, rest_s = _cut(data, poses)
     if not turns:
-        raise RecordingError("between no two rests are there samples throughout: log without gaps while it is turned")
+        raise RecordingError("the samples have gaps between all rests. Log without gaps while the body is turned")
     rests = np.array([part.mean(axis=0) for part in still])
     noise = np.sqrt(np.mean([part.var(axis=0) for part in still], axis=0))
     period_s = float(np.median(np.diff(data.t_ns))) * 1e-9
@@ -130,7 +130,7 @@ def accelerometer_note(poses: Poses) -> str:
     """Return what the directions up rest on, in words."""
     each = f"{len(poses.up)} rests, the direction up to {np.degrees(float(np.median(poses.sd_rad))):.2g} deg each"
     if not len(poses.shifts):
-        return f"gravity is the reference: {each}; the accelerometer counts as stated"
+        return f"gravity is the reference: {each}; the accelerometer is used as stated"
     common = np.degrees(float(np.sqrt(np.mean(np.sum(poses.shifts**2, axis=(0, 2)) / 2))))
     return sentence("observations.gravity", each=each, common_deg=common)
 

@@ -25,7 +25,7 @@ def read_hdf5(path: Path) -> str | None:
     if path.stat().st_size == 0:
         return "it is empty"
     if not h5py.is_hdf5(path):
-        return "it is not an HDF5 file; bring foreign data in with `station import`"
+        return "it is not an HDF5 file. Import external data with `station import`"
     with h5py.File(path, "r") as file:
         for dataset in objects(path, file):
             for start in range(0, len(dataset) if dataset.shape else 0, _ROWS):
@@ -44,17 +44,19 @@ def objects(path: Path, file: Any, names: Callable[[Any], Sequence[str]] | None 
     file.id.links.visit(lambda name, link: links.update({name: link.type}), info=True)
     for name, kind in links.items():
         if kind not in (h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT):
-            raise ValueError(f"{name.decode(errors='replace')} is in another file; only what stands in it is read")
+            raise ValueError(f"{name.decode(errors='replace')} is in another file; only the data in this file are read")
     hard = (name for name, kind in links.items() if kind == h5py.h5l.TYPE_HARD)  # a soft one leads to another of them
     for name in map(str.encode, names(file)) if names else hard:
         item = file[name]
         if isinstance(item, h5py.Dataset) and (item.is_virtual or item.external):
-            raise ValueError(f"{name.decode(errors='replace')} is in another file; only what stands in it is read")
+            raise ValueError(f"{name.decode(errors='replace')} is in another file; only the data in this file are read")
         left -= sum(h5py.h5a.get_info(item.id, index=at).data_size for at in range(len(item.attrs)))
         if isinstance(item, h5py.Dataset):
             left -= math.prod(item.shape or ()) * max(int(item.id.get_type().get_size()), 1)
         if left < 0:
-            raise ValueError(f"it claims to hold far more than it has, in {name.decode(errors='replace')}")
+            raise ValueError(
+                f"it claims to hold far more data than its size allows, in {name.decode(errors='replace')}"
+            )
         if not names:
             dict(item.attrs)
         if isinstance(item, h5py.Dataset):
@@ -68,7 +70,7 @@ def read_mat(path: Path) -> str | None:
     try:
         loadmat(str(path), squeeze_me=False)
     except NotImplementedError:
-        return "it is a MATLAB 7.3 file: save it with -v7"
+        return "it is a MATLAB 7.3 file. Save it with -v7"
     return None
 
 

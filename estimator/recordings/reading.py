@@ -221,13 +221,13 @@ def _read_reference(path: Path, file: Any) -> Reference:
         if sorted(axes) != sorted(gimbals):
             raise RecordingError(f"{where}: attribute axes {axes} does not name the gimbals {list(gimbals)}")
         if "t_ns" not in group:
-            raise RecordingError(f"{where} holds no readings: the run ended before its script began")
+            raise RecordingError(f"{where} holds no readings, since the run ended before its script began")
         order = [axes.index(g) for g in gimbals]
         t_ns, angle = (_column(where, group, key) for key in ("t_ns", "angle_rad"))
         has_rates = "rate_rps" in group
         n = min(len(t_ns), len(angle), len(group["rate_rps"]) if has_rates else len(t_ns))
         if n < 2 or angle.shape[1] != len(axes):
-            raise RecordingError(f"{where} needs two rows or more and one column an axis")
+            raise RecordingError(f"{where} needs two or more rows and one column per axis")
         window_ns = int(group.attrs.get("rate_window_ns", 0))
         if has_rates:
             rate = _column(where, group, "rate_rps")
@@ -236,10 +236,10 @@ def _read_reference(path: Path, file: Any) -> Reference:
             t_ns, angle = t_ns[:n][known], angle[:n][known]
             n = len(t_ns)
             if n < 2:
-                raise RecordingError(f"{where} holds fewer than two angles that are numbers")
+                raise RecordingError(f"{where} holds fewer than two valid angles")
             rate, window_ns = _means_of(t_ns, angle)
         if rate.shape[1] != len(axes):
-            raise RecordingError(f"{where} needs two rows or more and one column an axis")
+            raise RecordingError(f"{where} needs two or more rows and one column per axis")
         finite = np.isfinite(angle[:n]).all(axis=1) & np.isfinite(rate[:n]).all(axis=1)
         keys = [f.name for f in fields(TableUncertainty) if f"u_{f.name}" in group.attrs]
         stated = TableUncertainty(**{key: float(group.attrs[f"u_{key}"]) for key in keys}) if keys else None
@@ -252,7 +252,7 @@ def _read_reference(path: Path, file: Any) -> Reference:
         own_rates = has_rates and "imported_from" not in file.attrs
         return TableReadings(*rows, gimbals, stated, width, window_ns, own_rates)
     if "reference" not in file:
-        raise RecordingError(f"{path} has neither /table nor /reference: nothing says how the body turned")
+        raise RecordingError(f"{path} has neither /table nor /reference, so the motion of the body is unknown")
     where, group = f"{path}: /reference", file["reference"]
     kind: Any = next((kind for mark, kind in _REFERENCES.items() if mark in group), AttitudeReadings)
     missing = {"sd_rad"} - set(group) if kind is Turns else set()

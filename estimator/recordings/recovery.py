@@ -53,7 +53,7 @@ def recover(path: Path) -> None:
         with _alone_in(path.parent), journal.open("rb") as file:
             _check_owner(path, os.fstat(file.fileno()))
             if not lock(file, alone=False):
-                raise RecordingError(f"{path} is being written: its run has not ended")
+                raise RecordingError(f"{path} is still being written: its run has not ended")
             _log.warning(_fold(path, journal, file))
     except RecordingError:
         raise
@@ -85,19 +85,19 @@ def _fold(path: Path, journal: Path, file: BinaryIO) -> str:
     try:
         part.unlink(missing_ok=True)  # of a recovery that was killed itself
         told = f"{path}: its run did not end; {found.write(part, file)}"
-        told += "; part of the journal is damaged, or of a kind that is not known, and left out" * found.damaged
+        told += "; damaged or unknown parts of the journal were skipped" * found.damaged
         if readable and _holds(path, part):
-            told = f"{path}: its run did not end; all that its journal holds was in it already"
+            told = f"{path}: its run did not end properly; the file already holds everything in its journal"
         elif readable and found.damaged and not _is_longer(part, path):
             raise ValueError(sentence("recordings.no_more", path=path.name))
         elif readable and _continues(path, part):
-            told = f"{path}: its run did not end; it holds more samples than its journal"
+            told = f"{path}: its run did not end properly; the file holds more samples than its journal"
             found.add_to_copy(path, part, told)
             part.replace(path)
         else:
             if path.exists() and not (readable and _holds(part, path, names_only=True)):
                 kept = _free_name(path.with_name(f"{path.name}.before"))
-                told += f"; what it held before is kept as {kept.name}"
+                told += f"; the previous content was saved as {kept.name}"
                 path.replace(kept)
             part.replace(path)
         sync(path.parent)
@@ -221,9 +221,9 @@ class _Found:
             self.damaged = self.damaged or passed_over
             has_arrived = has_arrived or entry[0] == ARRIVED
             if len(self._shapes) + sum(1 + len(own) for own in self._attributes.values()) > _MOST_NAMES:
-                raise ValueError("it is damaged: it has more names than a recording")
+                raise ValueError("it is damaged: it has more groups than a recording")
         if "/" not in self._attributes or not (has_arrived or self.samples):
-            raise ValueError("it is damaged, or no journal: it holds no samples")
+            raise ValueError("it is damaged, or not a journal: it holds no samples")
 
     def _take(self, entry: Entry) -> bool:
         """Keep attributes, count samples; return whether the entry goes with those before it."""
@@ -290,7 +290,7 @@ class _Found:
         finally:
             writer.close()
         if not writer.whole:
-            raise OSError("it could not be closed whole")
+            raise OSError("it could not be closed completely")
         sync(part)
         return told
 

@@ -189,7 +189,7 @@ class BodyRates:
     def _add(self, t_ns: Stamps, angle_rad: Floats, rate_rps: Floats, half_s: Floats, rate_window_ns: int) -> None:
         step_ns, rates, summed = integrated(self._read, t_ns, rate_rps)
         if np.any(step_ns[not len(self._read) :] <= 0):
-            raise RecordingError("the times of the table readings do not increase: sort them, drop repeats")
+            raise RecordingError("the times of the table readings do not increase. Sort them and drop repeats")
         # Without whole-turn jumps: the summed rate says which turn it is.
         drift = angle_rad - summed
         jumps = np.round(np.diff(np.vstack([drift_of(self._read, drift), drift]), axis=0) / (2 * np.pi))

@@ -54,7 +54,7 @@ class _Prober:
                     reason = json.loads(answer)
                     wrong = None if reason is None else f"cannot be read: {reason}"
                 elif late.is_set():
-                    wrong = f"is damaged: reading it did not end within {limit_s:.0f} s; what it holds cannot be used"
+                    wrong = f"is damaged: reading it did not end within {limit_s:.0f} s, so its content is unusable"
             except OSError:
                 pass  # it died before it could be asked
             finally:

@@ -212,8 +212,8 @@ class RecordingWriter:
             raise self._full()
 
     def _full(self) -> RecordingError:
-        kept = f"{_RESERVE_BYTES / 1e6:.0f} MB are kept for closing the file"
-        return _disk_full(self.path, f"{kept}): make room, or give another place with --output")
+        kept = f"{_RESERVE_BYTES / 1e6:.0f} MB are reserved for closing the file"
+        return _disk_full(self.path, f"{kept}). Free some space, or choose another disk with --output")
 
     def _allowed_bytes(self) -> float:
         """Return by how much the file may still grow, whatever room there is on the disk."""
@@ -347,7 +347,7 @@ def _disk_full(path: Path, needed: str) -> RecordingError:
 def _changing(path: Path, wanted_bytes: int) -> Iterator[Any]:
     """Open a recording that is there to write into it; RecordingError, with the file as it was, if there is no room."""
     if shutil.disk_usage(path.parent).free < wanted_bytes:
-        raise _disk_full(path, f"{wanted_bytes / 1e6:.1f} MB are needed): the file is as it was; make room")
+        raise _disk_full(path, f"{wanted_bytes / 1e6:.1f} MB are needed): the file is unchanged. Free some space")
     with _told_of(path), h5py.File(path, "r+") as file:
         yield file
 

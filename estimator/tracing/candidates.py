@@ -116,14 +116,14 @@ def candidates_of(runs: Sequence[Run]) -> tuple[list[Candidate], dict[str, str]]
         left_out[TABLE_HARMONIC.name] = "the recordings hold no gimbals"
     foreign = any(by_turns(run.recording.reference) for run in runs)
     if foreign:
-        why = "another instrument has a lag of its own: a delay against it is the sum of all lags"
+        why = "another instrument has its own lag, so a delay relative to it is the sum of all lags"
         left_out[BANDWIDTH.name] = why
     listed = _catalogue(runs, gimbals, span_s, foreign)
     if foreign and gimbals:
-        why = "an encoder that is read from outside may have the same by itself"
+        why = "an external encoder may have the same effect itself"
         left_out |= {record.name: why for record in records() if record.of_encoders}
     if any(run.stated_rps for run in runs):
-        why = "a turn from rest to rest comes to the same angle however late it is felt"
+        why = "a turn from rest to rest has the same angle for any delay"
         left_out |= {record.name: why for record in records() if record.within_turns}
     warm = "temperature" in offers
     steady = warm and max(np.ptp(r.grid.temperature_c) for r in runs if r.grid.temperature_c is not None) < _STEADY_K

@@ -24,7 +24,7 @@ def error_model_of(found: Augmented) -> ErrorModel:
         name = part.candidate.called
         record = part.candidate.effect.record
         if record_of(name) is None:
-            left_out[name] = "it is not an effect of the catalogue"
+            left_out[name] = "not an effect of the catalogue"
         elif record.not_kept:
             left_out[name] = record.not_kept
         else:

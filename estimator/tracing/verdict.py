@@ -43,20 +43,22 @@ def verdict_of(added: Sequence[str], doubtful: Sequence[Part], unexplained: Unex
         apart = [" and ".join(names) for names in rivals if len(names) > 1]
         unproved = [names[0] for names in rivals if len(names) == 1]
         told = [f"cannot tell apart {'; nor '.join(apart)}"] if apart else []
-        told += [f"show, and do not prove, {', '.join(unproved)}"] if unproved else []
+        told += [f"suggest but do not prove {', '.join(unproved)}"] if unproved else []
         return Verdict(Finding.CANNOT_TELL, f"these recordings {' and '.join(told)}", rivals, unexplained)
     reasons = [f"added {', '.join(added)}"] if added else []
     if unexplained:
         beyond = "is beyond the noise and " if unexplained.depends_on == NOTHING_MEASURED else ""
         reasons.append(
-            f"{unexplained.share:.0%} of what is left {beyond}depends on {unexplained.depends_on}, unexplained"
+            f"{unexplained.share:.0%} of the residual {beyond}depends on {unexplained.depends_on}, unexplained"
         )
         likely = [part.called for part in doubtful if part.share >= CERTAIN]
         if likely:
-            reasons.append(f"{', '.join(likely)} would explain a part of it, which what was left out does not bear out")
+            reasons.append(f"{', '.join(likely)} would explain a part of it, which held-out data do not confirm")
         return Verdict(Finding.PARTLY if added else Finding.UNEXPLAINED, "; ".join(reasons), (), unexplained)
     return (
-        Verdict(Finding.ADDED, reasons[0]) if added else Verdict(Finding.NOTHING, "the residual is that of the noise")
+        Verdict(Finding.ADDED, reasons[0])
+        if added
+        else Verdict(Finding.NOTHING, "the residual is consistent with noise")
     )
 
 
@@ -67,11 +69,11 @@ def surprised(certain: Sequence[Part], wider: Found, residual: Residual | None) 
     """
     known = {part.candidate.called for part in certain}
     extra = [p for p in wider.parts if p.candidate.called not in known and p.probability >= CERTAIN]
-    reason = "the verification run shows an error that the other recordings cannot show"
+    reason = "the verification run shows an error that the other recordings do not show"
     if not extra:
         return Verdict(Finding.PARTLY if certain else Finding.UNEXPLAINED, reason, (), unexplained_of(residual))
     would = ", ".join(part.called for part in extra)
-    reason += f"; it would fit {would}, which a run of its own must prove"
+    reason += f"; {would} would explain it, which a separate run must prove"
     return Verdict(Finding.CANNOT_TELL, reason, rivals_of(extra))
 
 
@@ -242,7 +244,7 @@ def with_images(added: Added, others: Sequence[Part]) -> Added:
     """Return a tone with the frequencies at which the sampling shows it once more."""
     parameters = dict(added.parameters)
     for number, part in enumerate(others):
-        label = "its image by the sampling" + (f" {number + 1}" if number else "")
+        label = "its alias by the sampling" + (f" {number + 1}" if number else "")
         parameters[label] = Value(float(part.candidate.theta or 0.0), 0.0, "Hz")
     return replace(added, parameters=parameters)
 

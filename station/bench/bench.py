@@ -155,7 +155,7 @@ def load_bench(path: Path | None) -> Bench:
     """Read a bench file, or the built-in one; BenchError with line and key for what is wrong."""
     if path is None:
         return read_bench(default_bench_text(), "built-in bench")
-    text = read_text(path, BenchError, "a bench file: a bench file is a .toml file")
+    text = read_text(path, BenchError, "a bench file. Give a .toml file")
     return read_bench(text, str(path), path.stem, path.parent, sorted((path.parent / "plugins").glob("*.py")))
 
 
@@ -210,10 +210,10 @@ def read_bench(
     )
     names = [imu.name for imu in bench.imus]
     if not names or len(set(names)) != len(names):
-        raise BenchError(f"{file}: it needs one [[imu]] or more, each with a name of its own; it has {names}")
+        raise BenchError(f"{file}: it needs at least one [[imu]], each with a different name; it has {names}")
     for device in others:
         if device.name in NOT_NAMES or [*names, *(other.name for other in others)].count(device.name) > 1:
-            raise BenchError(f"{file}: {device.name!r} is the name of something else: give each device its own")
+            raise BenchError(f"{file}: {device.name!r} is already used as a name. Give each device a different name")
     origins = {tables.origin(bench.table.protocol), *(imus.origin(imu.protocol) for imu in bench.imus)}
     origins |= {kinds.origin(device.kind.name) for device in others}
     origins |= {protocols[device.kind.name].origin(device.spec.name) for device in others}
@@ -260,7 +260,7 @@ def _limits(table: Table, units: Table) -> Limits:
 
 def read_excluded(text: str, plugins: Sequence[str] = ()) -> frozenset[str] | None:
     """Return the effects that a bench file's text rules out, None if all; its run knew those of ``plugins``, too."""
-    had = f"; the run had {', '.join(plugins) or 'no plug-ins'}; --plugin gives a file"
+    had = f"; the run used {', '.join(plugins) or 'no plug-ins'}; --plugin gives a file"
     return _excluded(_recorded(text, "undeclared"), had)
 
 
@@ -291,5 +291,5 @@ def _matched(text: str, pattern: str, option: str, key: str) -> str:
     if not kept.isprintable() or not 0 < len(kept) <= _LONGEST_NAME:
         raise UsageError(f"{option} {text!r}: give 1 to {_LONGEST_NAME} printable characters")
     if pattern and not re.fullmatch(pattern, kept):
-        raise UsageError(f"{option} {kept!r} is not what this bench expects: {pattern} ({key} in [station])")
+        raise UsageError(f"{option} {kept!r} does not match the pattern of this bench: {pattern} ({key} in [station])")
     return kept

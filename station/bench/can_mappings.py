@@ -42,7 +42,7 @@ def load_mapping(name_or_path: str, folder: Path | None = None) -> CanMapping:
     for table in own["sources"]:
         table.done()
     if not sources:
-        raise top.fail(None, "needs one [[sources]] or more")
+        raise top.fail(None, "needs at least one [[sources]]")
     return CanMapping(own["dbc"], sources, own["source_address"], name=own["name"])
 
 

@@ -37,7 +37,7 @@ def load_description(name_or_path: str, folder: Path | None = None, device: str 
     own = top.read("description.description")
     source = read_source(top, read_units(own["units"]), "")
     if (own["frame"] is None) == (own["line"] is None):
-        raise top.fail(None, "needs a table [frame] or a table [line], and not both")
+        raise top.fail(None, "needs either a table [frame] or a table [line]")
     top.done()
     framing: Frames | Lines
     if own["frame"]:
@@ -67,13 +67,13 @@ def _checked(top: Table, source: CanChannel, signals: dict[str, Any]) -> CanChan
             if name not in signals:
                 raise top.fail(key, f"there is no {name!r}, only {', '.join(signals)}")
             if key in ("counter", "time") and signals[name].is_float:
-                raise top.fail(key, f"{name} is no whole number: it cannot count or tell time")
+                raise top.fail(key, f"{name} is not an integer, so it cannot be a counter or a time")
         if key in UNITS and key not in (*dict(source.units), "temperature"):
             raise top.fail("units", f"{key} is missing: give one of {', '.join(UNITS[key])}")
         named = tuple(f"{MESSAGE}.{name}" for name in listed)
         full[key] = named[0] if isinstance(names, str) else named
     if source.counter and source.time:
-        raise top.fail("time", "give a counter or a time, not both")
+        raise top.fail("time", "give either a counter or a time")
     return replace(source, **full)
 
 
@@ -90,7 +90,9 @@ def _frame(table: Table) -> tuple[Frames, list[Any]]:
         framing = Frames(size, sync, end, rule, _place(own["check"], within["at"], rule.bits, size), big, first, last)
     known = len(sync) - sync.count(None)
     if not known or (framing.check is None and known + len(end) < 2):
-        raise table.fail("sync", "too little tells a frame: give 2 bytes or more in sync and end, or 1 and a check")
+        raise table.fail(
+            "sync", "a frame cannot be recognised: give at least 2 bytes in sync and end, or 1 and a check"
+        )
     if len(sync) + len(end) > size:
         raise table.fail("bytes", f"{size}: sync and end alone have {len(sync) + len(end)}")
     signals = []
@@ -109,11 +111,11 @@ def _line(table: Table, source: CanChannel) -> tuple[Lines, list[Any], CanChanne
     columns = own["columns"]
     names = [name for name in columns if name != "-"]
     if len(set(names)) < len(names):
-        raise table.fail("columns", 'a name is there twice; what is to be passed over is called "-"')
+        raise table.fail("columns", 'a name occurs twice; call columns to skip "-"')
     scale = {name: own["scale"].number(name, 1.0) for name in names}
     own["scale"].done()
     if not own["separator"]:
-        raise table.fail("separator", 'give what stands between two columns, as "," or " "')
+        raise table.fail("separator", 'give the separator between two columns, as "," or " "')
     unit_s = UNITS["time"][plain_unit(dict(source.units).get("time", "s"))]
     by = dict.fromkeys(names, 1 / RESOLUTION)
     if source.time in by:
@@ -146,7 +148,7 @@ def _phrase(table: Table) -> tuple[bytes, float]:
     """Return what is sent, and the pause behind it."""
     own = table.read_all("description.phrase", hex=_known)
     if (own["text"] is None) == (own["hex"] is None):
-        raise table.fail(None, "needs text or hex, and not both")
+        raise table.fail(None, "needs either text or hex")
     return own["text"].encode() if own["hex"] is None else own["hex"], own["pause"]
 
 

@@ -85,10 +85,10 @@ def read_imu(table: Table, folder: Path, known: Registry[ImuSpec] = IMUS) -> Imu
     own = table.read("bench.imu", folder, protocol=known_in(known))
     name, spec, sheet = own["name"], own["spec"], own.pop("datasheet")
     if name in NOT_NAMES:
-        raise table.fail("name", f"{name!r} means something else on a bench: take another name")
+        raise table.fail("name", f"{name!r} is reserved on a bench. Use another name")
     array_name, array = _array(table, name)
     if spec.gyros not in (None, len(array)):
-        raise table.fail("array", f"protocol {spec.name} has {spec.gyros} gyros, this array {len(array)}")
+        raise table.fail("array", f"protocol {spec.name} has {spec.gyros} gyros, but this array has {len(array)}")
     can: CanSource | None = None
     if spec.signals_of_dbc:
         can = _can(table, folder, name, array)
@@ -108,7 +108,7 @@ def _described(table: Table, folder: Path, device: str, array: SensorArray) -> D
         "bench.described", folder, description=lambda name, folder: load_description(name, folder, device)
     )["description"]
     if (gyros := len(description.channels[0].rates)) != len(array):
-        raise table.fail("array", f"the description has {gyros} gyros, this array {len(array)}")
+        raise table.fail("array", f"the description has {gyros} gyros, but this array has {len(array)}")
     return description
 
 

@@ -93,7 +93,7 @@ def read_table(table: Table, folder: Path, known: Registry[TableSpec] = TABLES) 
         **own,
     )
     if config.link == TWIN and (linked := [axis.link for axis in config.axes.values() if axis.link]):
-        raise table.fail("link", f"must be given, too, where an axis has a link of its own ({linked[0]})")
+        raise table.fail("link", f"must also be given if an axis has its own link ({linked[0]})")
     for axis in config.axes.values():
         if refused := spec.refused(axis, axis.link or config.link):
             raise table.fail(None, refused)
@@ -108,7 +108,7 @@ def _axis(table: Table, spec: TableSpec, folder: Path) -> AxisSetup:
     limits, counts = table.read("bench.axis", each=2), table.read("bench.encoder")["counts_per_turn"]
     low, high = limits["travel_rad"] or (-math.inf, math.inf)
     if not low <= 0 <= high or low == high:
-        raise table.fail("travel", 'is from below home to above it: ["-90 deg", "90 deg"]')
+        raise table.fail("travel", 'must go from a negative to a positive angle: ["-90 deg", "90 deg"]')
     if counts is None:  # where angles are told in degrees, they matter to a twin alone
         if spec.proposed_counts:
             raise table.fail(None, "counts_per_turn is missing")

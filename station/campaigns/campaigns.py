@@ -64,7 +64,7 @@ def _ends(
         from station.campaigns.cluster import run_on_cluster
 
         if os.environ.get(GIVEN):
-            raise UsageError("--plugin reaches no cluster: install what the file brings as a package on every worker")
+            raise UsageError("--plugin does not work on a cluster: install the plug-in as a package on every worker")
         yield from run_on_cluster(work, items, scheduler)
         return
     count = min(workers or len(os.sched_getaffinity(0)), len(items))

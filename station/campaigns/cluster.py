@@ -111,7 +111,7 @@ class _Crew:
     def _ended(self, index: int, future: Any) -> Ended[Any]:
         """Return how an item ended; TimeoutError if that cannot be told now."""
         if future.cancelled():
-            raise _GoneError(f"the scheduler at {self._address} is gone")
+            raise _GoneError(f"the scheduler at {self._address} no longer answers")
         if future.status != "error":
             ended: Ended[Any] = future.result(timeout=_LOOK_S)
             return ended
@@ -128,7 +128,7 @@ class _Crew:
         try:
             self._threads = sum(self._client.nthreads().values())
         except Exception as error:  # whatever its network layers raise when the other side is gone
-            raise _GoneError(f"the scheduler at {self._address} is gone") from error
+            raise _GoneError(f"the scheduler at {self._address} no longer answers") from error
         self._looked_at = time.monotonic()
         if self._threads:
             self._seen_at = now

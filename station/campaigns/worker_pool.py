@@ -138,7 +138,7 @@ def end_with_parent() -> None:
 def _last_words(code: int | None) -> str:
     if code is None or code >= 0:
         return f"its process ended with exit code {code}"
-    hint = ", as for want of memory" if code == -signal.SIGKILL else ""
+    hint = ", as happens when memory runs out" if code == -signal.SIGKILL else ""
     return f"its process was ended by signal {-code} ({signal.strsignal(-code)}{hint})"
 
 

@@ -170,7 +170,7 @@ def estimate(
         try:
             write_calibration(Path(name), calibration)
         except OSError as error:
-            raise RecordingError(f"{name} cannot be written into: {error}") from None
+            raise RecordingError(f"{name} cannot be written to: {error}") from None
     promised = {name: np.sqrt(data.prior.variances()) for name, data in recording.sources.items()}
     seen = max(float((gyro.sd / promised[gyro.source]).max()) for gyro in calibration.gyros)
     return Estimated(calibration, verdict, attributes, seen, least.units)
@@ -182,7 +182,7 @@ def _without_estimate(attributes: Mapping[str, Any], error: EstimatorError) -> E
     if ended is None or ended.outcome in _ESTIMATED:
         raise error
     if ended.outcome is not Outcome.MANUAL:
-        ended = replace(ended, reason=f"{ended.reason}; it cannot be estimated: {error}")
+        ended = replace(ended, reason=f"{ended.reason}; no estimate is possible: {error}")
     kept = {key: attributes[key] for key in _KEPT if key in attributes}
     return Estimated(None, judge_recorded(None, None, ended), kept, math.nan)
 
@@ -272,6 +272,6 @@ def _reasons(verdict: Verdict) -> list[str]:
     """Return why a recording ended as it did, each reason by itself; of limits that are broken how many, and one."""
     if verdict.broken:
         first, *others = (line.broken for line in verdict.broken)
-        return [*verdict.because, f"{first}, and {len(others)} more limits not kept" if others else first]
+        return [*verdict.because, f"{first}, and {len(others)} more limits exceeded" if others else first]
     told = verdict.reason.replace("; but ", "; ").split("; ")
     return told[1:] if verdict.outcome in _ESTIMATED else told  # what every such run has

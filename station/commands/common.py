@@ -100,10 +100,10 @@ def _run(arguments: argparse.Namespace) -> int:
         sys.stdout.flush()  # the result is told by then, however long the program takes
         told = {"bench": bench.station, "script": script.name, "operator": operator, "serial_number": serial}
         if sys.stderr.isatty():
-            tell(f"after_run: {bench.after_run[0]} is given the result", sys.stderr)
+            tell(f"after_run: {bench.after_run[0]} receives the result", sys.stderr)
         problem = tell_program(bench.after_run, {**_run_object(result), **told})
         if problem:
-            tell(f"note: after_run: {problem}; the result stands in {path}", sys.stderr)
+            tell(f"note: after_run: {problem}; the result is in {path}", sys.stderr)
     return result.verdict.outcome.exit_code
 
 

@@ -102,8 +102,8 @@ def _units(heard: Heard) -> str:
         worst = int(np.argmax(np.abs(off_rps)))
         if not abs(off_rps[worst]) < _LITTLE_RPS:
             true_dps, off_dps = math.degrees(along[worst] * _RATE_RPS), math.degrees(off_rps[worst])
-            said = f"gyro {worst + 1} says {true_dps + off_dps:.2f} deg/s where it turns at {true_dps:.2f} deg/s"
-            return f"{said}: look at its unit, scale and sign, and at the order of axes"
+            said = f"gyro {worst + 1} says {true_dps + off_dps:.2f} deg/s while it turns at {true_dps:.2f} deg/s"
+            return f"{said}: check unit, scale and sign, and the order of axes"
     return ""
 
 
@@ -111,7 +111,7 @@ def _clock(heard: Heard) -> str:
     for _, t_s, rate_rps, along in heard.sources():
         step_s = np.diff(t_s)
         if not (step_s > 0).all():
-            return "sample times do not always go up"
+            return "sample times do not always increase"
         if abs(np.median(step_s) * heard.imu.rate_hz - 1) > 0.01:
             return f"samples are {np.median(step_s) * 1e3:.3f} ms apart, at {heard.imu.rate_hz:g} Hz"
         best = int(np.argmax(np.abs(along)))
@@ -127,7 +127,7 @@ def _complete(heard: Heard) -> str:
     for counts, t_s, *_ in heard.sources():
         if counts.lost or counts.corrupt or abs(len(t_s) / ((t_s[-1] - t_s[0]) * heard.imu.rate_hz) - 1) > 0.01:
             said = f"byte by byte {len(t_s)} samples came, {counts.lost} were lost, {counts.corrupt} corrupt"
-            return f"{said}: keep what is not a whole frame yet"
+            return f"{said}: keep incomplete frames until the rest arrives"
     return ""
 
 
@@ -145,7 +145,7 @@ def _undamaged(heard: Heard) -> str:
         wild = int((np.abs(rate_rps - middle_rps) > np.abs(middle_rps) + 5 * _LITTLE_RPS).any(axis=1).sum())
         if wild > 1 + 0.01 * (counts.lost + counts.corrupt):
             most_dps = math.degrees(np.nanmax(np.abs(rate_rps)))
-            return f"{wild} damaged samples of up to {most_dps:.0f} deg/s went through: look at its checksum"
+            return f"{wild} damaged samples of up to {most_dps:.0f} deg/s were accepted: check the checksum"
         if len(t_s) < _REST_S * heard.imu.rate_hz:
             return f"only {len(t_s)} samples came where three bytes in a thousand are damaged"
     return ""
@@ -154,7 +154,7 @@ def _undamaged(heard: Heard) -> str:
 def _unplugged(heard: Heard) -> str:
     ended, heard.error = heard.error, None
     told = "without an error" if ended is None else f"with {_told(ended)}"
-    return "" if isinstance(ended, LinkLost) else f"it ended {told}: let LinkLost of its link through"
+    return "" if isinstance(ended, LinkLost) else f"it ended {told}: do not catch LinkLost of its link"
 
 
 async def _motion(opened: OpenBench) -> str:
@@ -175,7 +175,10 @@ async def _motion(opened: OpenBench) -> str:
             await asyncio.sleep(_LOOK_S)
         off_rad = (await table.read(axis)).angle_rad + 0.5
         if abs(off_rad) > 1e-3 or loop.time() >= until_s:
-            return f"axis {axis}: a move is {math.degrees(off_rad):.3f} deg off when it says so, or after a minute"
+            return (
+                f"axis {axis}: a move is {math.degrees(off_rad):.3f} deg off when it reports that "
+                "it has arrived, or after a minute"
+            )
     return ""
 
 
@@ -191,10 +194,10 @@ async def _late(opened: OpenBench) -> str:
     ahead = np.array([state.angle_rad - state.angle_t_ns * 1e-9 * _RATE_RPS for state in seen])
     known = np.array([state.half_width_ns for state in seen]) * 1e-9 * _RATE_RPS + _LITTLE_RPS
     if (wrong := int((np.abs(ahead - np.median(ahead)) > known).sum())) or not seen:
-        return f"{wrong} of {len(seen)} angles are those of another time: a late answer is taken for the next"
+        return f"{wrong} of {len(seen)} angles belong to another time: a late answer was taken for the next one"
     await opened.table.stop()
     await asyncio.sleep(_LOOK_S)
-    return "" if opened.at_rest() else "stop returned, and an axis still turned"
+    return "" if opened.at_rest() else "stop returned while an axis still turned"
 
 
 async def _stopped(opened: OpenBench, how: str, at_s: float = 0.0) -> str:
@@ -208,7 +211,7 @@ async def _stopped(opened: OpenBench, how: str, at_s: float = 0.0) -> str:
     await asyncio.wait({reading})
     await getattr(table, how)()
     await asyncio.sleep(_LOOK_S)
-    return "" if opened.at_rest() else f"{how} returned, and an axis still turned"
+    return "" if opened.at_rest() else f"{how} returned while an axis still turned"
 
 
 async def _ready(opened: OpenBench) -> str:
@@ -337,13 +340,13 @@ def complaint(
             for device in opened.devices.values():
                 device.driver.close()
         left = asyncio.all_tasks() - before
-        return wrong or ("closed, it leaves a task running" if any(not task.done() for task in left) else "")
+        return wrong or ("a task still runs after it was closed" if any(not task.done() for task in left) else "")
 
     late: list[str] = []
 
     def overdue(_: int, frame: Any) -> None:
         place = f"({Path(frame.f_code.co_filename).name}, line {frame.f_lineno})"
-        late.append(f"it does not come back within {within_s:g} s {place}: let it await what it waits for")
+        late.append(f"it does not return within {within_s:g} s {place}: it must await what it waits for")
         runner.get_loop().set_exception_handler(lambda *_: None)  # it is told below
         raise KeyboardInterrupt  # nothing less comes through a driver and the event loop
 
@@ -399,9 +402,7 @@ def command_conformance(arguments: argparse.Namespace) -> int:
     if described is not None:
         gyros = len(load_description(str(described)).channels[0].rates)  # tells what is wrong by file, line and key
         if gyros < 3:
-            raise UsageError(
-                f"{described} describes {gyros} gyros: on a bench it takes three or more, in all directions"
-            )
+            raise UsageError(f"{described} describes {gyros} gyros: a bench needs three or more, in all directions")
         found.append(DESCRIBED)
     if not found:
         if modules:
@@ -413,7 +414,7 @@ def command_conformance(arguments: argparse.Namespace) -> int:
     told, off = [], set[str]()
     for spec, suite in [(one, suite) for one in found for suite in suites_of(one)]:
         skipped = suite in ("clock", "garbage") and spec.name in off
-        wrong = "it judges by rates, and units fails" if skipped else complaint(spec, suite, plugins, described)
+        wrong = "it needs correct rates, and units fails" if skipped else complaint(spec, suite, plugins, described)
         told.append({"device": spec.name, "suite": suite, "wrong": wrong})
         off |= {spec.name} if wrong and suite == "units" else set()
         if not arguments.json:
@@ -423,5 +424,8 @@ def command_conformance(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps({"ok": well, "findings": told, "experimental": unmet}))
     elif unmet:
-        tell(f"EXPERIMENTAL: {', '.join(unmet)}; checked_against of a record names what others made that it met")
+        tell(
+            f"EXPERIMENTAL: {', '.join(unmet)}; checked_against of the spec lists the external devices "
+            "and programs it was tested with"
+        )
     return (Outcome.PASS if well else Outcome.FAIL).exit_code

@@ -114,7 +114,7 @@ def _export_all(arguments: argparse.Namespace, folder: Path) -> int:
     if arguments.recording is None:
         raise UsageError("give a recording: `station export RUN.h5 --all FOLDER`")
     if arguments.format is not None or arguments.output != _STDOUT:
-        raise UsageError("--all names its files itself: leave --format and --output out")
+        raise UsageError("--all chooses the file names: leave out --format and --output")
     files: dict[str, str] = {}
     refused: dict[str, str] = {}
     forms = FORMATS.beside(load_files())
@@ -144,10 +144,10 @@ def _export_all(arguments: argparse.Namespace, folder: Path) -> int:
 def _written(arguments: argparse.Namespace) -> tuple[Exported, Written]:
     if arguments.recording is None or arguments.format is None:
         raise UsageError(
-            "give a recording and --format, or --all FOLDER; `station export --list` says what each format holds"
+            "give a recording and --format, or --all FOLDER; `station export --list` lists what each format holds"
         )
     if arguments.json and arguments.output == _STDOUT:
-        raise UsageError("--json says what was written where: give a file with --output")
+        raise UsageError("--json reports what was written, so give a file with --output")
     forms = FORMATS.beside(load_files())
     if arguments.format not in forms:
         raise UsageError(f"--format {not_one_of(arguments.format, forms)}")

@@ -47,13 +47,13 @@ def command_history(arguments: argparse.Namespace) -> int:
     try:
         os.scandir(folder).close()
     except OSError as error:
-        raise UsageError(f"{folder}: {error.strerror}: name the folder that holds the recordings") from None
+        raise UsageError(f"{folder}: {error.strerror}. Name the folder that holds the recordings") from None
     if not re.fullmatch(r"(\d{4}(-\d\d){0,2})?", since, re.ASCII):
         raise UsageError(f"--since {since}: write a date, for instance 2026-11 or 2026-11-21")
     if outcome not in (None, *OUTCOME_STYLES):
         raise UsageError(f"--outcome {outcome}: write one of {', '.join(OUTCOME_STYLES)}")
     if arguments.gauge and arguments.csv:
-        raise UsageError("--gauge with --csv: a study has no line for each recording; give --json in place of --csv")
+        raise UsageError("--gauge with --csv: a study has no line per recording. Use --json instead of --csv")
     if arguments.valid_on is not None:
         return _print_valid(arguments, folder)
     every = asyncio.run(_listed(folder, data))
@@ -105,7 +105,7 @@ def calibration_valid_on(serial: str, day: date, folder: Path | str = "recording
 def _print_valid(arguments: argparse.Namespace, folder: Path) -> int:
     """Print which calibration of a device was valid on a day; return 0 if there was one, else 1."""
     if arguments.serial is None or arguments.csv or arguments.gauge:
-        raise UsageError("--valid-on needs --serial, and goes with neither --csv nor --gauge")
+        raise UsageError("--valid-on needs --serial, and cannot be combined with --csv or --gauge")
     try:
         day = date.fromisoformat(arguments.valid_on)
     except ValueError:

@@ -25,7 +25,9 @@ def command_import(arguments: argparse.Namespace) -> int:
     if arguments.look is not None:
         return _look(arguments)
     if not arguments.mapping or not arguments.data or not arguments.output:
-        raise UsageError("give a mapping file, data files, and the recording to write by -o; --look FILE shows a file")
+        raise UsageError(
+            "give a mapping file, data files, and the recording to write with -o; --look FILE shows a file"
+        )
     output = Path(arguments.output)
     mapping = read_mapping(Path(arguments.mapping), PROTOCOLS)
     imported = import_recording(mapping, [Path(name) for name in arguments.data])

@@ -150,7 +150,7 @@ def _gentle_rps2(bench: Bench) -> float:
 def _used(bench: Bench) -> list[ImuConfig]:
     used = [imu for imu in bench.imus if imu.used]
     if not used:
-        raise UsageError("no device of the bench is used: set used = true, or name one with --device")
+        raise UsageError("the bench file uses no device. Set used = true, or name one with --device")
     return used
 
 

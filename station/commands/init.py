@@ -38,7 +38,7 @@ def command_init(arguments: argparse.Namespace) -> int:
         write_whole(path, bench_text(answers, other_kinds()), replace=True, verify=load_bench)
         _say_next(path, load_bench(path))
     except (KeyboardInterrupt, EndedError):
-        print("\nstation: stopped before the last question; nothing was written", file=sys.stderr)
+        print("\nstation: stopped before the last question, so nothing was written", file=sys.stderr)
         return EXIT_ABORTED
     return Outcome.PASS.exit_code
 
@@ -55,15 +55,15 @@ def _check_options(arguments: argparse.Namespace) -> None:
 def _check_place(path: Path, dialogue: Dialogue, force: bool) -> None:
     """See that a file can be written, before anything is asked."""
     if path.is_dir():
-        raise UsageError(f"{path} is a folder: give the name of a file")
+        raise UsageError(f"{path} is a folder. Give the name of a file")
     folder = next(parent for parent in path.absolute().parents if parent.exists())
     if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
-        raise UsageError(f"{folder} cannot be written to: give a file in another folder")
+        raise UsageError(f"{folder} is not writable. Give a file in another folder")
     if path.exists() and not force:
         if not dialogue.asks:
-            raise UsageError(f"{path} is there already: give another name, or --force to write over it")
-        if not dialogue.agrees(f"{path} is there already. Write over it?", False):
-            raise UsageError(f"{path} is left as it is: give another name")
+            raise UsageError(f"{path} exists already. Give another name, or --force to overwrite it")
+        if not dialogue.agrees(f"{path} exists already. Overwrite it?", False):
+            raise UsageError(f"{path} is unchanged. Give another name")
 
 
 def _ask(dialogue: Dialogue, arguments: argparse.Namespace, path: Path) -> Data:

@@ -70,7 +70,7 @@ def command_investigate(arguments: argparse.Namespace) -> int:
         if following is None and exit_code_of(found.finding):
             print(f"no next script: {_why_none(recordings, limits)}")
             for line in what.get("record_next", []):
-                print(f"record next what shows {line}")
+                print(f"next, record a run that shows {line}")
         for kind, path in (("picture", picture), ("results", model)):
             if path is not None:
                 print(f"{kind}: {path}")
@@ -99,7 +99,7 @@ def _outputs(arguments: argparse.Namespace) -> tuple[Path | None, Path | None, P
 def _check_apart(fitted: Sequence[str], judging: Sequence[str]) -> None:
     both = {Path(name).resolve() for name in fitted} & {Path(name).resolve() for name in judging}
     if both:
-        raise UsageError(f"{min(both)} is to be fitted and to verify: a run that is fitted cannot judge")
+        raise UsageError(f"{min(both)} is given both to fit and to verify; a fitted run cannot verify")
 
 
 def limits_of(recordings: Sequence[Recording], bench: Path | None) -> Limits | None:
@@ -135,7 +135,7 @@ def following_script(
     assert isinstance(reference, TableReadings)
     missing = [axis for axis in reference.gimbals if axis not in limits.axes]
     if missing:
-        raise UsageError(f"{limits.stated_in} has no axis {', '.join(missing)}, which the recordings turn about")
+        raise UsageError(f"{limits.stated_in} has no axis {', '.join(missing)}, about which the recordings turn")
     rivals = found.rivals or (_suspects(found),)
     known = {suspect.effect: suspect.log_evidence for suspect in found.suspects}
     seen_since = _evidence_of(found)
@@ -156,8 +156,8 @@ def _why_none(recordings: Sequence[Recording], limits: Limits | None) -> str:
     if not any(isinstance(recording.reference, TableReadings) for recording in recordings):
         return "these recordings were not made on a table"
     if limits is None:
-        return "nothing says what the table can do: give its bench file with --bench"
-    return "no script is known that shows more of this"
+        return "the limits of the table are unknown. Give its bench file with --bench"
+    return "no known script shows more of this"
 
 
 def _suspects(found: Investigation) -> tuple[str, ...]:

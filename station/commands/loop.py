@@ -52,7 +52,7 @@ def command_loop(arguments: argparse.Namespace) -> int:
     except DeviceError as error:
         return _end(loop, Outcome.FAULT.exit_code, str(error), arguments.json)
     except KeyboardInterrupt:
-        return _end(loop, EXIT_ABORTED, "stopped by Ctrl-C between runs, the table at rest", arguments.json)
+        return _end(loop, EXIT_ABORTED, "stopped by Ctrl-C between runs, with the table at rest", arguments.json)
 
 
 class _Driver:
@@ -118,11 +118,11 @@ def _investigate(loop: Loop, driver: _Driver) -> Round:
 def _why_ended(turn: Round, left_s: float) -> str:
     """Return why nothing more is to be driven, empty if something is."""
     if turn.found.finding is Finding.UNEXPLAINED:
-        return "unexplained: no effect of the catalogue is left to be told apart by another run"
+        return "unexplained: no further run can tell the remaining effects of the catalogue apart"
     if turn.found.finding is not Finding.CANNOT_TELL:
         return "settled"
     if turn.following is None:
-        return f"no script that tells them apart fits into the {max(left_s, 0) / 60:.1f} min of table time left"
+        return f"no script that decides between them fits into the {max(left_s, 0) / 60:.1f} min of table time left"
     return "" if turn.following.probability >= _LEAST_CHANCE else turn.following.words()
 
 
@@ -140,7 +140,7 @@ def _folder(name: str | None) -> Path:
     """Return the folder to make."""
     if name is not None:
         if Path(name).exists():
-            raise UsageError(f"--output {name} is there already: give another name")
+            raise UsageError(f"--output {name} exists already. Give another name")
         return Path(name)
     return free_path(Path("recordings") / f"loop-{datetime.now():%Y%m%d-%H%M%S}")
 
@@ -158,7 +158,7 @@ def _report(loop: Loop, as_json: bool) -> int:
 def _end(loop: Loop | None, code: int, reason: str, as_json: bool) -> int:
     """Say on stderr why there is no report, and where the recordings are that there are."""
     kept = loop is not None and loop.folder.is_dir()
-    where = f"; recordings are kept in {loop.folder}" if loop and kept else ""
+    where = f"; the recordings are in {loop.folder}" if loop and kept else ""
     tell(f"station: {reason}{where}", sys.stderr)
     if as_json:
         empty = {"verdict": None, "reason": reason, "runs": runs_object(loop) if loop else []}

@@ -77,7 +77,7 @@ def command_report(arguments: argparse.Namespace) -> int:
         _print_result(recorded, verdict, details=arguments.details)
         _print_documents(report, html, made, next_after_report(verdict, recorded.path))
     if problem:
-        tell(f"station: {problem}; the report is kept in {html}", sys.stderr)
+        tell(f"station: {problem}; the report is in {html}", sys.stderr)
         return EXIT_USAGE
     return 0
 

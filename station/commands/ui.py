@@ -32,7 +32,7 @@ def command_ui(arguments: argparse.Namespace) -> int:
 def _check_terminal() -> None:
     """See that there is a terminal, and that it can show what is drawn; UsageError that says what to do."""
     if not all(stream.isatty() for stream in (sys.stdin, sys.stdout, sys.stderr)):
-        raise UsageError("station ui needs a terminal of its own; without one: station run, or station ui --web")
+        raise UsageError("station ui needs a terminal. Without one use station run, or station ui --web")
     terminal = os.environ.get("TERM", "")
     if terminal in _NO_TERMINALS:
         raise UsageError(sentence("screen.no_screen", terminal=terminal))
@@ -52,7 +52,7 @@ def _show(arguments: argparse.Namespace) -> int:
     app.error_console = Console(file=kept, width=120)
     app.run()
     if app.return_code == _DEFECT:
-        raise UsageError(f"the screen ended by a defect of its own, please report it{_keep(kept.getvalue())}")
+        raise UsageError(f"the screen ended because of a defect; please report it{_keep(kept.getvalue())}")
     return 0
 
 
@@ -67,7 +67,7 @@ def _keep(text: str) -> str:
         where = f", with {path}"
     except UsageError:
         where = ""
-    return f"{where}. A session that runs goes on: station ui --attach"
+    return f"{where}. A running session continues: station ui --attach"
 
 
 def choices_of(arguments: argparse.Namespace) -> "Choices":
@@ -79,7 +79,9 @@ def choices_of(arguments: argparse.Namespace) -> "Choices":
 
     given = vars(arguments)
     if given.get("output") or given.get("json"):
-        raise UsageError("--ui goes without --json and --output: give a folder to `station ui --folder`")
+        raise UsageError(
+            "--ui cannot be combined with --json and --output. Use `station ui --folder` to choose a folder"
+        )
     run_options = [word for name in ("reset_fault", "end_early") if given.get(name) for word in (_option(name),)]
     for name in ("model", "seed"):
         if given.get(name) is not None:

@@ -30,20 +30,20 @@ def look_at_can_interface(
 ) -> Iterator[Finding]:
     """Yield what stands in the way of using a SocketCAN interface, for instance can0; ``ask`` describes it as `ip`."""
     if not re.fullmatch(r"[\w.-]{1,15}", interface):
-        yield Finding(interface, "is no name of a network interface", "ip -brief link", wrong=True)
+        yield Finding(interface, "is not the name of a network interface", "ip -brief link", wrong=True)
         return
     found = ask(interface)
     if found is None:
-        yield Finding(interface, "cannot be looked at: the program ip is missing", "sudo apt install iproute2")
+        yield Finding(interface, "cannot be checked: the program ip is missing", "sudo apt install iproute2")
         return
     if not found:
-        text = "is not there: is the adapter plugged in, and its driver loaded?"
+        text = "does not exist. Is the adapter plugged in and its driver loaded?"
         yield Finding(interface, text, "ip -brief link show type can", wrong=True)
         return
     details = found.get("linkinfo", {})
     kind = details.get("info_kind")
     if kind not in ("can", *_VIRTUAL):
-        yield Finding(interface, "is no CAN interface", "ip -brief link show type can", wrong=True)
+        yield Finding(interface, "is not a CAN interface", "ip -brief link show type can", wrong=True)
         return
     settings = details.get("info_data", {})
     bit_rate = settings.get("bittiming", {}).get("bitrate")
@@ -51,11 +51,15 @@ def look_at_can_interface(
     if kind == "can":
         up += f" type can bitrate {bit_rate or 500000} restart-ms 100"
     if "UP" not in found.get("flags", []):
-        rate = "" if bit_rate or kind != "can" else " and has no bit rate (500000 is an example: that of the bus)"
+        rate = (
+            ""
+            if bit_rate or kind != "can"
+            else " and has no bit rate (500000 is an example: use the bit rate of the bus)"
+        )
         yield Finding(interface, f"is down{rate}", up, wrong=True)
     elif settings.get("state") == "BUS-OFF":
-        text = "is switched off by errors on the bus (BUS-OFF): look at bit rate, cable and termination"
+        text = "was switched off by bus errors (BUS-OFF). Check bit rate, cable and termination"
         yield Finding(interface, text, f"sudo ip link set {interface} down; {up}", wrong=True)
     elif settings.get("state") in ("ERROR-PASSIVE", "ERROR-WARNING"):
-        text = f"sees errors on the bus ({settings['state']}): look at bit rate, cable and termination"
+        text = f"sees errors on the bus ({settings['state']}): check bit rate, cable and termination"
         yield Finding(interface, text, f"ip -details -statistics link show {interface}")

@@ -27,4 +27,7 @@ def peer_note() -> str:
     """Return in one line that the users of a local socket are not known here; empty if they are."""
     if hasattr(socket, "SO_PEERCRED"):
         return ""
-    return "this system does not tell who connects to a local socket: only the rights of its folder protect a session"
+    return (
+        "this system does not identify the user who connects to a local socket, so only the permissions of its "
+        "folder protect a session"
+    )

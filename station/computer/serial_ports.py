@@ -23,7 +23,7 @@ def look_at_serial_port(port: str, root: Path = Path("/")) -> Iterator[Finding]:
         yield _missing(port, root)
         return
     if not stat.S_ISCHR(path.stat().st_mode):
-        yield Finding(port, "is no serial port", "ls -l /dev/serial/by-id", wrong=True)
+        yield Finding(port, "is not a serial port", "ls -l /dev/serial/by-id", wrong=True)
         return
     if not os.access(path, os.R_OK | os.W_OK):
         yield _refused(port, path)
@@ -37,9 +37,11 @@ def _missing(port: str, root: Path) -> Finding:
     there = sorted(f"/dev/serial/by-id/{p.name}" for p in _links_by_id(root))
     if there:
         return Finding(
-            port, f"is not there; these ports are: {', '.join(there)}", "ls -l /dev/serial/by-id", wrong=True
+            port, f"does not exist. Available ports: {', '.join(there)}", "ls -l /dev/serial/by-id", wrong=True
         )
-    return Finding(port, "is not there, and no serial adapter is: is it plugged in?", "sudo dmesg | tail", wrong=True)
+    return Finding(
+        port, "does not exist, and there is no serial adapter. Is it plugged in?", "sudo dmesg | tail", wrong=True
+    )
 
 
 def _refused(port: str, path: Path) -> Finding:
@@ -55,9 +57,9 @@ def _refused(port: str, path: Path) -> Finding:
     except KeyError:
         user = str(os.getuid())
     if user in members:
-        text = f"may not be used yet: {user} was added to the group {group} after logging in; log in again"
+        text = f"is not accessible yet: {user} was added to the group {group} after logging in. Log in again"
         return Finding(port, text, f"newgrp {group}", wrong=True)
-    text = f"may not be used by {user}: it belongs to the group {group}; join it, and log in again"
+    text = f"is not accessible to {user}: it belongs to the group {group}. Join the group and log in again"
     return Finding(port, text, f"sudo usermod -aG {group} {user}", wrong=True)
 
 
@@ -70,7 +72,7 @@ def _held_by_others(port: str, path: Path, root: Path) -> Iterator[Finding]:
         with suppress(OSError):
             if any(_is_device(opened, device) for opened in (process / "fd").iterdir()):
                 name = (process / "comm").read_text(errors="replace").strip()
-                text = f"is in use by {name} (process {process.name}): end that program first"
+                text = f"is in use by {name} (process {process.name}). End that program first"
                 yield Finding(port, text, f"ps -fp {process.name}", wrong=True)
 
 
@@ -96,7 +98,7 @@ def _unstable_name(port: str, path: Path, root: Path) -> Iterator[Finding]:
         if (link.parent / os.readlink(link)).resolve() == path.resolve():
             stable = f"/dev/serial/by-id/{link.name}"
             text = (
-                f"can change its number when adapters are plugged in again: write serial://{stable} in the bench file"
+                f"may change its number when adapters are plugged in again. Write serial://{stable} in the bench file"
             )
             yield Finding(port, text)
 
@@ -108,5 +110,5 @@ def _slow_adapter(port: str, path: Path, root: Path) -> Iterator[Finding]:
     with suppress(OSError, ValueError):
         latency_ms = int((root / setting.lstrip("/")).read_text())
         if latency_ms > _MOST_LATENCY_MS:
-            text = f"its adapter keeps bytes back for up to {latency_ms} ms (latency timer)"
+            text = f"its adapter delays bytes by up to {latency_ms} ms (latency timer)"
             yield Finding(port, text, f"echo {_MOST_LATENCY_MS} | sudo tee {setting}")

@@ -25,7 +25,10 @@ class ClockWatch:
         step_s = time.time() - now_s - self._offset_s
         if abs(step_s) > _STEP_S:
             seconds = now_s - self._began_s
-            text = f"was set by {step_s * 1e3:+.0f} ms within {seconds:.0f} s: use one that slews, such as chrony"
+            text = (
+                f"was set by {step_s * 1e3:+.0f} ms within {seconds:.0f} s: use a service that "
+                "slews the clock, such as chrony"
+            )
             yield Finding("system clock", text, "timedatectl timesync-status")
 
 
@@ -40,7 +43,7 @@ def look_at_power_saving(root: Path = Path("/")) -> Iterator[Finding]:
         yield Finding("processors", text, "sudo cpupower frequency-set -g performance")
     with suppress(OSError):
         if _on_battery(root):
-            yield Finding("power", "this computer runs on its battery: it saves power, and may fall asleep in a run")
+            yield Finding("power", "this computer runs on battery: it saves power and may go to sleep during a run")
 
 
 def _on_battery(root: Path) -> bool:
@@ -64,7 +67,7 @@ def look_at_usb_suspend(port: str, root: Path = Path("/")) -> Iterator[Finding]:
             with suppress(OSError):
                 if control.read_text().strip() == "auto" and (folder / "power/autosuspend").read_text().strip() != "-1":
                     shown = "/" + str(control.relative_to(root.resolve()))
-                    text = "its USB adapter may be suspended when it is idle"
+                    text = "its USB adapter may be suspended when idle"
                     yield Finding(port, text, f"echo on | sudo tee {shown}")
             return
 

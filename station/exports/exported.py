@@ -65,7 +65,7 @@ class Exported:
         ended = self.verdict
         if ended is None or ended.outcome in (Outcome.PASS, Outcome.ESTIMATED):
             return []
-        return [f"the run was no pass: {ended.outcome} {ended.reason}"]
+        return [f"the run did not pass: {ended.outcome} {ended.reason}"]
 
     @property
     def cautions(self) -> list[str]:

@@ -16,7 +16,7 @@ from station.exports.exported import Exported
 from station.render.template import rendered
 
 _LINE_END = re.compile(r"[\r\n\f]")
-_NOT_FINITE = "the calibration holds a number that is not finite: estimate it again"
+_NOT_FINITE = "the calibration holds a number that is not finite. Estimate it again"
 """Why a calibration cannot be written in any form."""
 
 
@@ -68,7 +68,7 @@ def lines_of(reasons: Mapping[str, str]) -> list[str]:
     return [f"{readable(effect)}: {why}" for effect, why in reasons.items()]
 
 
-def delay_line(exported: Exported, what: str = "take it off the stamps of the samples") -> list[str]:
+def delay_line(exported: Exported, what: str = "subtract it from the time stamps of the samples") -> list[str]:
     """Return the line for a delay that a form does not hold; none if there is no delay."""
     delay_s = exported.compensation.delay_s
     return [f"a delay of {delay_s:.6g} s: {what}"] if delay_s else []

@@ -12,7 +12,7 @@ from station.schema.writing import lines_of
 
 _HEAD = """\
 # A bench: the table, the gyros on it, and what counts as a pass. Every number has its unit.
-# What each key means is in docs/pages/reference/bench.md; `station check FILE` sees whether everything answers.
+# docs/pages/reference/bench.md explains the keys; `station check FILE` checks that everything answers.
 
 """
 

@@ -38,7 +38,7 @@ class Dialogue:
             answer = {"": proposed, "-": ""}.get(answer, answer)
             try:
                 if not answer.isprintable():
-                    raise UsageError("that holds characters that cannot be printed")
+                    raise UsageError("that contains characters that cannot be printed")
                 if check is not None:
                     check(answer)
             except UsageError as error:

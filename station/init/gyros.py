@@ -31,7 +31,7 @@ def built_in_channels(count: int) -> list[Data]:
 
 def ask_gyros(dialogue: Dialogue, imu: Data, folder: Path, checked: Callable[[Data], object]) -> Data:
     """Return the device with its geometry and its signals; ``checked`` raises UsageError for what cannot be."""
-    dialogue.say("  How do its gyros lie?")
+    dialogue.say("  How are its gyros arranged?")
     bare = {key: value for key, value in imu.items() if key not in ("array", "channels")}
     geometry, count = _ask_geometry(dialogue, dialogue.choose("array", _ARRAYS, "tetrahedron"))
     bare = {**bare, **geometry}
@@ -43,7 +43,7 @@ def ask_gyros(dialogue: Dialogue, imu: Data, folder: Path, checked: Callable[[Da
         elif text:
             checked({**bare, "mapping": text})
         elif count > _BUILT_IN:
-            raise UsageError(f"the built-in DBC has {_BUILT_IN} gyros, and these are {count}: give a mapping or a .dbc")
+            raise UsageError(f"the built-in DBC has {_BUILT_IN} gyros, but there are {count}. Give a mapping or a .dbc")
         else:
             checked({**bare, "channels": built_in_channels(count)})
 
@@ -60,7 +60,7 @@ def ask_description(dialogue: Dialogue, imu: Data, folder: Path) -> Data:
     chosen = dialogue.ask(question, "csv", lambda text: load_description(text, folder))
     count = len(load_description(chosen, folder).channels[0].rates)
     if count != GYROS["triad"]:
-        dialogue.say(f"  How do its {count} gyros lie?")
+        dialogue.say(f"  How are its {count} gyros arranged?")
         fitting = {kind: what for kind, what in _ARRAYS.items() if GYROS.get(kind, count) == count}
         geometry, _ = _ask_geometry(dialogue, dialogue.choose("array", fitting, next(iter(fitting))), count)
         imu = {key: value for key, value in imu.items() if key != "array"} | geometry
@@ -112,7 +112,7 @@ def _ask_channels(dialogue: Dialogue, path: Path, count: int) -> list[Data]:
 
     def known(text: str) -> None:
         if text not in signals:
-            raise UsageError(f"{text!r} is no signal of {path.name}")
+            raise UsageError(f"{text!r} is not a signal of {path.name}")
 
     channels = []
     for n in range(1, count + 1):

@@ -40,7 +40,7 @@ def ask_imu(dialogue: Dialogue, links: Links, folder: Path, protocol: str, link:
 
     def check_name(made: Data) -> None:
         if not _NAME.match(made["name"]) or made["name"] in names:
-            raise UsageError("give a name that no other device has: a letter, then letters, digits, _ and -")
+            raise UsageError("give a name that is not in use: a letter, then letters, digits, _ and -")
         checked(made)
 
     imu = ask_key(dialogue, imu, _KEYS["name"], checked=check_name)
@@ -49,7 +49,7 @@ def ask_imu(dialogue: Dialogue, links: Links, folder: Path, protocol: str, link:
         imu = ask_gyros(dialogue, imu, folder, checked)
     imu = ask_key(dialogue, imu, _KEYS["rate"], checked=checked)
     for name, what in (("arw", "angle random walk"), ("bias_instability", "bias instability")):
-        imu["datasheet"] = ask_key(dialogue, imu["datasheet"], _KEYS[name], f"{what}, by its data sheet")
+        imu["datasheet"] = ask_key(dialogue, imu["datasheet"], _KEYS[name], f"{what} of the data sheet")
     return imu
 
 

@@ -30,7 +30,7 @@ class Links:
             dialogue.say("  found here: " + "; ".join(found))
         proposed = proposed or (self.proposed(spec) if dialogue.asks else TWIN)
         link = dialogue.ask(
-            f"link of it; {TWIN} for a simulated one", proposed, lambda text: check_link(spec, text, device)
+            f"link; {TWIN} for a simulated device", proposed, lambda text: check_link(spec, text, device)
         )
         self.taken.add(link.partition("?")[0])
         return link

@@ -20,7 +20,7 @@ def ask_rest(dialogue: Dialogue, bench: Data, others: Sequence[str] = ()) -> Dat
 
     ``others`` are sections of devices of other kinds.
     """
-    dialogue.say("\nThe lab. With its latitude, Earth rate (15 deg/h) is taken off; - leaves it in the bias.")
+    dialogue.say("\nThe lab. Its latitude is needed to remove Earth rate (15 deg/h); - leaves it in the bias.")
     latitude, heading = keys_of("bench.site")
     latitude = replace(latitude, required=False)
     proposed = "45 deg" if bench["table"]["link"] == TWIN else ""
@@ -28,14 +28,14 @@ def ask_rest(dialogue: Dialogue, bench: Data, others: Sequence[str] = ()) -> Dat
     if site:
         question = "heading of the table's x axis when all axes are home, clockwise from north"
         site = ask_key(dialogue, site, heading, question, heading.default)
-    dialogue.say("\nWhat counts as a pass; - for what is not to be checked.")
+    dialogue.say("\nThe limits for a pass; - for a limit that is not checked.")
     limits: Data = {}
     for key in keys_of("bench.limits"):
         if key.name in _KNOWN["limits"]:
             size, *unit = _KNOWN["limits"][key.name]
             proposed = f"{size * _noise_factor(bench['imu'])} {unit[0]}" if unit else size
             limits = ask_key(dialogue, limits, key, proposed=proposed)
-    dialogue.say("\nFor the record: a regular expression that names must match; - for anything.")
+    dialogue.say("\nFor the record: a regular expression that names must match; - for any name.")
     _, operator, serial, *_ = keys_of("bench.station")
     place = ask_key(dialogue, {}, operator, "names of operators")
     place = ask_key(dialogue, place, serial, "serial numbers of devices")

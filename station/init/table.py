@@ -83,7 +83,7 @@ def _ask_axis(
             dialogue,
             axis,
             _KEYS["link"],
-            "link of this drive, if it has one of its own; - if not",
+            "link of this drive, if it has its own; - if not",
             "",
             lambda made: check_link(spec, made.get("link", TWIN), f"axis {name}"),
         )
@@ -93,6 +93,4 @@ def _ask_axis(
         axis = ask(_KEYS["counts_per_turn"])
     axis = ask(_KEYS["max_rate"])
     axis = ask(_KEYS["max_acceleration"])
-    return ask(
-        _KEYS["travel"], "how far it may turn from home, for instance -90 deg, 90 deg; - if it turns without end"
-    )
+    return ask(_KEYS["travel"], "range from home, for instance -90 deg, 90 deg; - if its rotation is unlimited")

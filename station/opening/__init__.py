@@ -164,7 +164,7 @@ async def open_bench(bench: Bench, *, time_scale: float = 1.0) -> AsyncIterator[
     """
     used = [imu for imu in bench.imus if imu.used]
     if not used:
-        raise BenchError("no device of the bench is used: set used = true, or name one with --device")
+        raise BenchError("the bench file uses no device. Set used = true, or name one with --device")
     async with AsyncExitStack() as stack:
         time_scale = max(time_scale, 1.0)
         twins = Twins(bench, stack, time_scale)

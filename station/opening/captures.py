@@ -52,7 +52,7 @@ def _gathered(pieces: Sequence[Mapping[str, Floats]], lead: str) -> Columns:
 
 
 def _damaged(count: int, what: str) -> tuple[str, ...]:
-    return (f"{count} damaged {what} are left out",) if count else ()
+    return (f"{count} damaged {what} were skipped",) if count else ()
 
 
 def _xbus(raw: bytes, names: Sequence[str]) -> _Decoded:
@@ -108,7 +108,10 @@ def _read_stim300(code: int | None, range_g: int, raw: bytes, names: Sequence[st
         if isinstance(item, Configuration):
             code, accel_code, range_g = item.gyro_unit, item.accel_unit, item.accel_ranges_g[0] or range_g
     if code is None:
-        notes = (*notes, "nothing in it says what the gyros put out: a rate is taken, else state gyro_output in [file]")
+        notes = (
+            *notes,
+            "the kind of gyro output is not stated, so a rate is assumed. Otherwise state gyro_output in [file]",
+        )
     rate_hz = stim300.INTERNAL_RATE_HZ // ticks
     gyro, accel = gyro_unit_rps(code or 0, rate_hz), accel_unit_mps2(accel_code, range_g, rate_hz)
     t_ns = np.round(count * (1e9 / stim300.INTERNAL_RATE_HZ)).astype(np.int64)

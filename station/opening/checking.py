@@ -24,9 +24,9 @@ _OTHERS_S = 1.0  # in which another master that commands an enabled table is see
 _LOOKS = (0.07, 0.11, 0.19, 0.23, 0.4)  # parts of it between two looks at what drives were told
 _RATE_OFF = 0.02
 _LEAST_PERIOD_S = 1e-5
-_LOOK_AT_TABLE = "are protocol, link, baud rate, parity and the axes' addresses those of the controller?"
-_LOOK_AT_OTHER = "are protocol, link, baud rate and parity those of the device?"
-_LOOK_AT_IMU = "are protocol, link, baud rate or channel those of the device?"
+_LOOK_AT_TABLE = "Do protocol, link, baud rate, parity and axis addresses match the controller?"
+_LOOK_AT_OTHER = "Do protocol, link, baud rate and parity match the device?"
+_LOOK_AT_IMU = "Do protocol, link, baud rate or channel match the device?"
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +113,7 @@ async def check_bench(
     dumb = [check for check in not_even_refused if not check.axes and not check.sources]
     for check in dumb if len(dumb) > 1 else ():
         others = " and ".join(other.device for other in dumb if other is not check)
-        check.wrong.append(f"{others} cannot be understood either: are their links exchanged?")
+        check.wrong.append(f"{others} sends unknown data, too. Are their links swapped?")
     return found
 
 
@@ -123,13 +123,13 @@ def _heard(check: DeviceCheck, look_at: str) -> Iterator[None]:
     try:
         yield
     except TimeoutError:
-        check.wrong += [f"no answer within {_OPEN_S:g} s: is it powered?", look_at]
+        check.wrong += [f"no answer within {_OPEN_S:g} s. Is it powered?", look_at]
     except (LinkLost, BadReply) as error:
         check.wrong += [error.message, look_at]
     except DeviceError as error:
         check.wrong.append(error.message)
     except Exception as error:  # a driver of somebody else's
-        check.wrong.append(f"its driver failed ({type(error).__name__}: {error}); `station conformance` tries drivers")
+        check.wrong.append(f"its driver failed ({type(error).__name__}: {error}); `station conformance` tests drivers")
 
 
 async def _check_table(opened: OpenBench, device: OpenDevice, time_scale: float) -> DeviceCheck:
@@ -147,7 +147,7 @@ async def _check_table(opened: OpenBench, device: OpenDevice, time_scale: float)
             status = await table.status(axis)
             enabled += [axis] if status.enabled else []
             if status.trouble:
-                check.wrong.append(f"{status.trouble}; clear its cause, then run with --reset-fault")
+                check.wrong.append(f"{status.trouble}; clear the cause, then run with --reset-fault")
             elif status.caution:
                 check.wrong.append(status.caution)
             trips = []
@@ -173,7 +173,7 @@ async def _check_table(opened: OpenBench, device: OpenDevice, time_scale: float)
             if abs(dps) > 0.05:
                 elsewhere = sentence("check.driven_elsewhere", axis=axis, dps=dps)
                 check.wrong.append(
-                    elsewhere if status.enabled else f"axis {axis} turns at {dps:.2f} deg/s: stop it first"
+                    elsewhere if status.enabled else f"axis {axis} turns at {dps:.2f} deg/s. Stop it first"
                 )
         if told and enabled:
             check.wrong += await _others(table, bench.table.gimbals, told, time_scale)
@@ -246,8 +246,8 @@ async def _check_imu(opened: OpenBench, device: OpenDevice, time_scale: float) -
     silent = [name for name in source.names if not sum(len(block.t_ns) for block in blocks.get(name, []))]
     if silent:
         corrupt = sum(source.counts(name).corrupt for name in silent)
-        heard = f", but {corrupt} pieces of something else or damaged" if corrupt else ""
-        said = f"no samples from {', '.join(silent)} in {LISTEN_S:g} s{heard}: is it powered and sending?"
+        heard = f", but {corrupt} unknown or damaged frames" if corrupt else ""
+        said = f"no samples from {', '.join(silent)} in {LISTEN_S:g} s{heard}. Is it powered and sending?"
         check.wrong += [said, _LOOK_AT_IMU]
     for name in source.names:
         if name not in silent:
@@ -325,18 +325,18 @@ def _complaints(config: ImuConfig, check: SourceCheck, counted: bool) -> Iterato
     who, prefix = ("it", "") if check.name == config.name else (check.name, f"{check.name}: ")
     whole = check.samples + check.lost
     lost = f"{check.lost} of {whole} samples"
-    cables = "look at cable, baud rate and load of the host"
+    cables = "check cable, baud rate and load of this computer"
     if abs(check.rate_hz / config.rate_hz - 1) > _RATE_OFF:
-        said = f"{who} sends at {check.rate_hz:.1f} Hz, the bench file says {config.rate_hz:g} Hz: set one to the other"
+        said = f"{who} sends at {check.rate_hz:.1f} Hz, but the bench file says {config.rate_hz:g} Hz. Correct one"
         whole_hz = check.rate_hz * whole / check.samples
         if not counted and abs(whole_hz / config.rate_hz - 1) < 2 * _RATE_OFF:
-            said += f"; or {lost} were lost: {cables}"
+            said += f", or, if {lost} were lost, {cables}"
         yield said
     elif check.lost or check.corrupt:
         yield f"{prefix}{lost} lost, {check.corrupt} corrupt: {cables}"
     for i, mean in enumerate(check.mean_rps):
         if math.isnan(mean):
-            yield f"{prefix}gyro {i + 1} gives no valid rate: is the device starting up, or broken?"
+            yield f"{prefix}gyro {i + 1} sends no valid rate. Is the device starting up, or defective?"
         elif abs(mean) > math.radians(20.0):
-            said = f"{prefix}gyro {i + 1} says {math.degrees(mean):.1f} deg/s at rest"
-            yield f"{said}: is its unit or scale as in the bench file?"
+            said = f"{prefix}gyro {i + 1} reads {math.degrees(mean):.1f} deg/s at rest"
+            yield f"{said}. Do unit and scale match the bench file?"

@@ -41,7 +41,7 @@ def driver_link(spec: DeviceSpec, link: str, device: str, time_scale: float = 1.
         return SerialLink(device, serial.port, serial.baud, parity=parity, stop_bits=stop_bits, gather_s=gather_s)
     port = url.port or spec.tcp_port
     if not url.hostname or port is None:
-        raise BenchError(f"{device}: {link!r} is no link it can use: write tcp://host:port, or twin:")
+        raise BenchError(f"{device}: {link!r} is not a link it supports. Write tcp://host:port, or twin:")
     return (url.hostname, port) if spec.opens_links else TcpLink(device, url.hostname, port, _TCP_LIMIT_S * time_scale)
 
 
@@ -69,7 +69,7 @@ def _serial(url: SplitResult, link: str, device: str, baud: int) -> SerialPort:
     options = {key: values[0] for key, values in parse_qs(url.query).items()}
     port = url.path if url.scheme == "serial" else link.partition("?")[0]
     if url.scheme not in ("serial", "socket", "rfc2217") or not (url.path or url.netloc) or not port:
-        raise BenchError(f"{device}: {link!r} is no link it can use: {_BYTE_LINKS}")
+        raise BenchError(f"{device}: {link!r} is not a link it supports: {_BYTE_LINKS}")
     unknown = sorted(set(options) - _SERIAL_OPTIONS)
     parity, stop_bits = options.get("parity", "N").upper(), options.get("stop_bits", "1")
     number = options.get("baud", str(baud))

@@ -41,14 +41,14 @@ class Reopening:
             raise DeviceFault(name, f"{error.message}; when the run began it was {_said(known)}") from None
         before, after = (astuple(one) for one in (self._known.setdefault(name, now), now))
         if any(old != new for old, new in zip(before, after, strict=True) if old and new):
-            other = "another device" if before[:-1] != after[:-1] else "the same device, set otherwise,"
+            other = "a different device" if before[:-1] != after[:-1] else "the same device with other settings"
             told = [
                 f"{_said(Identity(*one))}{f', set to {one[-1]}' * (before[:-1] == after[:-1])}"
                 for one in (before, after)
             ]
-            raise DeviceFault(name, f"{other} answers than when the run began: it was {told[0]}, it is {told[1]}")
+            raise DeviceFault(name, f"{other} answers now: when the run began it was {told[0]}, now it is {told[1]}")
         if any(old and not new for old, new in zip(before, after, strict=True)):
-            raise LinkLost(name, "it does not answer any more what it is")
+            raise LinkLost(name, "the device no longer identifies itself")
         return now
 
     async def restore(self, name: str, lost: Device, error: LinkLost) -> None:
@@ -58,7 +58,7 @@ class Reopening:
         """
         if self._moving():
             raise error
-        self._tell(f"{error}; nothing turns, so it is opened again")
+        self._tell(f"{error}; no axis turns, so the link is reopened")
         limits = BackOff(0.1 * self._scale, 5.0 * self._scale, 60.0 * self._scale)
 
         async def seen() -> None:
@@ -72,14 +72,14 @@ class Reopening:
         try:
             while not tries.done():
                 if self._moving():
-                    raise LinkLost(error.device, f"{error.message}; it was still gone when the table was to turn")
+                    raise LinkLost(error.device, f"{error.message}; it was still missing when the table had to turn")
                 await asyncio.wait({tries}, timeout=_LOOK_S)
             count = tries.result()
         finally:
             tries.cancel()
             self.under_way.discard(error.device)
         self.times[error.device] = self.times.get(error.device, 0) + 1
-        self._tell(f"{error.device}: open again after {count} {'try' if count == 1 else 'tries'}")
+        self._tell(f"{error.device}: reopened after {count} {'try' if count == 1 else 'tries'}")
         for doubt in self.doubts(name):
             self._tell(doubt)
 
@@ -91,14 +91,14 @@ class Reopening:
             await device.open()
             await self.identify(name, device)
         except (LinkLost, BadReply) as error:
-            self._tell(f"{name} could not be asked again at the end whether it is the same device: {error}")
+            self._tell(f"the identity of {name} could not be checked again at the end: {error}")
         finally:
             device.close()
 
     def doubts(self, name: str = "") -> list[str]:
         """Return of which devices, or of this one, nobody knows whether they are still the same."""
         return [
-            f"{lost} tells no serial number: whether it is the same device since its link was lost is not known"
+            f"{lost} reports no serial number, so it may have been exchanged while its link was lost"
             for lost in self.times
             if name in ("", lost) and not self._known[lost].serial
         ]
@@ -106,4 +106,4 @@ class Reopening:
 
 def _said(identity: Identity) -> str:
     parts = [identity.model, f"serial {identity.serial}" if identity.serial else "", identity.firmware]
-    return ", ".join(part for part in parts if part) or "one that did not say what it is"
+    return ", ".join(part for part in parts if part) or "a device without identification"

@@ -137,7 +137,7 @@ class Serving:
             wire = on_tcp(self._twins.faulty(device, make, plug), self._host, port, plug)
             bound = await self._stack.enter_async_context(wire)
         except OSError as error:
-            raise DeviceError("twin", f"cannot listen on {self._host}:{port} ({error}); is the port free?") from None
+            raise DeviceError("twin", f"cannot listen on {self._host}:{port} ({error}). Is the port free?") from None
         return f"tcp://{bound[0]}:{bound[1]}"
 
 

@@ -88,7 +88,7 @@ class Twins:
             await server.serve_forever(background=True)
         except RuntimeError:
             where = f"{address[0]}:{address[1]}"
-            raise DeviceError("table twin", f"cannot listen on {where}; is the port free?") from None
+            raise DeviceError("table twin", f"cannot listen on {where}. Is the port free?") from None
         self._stack.push_async_callback(server.shutdown)
         plug = Plug()
 
@@ -205,7 +205,7 @@ class Twins:
             task.cancel()
             await asyncio.wait({task})
             if not task.cancelled() and (error := task.exception()) is not None:
-                _log.error("a twin has ended by itself: %r", error)
+                _log.error("a twin has ended unexpectedly: %r", error)
 
         self._stack.push_async_callback(end)
         return task

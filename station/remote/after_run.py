@@ -33,7 +33,7 @@ def tell_program(command: Sequence[str], result: Mapping[str, Any], limit_s: flo
             program.communicate(json.dumps(result).encode(), timeout=limit_s)
         except subprocess.TimeoutExpired:
             _end(program)
-            return f"{command[0]} did not end within {limit_s:g} s, and was ended"
+            return f"{command[0]} did not end within {limit_s:g} s and was stopped"
         except KeyboardInterrupt:
             _end(program)
             return f"{command[0]} was ended by Ctrl-C"

@@ -59,11 +59,11 @@ def _objection(folder: Path) -> str:
     if found.st_uid != os.getuid():
         return f"{folder} belongs to somebody else"
     if found.st_mode & 0o077:
-        return f"{folder} is open to others (chmod 700 {folder})"
+        return f"{folder} is accessible to others (chmod 700 {folder})"
     if not os.access(folder, os.W_OK | os.X_OK):
         return f"{folder} cannot be written to"
     if len(os.fsencode(folder)) + 1 + _LONGEST_NAME > _LONGEST_PATH:
-        return f"{folder} is too long a name for a socket"
+        return f"{folder} is too long for the name of a socket"
     return ""
 
 
@@ -123,16 +123,16 @@ class RemoteSession:
                 transport, inbox = await loop.create_unix_connection(_Inbox, str(path))
                 try:
                     if not of_this_user(transport.get_extra_info("socket")):
-                        raise OSError("it is another user's")
+                        raise OSError("it belongs to another user")
                     hello = await inbox.next()
                 except BaseException:
                     transport.abort()
                     raise
         except (OSError, TimeoutError) as error:
-            raise UsageError(f"no session answers at {path}: it has ended ({error or 'no word from it'})") from None
+            raise UsageError(f"no session answers at {path}: it has ended ({error or 'it does not answer'})") from None
         if hello is None or hello.get("kind") != "hello" or hello.get("version") != VERSION:
             transport.abort()
-            why = (hello or {}).get("reason") or "look at it with the version that started it"
+            why = (hello or {}).get("reason") or "open it with the version that started it"
             raise UsageError(sentence("session.other_version", path=path, why=why))
         return cls(transport, inbox, hello)
 

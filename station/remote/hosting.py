@@ -121,7 +121,7 @@ class Host:
     def welcome(self, client: "_Client") -> None:
         """Take in a client: hello, events, and where the run is."""
         if len(self.clients) >= _MOST_CLIENTS:
-            client.transport.write(_refused(f"{_MOST_CLIENTS} others look at this session already"))
+            client.transport.write(_refused(f"{_MOST_CLIENTS} clients watch this session already"))
             client.transport.close()
             return
         self.clients.add(client)
@@ -146,11 +146,11 @@ class Host:
             case {"do": "stop" | "pause" | "resume" as action}:
                 getattr(self._run, action)()
             case {"do": "jog" | "go" | "home"} if late:
-                raise UsageError("it came too late to move the table: say fewer words at once")
+                raise UsageError("the request came too late to move the table: send fewer requests at once")
             case {"do": "jog" | "go" | "home" | "hold" | "end" as action, **given}:
                 self._run.drive(action, cast(Mapping[str, Any], given))
             case {"do": action}:
-                raise UsageError(f"not understood: {str(action)[:40]!r}")
+                raise UsageError(f"unknown request: {str(action)[:40]!r}")
             case _:
                 raise UsageError(sentence("session.not_understood"))
         return b""
@@ -183,7 +183,7 @@ class Host:
             return self._run.snapshot()
         except Exception:
             self._blind = True
-            _log.exception("no snapshot could be made; the run goes on")
+            _log.exception("no snapshot could be made; the run continues")
             return None
 
     def _keep(self, snapshot: Snapshot) -> None:

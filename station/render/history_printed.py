@@ -52,7 +52,7 @@ def _moved(row: Mapping[str, Any]) -> str:
     moves = row["moved"]
     told = [f"{move['state'].partition('_r')[0]} of {move['gyro']} {move['sigmas']:+.1f}" for move in moves]
     more = f" and {len(moves) - _MOST_MOVES} more" if len(moves) > _MOST_MOVES else ""
-    return f"[yellow]![/] {escape(row['file'])} moved: {escape(', '.join(told[:_MOST_MOVES]))}{more} (sigmas of both)"
+    return f"[yellow]![/] {escape(row['file'])} moved: {escape(', '.join(told[:_MOST_MOVES]))}{more} (combined sigmas)"
 
 
 def _width(table: Table, console: Console) -> int:

@@ -102,7 +102,9 @@ def beside_table(asked: Plan, offered: Plan) -> Table:
     for figure in figures:
         heads += [f"{figure.name}\n{figure.unit}", "\nasked"]
     sigmas = rich_table(
-        f"Predicted sigmas with each axis early and late, in {offered.script.least_s:.4g} s", heads, "lrdrdrdrd"
+        f"Predicted sigmas with every axis turned early and late, in {offered.script.least_s:.4g} s",
+        heads,
+        "lrdrdrdrd",
     )
     several = len({gyro.source for gyro in offered.forecast.gyros}) > 1
     for gyro, own, others in zip(offered.forecast.gyros, offered.sd, asked.sd, strict=True):

@@ -173,13 +173,13 @@ def print_verdict(verdict: Verdict, *, details: bool) -> None:
 def next_steps(verdict: Verdict, calibration: Calibration | None, recording: Path) -> list[str]:
     """Return what to do about a verdict, in words."""
     if verdict.outcome in (Outcome.ABORTED, Outcome.FAULT):
-        return ["`station check` asks every device; then run it again"]
+        return ["`station check` tests every device; then repeat the run"]
     if verdict.outcome is Outcome.MANUAL:
-        return ["nothing was judged; `station run` follows a script and calibrates"]
+        return ["nothing was judged. `station run` runs a script and calibrates"]
     remedies = list(dict.fromkeys(line.remedy for line in verdict.broken if line.remedy))
     if verdict.outcome is Outcome.FAIL:
-        return remedies or [f"`station investigate {recording}` looks for what the model lacks"]
-    steps = [f"`station report {recording}` writes certificate or report"]
+        return remedies or [f"`station investigate {recording}` looks for errors that the model misses"]
+    steps = [f"`station report {recording}` writes the certificate or report"]
     if calibration is not None and not_proved(calibration.constancy):
         steps.append("`station plan --early-late` writes a script that proves constancy")
     return steps
@@ -189,7 +189,7 @@ def next_after_report(verdict: Verdict | None, recording: Path) -> list[str]:
     """Return what to do once there is a report, in words: of what passed, take it where it is used."""
     if verdict is not None and verdict.outcome not in (Outcome.PASS, Outcome.ESTIMATED):
         return next_steps(verdict, None, recording)
-    return [f"`station export {recording} --all FOLDER` writes it for firmware and tools"]
+    return [f"`station export {recording} --all FOLDER` writes the calibration for firmware and tools"]
 
 
 def refuse(reason: str, as_json: bool, outcome: Outcome | None = None, recording: str | None = None) -> int:

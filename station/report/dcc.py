@@ -98,7 +98,7 @@ def read_key(key: Path, certificate: Path) -> tuple[Any, str, Any]:
         private, pem = serialization.load_pem_private_key(key.read_bytes(), None), certificate.read_text()
         fits = x509.load_pem_x509_certificate(pem.encode()).public_key() == private.public_key()
         if not fits or not hasattr(private, "private_numbers"):  # Ed25519 has none, which signatures of XML cannot hold
-            raise ValueError("the certificate is that of another key" if not fits else "sign with RSA or ECDSA")
+            raise ValueError("the certificate belongs to another key" if not fits else "sign with RSA or ECDSA")
     except (OSError, ValueError, TypeError) as error:
         raise UsageError(f"--sign {key} --certificate {certificate}: {error}") from None
     return private, pem, SignatureMethod["ECDSA_SHA256" if hasattr(private, "curve") else "RSA_SHA256"]

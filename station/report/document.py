@@ -93,7 +93,7 @@ def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Re
         "made_with": ", ".join([*versions, f"Python {platform.python_version()}"]),
         "titles": [],
     }
-    with laid_out(recorded.path, "what it or its investigation holds cannot be reported ({})"):
+    with laid_out(recorded.path, "its content or its investigation cannot be reported ({})"):
         html = rendered("station.report", "report.html", _MADE_OF | values)
     # Names and texts of recordings, sources and files: whatever they hold, the document steers and reverses nothing.
     return Report(harmless(html), standing, number, hashes, before, not_seen)

@@ -120,7 +120,9 @@ def read_formal(recorded: Recorded, meta: Path | None = None, text: str | None =
         where = decision if decision.has("false_accept") else bench.table("decision", optional=True)
         raise where.fail("false_accept", 'is for rule = "guard band"')
     if (replaced := stated.get("certificate_replaces")) and replaced == stated.get("certificate_number"):
-        raise top.fail_at(f"certificate.replaces: {replaced!r} is the number of this document: give this one a new one")
+        raise top.fail_at(
+            f"certificate.replaces: {replaced!r} is the number of this document. Give this document another number"
+        )
     stated.setdefault("certificate_approved_by", recorded.text("accepted_by") or None)
     stated.setdefault("performed_date", begun and begun.date())
     _check_dates(top, stated, begun)
@@ -147,7 +149,9 @@ def logo_of(path: Path) -> str:
                 picture.load()  # to its end
                 kind = str(picture.format).lower()
     except Exception:  # of each kind its own, for bytes that a stranger chose
-        raise UsageError(f"laboratory.logo: {path} is no picture, or not whole: give a .svg, .png or .jpg") from None
+        raise UsageError(
+            f"laboratory.logo: {path} is not a picture, or incomplete. Give a .svg, .png or .jpg"
+        ) from None
     return f"data:image/{kind};base64,{b64encode(content).decode()}"
 
 
@@ -156,7 +160,9 @@ def _check_dates(top: Table, stated: Mapping[str, Any], begun: datetime | None) 
     day = stated["performed_date"]
     for one in stated.get("equipment", ()):
         if one.calibrated and one.due and one.due < one.calibrated:
-            raise top.fail_at(f"equipment: {one.name} was calibrated on {one.calibrated}, due before that: correct one")
+            raise top.fail_at(
+                f"equipment: {one.name} was calibrated on {one.calibrated}but was due before that. Correct one"
+            )
         if one.calibrated and day and one.calibrated > day:
             raise top.fail_at(
                 f"equipment: {one.name} was calibrated on {one.calibrated}, after this measurement of {day}: "
@@ -164,13 +170,14 @@ def _check_dates(top: Table, stated: Mapping[str, Any], begun: datetime | None) 
             )
     if begun and day and not (begun - timedelta(hours=12)).date() <= day <= (begun + timedelta(hours=14)).date():
         raise top.fail_at(
-            f"performed.date: {day} cannot be, the run began on {begun:%Y-%m-%d} UTC: correct it, or leave it out"
+            f"performed.date: {day} is impossible, since the run began on {begun:%Y-%m-%d} UTC. "
+            "Correct it, or leave it out"
         )
     for first, then in combinations((field for field in _ORDER if stated.get(field)), 2):
         if (stated[first] - stated[then]).days > ("performed_date" in (first, then)):
             own, other = (first, then) if then == "performed_date" else (then, first)
             told = [f"{field.replace('_', '.', 1)}{sign} {stated[field]}" for field, sign in ((own, ":"), (other, ","))]
-            raise top.fail_at(f"{' and '.join(told)}, are in the wrong order: correct one")
+            raise top.fail_at(f"{' and '.join(told)}, are in the wrong order. Correct one")
 
 
 def _facts(top: Table, folder: Path) -> Iterator[tuple[str, Any]]:

@@ -30,7 +30,7 @@ def print_pdf(html: str, pdf: Path) -> bytes:
         def fetch(self, url: str, headers: object = None) -> object:
             if url.startswith("data:") or f"url({url})" in sheet:
                 return super().fetch(url, headers)
-            raise ValueError(f"{url} is named by a picture, which is to lead to no host and no file")
+            raise ValueError(f"{url} is referenced by a picture; pictures must not refer to hosts or files")
 
     document = HTML(string=html.replace("</style>", f"{sheet}</style>", 1), url_fetcher=Fonts())
     content = bytes(document.write_pdf(pdf_variant="pdf/a-3b"))

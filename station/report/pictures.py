@@ -176,7 +176,7 @@ def draw_investigation(path: Path, found: Investigation) -> None:
     """
     views, spectra = judged_views(found.views), judged_spectra(found)
     if not views:
-        raise UsageError("--plot: nothing to draw, the investigation kept no residuals")
+        raise UsageError("--plot: nothing to draw, since the investigation stored no residuals")
     warm = any(view.temperature_c is not None for view in views)
     widths = [1.9, *[1] * (1 + warm + bool(spectra))]
     size = WIDTH_IN + 1.8 * warm, 1.3 * len(views) + 0.8

@@ -22,20 +22,20 @@ class Kind(Enum):
 
     CERTIFICATE = ("Calibration certificate", "")
     SPECIMEN = ("Specimen of a calibration certificate", " of any real device")
-    ELSEWHERE = ("Calibration report", ": no run of the station made the recording")
+    ELSEWHERE = ("Calibration report", ": the recording was not made by a run of the station")
     UNJUDGED = ("Calibration report", ": the recording states no limits, so nothing was judged")
     FAILED = ("Calibration report: not within limits", ": the calibration failed its limits")
-    OVERDUE = ("Calibration report", ": the calibration of an instrument that was used was over, or has no date")
-    NOT_APPROVED = ("Calibration report", ": nobody but the operator approved it, and the bench file asks for another")
+    OVERDUE = ("Calibration report", ": the calibration of an instrument had expired, or has no due date")
+    NOT_APPROVED = ("Calibration report", ": the bench file requires approval by someone other than the operator")
     UNDATED = ("Calibration report", ": no date of measurement is stated ([performed] date)")
     NO_PLACE = (
         "Calibration report",
-        ": it is not stated where it was calibrated ([performed] place, or [laboratory] address)",
+        ": the place of calibration is not stated ([performed] place, or [laboratory] address)",
     )
-    NO_ESTIMATE = ("Report of a failed calibration", ": the run came to no estimate")
+    NO_ESTIMATE = ("Report of a failed calibration", ": the run gave no estimate")
     MANUAL = ("Report of a session in manual mode", ": the table was driven by hand, and nothing was judged")
-    ABORTED = ("Report of an aborted run", ": the run was ended before its time")
-    FAULT = ("Report of a run that ended by a fault", ": a device failed during the run")
+    ABORTED = ("Report of an aborted run", ": the run was ended early")
+    FAULT = ("Report of a run that ended with a fault", ": a device failed during the run")
 
 
 @dataclass(frozen=True, slots=True)

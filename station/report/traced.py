@@ -59,7 +59,7 @@ def read_traced(path: Path | None, recorded: Recorded) -> Traced | None:
     where = path or recorded.path
     if path is not None:
         probe(path)
-    told = "its investigation cannot be read ({}): investigate again"
+    told = "its investigation cannot be read ({}). Investigate again"
     with laid_out(where, told), h5py.File(where, "r") as file:
         if "investigation" not in file:
             if path is None:

@@ -383,9 +383,11 @@ class Acquisition:
     def causes(self) -> list[str]:
         """Return what may have made a run fail beside its gyros: samples at other instants, a late computer."""
         took_s = 2e-9 * self._half_width_ns
-        slow = f"the table took up to {took_s * 1e3:.0f} ms to answer: when it was where is known no better"
+        took_ms = f"{2e-6 * self._half_width_ns:.0f} ms"
+        slow = f"the table answered up to {took_ms} late, so the time of each angle is only known to {took_ms}"
         found = [report.mistimed for report in self.reports.values()]
-        late = f"this computer did not keep up: the run waited for it for up to {self.host.worst_s * 1e3:.0f} ms"
+        behind_ms = f"{self.host.worst_s * 1e3:.0f} ms"
+        late = f"this computer fell behind by up to {behind_ms}. Close other programs or lower --scale"
         found += [slow] * (took_s > _SLOW_S) + [late] * (self.host.worst_s > 0.0)
         return [cause for cause in found if cause]
 

@@ -72,7 +72,7 @@ class Beside:
         if what in self._failed:
             return
         self._failed.add(what)
-        _log.error("%s failed; the run goes on", what, exc_info=error)
+        _log.error("%s failed; the run continues", what, exc_info=error)
         note = sentence("run.beside_failed", what=what, error=f"{type(error).__name__}: {error}")
         self.notes.append(note)
         self._tell(note)

@@ -42,7 +42,7 @@ class Verdict:
 
 
 _UNFINISHED = (Outcome.ABORTED, Outcome.FAULT)
-MANUAL_VERDICT = Verdict(Outcome.MANUAL, "driven by hand: nothing was judged")
+MANUAL_VERDICT = Verdict(Outcome.MANUAL, "driven by hand, so nothing was judged")
 _UNSEEN_HINT = sentence("run.unseen")
 
 
@@ -55,14 +55,14 @@ def judge(calibration: Calibration, limits: Limits | None, causes: Sequence[str]
     """
     unproved = tuple(filter(None, [not_proved(calibration.constancy)]))
     if limits is None or not limits.stated:
-        reasons = ("estimated; there are no limits to judge by", *unproved, *calibration.doubts)
+        reasons = ("estimated; the bench has no limits to compare with", *unproved, *calibration.doubts)
         return Verdict(Outcome.ESTIMATED, "; ".join(reasons))
     lines = [line for line in limit_lines(calibration, limits) if not line.within]
     if lines or calibration.spoilt:
         because, broken = [*causes, *calibration.doubts], [line.broken for line in lines]
         hints = [_UNSEEN_HINT] if any(line.of_u and _mostly_unseen(calibration, line) for line in lines) else []
         return Verdict(Outcome.FAIL, "; ".join([*because, *broken, *hints]), tuple(lines), (*because, *hints))
-    good = "every state, its sigma, the innovations and the losses are within limits"
+    good = "all states, sigmas, innovations and losses are within limits"
     return Verdict(Outcome.PASS, "; but ".join(["; ".join([good, *unproved]), *calibration.doubts]))
 
 
@@ -92,19 +92,19 @@ def judge_recorded(
     if ended is None or ended.outcome is not Outcome.FAIL or judged.outcome is Outcome.FAIL:
         return judged
     if own_rules:
-        return Verdict(Outcome.FAIL, f"the run ended so: {ended.reason}")
-    return replace(judged, reason=f"{judged.reason}; the run itself ended FAIL: {ended.reason}")
+        return Verdict(Outcome.FAIL, f"the run failed: {ended.reason}")
+    return replace(judged, reason=f"{judged.reason}; the run itself failed: {ended.reason}")
 
 
 def _until_then(judged: Verdict) -> str:
     """Return in words what the data of a run come to that did not get to its end."""
     if judged.outcome is Outcome.FAIL:
         first = judged.broken[0].broken if judged.broken else judged.reason
-        more = f", and {len(judged.broken) - 1} more limits not kept" if len(judged.broken) > 1 else ""
-        return f"what was measured until then is not within limits: {first}{more}"
+        more = f", and {len(judged.broken) - 1} more limits exceeded" if len(judged.broken) > 1 else ""
+        return f"the data up to that point exceed the limits: {first}{more}"
     if judged.outcome is Outcome.ESTIMATED:
-        return "what was measured until then was estimated; there are no limits to judge by"
-    return "what was measured until then is within limits, but it is not the whole script"
+        return "the data up to that point were estimated; the bench has no limits to compare with"
+    return "the data up to that point are within limits, but the script is incomplete"
 
 
 def _mostly_unseen(calibration: Calibration, line: LimitLine) -> bool:

@@ -72,10 +72,10 @@ class Sequencer:
         if self.paused:
             return
         if self._index == len(self._spans) - 1:
-            raise UsageError("the last step is under way: the run ends with it")
+            raise UsageError("the last step is running, and the run ends after it")
         self._resumed.clear()
         self.paused = AFTER_THIS_STEP
-        self._tell(f"to be paused after step {self.label!r}")
+        self._tell(f"will pause after step {self.label!r}")
 
     def resume(self) -> None:
         """Go on, or take back a pause that has not begun; UsageError if there is none."""
@@ -87,7 +87,7 @@ class Sequencer:
 
     def obey(self, action: str, given: Mapping[str, Any]) -> None:
         """Raise UsageError: only a ``ManualSequencer`` is driven by words."""
-        raise UsageError("this run follows its script: `station run --manual` begins one that is driven by hand")
+        raise UsageError("this run follows a script. `station run --manual` starts one that is driven by hand")
 
     def commanded(self, axis: str) -> Commanded:
         """Return what an axis was told last."""

@@ -46,9 +46,9 @@ _log = logging.getLogger(__name__)
 
 _STOP_LIMIT_S = 15.0
 _MOST_INTERRUPTIONS = 10  # of the way out, which is gone again after each
-_UNFINISHED = "the run did not end: the station died without closing the file"
+_UNFINISHED = "the run did not end: the station stopped without closing the file"
 _NOTE = "note: "
-_TERMINAL_GONE = "the terminal is gone (SIGHUP): the run goes on"
+_TERMINAL_GONE = "the terminal is gone (SIGHUP): the run continues"
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,9 +228,9 @@ class Session:
         kept = "".join(c for c in " ".join(text.split()) if c.isprintable())
         size, most = len(kept.encode()), TEXT_BYTES - len(_NOTE)
         if not kept or size > most:
-            raise UsageError(f"a note can have 1 to {most} bytes, this one has {size}")
+            raise UsageError(f"a note has 1 to {most} bytes, but this one has {size}")
         if self._acquisition.closed:
-            raise UsageError("the recording is closed: the note was not kept")
+            raise UsageError("the recording is closed already: the note was not saved")
         self._event(EventKind.NOTE, _NOTE + kept)
 
     def _stopped_by(self, who: str) -> str:
@@ -329,7 +329,7 @@ class Session:
             now_s = asyncio.get_running_loop().time()
             where = sequencer.where(now_s)
             self._ended_early = f"{where}: {enough.result()}"
-            self._event(EventKind.SCRIPT, f"ended early {where}: enough seen")
+            self._event(EventKind.SCRIPT, f"ended early {where}: the required sigmas are reached")
         script.cancel()
         enough.cancel()
 
@@ -377,7 +377,7 @@ class Session:
             loop = asyncio.get_running_loop()
             await loop.run_in_executor(None, partial(self._writer.finish, synced=not is_virtual(loop)))
         except RecordingError as error:
-            verdict = replace(verdict, reason=f"{verdict.reason}; the outcome is not in the recording: {error}")
+            verdict = replace(verdict, reason=f"{verdict.reason}; the recording lacks the outcome: {error}")
         reports = tuple(acquisition.reports.values())
         links, notes = self._monitor.link_counts(), tuple(acquisition.beside.notes)
         return Result(verdict, self._writer.path, calibration, agreement, self._ended_early, reports, links, notes)
@@ -402,8 +402,8 @@ class Session:
         _log.debug("the run ended by what no device did", exc_info=first)
         what = f"{type(first).__name__}: {first}"
         if isinstance(first, MemoryError | OSError):
-            need = "more memory" if isinstance(first, MemoryError) else "its disk and its ports looked after"
-            return Verdict(Outcome.ABORTED, f"this computer failed, it needs {need} ({what})")
+            need = "more memory" if isinstance(first, MemoryError) else "its disk and its ports checked"
+            return Verdict(Outcome.ABORTED, f"this computer failed and needs {need} ({what})")
         at = traceback.extract_tb(first.__traceback__)[-1:]
         where = "".join(f" ({Path(frame.filename).name}, line {frame.lineno})" for frame in at)
         return Verdict(Outcome.ABORTED, f"defect of the station, please report it: {what}{where}")

@@ -19,9 +19,9 @@ def parse(text: object, kind: str) -> float:
     example = f'"20 {units[0 if kind == "ratio" else min(1, len(units) - 1)]}"'
     known = ", ".join(units)
     if not isinstance(text, str):
-        raise QuantityError(f"{text!r} has no unit: write a text with one of {known}, for instance {example}")
+        raise QuantityError(f"{text!r} has no unit. Write a text with one of {known}, for instance {example}")
     if (found := split_quantity(text)) is None:
-        raise QuantityError(f"{text!r} is no number with a unit: write for instance {example}")
+        raise QuantityError(f"{text!r} is not a number with a unit. Write for instance {example}")
     number, unit = found
     if unit not in units:
         what = f"unit {unit!r} does not measure {kind}" if unit else "a unit is missing"

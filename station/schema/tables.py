@@ -109,10 +109,10 @@ def _value(key: Key, value: object, folder: Path, each: int) -> Any:
     if key.each:
         values = value if isinstance(value, list) else [value] * each
         if len(values) != each:
-            raise ValueError(f"{len(values)} values where {each} belong: give one for all, or one each")
+            raise ValueError(f"{len(values)} values instead of {each}: give one for all, or one each")
         return tuple(_number(key, one) for one in values)
     if key.bound == "not_blank" and "" in (str(one).strip() for one in (value if isinstance(value, list) else [value])):
-        raise ValueError(f"{value!r} is blank: write it, or leave it out")
+        raise ValueError(f"{value!r} is blank. Fill it in, or leave it out")
     if key.kind == "texts":
         return _texts(key, value)
     if key.kind == "any":
@@ -124,7 +124,7 @@ def _value(key: Key, value: object, folder: Path, each: int) -> Any:
     if key.kind == "date":
         with suppress(ValueError):
             return date.fromisoformat(str(value))  # that of TOML, too
-        raise ValueError(f"{str(value)!r} is no date: write it as 2026-11-23")
+        raise ValueError(f"{str(value)!r} is not a date. Write it as 2026-11-23")
     text = str(typed(value, (str,), "a text"))
     if key.one_of and text not in key.one_of:
         raise ValueError(key.told.format(text) or not_one_of(text, key.one_of))
@@ -184,5 +184,5 @@ def link_of(value: object) -> str:
             raise ValueError(not_one_of(url.scheme, _LINKS))
         _ = url.port
     except ValueError as error:
-        raise ValueError(f"{link!r} is no link it can use ({error}): write tcp://host:port, or twin:") from None
+        raise ValueError(f"{link!r} is not a link it supports ({error}). Write tcp://host:port, or twin:") from None
     return link

@@ -198,7 +198,7 @@ class StationApp(App[None]):
             self.exit()
             return
         answers = [("back", "Back"), ("leave", "Leave it running"), ("stop", "STOP it and leave")]
-        question = "A session runs. It goes on without the screen; `station ui --attach` shows it again."
+        question = "A session is running. It continues without the screen; `station ui --attach` shows it again."
         self.push_screen(AskDialog(question, answers), self._left)
 
     def _left(self, answer: str | None) -> None:
@@ -217,7 +217,7 @@ class StationApp(App[None]):
         others = await sessions_on(prospect.bench, self.choices.bench)
         if self.busy or others:
             said = f"process {others[0]}" if others else "it is on F3"
-            self.notify(f"a session runs on this bench already: {said}", title="Not started", severity="error")
+            self.notify(f"a session is already running on this bench: {said}", title="Not started", severity="error")
             return
         choices = self.choices.by_hand(prospect.all_twins) if prospect.manual else self.choices
         recording = await asyncio.to_thread(lambda: choices.new_recording().absolute())
@@ -247,9 +247,9 @@ class StationApp(App[None]):
         if not text:
             return
         if self.busy and self._link is not None and self._link.note(text):
-            self.notify(text, title="Note sent to the record", markup=False)
+            self.notify(text, title="Note sent to the recording", markup=False)
         else:
-            self.notify(f"no session takes it: {text}", title="Note NOT kept", severity="error", markup=False)
+            self.notify(f"no session accepts it: {text}", title="Note NOT kept", severity="error", markup=False)
 
     def watch_theme(self) -> None:
         """Keep the theme that was chosen, for the next time."""
@@ -305,7 +305,7 @@ class StationApp(App[None]):
         elif found:
             await self._choose()
         else:
-            self.notify("no session runs: prepare one", severity="warning")
+            self.notify("no session is running: prepare one", severity="warning")
             self.switch_mode("prepare")
 
     async def _choose(self, *, quiet: bool = False) -> None:
@@ -313,7 +313,7 @@ class StationApp(App[None]):
         self.others = len(found)
         if found and not (quiet and self.busy):
             lines = [(str(path), _session_words(path, hello)) for path, hello in found]
-            question = "These sessions run. Enter shows one, Escape leaves them alone."
+            question = "These sessions are running. Enter shows one, Escape closes this list."
             self.push_screen(ChooseDialog(question, lines), self._chosen)
         elif not quiet:
             self.notify("no session runs", severity="warning")
@@ -425,7 +425,7 @@ class StationApp(App[None]):
 
 def _session_words(path: Path, hello: Mapping[str, object]) -> str:
     if not hello:
-        return f"process {path.stem}, which does not say what it is"
+        return f"process {path.stem}, which does not identify itself"
     return f"{hello['bench']}, process {path.stem}, {hello['recording']}"
 
 

@@ -169,14 +169,14 @@ def state_drawing(
     rows = list(zip(trend.times_s, trend.values, trend.sds, strict=True))
     scaled = [(t, value[index] * state.factor, sd[index] * state.factor) for t, value, sd in rows]
     if not scaled:
-        return Drawing([*words, ("nothing is known of it yet", "band")], [])
+        return Drawing([*words, ("not estimated yet", "band")], [])
     start, (end, centre, sd) = scaled[0][0], scaled[-1]
     since = -math.inf if days else end - _RECENT * (end - start)
     reach = max(_LEAST_SIGMAS * sd, *(abs(value - centre) + s for t, value, s in scaled if t >= since)) * _MARGIN or 1.0
     times, values, sds = zip(*(row for row in scaled if row[2] < reach), strict=True)
     words.append((state.figure(trend.values[-1][index], trend.sds[-1][index]), "line"))
     if sd > _SHOWN_BY_MOTION * scaled[0][2] and not days:
-        words.append(("no motion has shown it yet", "band"))
+        words.append(("not determined by the motion so far", "band"))
     edges = [Curve(times, [v + sign * s for v, s in zip(values, sds, strict=True)], "band") for sign in (1, -1)]
     curves = [Curve(times, values, sds=sds)] if days else [*edges, Curve(times, values)]
     margin = (0.05 * (end - start) or 1.0) if days else 0.0
@@ -199,7 +199,7 @@ def state_drawing(
 def motion_drawing(axes: Sequence[str], t_s: Any, rates_rps: Any) -> Drawing:
     """Return the rates (N, axes) that a script asks of the axes of a table."""
     styled = list(zip(sorted(range(len(axes)), key=axes.__getitem__), _AXIS_STYLES, strict=False))
-    words = [("rate (deg/s) that the script asks for", ""), *((axes[at], style) for at, style in styled)]
+    words = [("commanded rate (deg/s)", ""), *((axes[at], style) for at, style in styled)]
     return Drawing(words, [Curve(t_s, rates_rps[:, at] * _DEG, style) for at, style in styled], span=(0.0, t_s[-1]))
 
 

@@ -62,7 +62,7 @@ def serve(port: int, words: Sequence[str]) -> int:
     try:
         listening = socket.create_server((_HOST, port))
     except OSError as error:
-        raise UsageError(f"port {port} cannot be had ({error.strerror}): give another to --web") from None
+        raise UsageError(f"port {port} is not available ({error.strerror}). Choose another with --web") from None
     port = listening.getsockname()[1]
     # Whoever can press keys here can turn the table: pages of other sites and other users do not know the key.
     # No cookie holds it: a browser shows cookies to the servers of all ports.
@@ -79,7 +79,7 @@ def serve(port: int, words: Sequence[str]) -> int:
         return web.Response(text=html.replace("NONCE", nonce), content_type="text/html", headers=headers)
 
     async def announce(app: web.Application) -> None:
-        print(f"the screen is at http://{_HOST}:{port}{path}/   (Ctrl-C ends it; a session goes on)", flush=True)
+        print(f"the screen is at http://{_HOST}:{port}{path}/   (Ctrl-C closes it; a session continues)", flush=True)
 
     open_pages: set[asyncio.Task[object]] = set()
 

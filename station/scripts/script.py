@@ -98,13 +98,13 @@ def load_script(path: Path, plugins: Iterable[Path] = ()) -> Script:
 
     ``plugins`` are the Python files of a bench, which may bring kinds of steps.
     """
-    own = Table.load(path, ScriptError, "a script: a script is a .toml file").read_all("script.script")
+    own = Table.load(path, ScriptError, "a script. Give a .toml file").read_all("script.script")
     try:
         known = known_steps(plugins)
     except PluginError as error:
         raise ScriptError(f"{path}: {error}") from None
     if not own["step"]:
-        raise ScriptError(f"{path}: no [[step]] in it; the kinds of steps are {', '.join(known)}")
+        raise ScriptError(f"{path}: it has no [[step]]; the kinds of steps are {', '.join(known)}")
     kinds = [_kind_of(table, known) for table in own["step"]]
     steps = tuple(_read_step(table, kind) for table, kind in zip(own["step"], kinds, strict=True))
     origins = {known.origin(kind.name) for kind in kinds} - {""}

@@ -202,7 +202,7 @@ class Search:
     def _ranked(self, solve: Callable[[Shape], _Solved | None]) -> list[_Solved]:
         """Return the shapes that solve and may be the best, least cost first; of the same cost, fewest moves first."""
         solved = [s for ways in self._combinations() if (s := solve(self._shape(ways))) is not None]
-        self.on_progress(f"{len(solved)} ways to put turns together compared")
+        self.on_progress(f"{len(solved)} combinations of turns compared")
         if not solved:
             return []
         best = min(solved, key=lambda s: s.cost)

@@ -98,10 +98,10 @@ class LimitLine:
         if self.of_u:
             return "Uncertainty too large. Use a longer or better script: `station plan --improve` finds one."
         if self.what == MEAN_NIS:
-            return "Mean NIS: `station investigate` looks for what the model lacks."
+            return "Mean NIS out of range: `station investigate` looks for errors that the model misses."
         if self.what == SAMPLES_LOST:
-            return "Samples lost: `station check` tells of each link."
-        return "" if self.note else "A state is beyond its limit: out of tolerance, or mounted another way."
+            return "Samples lost: `station check` tests each link."
+        return "" if self.note else "A state exceeds its limit: out of tolerance, or mounted differently."
 
 
 def _apart(value: float, bound: float) -> tuple[str, str]:

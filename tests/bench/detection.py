@@ -24,7 +24,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--effects", default="clean,single", help=f"from {', '.join(sorted(known))}")
     parser.add_argument("--sizes", default="1,0.3,0.1", help="1 is plain to see")
     parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--jobs", type=int, help="processes; default: one a core")
+    parser.add_argument("--jobs", type=int, help="processes; default: one per core")
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args(argv)
     if unknown := set(given.effects.split(",")) - known:

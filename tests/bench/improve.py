@@ -30,7 +30,7 @@ def main() -> int:
         missed |= not found["reached"] or length_s > bar_s or took_s > SEARCH_BAR_S
         print(
             f"{name}: {length_s:.1f} s with the sequencer (bar {bar_s:g} s), reached: {found['reached']}; "
-            f"found in {took_s:.1f} s (bar {SEARCH_BAR_S:g} s), {found['compared']} ways to put turns together"
+            f"found in {took_s:.1f} s (bar {SEARCH_BAR_S:g} s), {found['compared']} combinations of turns"
         )
     return int(missed)
 

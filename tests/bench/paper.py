@@ -21,7 +21,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, default=200)
     parser.add_argument("--plot", type=Path, help="draw the convergence of every state (.png, .svg or .pdf)")
     parser.add_argument("--output", "-o", type=Path, help="write the curves and their recording (.h5)")
-    parser.add_argument("--jobs", type=int, help="processes; default: one a core")
+    parser.add_argument("--jobs", type=int, help="processes; default: one per core")
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args(argv)
     if given.plot is not None:

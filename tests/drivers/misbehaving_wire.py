@@ -58,7 +58,7 @@ def _rtu_busy(reply: bytes) -> bytes:
 
 _NOISE = random.Random(1).randbytes(40).replace(b":", b";").replace(b"?", b"!")
 _LOST = "does not answer|no answer|closed|broke|reset|gone"
-_WRONG = "not as|does not answer|no answer|answers|refuses|Modbus exception|not known"
+_WRONG = "violates Modbus|does not answer|no answer|answers|refuse[sd]|Modbus exception|unknown whether"
 
 COMMON = (
     Kind("closed", "closed|reset|broke", ends="close"),  # reset, if something was on its way
@@ -78,9 +78,9 @@ COMMON = (
     Kind("late by 60 ms", late_s=0.06),
 )
 MODBUS = (
-    Kind("byte count too large", "byte count|an echo of something else", _put(8, lambda count: count + 2)),
+    Kind("byte count too large", "byte count|an echo of different data", _put(8, lambda count: count + 2)),
     Kind("byte count too large once", reply=_put(8, lambda count: count + 2), once=True),
-    Kind("byte count too small", "byte count|an echo of something else", _put(8, lambda count: count - 2)),
+    Kind("byte count too small", "byte count|an echo of different data", _put(8, lambda count: count - 2)),
     Kind("wrong function code", "function code", _put(7, lambda code: 4)),
     Kind("wrong function code for good", "function code", _put(7, lambda code: 4), lasting=True),
     Kind("unknown function code", "function code", _put(7, lambda code: 0x2B)),

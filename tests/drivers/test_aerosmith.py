@@ -135,7 +135,7 @@ def test_a_fault_is_told_only_where_its_bits_are_known() -> None:
             made.model.trip("x", "servo trip")
             status = await made.table.status("x")
             assert status.fault == (
-                f"axis x says fault (STA {STA_FAULT + STA_SERVO_OFF}, of which {STA_FAULT} means fault)"
+                f"axis x reports a fault (STA {STA_FAULT + STA_SERVO_OFF}, where {STA_FAULT} means fault)"
             )
             assert "experimental" in status.text
             made.table._fault_mask = 0
@@ -173,9 +173,9 @@ def test_ramps_and_rates_are_whole_numbers() -> None:
     async def main() -> None:
         async with rig("aerosmith") as made:
             await made.table.enable()
-            with pytest.raises(DeviceRefused, match="gentlest ramp of the language is 1 deg/s2"):
+            with pytest.raises(DeviceRefused, match="slowest ramp of this controller is 1 deg/s2"):
                 await made.table.jog("x", 10 * DEG, 0.5 * DEG)
-            with pytest.raises(DeviceRefused, match=r"whole deg/s only, not 10.5"):
+            with pytest.raises(DeviceRefused, match=r"only accepts whole deg/s, not 10.5"):
                 await made.table.move("x", 10 * DEG, 10.5 * DEG, 5 * DEG)
             assert made.model.at_rest()
 

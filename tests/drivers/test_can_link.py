@@ -198,7 +198,7 @@ def test_an_adapter_that_is_unplugged_is_a_lost_link_in_plain_words() -> None:
             pty.unplug()
             with pytest.raises(LinkLost, match=r"^imu: CAN bus slcan:/dev/pts/\d+ failed \([^\n]+\)$"):
                 await receive(link, 1)
-            with pytest.raises(LinkLost, match="does not take frames"):
+            with pytest.raises(LinkLost, match="does not accept frames"):
                 link.send(Frame(0, 1, False, b""))
 
     run(main)
@@ -283,7 +283,7 @@ def test_a_bus_that_cannot_be_opened_is_a_lost_link_in_one_line(
     interface: str, channel: str, options: dict[str, Any]
 ) -> None:
     async def main() -> None:
-        with pytest.raises(LinkLost, match=rf"^imu: cannot open CAN bus {interface}:{channel} \([^\n]+\); is it"):
+        with pytest.raises(LinkLost, match=rf"^imu: cannot open CAN bus {interface}:{channel} \([^\n]+\)\. Is it"):
             await CanLink("imu", interface, channel, options).open()
 
     run(main)

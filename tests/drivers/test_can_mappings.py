@@ -323,7 +323,7 @@ def test_a_mapping_of_ones_own_with_units_that_the_dbc_does_not_state(tmp_path: 
         (OWN_TOML.replace("name", "nam", 1), "name is missing"),
         (OWN_TOML.replace('dbc = "own.dbc"', ""), "dbc is missing"),
         (OWN_TOML.replace("[[sources]]", "[[source]]"), "source: unknown key; did you mean sources?"),
-        (OWN_TOML.split("[[")[0], "needs one [[sources]] or more"),
+        (OWN_TOML.split("[[")[0], "needs at least one [[sources]]"),
         (OWN_TOML + "speed = 1\n", "sources.0.speed: unknown key"),
         (OWN_TOML + "temperature = 3\n", "sources.0.temperature: 3 is not a text"),
         (OWN_TOML + 'acceleration = ["M.X"]\n', "sources.0.acceleration: names 1 signals, not x, y and z"),
@@ -345,16 +345,16 @@ def test_an_unknown_mapping_is_answered_by_those_that_there_are() -> None:
 
 
 def test_a_mapping_must_fit_the_array() -> None:
-    with pytest.raises(MappingError, match=r"imu: the mapping SBG Systems ECAN has 3 gyros, the array 4"):
+    with pytest.raises(MappingError, match=r"imu: the mapping SBG Systems ECAN has 3 gyros, but the array has 4"):
         channels_of(load_mapping("sbg_ecan"), "imu", ("a", "b", "c", "d"))
 
 
 @pytest.mark.parametrize(
     ("more", "message"),
     [
-        ({"counter": "F.Q"}, "Q in own.dbc is no whole number"),
+        ({"counter": "F.Q"}, "Q in own.dbc is not an integer"),
         ({"counter": "M.N", "time": "M.N"}, "has unit '', not s or ms"),
-        ({"temperature": "M.W"}, "own.dbc has no signal M.W: write it as MESSAGE.Signal"),
+        ({"temperature": "M.W"}, "own.dbc has no signal M.W. Write it as MESSAGE.Signal"),
     ],
 )
 def test_signals_that_cannot_be_what_the_mapping_says_are_refused(
@@ -370,7 +370,7 @@ def test_signals_that_cannot_be_what_the_mapping_says_are_refused(
 
 def test_rates_of_one_source_must_be_of_one_message(tmp_path: Path) -> None:
     mapping = own_mapping(tmp_path, OWN_TOML.replace('"M.Z"', '"F.Q"'))
-    with pytest.raises(DeviceError, match="X, Y, Q are rates of one source in several messages"):
+    with pytest.raises(DeviceError, match="X, Y, Q, rates of one source, are in several messages"):
         CanImu(
             ImuSetup("imu", 100.0, 0.5, signals=CanSource(mapping.dbc, channels(mapping))),
             CanLink("imu", "memory", "nowhere", {}),

@@ -321,7 +321,8 @@ def test_a_following_error_switches_the_motor_off_and_is_told() -> None:
             made.model.trip("x", "following error")
             fault = (await made.table.status("x")).fault
             assert (
-                "axis x: its motor has gone off (SC 8, switched off because its following error was too large" in fault
+                "axis x: its motor has switched off (SC 8, switched off because its following error was too large"
+                in fault
             )
 
     virtually(main)
@@ -356,7 +357,7 @@ def test_a_ramp_gentler_than_the_controller_has_is_refused_where_the_axis_is_not
         await table.open()
         await table.enable()
         with pytest.raises(
-            DeviceRefused, match=r"axis x: the controller's gentlest ramp is 1024 counts/s2, 368.6 deg/s2"
+            DeviceRefused, match=r"axis x: the slowest ramp of the controller is 1024 counts/s2, 368.6 deg/s2"
         ):
             await table.jog("x", 20 * DEG, 20 * DEG)
         table.close()

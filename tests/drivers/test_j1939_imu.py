@@ -315,7 +315,7 @@ def test_a_setting_that_the_device_does_not_take_is_said_with_what_it_keeps() ->
     async def main(imu: AceinnaImu, device: AceinnaDevice, bus: MemoryBus) -> None:
         await imu.open()
 
-    with pytest.raises(DeviceRefused, match="imu: setting FF55: asked for 02, the device keeps 01"):
+    with pytest.raises(DeviceRefused, match="imu: setting FF55: requested 02, but the device keeps 01"):
         with_twin(main, rate_hz=50.0, configure=True, obstinate=True)
 
 
@@ -323,7 +323,7 @@ def test_settings_for_a_device_that_is_not_there_end_in_a_lost_link() -> None:
     async def main(imu: AceinnaImu, device: AceinnaDevice, bus: MemoryBus) -> None:
         await imu.open()
 
-    with pytest.raises(LinkLost, match="imu: no answer from J1939 address 0x80 about setting FF55"):
+    with pytest.raises(LinkLost, match="imu: no answer from J1939 address 0x80 to setting FF55"):
         with_twin(main, rate_hz=50.0, configure=True, listening=False)
 
 

@@ -241,7 +241,7 @@ def test_a_drive_that_holds_after_its_quick_stop_is_told_of_and_can_be_used_agai
             assert "seen at rest" in await table.stop()
             status = await table.status("y")
             assert (status.enabled, status.fault) == (False, "")
-            assert "axis y was left in quick stop active: it holds, energised" in status.caution
+            assert "axis y was left in quick stop active, energised and holding" in status.caution
             table.close()
             await table.open()  # the next run
             await table.reset_fault()

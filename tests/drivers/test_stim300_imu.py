@@ -169,8 +169,8 @@ def test_a_wire_that_is_pulled_while_it_is_asked_is_a_lost_link() -> None:
 @pytest.mark.parametrize(
     ("set_to", "bench", "words"),
     [
-        ({"rate_hz": 500}, {}, "sends at 500 Hz, the bench file says rate 2000 Hz.*m 4, then s"),
-        ({"gyro_unit": "increment"}, {"gyro_unit": "rate"}, "gyro unit increment, the bench file says rate.*u g,0"),
+        ({"rate_hz": 500}, {}, "sends at 500 Hz, but the bench file says rate 2000 Hz.*m 4, then s"),
+        ({"gyro_unit": "increment"}, {"gyro_unit": "rate"}, "gyro unit increment, but the bench file says rate.*u g,0"),
         ({"accel_range_g": 30, "identifier": 0x91}, {"accel_range": 10}, "accelerometers of 30 g.*says 10 g"),
     ],
 )
@@ -195,7 +195,7 @@ def test_external_trigger_and_a_gyro_that_is_off_are_refused() -> None:
             await Stim300Imu(imu_setup("stim300", "imu", 2000), near).identify()
 
     virtually(lambda: scene(2, 5 << 5, "external trigger"))
-    virtually(lambda: scene(4, 0x50, "gyro y is off"))
+    virtually(lambda: scene(4, 0x50, "gyro y is switched off"))
 
 
 @pytest.mark.parametrize("rate_hz", [125, 2000])

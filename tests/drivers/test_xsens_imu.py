@@ -344,8 +344,8 @@ def test_a_rate_that_the_device_does_not_have_is_refused_with_what_to_do() -> No
     _, taken, _ = with_twin(1000, twin_hz=400)
     assert isinstance(taken.ended, DeviceRefused)
     assert str(taken.ended) == (
-        "mti: it grants RateOfTurn(Float32) at 400 Hz where 1000 Hz were asked for; "
-        "set the rate in the bench file to one that the device has"
+        "mti: it provides RateOfTurn(Float32) at 400 Hz instead of 1000 Hz. "
+        "Set the rate in the bench file to one that the device supports"
     )
 
 
@@ -370,9 +370,9 @@ def test_what_an_older_device_cannot_be_asked_stays_empty() -> None:
 @pytest.mark.parametrize(
     ("sent", "why"),
     [
-        (b"", "is it powered, and its baud rate that of the link"),
-        (b"\x12\x34\x56", "what comes is no Xbus: is the baud rate that of the device"),
-        (sample(100), "yet it sends data: is the wire to it connected? Only to listen, set configure = false"),
+        (b"", "Is it powered? Does its baud rate match the link"),
+        (b"\x12\x34\x56", "the received data are not Xbus. Does the baud rate match the device"),
+        (sample(100), "yet it sends data. Is the wire to the device connected? To listen only, set configure = false"),
     ],
 )
 def test_a_device_that_does_not_answer_is_known_within_a_second(sent: bytes, why: str) -> None:
@@ -448,8 +448,8 @@ def test_noise_that_looks_like_a_long_message_does_not_hide_an_answer_for_long()
 @pytest.mark.parametrize(
     ("granted", "error", "why"),
     [
-        (b"\x80\x20\x01", BadReply, "is no output configuration"),
-        (encode_outputs([Output(SAMPLE_TIME_FINE, EVERY)]), DeviceRefused, "does not grant RateOfTurn"),
+        (b"\x80\x20\x01", BadReply, "OutputConfiguration is invalid"),
+        (encode_outputs([Output(SAMPLE_TIME_FINE, EVERY)]), DeviceRefused, "does not provide RateOfTurn"),
         (encode_outputs([Output(RATE_OF_TURN, 100)]), DeviceRefused, "neither SampleTimeFine nor PacketCounter"),
     ],
 )
@@ -625,7 +625,7 @@ def test_a_restart_that_the_device_tells_ends_the_run_at_once() -> None:
 
     _, taken, _ = with_twin(prepare=restarting)
     assert isinstance(taken.ended, DeviceFault)
-    assert "it has restarted; check its power supply" in str(taken.ended)
+    assert "it has restarted. Check its power supply" in str(taken.ended)
     assert taken.t_s[-1] < 1.52
 
 

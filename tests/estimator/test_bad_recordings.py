@@ -87,7 +87,7 @@ def test_a_channel_that_saturates_is_named_and_what_it_saw_below_is_used(run: Re
 
     calibration = calibrate(changed(run, spoil))
     assert right(calibration, ALL)
-    assert any("gyro2: saturates at 15 deg/s" in note for note in calibration.notes)
+    assert any("gyro2 saturates at 15 deg/s" in note for note in calibration.notes)
     by_name = {g.name: g for g in calibration.gyros}
     assert by_name["gyro2"].sd[0] > 2 * by_name["gyro1"].sd[0]
 
@@ -131,7 +131,7 @@ def test_a_gyro_that_fails_among_sources_is_seen_when_it_does(run: Recording) ->
 
     calibration = calibrate(by_source(changed(run, spoil)))
     assert all(check.suspect and 199 < check.worst_t_s < 206 for check in calibration.parity)
-    assert any("one of them is wrong" in note for note in calibration.notes)
+    assert any("One of them is wrong" in note for note in calibration.notes)
 
 
 def test_a_fault_beside_a_slower_gyro_is_seen_when_it_happens(run: Recording) -> None:

@@ -101,16 +101,18 @@ def test_a_run_about_one_axis_says_what_it_has_not_seen() -> None:
     # The first gyro's axis is z: its tilts put x and y into its output, about which nothing turned.
     unseen = [note for note in calibration.notes if note.startswith("gyro1:")]
     assert len(unseen) == 2
-    assert any("misalignment sigma_j is not seen by this run" in note for note in unseen)
-    assert any("misalignment sigma_k is not seen by this run" in note for note in unseen)
-    assert all("% of what the data sheet says" in note for note in unseen)
+    assert any("misalignment sigma_j is not determined by this run" in note for note in unseen)
+    assert any("misalignment sigma_k is not determined by this run" in note for note in unseen)
+    assert all("% of the data sheet value" in note for note in unseen)
     assert np.abs(scores(calibration)[0, :2]).max() < 4
 
 
 def test_a_run_at_rest_sees_no_scale_factor() -> None:
     calibration = calibrate(recorded(2, axes=""))
     for gyro in calibration.gyros:
-        assert any(note.startswith(f"{gyro.name}: scale factor error k is not seen") for note in calibration.notes)
+        assert any(
+            note.startswith(f"{gyro.name}: scale factor error k is not determined") for note in calibration.notes
+        )
         assert not any(note.startswith(f"{gyro.name}: bias") for note in calibration.notes)
 
 
@@ -163,20 +165,20 @@ def test_only_samples_within_the_reference_count(run: Recording) -> None:
 
 def test_a_reference_that_does_not_cover_the_samples_is_refused(run: Recording) -> None:
     t_ns = run.sources["array"].t_ns
-    with pytest.raises(RecordingError, match=r"source array has \d+ samples, of which 0 lie within the reference"):
+    with pytest.raises(RecordingError, match=r"source array has \d+ samples, 0 of them with reference data"):
         calibrate(with_data(run, t_ns=t_ns + 10**12))
 
 
 def test_a_rate_reference_that_covers_nothing_is_refused(run: Recording) -> None:
     t_ns = np.arange(100, dtype=np.int64) * 10**9 + 10**15
     for rate in (np.zeros((100, 3)), np.full((100, 3), np.nan)):
-        with pytest.raises(RecordingError, match="of which 0 lie within the reference"):
+        with pytest.raises(RecordingError, match="0 of them with reference data"):
             calibrate(replace(run, reference=RateReadings(t_ns, rate)))
 
 
 def test_a_source_without_numbers_is_refused(run: Recording) -> None:
     data = run.sources["array"]
-    with pytest.raises(RecordingError, match="gyro1: not one sample is a number"):
+    with pytest.raises(RecordingError, match="gyro1: no sample is a valid number"):
         calibrate(with_data(run, rate_rps=np.full_like(data.rate_rps, np.nan)))
 
 

@@ -73,7 +73,7 @@ def test_the_next_device_gets_its_own_sizes_and_states_that_are_right(model: Err
             for gyro, true in zip(calibration.gyros, SECOND, strict=True)
         ]
         assert max(gyro.effects[0].sd for gyro in calibration.gyros) < 1e-4
-        assert not any("not seen" in note for note in calibration.notes)
+        assert not any("does not show these effects" in note for note in calibration.notes)
     assert np.abs(errors).max() < 4
     assert np.sqrt(np.mean(np.square(errors))) < 1.4
     assert np.abs(sizes).max() < 4
@@ -89,7 +89,7 @@ def test_what_the_script_cannot_see_of_an_effect_is_in_the_sigmas_of_the_states(
         assert gyro.sd[0] > 1e-3
         assert [line.name for line in gyro.budget] == ["noise", "effects"]
         assert np.sum([line.u**2 for line in gyro.budget], axis=0) == pytest.approx(gyro.sd**2)
-    assert any("not seen" in note and "scale asymmetry" in note for note in better.notes)
+    assert any("does not show these effects" in note and "scale asymmetry" in note for note in better.notes)
 
 
 def test_runs_that_see_an_effect_and_runs_that_do_not_are_not_said_to_differ(model: ErrorModel) -> None:

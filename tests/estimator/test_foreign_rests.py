@@ -150,4 +150,4 @@ def test_gravity_between_rests_is_said_not_to_be_traced(tmp_path: Path, capsys: 
     run, _ = imported(capsys, tmp_path, TOP + ACCEL + '[reference]\nkind = "gravity"\n')
     code, said = ran(capsys, "investigate", run)
     assert code == EXIT_USAGE
-    assert "nothing is traced" in said
+    assert "no effect can be traced" in said

@@ -106,7 +106,7 @@ def test_a_clock_of_the_day_goes_on_after_midnight(tmp_path: Path, capsys: pytes
 def test_a_heading_with_more_names_than_fields_says_what_to_write(tmp_path: Path) -> None:
     write(tmp_path / "log.csv", "time,t,gx,gy,gz,rx,ry,rz", T_S, outputs(W), W)
     (tmp_path / "mapping.toml").write_text(TOP + RATE)
-    with pytest.raises(RecordingError, match=r"names 8 columns .* have 7 fields: name these by columns = \[...\]"):
+    with pytest.raises(RecordingError, match=r"names 8 columns .* have 7 fields: name them with columns = \[...\]"):
         import_of(tmp_path / "mapping.toml", tmp_path / "log.csv")
 
 
@@ -114,7 +114,7 @@ def test_a_record_in_one_text_is_said_to_be_a_list(tmp_path: Path) -> None:
     binary = DEVICE + '[file]\nformat = "binary"\nrecord = "t f8, gyro 3f4"\n' + TIME
     (tmp_path / "mapping.toml").write_text(binary + GYRO + RATE)
     (tmp_path / "log.bin").write_bytes(b"")
-    with pytest.raises(RecordingError, match="is one text: it is a list"):
+    with pytest.raises(RecordingError, match="must be a list with a text for each column"):
         import_of(tmp_path / "mapping.toml", tmp_path / "log.bin")
 
 
@@ -123,9 +123,9 @@ def test_a_note_on_many_files_is_told_once(tmp_path: Path, capsys: pytest.Captur
     for number, name in enumerate(names):
         write(tmp_path / name, "t,gx,gy,gz,rx,ry,rz", T_S, np.round(outputs(W, number) / 2) * 2, W)
     _, said = recorded(capsys, tmp_path, TOP + RATE, *names)
-    notes = [line for line in said.splitlines() if "x: its steps" in line]
+    notes = [line for line in said.splitlines() if "x: the resolution" in line]
     assert len(notes) == 1, said
-    assert "5 files" in notes[0] or "4 files more" in notes[0]
+    assert "5 files" in notes[0] or "4 more files" in notes[0]
 
 
 @pytest.mark.parametrize("kind", ["csv", "mat"])

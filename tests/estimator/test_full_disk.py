@@ -40,7 +40,7 @@ def fill_and_write(folder: Path) -> None:
         take_a_block()
     writer.append_text("events", {"t_ns": 5}, "text", "table at rest")
     writer.close()
-    with pytest.raises(RecordingError, match="the file is as it was"):
+    with pytest.raises(RecordingError, match="the file is unchanged"):
         write_results(path, "estimate/a", {"states": np.zeros((40_000, 4, 4))}, {})
     write_attributes(path, {"outcome": "FAULT"})
     probe(path)
@@ -49,7 +49,9 @@ def fill_and_write(folder: Path) -> None:
         assert list(file["events/text"]) == [b"table at rest"]
         assert file.attrs["outcome"] == "FAULT"
         assert "estimate" not in file
-    with pytest.raises(RecordingError, match=r"2 MB are kept for closing the file\): make room, or give another place"):
+    with pytest.raises(
+        RecordingError, match=r"2 MB are reserved for closing the file\). Free some " r"space, or choose another disk"
+    ):
         RecordingWriter(folder / "next.h5", {})
     assert sorted(os.listdir(folder)) == ["other", "run.h5"]
 
@@ -85,7 +87,7 @@ def test_a_limit_on_the_size_of_files_leaves_a_recording_that_can_be_read(tmp_pa
     writer = RecordingWriter(path, {})
     resource.setrlimit(resource.RLIMIT_FSIZE, (4_000_000, before[1]))
     try:
-        with pytest.raises(RecordingError, match="raise the limit"):
+        with pytest.raises(RecordingError, match="Raise the limit"):
             write_until_refused(writer)
         writer.append_text("events", {"t_ns": 5}, "text", "table at rest")
         writer.close()

@@ -45,7 +45,11 @@ RECORD = MAPPING.replace(
             'did you mean "t [s]", "gx [deg/s]", "gy [deg/s]", "gz [deg/s]"?',
         ),
         ("made by\nlogger 2\n" + text(heading=tuple(h.upper() for h in HEADING)), MAPPING, 'did you mean "T", "GX"'),
-        (text(np.hstack([ROWS, ROWS[:, 1:2]]), (*HEADING, "gx")), MAPPING, "has 2 columns gx: name all of its columns"),
+        (
+            text(np.hstack([ROWS, ROWS[:, 1:2]]), (*HEADING, "gx")),
+            MAPPING,
+            "has 2 columns called gx. Give every column its own name",
+        ),
         (with_stamps(lambda at: at.strftime("%H:%M:%S.%f")), MAPPING, "t holds '12:00:00.000000': "),
         (
             with_stamps(lambda at: at.strftime("%d/%m/%Y %H:%M:%S.%f")),
@@ -60,10 +64,10 @@ RECORD = MAPPING.replace(
         (text().replace("-", "~", 300), MAPPING, "holds '~"),
         (text(ROWS[::-1]), MAPPING, "has time stamps that run backwards: "),
         (text(ROWS[:1]), MAPPING, "has 1 row to read: record more"),
-        (text(ROWS * ([1e6] + [1] * 6)), MAPPING, "samples are 10000 s apart by [time]: correct its unit"),
-        (text(ROWS * ([1e9] + [1] * 6) + ([1.7e18] + [0] * 6), spec="%.0f"), MAPPING, "correct its unit"),
-        (b"PK\x03\x04" + np.random.default_rng(2).bytes(5000), MAPPING, "is a spreadsheet or an archive: save its"),
-        (ROWS.astype("<f8").tobytes(), MAPPING, 'is no text: write format = "binary" with its record'),
+        (text(ROWS * ([1e6] + [1] * 6)), MAPPING, "samples are 10000 s apart according to [time]. Correct its unit"),
+        (text(ROWS * ([1e9] + [1] * 6) + ([1.7e18] + [0] * 6), spec="%.0f"), MAPPING, "Correct its unit"),
+        (b"PK\x03\x04" + np.random.default_rng(2).bytes(5000), MAPPING, "is a spreadsheet or an archive. Save its"),
+        (ROWS.astype("<f8").tobytes(), MAPPING, 'is not a text file. Write format = "binary" with its record'),
         (ROWS.astype("<f4").tobytes(), RECORD, "check record"),
     ],
     ids=range(14),
@@ -87,21 +91,23 @@ def test_words_for_nothing_are_blanks(tmp_path: Path) -> None:
 
 def test_stamps_in_another_unit_are_told_where_they_could_be_true(tmp_path: Path) -> None:
     run = imported(*written(tmp_path, MAPPING, text(ROWS * ([1e3] + [1] * 6))))
-    assert any("samples are 10 s apart by [time]: if that is not so, correct its unit" in note for note in run.notes)
+    assert any(
+        "samples are 10 s apart according to [time]. If that is wrong, correct its unit" in note for note in run.notes
+    )
 
 
 def test_a_reference_that_stands_still_under_gyros_that_turn_is_told(tmp_path: Path) -> None:
     run = imported(*written(tmp_path, MAPPING, text(ROWS * ([1] * 4 + [0] * 3))))
-    assert sum("its output hardly follows the reference" in note for note in run.notes) == 3
+    assert sum("the output hardly follows the reference" in note for note in run.notes) == 3
 
 
 def test_an_output_in_another_unit_is_told_with_the_unit(tmp_path: Path) -> None:
     run = imported(*written(tmp_path, MAPPING, text(np.column_stack([T, np.radians(ROWS[:, 1:4]), BODY]), spec="%.9f")))
-    assert any("as in rad/s: check unit and count in [gyro]" in note for note in run.notes)
+    assert any("as in rad/s. Check unit and count in [gyro]" in note for note in run.notes)
 
 
 def test_coarse_steps_are_told(tmp_path: Path) -> None:
     coarse = np.round(ROWS[:, 1:4] / 0.57) * 0.57
     run = imported(*written(tmp_path, MAPPING, text(np.column_stack([T, coarse, BODY]))))
-    assert any("its steps of 0.57 deg/s are coarser than its noise" in note for note in run.notes)
+    assert any("the resolution of 0.57 deg/s is coarser than the noise" in note for note in run.notes)
     assert not any("coarser" in note for note in imported(*written(tmp_path, MAPPING, text())).notes)

@@ -42,7 +42,7 @@ def test_an_effect_that_the_script_cannot_show_is_in_the_sigmas_unless_it_is_rul
     expected = calibrate(recording, excluded=frozenset())
     assert np.abs(scores(expected)).max() < 2.5
     assert unseen(expected)[:, 0].min() > 500e-6
-    assert any("cannot show, mostly" in note and "scale asymmetry" in note for note in expected.notes)
+    assert any("cannot show, mainly" in note and "scale asymmetry" in note for note in expected.notes)
     without = calibrate(recording, excluded=frozenset({"scale_asymmetry", "scale_quadratic", "scale_cubic"}))
     assert unseen(without)[:, 0].max() < 0.8 * unseen(expected)[:, 0].min()
 
@@ -119,7 +119,7 @@ def test_noise_that_grows_with_the_rate_is_told_and_what_is_slow_counts_for_more
 
 def test_states_are_stated_for_their_conditions() -> None:
     said = calibrate(with_hidden({"temperature": {"rise": "8 degC", "time_constant": "250 s"}})).holds_for
-    assert "0 to 20 about x, 0 to 20 about y, 0 to 20 about z deg/s (x, y, z in one direction)" in said
+    assert "0 to 20 deg/s about x, 0 to 20 deg/s about y, 0 to 20 deg/s about z (x, y, z in one direction)" in said
     assert "25.0 to 31." in said
     assert "0 to 360 s" in said
 

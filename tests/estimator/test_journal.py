@@ -446,7 +446,7 @@ def test_a_journal_of_another_run_is_named_and_nothing_is_touched(
     relabelled(path, "0" * 32)
     before = {file.name: file.read_bytes() for file in path.parent.iterdir()}
     assert rows_of(path) == 30
-    assert "it is of another run than run.h5" in caplog.text
+    assert "it belongs to another run than run.h5" in caplog.text
     assert {file.name: file.read_bytes() for file in path.parent.iterdir()} == before
 
 
@@ -513,7 +513,7 @@ def test_a_stranger_who_locks_the_folder_does_not_keep_the_reader_waiting_for_ev
     monkeypatch.setattr("estimator.recordings.recovery._PATIENCE_S", 0.05)
     folder = os.open(path.parent, os.O_RDONLY)
     fcntl.flock(folder, fcntl.LOCK_EX)
-    with pytest.raises(RecordingError, match="another program holds the folder"):
+    with pytest.raises(RecordingError, match="another program has locked the folder"):
         read_recording(path)
     os.close(folder)
     assert rows_of(path) == 60

@@ -284,7 +284,7 @@ def test_an_empty_file_is_refused(tmp_path: Path) -> None:
 
 def test_a_text_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "text.h5").write_text("t,x,y,z\n0,1,2,3\n")
-    with pytest.raises(RecordingError, match="it is not an HDF5 file; bring foreign data in with `station import`"):
+    with pytest.raises(RecordingError, match="it is not an HDF5 file. Import external data with `station import`"):
         read_recording(tmp_path / "text.h5")
 
 
@@ -299,7 +299,7 @@ def test_a_file_cut_short_is_refused(path: Path, share: float) -> None:
 def test_a_foreign_hdf5_file_is_refused(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "foreign.h5", "w") as file:
         file["gyro"] = np.zeros((10, 3))
-    with pytest.raises(RecordingError, match=r"is an HDF5 file, but no recording: .*`station import`"):
+    with pytest.raises(RecordingError, match=r"is an HDF5 file but not a recording: .*`station import`"):
         read_recording(tmp_path / "foreign.h5")
 
 
@@ -310,7 +310,9 @@ def test_a_later_or_unknown_format_version_is_refused(path: Path, version: objec
         if version is not None:
             file.attrs["format_version"] = version
 
-    with pytest.raises(RecordingError, match=f"format version {version}, this program reads up to {FORMAT_VERSION}"):
+    with pytest.raises(
+        RecordingError, match=f"format version {version}, but this program reads versions up to {FORMAT_VERSION}"
+    ):
         read_recording(changed(path, change), trusted=True)
 
 
@@ -349,8 +351,8 @@ def test_rates_of_a_table_that_tells_only_angles_come_from_these(tmp_path: Path)
         ("imu/a/rate_rps", np.zeros((200, 2)), "2 channels but 3 sense axes"),
         ("imu/a/t_ns", np.zeros((200, 2)), "t_ns must have 1 dimensions, it has 2"),
         ("imu/a/rate_rps", np.array([b"fast"] * 200), "rate_rps is not numeric"),
-        ("table/angle_rad", np.zeros((40, 2)), "one column an axis"),
-        ("table/rate_rps", np.zeros((1, 3)), "two rows or more"),
+        ("table/angle_rad", np.zeros((40, 2)), "one column per axis"),
+        ("table/rate_rps", np.zeros((1, 3)), "two or more rows"),
     ],
 )
 def test_a_dataset_of_another_shape_is_refused(path: Path, name: str, values: Any, complaint: str) -> None:

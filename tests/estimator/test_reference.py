@@ -105,5 +105,5 @@ def test_sigmas_against_attitudes_are_true_whether_the_error_is_white_or_not(err
 
 
 def test_a_coloured_residual_is_told() -> None:
-    assert any("no white noise" in note for note in calibrate(swinging(1, 0.9)).notes)
-    assert not any("no white noise" in note for note in calibrate(swinging(1, 0.0)).notes)
+    assert any("the residual is not white" in note for note in calibrate(swinging(1, 0.9)).notes)
+    assert not any("the residual is not white" in note for note in calibrate(swinging(1, 0.0)).notes)

@@ -117,7 +117,7 @@ def test_what_does_not_lower_the_error_on_the_verification_run_is_taken_back() -
     found = investigate(first_gyros(1, calibration, exploration), first_gyros(1, without))
     assert not found.added
     assert found.taken_back == ("scale_asymmetry",)
-    assert any("taken back" in note for note in found.notes)
+    assert any("but removed" in note for note in found.notes)
 
 
 @pytest.mark.full  # the short form is the command's, in tests/station

@@ -81,7 +81,7 @@ def test_a_recording_that_exists_is_refused_before_anything_is_opened(
     there.write_bytes(b"mine")
     assert main(["run", "--output", str(there), *more]) == 2
     said = capsys.readouterr().err
-    assert f"{there} is there already" in said
+    assert f"{there} exists already" in said
     assert "errno" not in said
     assert there.read_bytes() == b"mine"
     assert not [w for w in recwarn.list if "never awaited" in str(w.message)]

@@ -75,7 +75,7 @@ def test_a_driver_that_fails_whenever_a_run_is_to_end_is_told_without_a_tracebac
     found = json.loads(capsys.readouterr().out)
     assert (found["outcome"], code) == ("ABORTED", 3)
     assert "nothing is left to flush (failing_imu.py" in found["reason"]
-    assert "could not be ended in order" in found["reason"]
+    assert "did not end properly" in found["reason"]
     with h5py.File(recording) as file:
         assert file.attrs["outcome"] == "ABORTED"
         assert file.attrs["reason"] == found["reason"]
@@ -93,7 +93,7 @@ def test_a_driver_that_fails_to_tell_its_counts_or_its_clock_ends_no_run(
     found = json.loads(printed.out)
     assert (found["outcome"], code) == ("PASS", 0), found["reason"]
     assert printed.err.count(f"note: {what} failed") == 1
-    assert "the run goes on" in printed.err
+    assert "the run continues" in printed.err
     with h5py.File(recording) as file:
         texts = [text.decode() for text in file["events/text"][:]]
     assert sum(text.startswith(f"{what} failed") for text in texts) == 1

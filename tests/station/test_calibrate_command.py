@@ -35,7 +35,7 @@ def test_without_limits_nothing_passes_and_doubts_are_in_the_reason(
     assert main(["calibrate", str(recorded(tmp_path / "a.h5")), "--json"]) == 0
     good = json.loads(capsys.readouterr().out)
     assert good["outcome"] == "ESTIMATED"
-    assert re.fullmatch("estimated; there are no limits to judge by; constancy not proved.*", good["reason"])
+    assert re.fullmatch("estimated; the bench has no limits to compare with; constancy not proved.*", good["reason"])
     assert [axis["axis"] for axis in good["constancy"]] == ["x", "y", "z"]
     assert {"gearing"}.isdisjoint(good["constancy"][0]["concerns"])
     assert good["doubts"] == []
@@ -47,7 +47,7 @@ def test_without_limits_nothing_passes_and_doubts_are_in_the_reason(
     assert main(["calibrate", str(tmp_path / "a.h5"), "--details"]) == 0
     printed = capsys.readouterr().out
     assert "ESTIMATED" in printed
-    assert "holds for: rates of" in printed
+    assert "Valid for rates of" in printed
     assert "effects that this script cannot show (type B)" in printed
 
 
@@ -69,4 +69,4 @@ def test_limits_that_undeclared_effects_break_are_told_with_what_would_help(
     bench = tmp_path / "bench.toml"
     bench.write_text(default_bench_text().replace('effects = "none"', ""))
     assert main(["calibrate", str(recorded(tmp_path / "a.h5")), "--bench", str(bench), "--json"]) == 1
-    assert "the section undeclared of the bench file" in json.loads(capsys.readouterr().out)["reason"]
+    assert "in [undeclared] of the bench file" in json.loads(capsys.readouterr().out)["reason"]

@@ -119,7 +119,7 @@ def test_a_gap_in_a_capture_of_a_stim300_keeps_its_length(tmp_path: Path) -> Non
 def test_a_stim300_that_does_not_say_what_it_puts_out_is_told(tmp_path: Path) -> None:
     (tmp_path / "log.bin").write_bytes(encode(datagrams(300, np.ones((300, 3)))))
     imported(tmp_path, STIM300, tmp_path / "log.bin")
-    assert "nothing in it says what the gyros put out: a rate is taken, else state gyro_output in [file]" in told(
+    assert "the kind of gyro output is not stated, so a rate is assumed. Otherwise state gyro_output in [file]" in told(
         tmp_path
     )
 
@@ -190,7 +190,7 @@ def test_a_log_of_candump_is_read_by_the_signals_of_a_dbc(tmp_path: Path, style:
     np.testing.assert_allclose(data.t_ns * 1e-9, np.arange(150) / 100, atol=1e-6)
     assert data.accel_mps2 is not None
     np.testing.assert_allclose(data.accel_mps2[:, 1], np.arange(150) / 256, atol=1e-6)  # the lost one is interpolated
-    assert "damaged frames are left out" in told(tmp_path)
+    assert "damaged frames were skipped" in told(tmp_path)
 
 
 # --- what cannot be read
@@ -206,7 +206,7 @@ def test_a_log_of_candump_is_read_by_the_signals_of_a_dbc(tmp_path: Path, style:
             "line 9: file.gyro_output: 'turns' is not one",
         ),
         (CANDUMP.replace("xsens_mti600", "none"), "line 8: file.dbc: no CAN mapping none: give one of aceinna"),
-        (CANDUMP.replace("gyrX", "gyro_x", 1), "has no signal XCDI_RateOfTurn.gyro_x: write it as MESSAGE.Signal"),
+        (CANDUMP.replace("gyrX", "gyro_x", 1), "has no signal XCDI_RateOfTurn.gyro_x. Write it as MESSAGE.Signal"),
     ],
 )
 def test_a_capture_that_cannot_be_read_says_why(

@@ -104,7 +104,7 @@ def test_a_person_reads_a_table_with_a_line_for_each_device(capsys: pytest.Captu
         "stim300: 500.0 Hz, 0 lost",
         "link: 1 opened, ",
         "up to 100 deg/s",
-        "everything answers",
+        "every device answers",
     ):
         assert text in printed.out
     assert "checking table" in printed.err
@@ -152,7 +152,7 @@ def test_a_table_that_turns_is_told_of_and_left_alone(tmp_path: Path) -> None:
             await asyncio.sleep(1.0)
             found = await check_bench(opened)
             (wrong,) = found[0].wrong
-            assert wrong.startswith("axis y is enabled and turns at 5.00 deg/s, and not by this station")
+            assert wrong.startswith("axis y is enabled and turns at 5.00 deg/s, but this station does not drive it")
             assert not opened.at_rest()
 
     with asyncio.Runner(loop_factory=VirtualLoop) as runner:
@@ -169,7 +169,7 @@ def test_a_silent_table_is_named_and_the_devices_are_looked_at_nevertheless(
     assert devices["stim300"]["sources"]
     said = wrong(devices, "table")
     assert "axis z (unit id 3) does not answer within 0.4 s" in said
-    assert "are protocol, link, baud rate, parity and the axes' addresses those of the controller?" in said
+    assert "Do protocol, link, baud rate, parity and axis addresses match the controller?" in said
     assert "exchanged" not in said
 
 
@@ -182,7 +182,7 @@ def test_a_silent_device_is_named_with_what_to_look_at(
     assert code == 4
     assert devices[device]["sources"] == []
     assert "powered" in wrong(devices, device)
-    assert "are protocol, link, baud rate or channel those of the device?" in wrong(devices, device)
+    assert "Do protocol, link, baud rate or channel match the device?" in wrong(devices, device)
 
 
 def test_a_faulty_axis_is_told_of_with_its_code_and_the_way_out(
@@ -191,7 +191,7 @@ def test_a_faulty_axis_is_told_of_with_its_code_and_the_way_out(
     code, devices = checked(capsys, made(tmp_path, "rtu_stim300", more='\n[twin.fault]\naxis = "y"\nat = "0 s"\n'))
     assert code == 4
     assert "axis y is in fault (statusword 0x" in wrong(devices, "table")
-    assert "clear its cause, then run with --reset-fault" in wrong(devices, "table")
+    assert "clear the cause, then run with --reset-fault" in wrong(devices, "table")
 
 
 @pytest.mark.parametrize(
@@ -206,7 +206,7 @@ def test_a_source_at_another_rate_than_the_bench_file_says_is_told_of(
     for source in devices[device]["sources"]:
         assert source["rate_hz"] == pytest.approx(1.05 * rate_hz, rel=0.015)
     said = wrong(devices, device)
-    assert f"Hz, the bench file says {rate_hz} Hz: set one to the other" in said
+    assert f"Hz, but the bench file says {rate_hz} Hz. Correct one" in said
 
 
 def test_lost_samples_are_counted_and_the_cable_is_pointed_to(
@@ -218,7 +218,7 @@ def test_lost_samples_are_counted_and_the_cable_is_pointed_to(
     (source,) = devices["stim300"]["sources"]
     assert 1 <= source["lost"] <= 40
     assert f"{source['lost']} of {source['samples'] + source['lost']} samples lost" in wrong(devices, "stim300")
-    assert "look at cable" in wrong(devices, "stim300")
+    assert "check cable" in wrong(devices, "stim300")
 
 
 @on_wires
@@ -227,8 +227,8 @@ def test_exchanged_links_are_suspected() -> None:
     with TwinProcess("--bench", bench, "--scale", SCALE) as twin:
         table, device = twin.links["table"], twin.links["stim300"]
         devices = checked_on_wires(bench, f"table={device}", f"stim300={table}")
-    assert "stim300 cannot be understood either: are their links exchanged?" in devices["table"]["wrong"]
-    assert "table cannot be understood either: are their links exchanged?" in devices["stim300"]["wrong"]
+    assert "stim300 sends unknown data, too. Are their links swapped?" in devices["table"]["wrong"]
+    assert "table sends unknown data, too. Are their links swapped?" in devices["stim300"]["wrong"]
 
 
 @on_wires
@@ -238,8 +238,8 @@ def test_another_protocol_at_the_other_end_is_suspected(tmp_path: Path) -> None:
     with TwinProcess("--bench", BENCHES / "acutrol_vectornav.toml", "--scale", SCALE) as twin:
         devices = checked_on_wires(bench, f"table={twin.links['table']}", f"mti={twin.links['vn100']}")
     for name in ("table", "mti"):
-        assert any("are protocol, link, baud rate" in line for line in devices[name]["wrong"])
-    assert any("what comes is no Xbus" in line for line in devices["mti"]["wrong"])
+        assert any("Do protocol, link, baud rate" in line for line in devices[name]["wrong"])
+    assert any("the received data are not Xbus" in line for line in devices["mti"]["wrong"])
 
 
 @on_wires

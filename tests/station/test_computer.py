@@ -120,8 +120,8 @@ def _interface(kind: str, *flags: str, **data: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("described", "text", "command"),
     [
-        ({}, "is not there", "ip -brief link show type can"),
-        (_interface("bridge", "UP"), "is no CAN interface", "ip -brief link show type can"),
+        ({}, "does not exist", "ip -brief link show type can"),
+        (_interface("bridge", "UP"), "is not a CAN interface", "ip -brief link show type can"),
         (_interface("can"), "has no bit rate", "sudo ip link set can0 up type can bitrate 500000 restart-ms 100"),
         (
             _interface("can", bittiming={"bitrate": 1000000}),
@@ -203,7 +203,7 @@ def test_check_tells_of_the_computer_in_words_and_as_json(capsys: pytest.Capture
     computer = json.loads(capsys.readouterr().out)["computer"]
     assert [each["about"] for each in computer if each["wrong"]] == ["/dev/ttyUSB97"]
     assert main(["check", *link]) == 4
-    assert "/dev/ttyUSB97 is not there" in capsys.readouterr().out
+    assert "/dev/ttyUSB97 does not exist" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("module", ["fcntl", "termios", "resource"])
@@ -231,4 +231,4 @@ def test_a_system_that_names_no_peers_runs_and_says_so(
     script.write_text('[[step]]\nkind = "rest"\nduration = "9 s"\n')
     output = str(tmp_path / "run.h5")
     assert main(["run", "--host", "--scale", "20", "--script", str(script), "-o", output]) in (0, 1)
-    assert "does not tell who connects" in capsys.readouterr().err
+    assert "does not identify the user" in capsys.readouterr().err

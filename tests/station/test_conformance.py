@@ -90,9 +90,15 @@ def test_what_is_wrong_with_a_description_is_told_before_anything_is_tried(
             "[new] * self._lsb",
             "[new] * 2 * self._lsb",
             "units",
-            "says 40.00 deg/s where it turns at 20.00",
+            "says 40.00 deg/s while it turns at 20.00",
         ),
-        ("counted_imu", "1 / setup.rate_hz, 1", "1.1 / setup.rate_hz, 1", "clock", "sample times do not always go up"),
+        (
+            "counted_imu",
+            "1 / setup.rate_hz, 1",
+            "1.1 / setup.rate_hz, 1",
+            "clock",
+            "sample times do not always increase",
+        ),
         ("counted_imu", "ImuBlock(t_ns, arr", "ImuBlock(t_ns - 50_000_000, arr", "clock", "are [45]. ms too early"),
         ("counted_imu", "counts = self._clock.counts", "counts = SourceCounts()", "loss", "and 0 were counted as lost"),
         (
@@ -164,7 +170,7 @@ def test_a_driver_that_never_comes_back_is_told_with_its_line(tmp_path: Path, fo
         text.replace("            block = self._block(", f"            {forever}\n            block = self._block(")
     )
     (spec,) = records_of(load_file(path), ImuSpec)
-    assert re.search("does not come back within 1 s", complaint(spec, "units", [path], within_s=1))
+    assert re.search("does not return within 1 s", complaint(spec, "units", [path], within_s=1))
 
 
 def test_what_follows_from_a_wrong_unit_is_not_told_as_more_faults(
@@ -175,7 +181,7 @@ def test_what_follows_from_a_wrong_unit_is_not_told_as_more_faults(
     assert main(["conformance", str(path)]) == 1
     said = capsys.readouterr().out.splitlines()
     assert [line for line in said if line.startswith("FAIL")] == [said[0]]
-    assert "skip  counted, clock: it judges by rates, and units fails" in said
+    assert "skip  counted, clock: it needs correct rates, and units fails" in said
 
 
 @pytest.mark.parametrize(

@@ -189,7 +189,7 @@ def test_what_nobody_stated_is_listed_with_the_place_where_it_is_stated(
     meta.write_text(META.replace('"CH"', '"Switzerland"'), encoding="utf-8")
     assert main(["report", str(run), "--dcc", "--meta", str(meta), "-o", str(tmp_path / "c.html")]) == 2
     assert (
-        "laboratory.country: 'Switzerland' is no country of ISO 3166-1: write two capital letters"
+        "laboratory.country: 'Switzerland' is not a country code of ISO 3166-1. Write two capital letters"
         in capsys.readouterr().err
     )
     assert not list(tmp_path.glob("c.*"))  # said before the work, and nothing is left half done

@@ -42,15 +42,15 @@ def test_a_bench_of_two_described_imus_runs_and_passes(tmp_path: Path, capsys: p
         (CSV, 'rate = "deg/s"\n', "", r"line 4: units: rate is missing: give one of deg/s, rad/s"),
         (CSV, '"deg/s"', '"deg"', r"line 5: units.rate: 'deg': give one of deg/s"),
         (CSV, "columns", "colums", r"line 6: line: columns is missing"),
-        (CSV, "[line]", "[lines]", r"needs a table \[frame\] or a table \[line\]"),
+        (CSV, "[line]", "[lines]", r"needs either a table \[frame\] or a table \[line\]"),
         (CSV, "[units]", 'time = "gy"\n[units]', r"line 5: units: time is missing: give one of s, ms, us, ns"),
         (
             CSV,
             "[units]",
             'counter = "gz"\ntime = "gy"\n[units]\ntime = "s"',
-            r"line 5: time: give a counter or a time",
+            r"line 5: time: give either a counter or a time",
         ),
-        (CSV, 'columns = ["gx", ', 'columns = ["gx", "gx", ', r"line 7: line.columns: a name is there twice"),
+        (CSV, 'columns = ["gx", ', 'columns = ["gx", "gx", ', r"line 7: line.columns: a name occurs twice"),
         (HI91, '"5A A5', '"5A A', r"line \d+: frame.sync: .* write bytes in hex"),
         (HI91, "XMODEM", "XMODEN", r"line \d+: frame.check.name: give one of .*CRC-16/XMODEM"),
         (
@@ -76,13 +76,13 @@ def test_a_bench_of_two_described_imus_runs_and_passes(tmp_path: Path, capsys: p
             "bits = 8, polynomial = 0x107",
             r"frame.check.polynomial: 0x107: give 8 bits",
         ),
-        (CSV, "[line]", '[line]\nseparator = ""', r"line 7: line.separator: give what stands between"),
-        (HI91, 'time = "system_time"', 'time = "pressure"', r"line \d+: time: pressure is no whole number"),
+        (CSV, "[line]", '[line]\nseparator = ""', r"line 7: line.separator: give the separator between"),
+        (HI91, 'time = "system_time"', 'time = "pressure"', r"line \d+: time: pressure is not an integer"),
         (
             HI91,
             '{ text = "LOG ENABLE\\r\\n" }',
             '{ text = "LOG", hex = "00" }',
-            r"start.1: needs text or hex",
+            r"start.1: needs either text or hex",
         ),
     ],
 )
@@ -109,7 +109,7 @@ def test_the_guide_shows_what_ships() -> None:
 def test_a_frame_that_nothing_tells_from_garbage_is_refused(tmp_path: Path) -> None:
     text = 'rate = "g"\nunits.rate = "deg/s"\n[frame]\nsync = "AA ??"\nbytes = 4\nfields.g = { at = 2, type = "i16" }\n'
     (tmp_path / "imu.toml").write_text(text)
-    with pytest.raises(DescriptionError, match=r"line 4: frame.sync: .* give 2 bytes or more in"):
+    with pytest.raises(DescriptionError, match=r"line 4: frame.sync: .* give at least 2 bytes in"):
         load_description("imu.toml", tmp_path)
 
 
@@ -119,7 +119,7 @@ def test_a_bench_names_what_is_wrong_with_its_description(tmp_path: Path) -> Non
     with pytest.raises(BenchError, match=r"line \d+: imu.0.description: no description none: give one of csv"):
         load_bench(path)
     path.write_text(BENCH.replace('array = "triad"', 'array = "tetrahedron"', 1))
-    with pytest.raises(BenchError, match=r"line \d+: imu.0.array: the description has 3 gyros, this array 4"):
+    with pytest.raises(BenchError, match=r"line \d+: imu.0.array: the description has 3 gyros, but this array has 4"):
         load_bench(path)
 
 

@@ -24,7 +24,7 @@ from estimator.effects.effect import EffectError, Parameter, Record
         (Record(name="mine", parameters=(Parameter("a", "rad/s", -1.0),), law="u"), "size of a is -1.0"),
         (
             Record(name="mine", parameters=(Parameter("a", "rad/s", "1"),), law="u"),
-            "size of a is '1': give a number above 0",
+            "size of a is '1'. Give a number above 0",
         ),  # type: ignore[arg-type]
         (
             Record(name="mine", parameters=(Parameter("a", "rad/s", 1.0),), law="u", suspected_of="rate"),  # type: ignore[arg-type]

@@ -592,7 +592,7 @@ def test_a_law_of_a_tables_axes_is_named_with_the_reason_where_it_is_left_out(
     for form in ("c", "python", "json"):
         text = export(path, form).read_text(encoding="utf-8")
         assert "bias proportional to cos of (2 times angle of axis x)" in text, form
-        assert "away from that table" in text
+        assert "and is absent elsewhere" in text
     assert "bias proportional to the square of the rate about the sense axis: it is not corrected" in (
         export(path, "ros").read_text(encoding="utf-8")
     )
@@ -680,7 +680,7 @@ def test_bad_input_is_refused_with_what_to_do(
     path.write_bytes(good)
     there = tmp_path / "there.h"
     there.write_text("mine")
-    assert "not written over" in refused(path, "--format", "c", "-o", there)
+    assert "not overwritten" in refused(path, "--format", "c", "-o", there)
     assert there.read_text() == "mine"
     assert main(["export", str(path), "--format", "c", "-o", str(there), "--force"]) == 0
     assert "my_gyro_1_correct" in there.read_text()
@@ -696,14 +696,14 @@ def test_a_run_that_was_no_pass_is_exported_with_a_warning(record: Record, capsy
     path = record(triad(), {})
     with h5py.File(path, "r+") as file:
         file.attrs.update({"outcome": "FAIL", "reason": "k of gyro x is beyond 1 %"})
-        file["calibration"].attrs["notes"] = ["x: bias b is not seen by this run"]
+        file["calibration"].attrs["notes"] = ["x: bias b is not determined by this run"]
     text = export(path, "c").read_text(encoding="utf-8")
     said = capsys.readouterr().err
     assert "no pass: FAIL k of gyro x" in said
     assert "1 note of the calibration: --details" in said
     path.with_suffix(".txt").unlink(missing_ok=True)
     assert main(["export", str(path), "--format", "c", "--details"]) == 0
-    assert "not seen by this run" in capsys.readouterr().err
+    assert "not determined by this run" in capsys.readouterr().err
     assert "outcome: FAIL" in text
 
 
@@ -748,7 +748,7 @@ def test_all_forms_that_can_hold_a_calibration_are_written_at_once(
     assert sorted(folder.iterdir()) == sorted(map(Path, said["files"].values()))
     assert "three gyros" in said["refused"]["px4"]
     assert main(["export", str(path), "--all", str(folder)]) == 2
-    assert "is there already" in capsys.readouterr().err
+    assert "exists already" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("form", ["c", "c-float"])

@@ -76,7 +76,7 @@ def test_a_file_of_another_device_or_that_is_wrong_is_refused_with_its_line(tmp_
     run = recorded(tmp_path, device_serial="TG-0042")
     for text, said in {
         '[item]\nserial_number = "TG-0043"': r"line 2: item.serial_number: 'TG-0043'.*'TG-0042'",
-        '[item]\nreceived = "2.5.2026"': r"line 2: item.received: '2.5.2026' is no date: write it as 2026-11-23",
+        '[item]\nreceived = "2.5.2026"': r"line 2: item.received: '2.5.2026' is not a date. Write it as 2026-11-23",
         '[customer]\nnmae = "x"': r"line 2: customer.nmae: unknown key; did you mean name\?",
         '[decision]\nrule = "simple"\nfalse_accept = "1 %"': r"line 3: decision.false_accept: is for rule = ",
         "[performed]\ndate = 2026-04-20": r"line 2: performed.date: 2026-04-20 .* began on 2026-05-01",
@@ -136,7 +136,7 @@ def test_a_logo_is_a_picture_by_what_it_holds(tmp_path: Path) -> None:
     files = {"text.png": b"not a picture", "torn.png": whole.getvalue()[:-40], "text.svg": b"<svg", "html.svg": b"<a/>"}
     for name, content in files.items():
         (tmp_path / name).write_bytes(content)
-        with pytest.raises(UsageError, match=rf"laboratory.logo: .*{name} is no picture.*give a .svg, .png or .jpg"):
+        with pytest.raises(UsageError, match=rf"laboratory.logo: .*{name} is not a picture.*Give a .svg, .png or .jpg"):
             read_formal(recorded(tmp_path), written(tmp_path, f'[laboratory]\nlogo = "{name}"\n'))
     (tmp_path / "photo.jpg").write_bytes(whole.getvalue())
     found = read_formal(recorded(tmp_path), written(tmp_path, '[laboratory]\nlogo = "photo.jpg"\n'))
@@ -145,14 +145,14 @@ def test_a_logo_is_a_picture_by_what_it_holds(tmp_path: Path) -> None:
 
 def test_blank_names_and_countries_that_there_are_not_are_refused(tmp_path: Path) -> None:
     for text, said in {
-        '[customer]\nname = " "': r"line 2: customer.name: ' ' is blank: write it, or leave it out",
+        '[customer]\nname = " "': r"line 2: customer.name: ' ' is blank. Fill it in, or leave it out",
         '[customer]\naddress = ["Bern", ""]': r"line 2: customer.address: .* is blank",
-        '[laboratory]\ncountry = "XX"': r"line 2: laboratory.country: 'XX' is no country of ISO 3166-1",
-        '[laboratory]\ncountry = "ch"': r"line 2: laboratory.country: 'ch' is no country .* two capital letters",
+        '[laboratory]\ncountry = "XX"': r"line 2: laboratory.country: 'XX' is not a country code of ISO 3166-1",
+        '[laboratory]\ncountry = "ch"': r"line 2: laboratory.country: 'ch' is not a country .* two capital letters",
     }.items():
         with pytest.raises(UsageError, match=said):
             read_formal(recorded(tmp_path), written(tmp_path, text))
-    with pytest.raises(BenchError, match="laboratory.country: 'UK' is no country"):
+    with pytest.raises(BenchError, match="laboratory.country: 'UK' is not a country"):
         read_bench(default_bench_text() + '[laboratory]\ncountry = "UK"\n', "bench.toml")
     stated = written(tmp_path, '[laboratory]\ncountry = "GB"\n')
     assert read_formal(recorded(tmp_path), stated).laboratory_country == "GB"
@@ -172,9 +172,9 @@ def test_dates_that_cannot_follow_each_other_are_told_where_they_stand(tmp_path:
     for text, said in {
         "[certificate]\nnext_due = 2026-04-01": r"line 2: certificate.next_due: 2026-04-01 and performed.date, 2026",
         "[certificate]\nissued = 2026-06-01\nnext_due = 2026-05-20": r"line 3: .* certificate.issued, 2026-06-01",
-        "[performed]\ndate = 2026-04-20": r"line 2: performed.date: 2026-04-20 .* 2026-05-01 .*: correct it, or leave",
+        "[performed]\ndate = 2026-04-20": r"line 2: performed.date: 2026-04-20 .* 2026-05-01 .*\. Correct it, or leave",
         "[item]\nreceived = 2026-05-02\n[certificate]\nissued = 2026-04-30": "in the wrong order",
-        "[performed]\ndate = 2026-05-02": "correct it, or leave",  # no place was that far ahead at midnight UTC
+        "[performed]\ndate = 2026-05-02": "Correct it, or leave",  # no place was that far ahead at midnight UTC
     }.items():
         with pytest.raises(UsageError, match=said):
             read_formal(run, written(tmp_path, text))
@@ -192,7 +192,7 @@ def test_instruments_state_the_chain_of_their_certificates(tmp_path: Path) -> No
     )
     one = read_formal(recorded(tmp_path), written(tmp_path, chain.format(due="2027-01-15"))).equipment[0]
     assert (one.laboratory, one.calibrated, one.uncertainty) == ("PTB", date(2026, 1, 15), "2 ppm (k = 2)")
-    with pytest.raises(UsageError, match="rate table was calibrated on 2026-01-15, due before that"):
+    with pytest.raises(UsageError, match="rate table was calibrated on 2026-01-15but was due before that"):
         read_formal(recorded(tmp_path), written(tmp_path, chain.format(due="2025-01-15")))
     later = chain.format(due="2028-01-15").replace("2026-01-15", "2026-08-01")
     with pytest.raises(UsageError, match="calibrated on 2026-08-01, after this measurement of 2026-05-01"):

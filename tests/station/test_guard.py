@@ -166,7 +166,7 @@ def test_a_guard_that_is_killed_is_told_and_another_takes_its_place(tmp_path: Pa
             return said.decode()
 
     with asyncio.Runner(loop_factory=ScaledLoop) as runner:
-        assert "the guard process has ended, another is started" in runner.run(main())
+        assert "the guard process has ended and is restarted" in runner.run(main())
 
 
 @asynccontextmanager

@@ -315,7 +315,7 @@ def test_a_pause_holds_the_table_and_the_time_while_samples_go_on(watched: Watch
     assert {axis.state for axis in last.axes} == {"at rest"}
     assert last.samples > first.samples
     texts = watched.texts()
-    assert texts.index("to be paused after step 'first turn'") < texts.index("paused after step 'first turn'")
+    assert texts.index("will pause after step 'first turn'") < texts.index("paused after step 'first turn'")
     assert texts.index("paused after step 'first turn'") < texts.index("resumed")
     with h5py.File(watched.path) as file:
         labels = [text.decode() for text in file["steps/label"][()]]
@@ -339,7 +339,7 @@ def test_notes_operator_and_serial_number_are_in_the_record(watched: Watched) ->
 def test_what_cannot_be_done_now_is_refused_with_its_reason(watched: Watched) -> None:
     refusals = watched.refusals()
     assert refusals[0] == "the run is not paused"
-    assert any("the last step is under way" in reason for reason in refusals)
+    assert any("the last step is running" in reason for reason in refusals)
 
 
 @pytest.mark.parametrize("phase", ["connecting", "first turn", "pause"])
@@ -453,7 +453,7 @@ def test_a_run_outlives_its_terminal(place: Path, tmp_path: Path) -> None:
         assert file.attrs["outcome"] in ("PASS", "FAIL")
         assert len(file["steps/label"]) == 3
         assert "calibration" in file
-    assert [text for text in events(path) if "terminal" in text] == ["the terminal is gone (SIGHUP): the run goes on"]
+    assert [text for text in events(path) if "terminal" in text] == ["the terminal is gone (SIGHUP): the run continues"]
     assert events(path)[-1] == "table at rest"
 
 
@@ -642,4 +642,4 @@ def test_a_jog_ends_when_the_link_of_who_said_it_is_cut_and_no_flood_of_words_pr
     asyncio.run(main())
     code, said, _ = run.end()
     assert (code, said["outcome"], said["gyros"]) == (0, "MANUAL", [])
-    assert refused == ["not understood: 'dance'"]
+    assert refused == ["unknown request: 'dance'"]

@@ -142,8 +142,8 @@ def test_without_the_x_axis_the_outer_axis_turns_the_tilted_body(
 @pytest.mark.parametrize(
     ("changes", "axes", "words"),
     [
-        ((), "z", ("gyro1 sigma_j", "it has axis z", "an axis is missing")),
-        ((('"100 deg/s"', '"0.05 deg/s"'),), "zyx", ("gyro1 k", "the rates that the axes allow")),
+        ((), "z", ("gyro1 sigma_j", "it has axis z", "too few axes")),
+        ((('"100 deg/s"', '"0.05 deg/s"'),), "zyx", ("gyro1 k", "the rate limits of the axes")),
         (
             (('bias_instability = "0.5 deg/h"      ', 'bias_instability = "50 deg/h"'),),
             "zyx",

@@ -139,7 +139,7 @@ def test_without_a_bench_it_says_what_the_next_script_needs(
     write_recording(path, simulated(short, 1, bench=False))
     code, text, _ = investigated(capsys, path)
     assert code == 1
-    assert "no next script: nothing says what the table can do: give its bench file with --bench" in text
+    assert "no next script: the limits of the table are unknown. Give its bench file with --bench" in text
     bench = tmp_path / "bench.toml"
     bench.write_text(default_bench_text())
     code, text, _ = investigated(capsys, path, "--bench", bench)
@@ -159,9 +159,9 @@ def test_clean_recordings_need_nothing(tmp_path: Path, capsys: pytest.CaptureFix
     ("arguments", "says"),
     [
         (["nowhere.h5"], "nowhere.h5 is not a file"),
-        (["{0}", "--verify", "{0}"], "is to be fitted and to verify"),
+        (["{0}", "--verify", "{0}"], "is given both to fit and to verify"),
         (["{0}", "--plot", "residual.bmp"], "must end in one of"),
-        (["{0}", "-o", "{1}"], "is there already"),
+        (["{0}", "-o", "{1}"], "exists already"),
         (["{0}", "--bench", "nowhere.toml"], "nowhere.toml"),
     ],
 )
@@ -262,7 +262,7 @@ def test_an_effect_without_a_name_is_said_as_the_law_that_it_is(capsys: pytest.C
 
 def test_what_is_unexplained_is_said_with_what_it_depends_on(capsys: pytest.CaptureFixture[str]) -> None:
     print_investigation(made(Finding.UNEXPLAINED), None, None, stdout())
-    assert "unexplained: 42% of the power of what is left depends on direction" in capsys.readouterr().out
+    assert "unexplained: 42% of the power of the residual depends on direction" in capsys.readouterr().out
 
 
 def test_json_has_null_where_a_number_is_not_known() -> None:

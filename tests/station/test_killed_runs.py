@@ -110,7 +110,7 @@ def test_a_journal_beside_the_recording_of_another_run_of_the_same_script_is_lef
         runner.run(run())
     journal = journal_of(path).read_bytes()
     assert read_recording(path).attributes["outcome"] != "ABORTED"
-    assert "of another run than good.h5" in caplog.text
+    assert "it belongs to another run than good.h5" in caplog.text
     assert path.read_bytes() == before
     assert journal_of(path).read_bytes() == journal
     assert sorted(file.name for file in tmp_path.iterdir()) == ["bench.toml", "good.h5", "good.h5.journal", "other.h5"]

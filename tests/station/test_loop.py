@@ -166,7 +166,7 @@ def test_a_fault_ends_the_loop_with_what_was_recorded(tmp_path: Path, capsys: py
     assert code == 4
     assert found["verdict"] is None
     assert [run["outcome"] for run in found["runs"]] == ["FAULT"]
-    assert f"recordings are kept in {folder}" in error
+    assert f"the recordings are in {folder}" in error
     assert (folder / "1-calibration.h5").is_file()
 
 
@@ -185,7 +185,7 @@ def test_ctrl_c_in_a_run_brings_the_table_to_rest_and_keeps_the_recordings(tmp_p
         _, error = process.communicate(timeout=60)
     assert process.returncode == 3
     assert "Ctrl-C" in error
-    assert f"recordings are kept in {folder}" in error
+    assert f"the recordings are in {folder}" in error
     with h5py.File(folder / "1-calibration.h5") as file:
         assert file.attrs["outcome"] == "ABORTED"
         assert b"table at rest" in [text.rstrip(b"\0") for text in file["events/text"][:]]
@@ -196,8 +196,8 @@ def test_ctrl_c_in_a_run_brings_the_table_to_rest_and_keeps_the_recordings(tmp_p
     ("arguments", "change", "says"),
     [
         (["--minutes", "10"], ("", ""), "the first three runs take 17.1 min"),
-        (["-o", "."], ("", ""), "is there already"),
-        ([], ('max_rate = "100 deg/s"', 'max_rate = "40 deg/s"'), "45 deg/s is beyond axis x's limit of 40 deg/s"),
+        (["-o", "."], ("", ""), "exists already"),
+        ([], ('max_rate = "100 deg/s"', 'max_rate = "40 deg/s"'), "45 deg/s exceeds the limit of axis x, 40 deg/s"),
         (["--device", "nothing"], ("", ""), "no device 'nothing'"),
     ],
 )

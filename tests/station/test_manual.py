@@ -188,19 +188,19 @@ def test_what_is_beyond_the_limits_of_the_bench_is_refused_in_words_and_a_jog_en
 ) -> None:
     async def operate(hand: Hand) -> None:
         for words, action, given in (
-            ("beyond its travel of -20 to 30 deg", "go", {"axis": "x", "angle_rad": 31 * DEG, "rate_rps": 1.0}),
-            ("beyond axis x's limit of", "go", {"axis": "x", "angle_rad": 0.1, "rate_rps": 9999.0}),
-            ("beyond axis y's limit of", "jog", {"axis": "y", "rate_rps": -9999.0}),
-            ("beyond axis y's limit of", "jog", {"axis": "y", "rate_rps": 0.1, "acceleration_rps2": 9999.0}),
+            ("outside its travel of -20 to 30 deg", "go", {"axis": "x", "angle_rad": 31 * DEG, "rate_rps": 1.0}),
+            ("exceeds the limit of axis x, ", "go", {"axis": "x", "angle_rad": 0.1, "rate_rps": 9999.0}),
+            ("exceeds the limit of axis y, ", "jog", {"axis": "y", "rate_rps": -9999.0}),
+            ("exceeds the limit of axis y, ", "jog", {"axis": "y", "rate_rps": 0.1, "acceleration_rps2": 9999.0}),
             ("must not be zero", "jog", {"axis": "y", "rate_rps": 0}),
             ("no axis q", "jog", {"axis": "q", "rate_rps": 0.1}),
-            ("not understood", "jog", {"axis": "x"}),
-            ("not understood", "jog", {"axis": "x", "rate_rps": math.nan}),
-            ("not understood", "go", {"axis": "y", "angle_rad": math.inf, "rate_rps": 0.1}),
-            ("not understood", "jog", {"axis": "y", "rate_rps": 10**401}),
-            ("not understood", "jog", {"axis": "y", "rate_rps": 5e-324}),
-            ("not understood", "jog", {"axis": "y", "rate_rps": True}),
-            ("not understood", "dance", {}),
+            ("unknown request", "jog", {"axis": "x"}),
+            ("unknown request", "jog", {"axis": "x", "rate_rps": math.nan}),
+            ("unknown request", "go", {"axis": "y", "angle_rad": math.inf, "rate_rps": 0.1}),
+            ("unknown request", "jog", {"axis": "y", "rate_rps": 10**401}),
+            ("unknown request", "jog", {"axis": "y", "rate_rps": 5e-324}),
+            ("unknown request", "jog", {"axis": "y", "rate_rps": True}),
+            ("unknown request", "dance", {}),
         ):
             with pytest.raises(UsageError, match=words):
                 hand.say(action, **given)
@@ -218,7 +218,7 @@ def test_what_is_beyond_the_limits_of_the_bench_is_refused_in_words_and_a_jog_en
         hand.say("hold", who="whatever else is said")
         hand.say("end")
         hand.say("hold")
-        with pytest.raises(UsageError, match="not understood"):
+        with pytest.raises(UsageError, match="unknown request"):
             hand.say("jog", axis="y", rate_rps=0.1)
 
     bench = bench_of(tmp_path, travel='["-20 deg", "30 deg"]')

@@ -197,7 +197,7 @@ def test_a_run_that_failed_is_no_pass_by_its_own_rules_and_told_of_by_others(
     (tmp_path / "bench.toml").write_text(bench_text(), encoding="utf-8")
     code, (found,) = asked(capsys, "calibrate", str(path), "--bench", str(tmp_path / "bench.toml"))
     assert (code, found["outcome"]) == (0, "PASS")
-    assert "the run itself ended FAIL: the table was off" in found["reason"]
+    assert "the run itself failed: the table was off" in found["reason"]
 
 
 def test_a_folder_is_compared_by_the_rule_of_history(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

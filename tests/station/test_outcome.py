@@ -48,7 +48,7 @@ GOOD = calibration(AT_THE_LIMITS * 0.5, SIGMAS_AT_THE_LIMITS * 0.5)
 def test_everything_within_its_limits_passes() -> None:
     verdict = judge(GOOD, LIMITS, ("the encoder jumped",))
     assert verdict.outcome is Outcome.PASS
-    assert verdict.reason == "every state, its sigma, the innovations and the losses are within limits"
+    assert verdict.reason == "all states, sigmas, innovations and losses are within limits"
 
 
 @pytest.mark.parametrize(("limits", "outcome"), [(LIMITS, Outcome.PASS), (None, Outcome.ESTIMATED)])
@@ -115,7 +115,7 @@ def test_what_is_no_number_does_not_pass() -> None:
 def test_innovations_that_do_not_fit_their_sigmas_fail(nis: float) -> None:
     verdict = judge(replace(GOOD, nis_mean=nis), LIMITS)
     assert verdict.outcome is Outcome.FAIL
-    assert verdict.reason.startswith(f"mean NIS {nis:.3f} outside 0.8 to 1.2")
+    assert verdict.reason.startswith(f"mean NIS {nis:.3f} is outside 0.8 to 1.2")
 
 
 def test_without_innovations_the_rest_is_judged() -> None:
@@ -146,7 +146,7 @@ def test_a_failure_tells_what_may_be_behind_it_and_what_speaks_against_the_sigma
 def test_without_limits_it_is_estimated(limits: Limits | None) -> None:
     verdict = judge(replace(GOOD, doubts=("the table was read late",)), limits)
     assert verdict.outcome is Outcome.ESTIMATED
-    assert verdict.reason == "estimated; there are no limits to judge by; the table was read late"
+    assert verdict.reason == "estimated; the bench has no limits to compare with; the table was read late"
 
 
 @pytest.mark.parametrize("name", ["k", "sd_b_rps", "nis_low", "nis_high", "lost"])
@@ -176,6 +176,6 @@ def test_exit_codes_tell_outcomes_apart() -> None:
 
 
 def test_what_no_sigma_can_hold_fails_a_run_that_is_within_all_limits() -> None:
-    said = "what was measured changed in mid-run: k of gyro2 by +2e+03 ppm from 105 s on (8 sigma)"
+    said = "from 105 s on, k of gyro2 differed by +2e+03 ppm (8 sigma)"
     verdict = judge(replace(GOOD, doubts=(said,), spoilt=(said,)), LIMITS)
     assert (verdict.outcome, verdict.reason) == (Outcome.FAIL, said)

@@ -53,9 +53,9 @@ def numbered(run: Path, number: str, more: str = "") -> Path:
 @pytest.mark.parametrize(
     ("old", "new", "why"),
     [
-        (NO_PLACE, "", "it is not stated where it was calibrated"),
+        (NO_PLACE, "", "the place of calibration is not stated"),
         (NO_DATE, "", "no date of measurement is stated"),
-        ("due = 2027-06-30", "due = 2026-01-01", "the calibration of an instrument that was used was over"),
+        ("due = 2027-06-30", "due = 2026-01-01", "the calibration of an instrument had expired"),
     ],
 )
 def test_without_date_place_or_valid_equipment_it_is_a_report_that_says_why_on_stdout_too(
@@ -73,7 +73,7 @@ def test_all_reasons_are_told_at_once(run: Path, capsys: pytest.CaptureFixture[s
     meta.write_text(meta.read_text(encoding="utf-8").replace(NO_DATE, ""), encoding="utf-8")
     issue(run, meta, "r.html")
     said = " ".join(capsys.readouterr().out.split())
-    assert "no date of measurement is stated ([performed] date); it is not stated where it was calibrated" in said
+    assert "no date of measurement is stated ([performed] date); the place of calibration is not stated" in said
 
 
 def test_a_virtual_run_with_a_due_date_is_told_without_a_date_that_there_is_not(
@@ -84,7 +84,7 @@ def test_a_virtual_run_with_a_due_date_is_told_without_a_date_that_there_is_not(
     _, page = issue(run, changed(run, NO_DATE, ""), "r.html")
     assert "was over on" not in page
     assert "Specimen of a calibration certificate" in page
-    assert "no date of measurement, so nothing says whether these calibrations were valid" in page
+    assert "no date of measurement, so it is unknown whether these calibrations were valid" in page
 
 
 def test_place_date_and_summary_stand_on_the_page(run: Path) -> None:
@@ -105,7 +105,7 @@ def test_the_chain_of_traceability_is_that_of_the_equipment(run: Path) -> None:
     assert "rate table, T-1 RT-2026-11 PTB 2026-01-15 2027-06-30 2 ppm (k = 2)" in page
     assert "no evidence" not in page
     _, page = issue(run, changed(run, 'certificate = "RT-2026-11"\n', ""), "none.html")
-    assert "No certificate of the table's own calibration is stated" in page
+    assert "No calibration certificate of the table is stated" in page
 
 
 def test_a_number_is_used_for_one_recording_only(run: Path, capsys: pytest.CaptureFixture[str]) -> None:

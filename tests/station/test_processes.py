@@ -127,7 +127,7 @@ def test_garbage_on_a_link_ends_with_the_device_named_and_no_traceback(
 def test_two_twins_cannot_share_a_port_and_the_second_says_so(capsys: pytest.CaptureFixture[str]) -> None:
     with TwinProcess() as twin:
         assert main(["twin", "--port", twin.links["table"].rsplit(":", 1)[1]]) == 4
-    assert "is the port free?" in capsys.readouterr().err
+    assert "Is the port free?" in capsys.readouterr().err
 
 
 def test_help_needs_no_library(tmp_path: Path) -> None:

@@ -105,7 +105,7 @@ def test_a_plug_in_that_fails_is_one_line_with_its_name_and_the_reason(
 
 def test_a_plug_in_may_not_take_a_name_that_is_taken(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text("from drivers.tables.galil.table import SPEC\n")
-    with pytest.raises(BenchError, match=r"plugins: two tables are called galil: give yours a name of its own"):
+    with pytest.raises(BenchError, match=r"plugins: two tables are called galil: choose another name for yours"):
         load_bench(bench(tmp_path, first='plugins = ["mine.py"]\n'))
 
 

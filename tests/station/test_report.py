@@ -191,12 +191,12 @@ def test_who_what_and_how_are_on_it(run: Path, html: str) -> None:
         assert chapter in text
     assert "script begins" in text
     assert "coverage factor of 2" in text
-    assert "No certificate of the table's own calibration is stated" in text
+    assert "No calibration certificate of the table is stated" in text
     # The states mean nothing without their signs and axes; an uncertainty says what it leaves out.
     assert "without rotation the output is −b, so b is to be added" in text
     assert "gyro2 0.94281 0.00000 0.33333 −0.33333 0.00000 0.94281 0.00000 −1.00000 0.00000" in text
     assert "u combines the lines of the uncertainty budget in squares" in text
-    assert "allows for no drift since" in text
+    assert "does not include later drift" in text
 
 
 def test_the_same_recording_gives_the_same_bytes_and_json_says_what_was_written(
@@ -293,7 +293,7 @@ def test_the_combined_uncertainty_of_a_fine_gyro_is_a_number_however_small(bare:
     ("outcome", "title"),
     [
         ("ABORTED", "Report of an aborted run"),
-        ("FAULT", "Report of a run that ended by a fault"),
+        ("FAULT", "Report of a run that ended with a fault"),
         ("FAIL", "Report of a failed calibration"),
     ],
 )
@@ -448,7 +448,7 @@ def test_laws_that_were_constructed_are_printed_and_reported_in_words_and_as_for
     assert f"constructed: {in_words}" in words
     assert "a lag(abs(u), 5)" in words
     assert "u: rate about the sense axis in rad/s" in words
-    assert re.search(r"Not undone: constructed: bias proportional to cos of \(.*goes with the axes of the table", words)
+    assert re.search(r"Not undone: constructed: bias proportional to cos of \(.*belongs to the axes of the table", words)
     arrays = {name: data.array for name, data in read_recording(bare).sources.items()}
     calibration = read_calibration(bare)
     compensation = Compensation.of(calibration.gyros, arrays, calibration.model)
@@ -524,8 +524,8 @@ def test_data_measured_elsewhere_get_a_report(tmp_path: Path) -> None:
     assert title_of(text) == "Calibration report"
     words = words_of(parsed(text))
     assert "NOT JUDGED" in words
-    assert "turns of known angle that were measured elsewhere" in words
-    assert "states no uncertainty of it" in words
+    assert "turns of known angle measured elsewhere" in words
+    assert "states no uncertainty for it" in words
     assert "Type B: none" in words
     assert "Adjustment" not in words  # nobody knows
 
@@ -610,10 +610,10 @@ def test_files_that_are_there_or_cannot_be_are_refused_before_the_work(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "there.html").write_text("kept")
-    assert "is there already" in refused(capsys, run, "-o", tmp_path / "there.html")
-    assert "is there already" in refused(capsys, run, "-o", tmp_path / "there.pdf")
+    assert "exists already" in refused(capsys, run, "-o", tmp_path / "there.html")
+    assert "exists already" in refused(capsys, run, "-o", tmp_path / "there.pdf")
     assert (tmp_path / "there.html").read_text() == "kept"
-    assert "no directory" in refused(capsys, run, "-o", tmp_path / "none" / "r.html")
+    assert "does not exist" in refused(capsys, run, "-o", tmp_path / "none" / "r.html")
     assert ".html or .pdf" in refused(capsys, run, "-o", tmp_path / "r.docx")
     assert "not a file" in refused(capsys, tmp_path / "missing.h5", "-o", tmp_path / "r.html")
 
@@ -621,7 +621,9 @@ def test_files_that_are_there_or_cannot_be_are_refused_before_the_work(
 def test_an_investigation_of_other_gyros_or_none_is_refused(
     run: Path, traced: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert "holds no investigation" in refused(capsys, run, "-o", tmp_path / "r.html", "--investigation", run)
+    assert "is not the result of an investigation" in refused(
+        capsys, run, "-o", tmp_path / "r.html", "--investigation", run
+    )
     other = Path(shutil.copy(traced[1], tmp_path / "other.h5"))
     with h5py.File(other, "r+") as file:
         file["investigation/name"][0] = b"gyroX"

@@ -48,7 +48,7 @@ def test_before_and_after_stand_side_by_side(found: Investigation, capsys: pytes
     cells = [cell.strip() for cell in row.strip("│").split("│")]
     assert cells == ["gyro1", "1.46", "1.01", "< 0.0001", "0.25", "31%", "0%", "temperature 97%, time 62%", "nothing"]
     assert "misfit of noise: 1 ± 0.06" in text
-    assert "each gyro's own? before: own to each, 88%; after: within noise" in " ".join(text.split())
+    assert "individual? before: own to each, 88%; after: within noise" in " ".join(text.split())
     assert "Residual, verification run" not in text  # it is noise after
 
 
@@ -68,10 +68,10 @@ def test_it_is_said_how_far_the_gyros_can_tell_what_they_share(
     three = replace(four, split=None, no_split="3 gyros on 3 axes: why")
     said = [printed(replace(found, residual_before=one, residual_after=one), capsys) for one in (four, five, three)]
     said = [" ".join(text.split()) for text in said]
-    assert "own? common to all gyros, as far as one gyro more than axes can tell" in said[0]
-    assert "own? common to all gyros" in said[1]
+    assert "individual? common to all gyros, as far as one redundant gyro can show" in said[0]
+    assert "individual? common to all gyros" in said[1]
     assert "as far as" not in said[1]
-    assert "cannot be told: 3 gyros on 3 axes: why" in said[2]
+    assert "unknown: 3 gyros on 3 axes: why" in said[2]
 
 
 def test_json_holds_what_is_left_before_and_after_of_all_runs(found: Investigation) -> None:

@@ -65,7 +65,7 @@ def test_verdict_and_states_come_first_and_fit_a_screen(
     assert lines[0].startswith("PASS")
     assert "States and their standard deviations" in lines[2]
     assert len(lines) <= LINES
-    assert sum(line.startswith("consistency: mean NIS") for line in lines) == 1
+    assert sum(line.startswith("Consistency (NIS): ") for line in lines) == 1
     assert sum(line.startswith("noise: ") for line in lines) == 1
     assert command == "export" or any(line.startswith("next: `station ") for line in lines)
     assert not [line for line in lines if "Uncertainty budget" in line]
@@ -86,7 +86,7 @@ def test_of_a_fail_the_worst_limits_are_told_and_all_with_details(
     assert lines[0].startswith("FAIL")
     assert sum(bool(broken.match(line)) for line in lines) == 4
     assert len(lines) < LINES  # with the prompt below them
-    count = int(re.match(r"FAIL  (\d+) of the limits", lines[0])[1])  # type: ignore[index]
+    count = int(re.match(r"FAIL  (\d+) limits of the bench exceeded", lines[0])[1])  # type: ignore[index]
     detailed = shown(capsys, "calibrate", path, "--details")
     assert sum(bool(broken.match(line)) for line in detailed) == count > 4
 

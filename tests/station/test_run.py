@@ -221,7 +221,7 @@ def test_a_bench_with_lower_limits_refuses_the_script_before_motion(
     bench = bench_file(tmp_path, ('max_rate = "100 deg/s"', 'max_rate = "30 deg/s"'))
     code = main(["run", "--bench", str(bench), "--script", str(short), "-o", str(tmp_path / "r.h5")])
     assert code == 2  # the station's own check comes first
-    assert "beyond axis x's limit" in capsys.readouterr().err
+    assert "exceeds the limit of axis x" in capsys.readouterr().err
     assert not (tmp_path / "r.h5").exists()
 
 
@@ -229,7 +229,7 @@ def test_an_existing_recording_is_never_overwritten(tmp_path: Path, capsys: pyte
     path = tmp_path / "r.h5"
     path.write_bytes(b"precious")
     assert main(["run", "-o", str(path)]) == 2
-    assert "is there already, and is never written over: give another name" in capsys.readouterr().err
+    assert "exists already and is never overwritten. Give another name" in capsys.readouterr().err
     assert path.read_bytes() == b"precious"
 
 
@@ -243,7 +243,7 @@ def test_an_existing_recording_is_never_overwritten(tmp_path: Path, capsys: pyte
         ('array = "tetrahedron"', "p = [[1,0,0],[0,1,0],[0,0,2],[0,1,0]]", "p = [[", "length 2, not 1"),
         ('profile = "kinco"', 'profile = "nobody"', "profile =", "no drive profile"),
         ("seed = 0", "seed = -1", "seed =", "must not be negative"),
-        ('k = "5000 ppm"', 'k = ["1 ppm", "2 ppm"]', "k = [", "2 values where 4 belong"),
+        ('k = "5000 ppm"', 'k = ["1 ppm", "2 ppm"]', "k = [", "2 values instead of 4"),
     ],
 )
 def test_a_wrong_bench_file_is_told_with_its_line_and_nothing_is_made(
@@ -262,12 +262,15 @@ def test_a_wrong_bench_file_is_told_with_its_line_and_nothing_is_made(
 @pytest.mark.parametrize(
     ("step", "says"),
     [
-        ('kind = "rotate"\naxis = "x"\nrate = "200 deg/s"\nduration = "40 s"', "beyond axis x's limit of 100 deg/s"),
-        ('kind = "rotate"\naxis = "x"\nrate = "20 deg/s"\nduration = "1 s"', "not enough for the two ramps"),
+        (
+            'kind = "rotate"\naxis = "x"\nrate = "200 deg/s"\nduration = "40 s"',
+            "exceeds the limit of axis x, 100 deg/s",
+        ),
+        ('kind = "rotate"\naxis = "x"\nrate = "20 deg/s"\nduration = "1 s"', "too short for two ramps"),
         ('kind = "rotate"\naxis = "x"\nrate = "2 deg/s"\nacceleration = "80 deg/s2"\nduration = "9 s"', "50 deg/s2"),
-        ('kind = "rest"\nduration = "-3 s"', "give a time above zero"),
+        ('kind = "rest"\nduration = "-3 s"', "Give a time above zero"),
         ('kind = "dance"', "'dance' is not one of rest, move, rotate"),
-        ('kind = "rest"\nduraton = "3 s"', "duration is missing; is it misspelt as duraton?"),
+        ('kind = "rest"\nduraton = "3 s"', "duration is missing; is it misspelled as duraton?"),
     ],
 )
 def test_a_script_that_cannot_be_done_is_refused_before_motion(
@@ -285,11 +288,11 @@ def test_a_script_that_cannot_be_done_is_refused_before_motion(
     [
         ("table=tcp://127.0.0.1:1", 4, "table: nothing answers at 127.0.0.1:1"),
         ("table=serial:///dev/null", 4, "table: cannot open serial port /dev/null"),
-        ("table=udp://1.2.3.4:5", 2, "is no link it can use"),
-        ("table=tcp://[::1", 2, "table: 'tcp://[::1' is no link"),
-        ("table=rfc2217://1.2.3.4:99999", 2, "is no link"),
+        ("table=udp://1.2.3.4:5", 2, "is not a link it supports"),
+        ("table=tcp://[::1", 2, "table: 'tcp://[::1' is not a link"),
+        ("table=rfc2217://1.2.3.4:99999", 2, "is not a link"),
         ("array=can:nosuch:0", 4, "array: cannot open CAN bus"),
-        ("array=tcp://1.2.3.4:5", 2, "is no CAN link"),
+        ("array=tcp://1.2.3.4:5", 2, "is not a CAN link"),
         ("stim300=serial:///dev/nosuch", 4, "stim300: cannot open serial port"),
         ("nosuch=twin:", 2, "has no device 'nosuch'"),
         ("nonsense", 2, "write DEVICE=URL"),

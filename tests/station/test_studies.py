@@ -102,9 +102,9 @@ def test_the_tables_of_the_paper_are_printed(capsys: pytest.CaptureFixture[str])
     ("options", "complaint"),
     [
         (["--plot", "picture.bmp"], "must end in one of .png"),
-        (["--plot", "nowhere/at/all.png"], "there is no directory"),
-        (["--output", "{here}"], "is there already"),
-        (["--output", "{here}/no/curves.h5"], "there is no directory"),
+        (["--plot", "nowhere/at/all.png"], "does not exist"),
+        (["--output", "{here}"], "exists already"),
+        (["--output", "{here}/no/curves.h5"], "does not exist"),
     ],
 )
 def test_wrong_input_is_told_before_the_long_work(options: list[str], complaint: str, tmp_path: Path) -> None:

@@ -248,7 +248,7 @@ def test_a_table_that_turns_at_first_contact_is_left_alone_unless_it_is_taken_ov
             script = Script("rest", (Rest(0.5),))
             refused = await Session(opened, script, tmp_path / "1.h5").run()
             assert str(refused.verdict.outcome) == "FAULT"
-            assert "axis z is enabled and turns at 5.00 deg/s, and not by this station" in refused.verdict.reason
+            assert "axis z is enabled and turns at 5.00 deg/s, but this station does not" in refused.verdict.reason
             assert not opened.at_rest()
             await Session(opened, script, tmp_path / "2.h5", RunOptions(reset_fault=True)).run()
             assert opened.at_rest()
@@ -259,7 +259,7 @@ def test_a_table_that_turns_at_first_contact_is_left_alone_unless_it_is_taken_ov
         runner.run(look())
 
 
-WORDS = {"turns": "by this station: another master commands it", "tells": "was told something by another master"}
+WORDS = {"turns": "does not drive it: another master does", "tells": "received a command from another master"}
 
 
 @pytest.mark.parametrize(

@@ -74,7 +74,8 @@ class AceinnaImu(CanImu):
         if answer is None:
             raise LinkLost(self._device, sentence("link.no_setting", address=self._peer, group=group))
         raise DeviceRefused(
-            self._device, f"setting {group:04X}: asked for {values.hex(' ')}, the device keeps {answer[1:].hex(' ')}"
+            self._device,
+            f"setting {group:04X}: requested {values.hex(' ')}, but the device keeps {answer[1:].hex(' ')}",
         )
 
     async def _ask(self, group: int) -> bytes | None:

@@ -207,7 +207,7 @@ class Stim300Imu(OneSource[ByteLink]):
             self._accel = accel_unit_mps2(configuration.accel_unit, known.pop(), self._rate_hz)
 
     def _refuse(self, found: str, wanted: str, command: str) -> None:
-        otherwise = f", or set the device (service mode: {command}, then s)" if command else ""
+        otherwise = f", or configure the device (service mode: {command}, then s)" if command else ""
         raise DeviceRefused(self._device, sentence("imu.otherwise", found=found, wanted=wanted, otherwise=otherwise))
 
 

@@ -154,7 +154,9 @@ class VectorNavImu(OneSource[ByteLink]):
         """Return which samples come after all before them; the others are repeats, unless time starts again."""
         newest = np.maximum.accumulate(np.concatenate([[self._newest_ns], device_ns]))
         if (newest[:-1] - device_ns).max() > _LONGEST_STEP_BACK_NS:
-            raise DeviceFault(self._device, "its clock went back, so it has restarted; check its power, then run again")
+            raise DeviceFault(
+                self._device, "its clock jumped back, so it has restarted. Check its power, then run again"
+            )
         new = np.asarray(device_ns > newest[:-1])
         self._newest_ns = int(newest[-1])
         self._counts.repeated += int(np.sum(~new))
@@ -178,7 +180,7 @@ class VectorNavImu(OneSource[ByteLink]):
     def _complain(self, sentence: vectornav.Sentence) -> None:
         """Raise DeviceFault if the device reports a fault of its own."""
         if sentence.header == "VNERR" and (code := _code(sentence)) in _FAULTS:
-            raise DeviceFault(self._device, f"it reports {vectornav.error_text(code)}; switch it off and on again")
+            raise DeviceFault(self._device, f"it reports {vectornav.error_text(code)}. Switch it off and on again")
 
     async def _pause(self) -> None:
         await self._ask(vectornav.Sentence("VNASY", ("0",)))
@@ -210,8 +212,8 @@ class VectorNavImu(OneSource[ByteLink]):
             raise BadReply(self._device, f"to {command.text} it answered {other.text}")
         raise LinkLost(
             self._device,
-            f"no reply to {command.text} within {_TRIES * self._timeout_s:g} s; is it powered, and its baud rate "
-            "that of the link?",
+            f"no reply to {command.text} within {_TRIES * self._timeout_s:g} s. Is it powered? Does its baud "
+            "rate match the link?",
         )
 
     async def _reply_to(

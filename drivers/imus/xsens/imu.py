@@ -22,7 +22,7 @@ _EARLY_S = 0.25  # no sample comes this long before its time, so its count is da
 _SETTLED_S = 2.0  # how long the clock takes to know what is early
 _ASTRAY_S = 1.0  # samples out of sequence for this long mean that the device counts anew
 _LOOK_FOR_RATE = 100  # messages
-_LET_CONFIGURE = "let the station configure it (configure = true), or set its outputs with the maker's program"
+_LET_CONFIGURE = "let the station configure it (configure = true), or set its outputs with the manufacturer's software"
 
 _Batch = tuple[Stamps, Stamps, Floats, Floats, Floats]
 """Count, arrival in ns, rate, temperature, acceleration."""
@@ -84,7 +84,7 @@ class XsensImu(XbusDevice):
         answer = await self._request(Mid.OUTPUT_CONFIGURATION, wanted, lambda answer: answer == wanted)
         granted = mtdata2.decode_outputs(answer)
         if granted is None:
-            raise BadReply(self._device, "its answer to OutputConfiguration is no output configuration")
+            raise BadReply(self._device, "its answer to OutputConfiguration is invalid")
         self._check_granted(granted)
         self._has_accel = any(mtdata2.kind_of(output.data_id) == mtdata2.ACCELERATION for output in granted)
         await self._request(Mid.GO_TO_MEASUREMENT)
@@ -130,7 +130,7 @@ class XsensImu(XbusDevice):
         if messages.mid == Mid.ERROR:
             raise DeviceFault(self._device, f"it reports {error_text(messages.each()[0])}")
         if messages.mid == Mid.WAKE_UP:
-            raise DeviceFault(self._device, "it has restarted; check its power supply, start again")
+            raise DeviceFault(self._device, "it has restarted. Check its power supply and start again")
 
     def _take_block(self) -> ImuBlock | None:
         """Return what is held as one block, or None if there are no samples of rate in it."""
@@ -151,7 +151,7 @@ class XsensImu(XbusDevice):
         new, t_ns = self._timing.stamp(count, arrival_ns)
         self._unusable += self._timing.take_damaged()
         if self._timing.astray:
-            raise DeviceFault(self._device, "its sample time jumped: it has restarted; check its power, start again")
+            raise DeviceFault(self._device, "its sample time jumped: it has restarted. Check its power and start again")
         if not len(t_ns):
             return None
         shown = accel[new] if self._has_accel else None
@@ -208,7 +208,7 @@ class XsensImu(XbusDevice):
         wanted = mtdata2.Output(mtdata2.RATE_OF_TURN | self._format, self._rate_hz)
         rate = by_kind.get(mtdata2.RATE_OF_TURN)
         if rate is None:
-            raise DeviceRefused(self._device, f"it does not grant {wanted}; is it an MTi that gives rates?")
+            raise DeviceRefused(self._device, f"it does not provide {wanted}. Is it an MTi with rate outputs?")
         if rate.rate_hz != self._rate_hz:
             raise DeviceRefused(self._device, sentence("imu.other_rate", granted=rate, asked_hz=self._rate_hz))
         if mtdata2.SAMPLE_TIME_FINE not in by_kind and mtdata2.PACKET_COUNTER not in by_kind:

@@ -84,7 +84,10 @@ class XbusDevice(OneSource[ByteLink]):
     def _why_silent(self, mid: Mid, *, noise: bool) -> str:
         silent = f"no answer to {mid.label} within {_TRIES * self._timeout_s:g} s"
         if self._hears_data:
-            return f"{silent}, yet it sends data: is the wire to it connected? Only to listen, set configure = false"
+            return (
+                f"{silent}, yet it sends data. Is the wire to the device connected? To listen "
+                "only, set configure = false"
+            )
         if noise:
-            return f"{silent}, and what comes is no Xbus: is the baud rate that of the device?"
-        return f"{silent}; is it powered, and its baud rate that of the link?"
+            return f"{silent}, and the received data are not Xbus. Does the baud rate match the device?"
+        return f"{silent}. Is it powered? Does its baud rate match the link?"

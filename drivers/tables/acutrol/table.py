@@ -87,7 +87,8 @@ class AcutrolTable(LineTable):
                 raise DeviceRefused(
                     self._device,
                     f"axis {name} has limits of {absolute[0]:g} deg/s and {absolute[1]:g} deg/s2, "
-                    f"the bench allows {asked[0]:g} deg/s and {asked[1]:g} deg/s2: lower max_rate, max_acceleration",
+                    f"but the bench file allows {asked[0]:g} deg/s and {asked[1]:g} deg/s2: lower "
+                    "max_rate, max_acceleration",
                 )
 
     async def identify(self) -> Identity:
@@ -153,7 +154,7 @@ class AcutrolTable(LineTable):
             fault = f"axis {axis}: its interlock says {interlock.capitalize()} (status byte {byte}{summary})"
         enabled = interlock not in ("fault", "open") and mode != "off"
         text = f"mode {mode}, interlock {interlock}"
-        open_now = f"{INTERLOCK_OPEN} (or the axis has tripped: the controller says the same)" if fault else ""
+        open_now = f"{INTERLOCK_OPEN} (or the axis has tripped; the controller reports both alike)" if fault else ""
         return AxisStatus(enabled, enabled and await self._reached(axis), fault, text, interlock=open_now)
 
     async def stop(self) -> str:

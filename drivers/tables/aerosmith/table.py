@@ -144,8 +144,8 @@ class AerosmithTable(LineTable):
         else:
             reached = abs(rate - (self._jog_dps or 0.0)) <= _JOG_REACHED_DPS
         faulty = word & self._fault_mask
-        fault = f"axis {axis} says fault (STA {word}, of which {faulty} means fault)" if faulty else ""
-        text = f"servo {'on' if self._servo_on else 'off'}, STA {word} (experimental driver: its bits are not known)"
+        fault = f"axis {axis} reports a fault (STA {word}, where {faulty} means fault)" if faulty else ""
+        text = f"servo {'on' if self._servo_on else 'off'}, STA {word} (experimental driver: the bits are unknown)"
         return AxisStatus(self._servo_on and not faulty, reached, fault, text)
 
     async def stop(self) -> str:
@@ -180,7 +180,7 @@ class AerosmithTable(LineTable):
         """Set the ramp, in whole deg/s2, not above what is asked for."""
         whole = math.floor(math.degrees(acceleration_rps2) + 1e-6)
         if whole < 1:
-            raise DeviceRefused(self._device, f"axis {self._axis}: the gentlest ramp of the language is 1 deg/s2")
+            raise DeviceRefused(self._device, f"axis {self._axis}: the slowest ramp of this controller is 1 deg/s2")
         await self._tell(f"ACL{whole}")
 
     async def _start(self, line: str) -> None:

@@ -64,7 +64,7 @@ class Switches:
 
 def stop_text(code: int) -> str:
     """Return a stop code in plain words."""
-    return STOP_CODES.get(code, "stopped for a reason that is not known")
+    return STOP_CODES.get(code, "stopped for an unknown reason")
 
 
 def error_of(tc1: str) -> tuple[int, str]:

@@ -74,7 +74,7 @@ class GalilTable(LineTable):
                 await self._tell(f"ER{own.address}={max(self._counts(axis, error_rad), 1)}")
             await self._tell(f"SH{own.address}")
             if (await self._switches(axis)).motor_off:
-                raise DeviceFault(self._device, f"the motor of axis {axis} stays off when it is switched on (SH)")
+                raise DeviceFault(self._device, f"the motor of axis {axis} remains off after it was switched on (SH)")
             self._powered.add(axis)
 
     async def home(self) -> None:
@@ -105,7 +105,7 @@ class GalilTable(LineTable):
             raise DeviceFault(self._device, fault)
         if not switches.moving and stop != galil.HOMED:
             raise DeviceRefused(
-                self._device, f"axis {axis} ended homing without home: SC {stop}, {galil.stop_text(stop)}"
+                self._device, f"axis {axis} ended homing without finding home: SC {stop}, {galil.stop_text(stop)}"
             )
         return not switches.moving
 
@@ -127,7 +127,7 @@ class GalilTable(LineTable):
         self._moved, letter = axis, self._axes[axis].address
         target, rate = self._counts(axis, angle_rad), abs(self._rate(axis, rate_rps, acceleration_rps2))
         if abs(target) > _LARGEST_COUNT:
-            raise DeviceRefused(self._device, f"axis {axis}: the controller cannot count to {target}: fewer turns")
+            raise DeviceRefused(self._device, f"axis {axis}: the controller cannot count to {target}. Use fewer turns")
         if (await self._switches(axis)).moving:
             await self._halt(axis)
         self._jogs.pop(axis, None)
@@ -188,7 +188,9 @@ class GalilTable(LineTable):
             if not fault:
                 continue
             if await self._abort_input() or (not switches.motor_off and switches.error_exceeded):
-                raise DeviceFault(self._device, f"axis {axis} stays in fault, its cause is still there: {fault}")
+                raise DeviceFault(
+                    self._device, f"axis {axis} remains in fault because its cause is still present: {fault}"
+                )
             self._known_stops[axis] = stop
             if switches.motor_off:
                 self._powered.discard(axis)
@@ -205,7 +207,7 @@ class GalilTable(LineTable):
         known = self._known_stops.get(axis) == stop
         what = ""
         if switches.motor_off and axis in self._powered:
-            what = "its motor has gone off"
+            what = "its motor has switched off"
         elif switches.motor_off and stop in galil.FATAL_STOPS and not known:
             what = "its motor was switched off by a fault"
         elif not switches.motor_off and switches.error_exceeded:

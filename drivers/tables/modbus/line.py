@@ -108,11 +108,14 @@ class ModbusLine:
             line = self._address
             settings |= {"baudrate": line.baud, "parity": line.parity, "stopbits": line.stop_bits}
             self._doubt_all()
-            reason = f"cannot open serial port {line.port}; is it plugged in, free, and allowed to you?"
+            reason = f"cannot open serial port {line.port}. Is it plugged in, not in use, and may you access it?"
             self._client = AsyncModbusSerialClient(line.port, timeout=2 * self._timeout_s, retries=0, **settings)
         else:
             host, port = self._address
-            reason = f"nothing answers at {_text(self._address)}; is the table's controller on, and the address right?"
+            reason = (
+                f"nothing answers at {_text(self._address)}. Is the table controller switched "
+                "on? Is the address correct?"
+            )
             self._client = AsyncModbusTcpClient(host, port=port, timeout=self._timeout_s, retries=1, **settings)
         self._client.set_max_no_responses(1 << 30)  # it is ours to close
         self._client.ctx.callback_disconnected = self._disconnected
@@ -196,12 +199,12 @@ class ModbusLine:
     def _unanswered(self, request: Request, within_s: float, once: bool) -> DeviceError:
         """Return what is to be said of a request to which no answer came."""
         if self._tcp.wrong:
-            said = f"is answered for {request.register} not as Modbus has it: {self._tcp.wrong}"
+            said = f"sent an answer for {request.register} that violates Modbus: {self._tcp.wrong}"
             return BadReply(self._device, f"{_who(request)} {said}")
-        said = f"does not answer within {within_s:g} s{'' if once else ', twice asked'}"
-        heard = "; what comes is late, damaged, or no answer to it" if self._rtu.heard else ""
+        said = f"does not answer within {within_s:g} s{'' if once else ' after two requests'}"
+        heard = "; what arrives is late, damaged or unrelated" if self._rtu.heard else ""
         if (code := self._rtu.refusal) is not None:
-            said = f"refuses all that it is asked within {within_s:g} s"
+            said = f"refused all requests within {within_s:g} s"
             heard = f": Modbus exception {code}, {_EXCEPTIONS.get(code, 'unknown exception')}"
         return LinkLost(self._device, f"{_who(request)} {said}{heard}")
 

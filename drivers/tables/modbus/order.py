@@ -221,11 +221,11 @@ def _tcp_heads(request: bytes) -> Iterator[bytes]:
 def _difference(frame: bytes, head: bytes) -> str:
     """Return in words where a frame differs first from what was awaited, the cause before what follows from it."""
     if frame[:2] != head[:2]:
-        return "transaction numbers that were not asked; does a gateway in between change them?"
+        return "transaction numbers that were not requested. Does a gateway change them?"
     for name, start, end in _FIELDS[: None if head[7] == READ else -1]:
         if frame[start:end] != head[start:end]:
             return f"{name} {int.from_bytes(frame[start:end])} in place of {int.from_bytes(head[start:end])}"
-    return "an echo of something else"
+    return "an echo of different data"
 
 
 def rtu_frames(data: bytes) -> Iterator[bytes]:

@@ -171,9 +171,9 @@ class ModbusTable(Table):
         if not at_home:
             raise DeviceRefused(
                 self._device,
-                f"axis {axis} did not take the start of its homing within {_STATE_LIMIT_S:g} s: it still reports the "
-                f"homing before (bit 12) and stands at {math.degrees(state.angle_rad):.2f} deg; "
-                "switch the drive off and on, and look whether it accepts commands over Modbus",
+                f"axis {axis} did not start homing within {_STATE_LIMIT_S:g} s: it still reports the "
+                f"previous homing (bit 12) at {math.degrees(state.angle_rad):.2f} deg. "
+                "Switch the drive off and on, and check that it accepts commands over Modbus",
             )
         return True
 
@@ -250,7 +250,7 @@ class ModbusTable(Table):
             enabled=state is cia402.DriveState.OPERATION_ENABLED,
             target_reached=bool(word & cia402.TARGET_REACHED),
             fault=await self._fault_text(axis, word) if state in _FAULTS else "",
-            caution=f"axis {axis} was left in quick stop active: it holds, energised; a run takes it out of that"
+            caution=f"axis {axis} was left in quick stop active, energised and holding. A run clears this state"
             if state is cia402.DriveState.QUICK_STOP_ACTIVE
             else "",
             text=f"{state.text}, internal limit active" if word & cia402.INTERNAL_LIMIT else state.text,
@@ -291,7 +291,9 @@ class ModbusTable(Table):
         try:
             await self._wait_for_state(axis, cia402.DriveState.SWITCH_ON_DISABLED)
         except DeviceRefused:
-            raise DeviceFault(self._device, f"axis {axis} stays in fault: its cause is still there") from None
+            raise DeviceFault(
+                self._device, f"axis {axis} remains in fault because its cause is still present"
+            ) from None
 
     async def disable(self) -> None:
         """Take power off every drive, and see that it is off; DeviceRefused if one stays energised.
@@ -305,7 +307,7 @@ class ModbusTable(Table):
                 await self._command(axis, "shutdown")
                 state = await self._state(axis)
                 if state in (cia402.DriveState.OPERATION_ENABLED, cia402.DriveState.QUICK_STOP_ACTIVE):
-                    raise DeviceRefused(self._device, f"axis {axis} stays in {state.text}: it is still energised")
+                    raise DeviceRefused(self._device, f"axis {axis} stays in {state.text} and is still energised")
         if failures:
             raise failures[0]
 

@@ -37,8 +37,8 @@ class SampleColumns:
         self._scale = np.concatenate([np.empty(0), *(known.sd for known, _ in self._parts)])
         self._expected = np.concatenate([np.empty(0), *(known.mean for known, _ in self._parts)])
         self.notes = tuple(
-            f"{readable(known.called)} {known.record.not_live}: the live estimate goes without it, the "
-            "calibration has it"
+            f"{readable(known.called)} {known.record.not_live}: it is missing in the live estimate, but "
+            "included in the calibration"
             for known in model.effects
             if known.record.not_live
         )

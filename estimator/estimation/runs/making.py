@@ -59,7 +59,7 @@ def runs_of(recording: Recording, block_s: float = BLOCK_S, order: int = 0) -> t
             faults += [Fault(SAMPLE_HOLD.name, name, values) for name in data.array.names]
         faults += its.faults
         notes += [f"{recording.name}: {note}" for note in its.usable.notes]
-        notes += [f"{recording.name}: {e.name} is left out: {e.reason}" for e in its.usable.excluded]
+        notes += [f"{recording.name}: {e.name} is excluded: {e.reason}" for e in its.usable.excluded]
         for number, part in enumerate(p for whole in its.usable.parts for p in split_faulty(whole)):
             label = source if not number else f"{source} ({number + 1})"
             run = _run(seen.recording, label, part, block_s, order, its.held)
@@ -68,7 +68,7 @@ def runs_of(recording: Recording, block_s: float = BLOCK_S, order: int = 0) -> t
     if not runs and isinstance(recording.reference, Turns):
         raise InvestigationError(
             f"{recording.name}: {len(recording.reference.sd_rad)} turns and rests of known angle are too few to trace "
-            f"anything: at least {FEWEST_TURNS} are needed, with turns of both signs, of several rates"
+            f"an effect: at least {FEWEST_TURNS} are needed, with turns in both directions at several rates"
         )
     if not runs:
         raise InvestigationError(

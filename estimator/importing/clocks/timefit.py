@@ -20,7 +20,7 @@ _EVEN_ROWS, _NEARLY_ALL = 101, 0.99  # rows over which a wandering clock is even
 _BEHIND_SHARE = 0.2  # of uneven stamps, those before an earlier one; a column with more is no time
 _EXACT = 0.05  # periods: stamps that scatter by less are those of a grid, written with few digits
 _MOST_LATE = 3.0  # periods by which stamps of even samples may scatter, by their median
-_CHECK = "check column in [time], or state rate_hz in its place; in a binary file check record"
+_CHECK = "check column in [time], or state rate_hz instead; in a binary file check record"
 _SAME_SHARE = 0.5  # of the rows of a replay, how many must be there already, to the last digit
 
 
@@ -70,10 +70,10 @@ def fit_times(stamps_s: Floats, values: Floats, position: NDArray[np.int64] | No
     if len(stamps_s) < 8:
         raise RecordingError(sentence("importing.few_stamps", rows=len(stamps_s)))
     if not np.isfinite(stamps_s).all():
-        raise RecordingError("has time stamps that are no numbers: repair the time column")
+        raise RecordingError("has time stamps that are not numbers. Repair the time column")
     forward = np.diff(stamps_s)
     if not (forward > 0).any():
-        how = "run backwards: turn the order of its rows round, or" if (forward < 0).all() else "do not advance:"
+        how = "run backwards: reverse the order of the rows, or" if (forward < 0).all() else "do not advance:"
         raise RecordingError(f"has time stamps that {how} {_CHECK}")
     values = np.nan_to_num(values, nan=-1e300)  # blank is equal to blank
     rows = _without_replays(stamps_s, values, float(np.median(forward[forward > 0])))
@@ -87,8 +87,8 @@ def fit_times(stamps_s: Floats, values: Floats, position: NDArray[np.int64] | No
         raise RecordingError(f"has time stamps that do not advance: {_CHECK}")
     best, rows, doubled = min(fits, key=lambda tried: (not tried[0].even, tried[0].away))
     t = stamps_s[rows]
-    done = f", {replayed} replayed rows left out" if replayed else ""
-    done += f", {doubled} rows left out that were written twice" if doubled else ""
+    done = f", {replayed} replayed rows skipped" if replayed else ""
+    done += f", {doubled} duplicate rows skipped" if doubled else ""
     if best.even:
         text = sentence("importing.even_grid", rate_hz=1 / best.period_s, periods=best.scatter)
         t_s = best.number * np.float64(best.period_s)
@@ -105,11 +105,11 @@ def fit_times(stamps_s: Floats, values: Floats, position: NDArray[np.int64] | No
         newest = np.concatenate([[-np.inf], np.maximum.accumulate(t)[:-1]])
         late, behind = t <= newest, float(np.mean(t < newest))
         if behind > _BEHIND_SHARE:
-            raise RecordingError(f"has stamps that lie behind earlier ones in {behind:.0%} of its rows: {_CHECK}")
+            raise RecordingError(f"has stamps earlier than previous ones in {behind:.0%} of its rows: {_CHECK}")
         t, rows = t[~late], rows[~late]
         other_s = _delivered(best, t, ~late)
         text = f"as stamped (uneven: off an even grid of {1 / best.period_s:.4g} Hz by {best.away:.1f} periods)"
-        text += f", {late.sum()} rows left out whose stamp is no later than the one before" if late.any() else ""
+        text += f", {late.sum()} rows skipped whose stamp does not increase" if late.any() else ""
     scatter_s = best.scatter * best.period_s if other_s is not None else 0.0
     return TimeFit(t - t[0], rows, replayed, text + done, doubled, float(t[0]), other_s, scatter_s)
 

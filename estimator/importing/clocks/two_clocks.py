@@ -36,9 +36,11 @@ class Clocks:
         ahead_s = self.ahead_s + self.drift * (at_s - self.middle_s)
         sd_s = np.hypot(self.ahead_sd_s, self.drift_sd * (at_s - self.middle_s))
         return (
-            f"the clock of {name} goes {1e6 * abs(self.drift):.3g} +- {1e6 * self.drift_sd:.2g} ppm "
+            f"the clock of {name} is {1e6 * abs(self.drift):.3g} +- {1e6 * self.drift_sd:.2g} ppm "
             f"{'fast' if self.drift > 0 else 'slow'}, and is {1e3 * abs(ahead_s):.4g} +- {1e3 * sd_s:.2g} ms "
-            f"{'ahead' if ahead_s > 0 else 'behind'} at the beginning, a delay of the gyros in it; it is put right"
+            f"{'ahead' if ahead_s > 0 else 'behind'} at the beginning, including "
+            "any delay of the "
+            "gyros. This was corrected"
         )
 
 

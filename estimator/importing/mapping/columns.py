@@ -53,7 +53,7 @@ def signed_axis(text: str) -> Vector:
     sign = -1.0 if letter.startswith("-") else 1.0
     letter = letter.lstrip("+-")
     if letter not in ("x", "y", "z"):
-        raise ValueError(f"{text!r} is no axis: write x, y or z, with a sign if need be")
+        raise ValueError(f"{text!r} is not an axis. Write x, y or z, with a sign if needed")
     return sign * (letter == "x") + 0.0, sign * (letter == "y") + 0.0, sign * (letter == "z") + 0.0
 
 

@@ -77,7 +77,9 @@ def beside(path: Path, name: str) -> Path:
     try:
         return path.with_name(name.replace("{stem}", path.stem))
     except ValueError:
-        raise RecordingError(f"{name!r}: give the name of a file beside {path.name}, without folders") from None
+        raise RecordingError(
+            f"{name!r}: give the name of a file in the folder of {path.name}, without a path"
+        ) from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,7 +214,7 @@ def _check(mapping: Mapping, section: StrictTable) -> None:
             key = "sign" if mapping.gyro.sign_from_data else "scale"
             raise RecordingError(sentence("importing.from_data", mapping=mapping.name, key=key))
     if isinstance(reference, Rests) and reference.gravity and mapping.accelerometer is None:
-        raise section.fail("kind", "gravity needs what feels it: add the table [accelerometer]")
+        raise section.fail("kind", "gravity as reference needs an accelerometer: add the table [accelerometer]")
     if not mapping.earth_rate:
         return
     if mapping.site is None:
@@ -221,7 +223,7 @@ def _check(mapping: Mapping, section: StrictTable) -> None:
         poses = [reference.pose, *reference.files.values()] if not reference.sections else reference.sections.values()
         if any(pose.up is None for pose in poses) and not (reference.files and reference.pose.up is None):
             raise section.fail(
-                "earth_rate", 'needs to know what points up: add up = "z" (the body axis) or an [accelerometer]'
+                "earth_rate", 'needs the direction up: add up = "z" (the body axis) or an [accelerometer]'
             )
 
 
@@ -271,7 +273,7 @@ def _record(section: StrictTable) -> np.dtype[Any]:
     order = section.string("byte_order", "little", one_of=("little", "big"))
     fields: dict[str, str] = {}
     if "," in section.text_of("record"):
-        raise section.fail("record", 'is one text: it is a list, ["t f8", "gyro 3i2"], a text for each column')
+        raise section.fail("record", 'must be a list with a text for each column, as in ["t f8", "gyro 3i2"]')
     for entry in section.strings("record"):
         found = _COLUMN.fullmatch(entry)
         if not found or found["name"] in fields:
@@ -335,5 +337,5 @@ def _square(value: object) -> Floats:
         raise ValueError('must be the body axes of the three columns: ["x", "-y", "-z"]')
     square = np.array([direction(axis) for axis in value])
     if np.abs(square @ square.T - np.eye(3)).max() > 0.01:
-        raise ValueError("must be three directions of length 1 at right angles")
+        raise ValueError("must be three orthogonal directions of length 1")
     return square

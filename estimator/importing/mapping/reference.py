@@ -145,10 +145,10 @@ def _rates(section: StrictTable, wide: bool) -> Columns:
     columns = stated_columns(section, "rate")
     if not section.has("axis"):
         if len(columns.names) == 1 and not wide:
-            raise section.fail("columns", 'is one column: add axis = "z", the body axis that it is the rate about')
+            raise section.fail("columns", 'is one column: add axis = "z", the body axis of this rate')
         return columns
     if len(columns.names) != 1:
-        raise section.fail("axis", "is for one column: leave it out beside the three columns x, y, z")
+        raise section.fail("axis", "is for one column: leave it out with the three columns x, y, z")
     return replace(columns, width=1, axes=np.array([_unit(section, "axis")]))
 
 
@@ -157,7 +157,7 @@ def _unit(section: StrictTable, key: str) -> Vector:
     v = np.array(section.take(key, None, direction))
     length = float(np.linalg.norm(v))
     if not length > 0:
-        raise section.fail(key, "is no direction: write x, y or z with a sign, or three numbers")
+        raise section.fail(key, "is not a direction. Write x, y or z with a sign, or three numbers")
     x, y, z = (v / length).tolist()
     return x, y, z
 
@@ -179,7 +179,7 @@ def _turns(section: StrictTable) -> StatedTurns:
     if section.has("file_name"):
         return replace(stated, pattern=section.take("file_name", None, _pattern))
     if not section.has("angle_deg"):
-        raise section.fail("angle_deg", "is missing: give it, or file_name (an expression), or sections")
+        raise section.fail("angle_deg", "is missing: give it, or file_name (a regular expression), or sections")
     return replace(stated, turn=_turn(section))
 
 
@@ -195,7 +195,7 @@ def _pattern(value: object) -> re.Pattern[str]:
     try:
         pattern = re.compile(typed(value, (str,), "a text"))
     except re.error as error:
-        raise ValueError(f"is no regular expression: {error}") from None
+        raise ValueError(f"is not a regular expression: {error}") from None
     if not {"axis", "angle_deg"} <= set(pattern.groupindex):
         raise ValueError("needs the groups (?P<axis>...) and (?P<angle_deg>...)")
     return pattern
@@ -210,7 +210,7 @@ def _rests(section: StrictTable, *, by_gravity: bool) -> Rests:
     if section.has("sections"):
         for key in ("where", "up", "north"):
             if section.has(key):
-                raise section.fail(key, "is not for a mapping with sections: they say where, each with its own up")
+                raise section.fail(key, "cannot be combined with sections, which state the rests, each with its own up")
         stated["cuts"], tables = _sections(section)
         stated["sections"] = {name: table.whole(_pose) for name, table in tables.items()}
     else:
@@ -225,7 +225,7 @@ def _pose(section: StrictTable) -> Pose:
     if "north" in found and "up" not in found:
         raise section.fail("north", "is stated without up: add up, the body axis that points up")
     if "north" in found and abs(float(np.dot(found["up"], found["north"]))) > 0.1:
-        raise section.fail("north", "is not at a right angle to up: north is horizontal")
+        raise section.fail("north", "is not perpendicular to up; north is horizontal")
     return Pose(found.get("up"), found.get("north"))
 
 
@@ -234,7 +234,7 @@ def _sections(section: StrictTable) -> tuple[Cuts, dict[str, StrictTable]]:
     table = section.table("sections")
     tables = {name: table.table(name) for name in table.remaining()}
     if not tables:
-        raise section.fail("sections", "is empty: name a section and what is known of it")
+        raise section.fail("sections", "is empty: name a section and its motion")
     list_name, column = (
         section.string(key) if section.has(key) else None for key in ("section_list", "section_column")
     )

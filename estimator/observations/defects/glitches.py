@@ -42,18 +42,18 @@ def without_glitches(recording: Recording, data: ImuData, line: Following) -> tu
     first_s = float(t_s[places[0][0] + 1] - t_s[0])
     worst_deg = float(np.degrees(np.linalg.norm(off_rad[far], axis=1).max()))
     told = (
-        f"the reference jumps, or is wrong for moments, {_times(len(places))}, the first at {first_s:.6g} s, by up to "
-        f"{worst_deg:.3g} deg from one reading to the next against what the gyros say: "
+        f"the reference jumps, or is wrong for a moment, {_times(len(places))}, the first at {first_s:.6g} s, by up to "
+        f"{worst_deg:.3g} deg between readings compared with the gyros: "
     )
     if isinstance(reference, TableReadings):
         steps = np.where(far, off_rad[:, AXES.index(reference.gimbals[0])], 0.0)
         angle = reference.angle_rad - np.concatenate([[0.0], np.cumsum(steps)])[:, None]
         right = replace(reference, angle_rad=angle, rate_rps=slopes_of(reference.t_ns, angle))
-        return replace(recording, reference=right), [told + "these steps are taken off its angles"]
+        return replace(recording, reference=right), [told + "these steps were removed from its angles"]
     wrong = np.zeros(len(t_s), dtype=np.bool_)
     for start, stop in places:  # intervals, of which both readings may be wrong
         wrong[start : stop + 1] = True
-    told += f"{100 * wrong.mean():.2g} % of its readings are left out"
+    told += f"{100 * wrong.mean():.2g} % of its readings were excluded"
     assert isinstance(reference, (AttitudeReadings, RateReadings))
     return replace(recording, reference=_without(reference, wrong)), [told]
 

@@ -26,7 +26,7 @@ def without_odd(
     told = ((spiked, f"{what} {own}".strip(), "are spikes"), (again, what, "are those before them again"))
     notes = [
         f"{who}: {flags.sum()} of {len(flags)} samples ({100 * flags.mean():.3g} %) {kind}, the first at "
-        f"{t_s[np.argmax(flags)]:.6g} s; they are left out"
+        f"{t_s[np.argmax(flags)]:.6g} s; they were excluded"
         for flags, who, kind in told
         if flags.any()
     ]

@@ -26,7 +26,7 @@ def stuck_doubts(recording: Recording) -> list[str]:
             if np.ptp(turned, axis=0).max() > _OTHERWISE_RPS:
                 after_s = (first_ns - recording.reference.t_ns[0]) * 1e-9
                 doubts.append(
-                    f"{data.device or source}: the same samples again and again from {after_s:.1f} s on for "
+                    f"{data.device or source}: the same samples were repeated from {after_s:.1f} s on for "
                     f"{(last_ns - first_ns) * 1e-9:.1f} s in which it was turned otherwise: it is stuck"
                 )
     return list(dict.fromkeys(doubts))

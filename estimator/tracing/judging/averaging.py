@@ -37,7 +37,7 @@ def between_notes(between: Floats) -> list[str]:
     sizes = between * [1e6, np.degrees(3600), 1e3, 1e3]
     words = zip(STATES, sizes.tolist(), ("ppm", "deg/h", "mrad", "mrad"), strict=True)
     told = [f"{name.split('_r')[0]} differs by {size:.2g} {unit}" for name, size, unit in words if size]
-    return [f"{', '.join(told)} from run to run: the sigmas are those of another run"] if told else []
+    return [f"{', '.join(told)} from run to run. The sigmas include this variation"] if told else []
 
 
 def averaged(

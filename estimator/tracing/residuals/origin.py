@@ -81,7 +81,7 @@ def split_of(runs: Sequence[Run], rests: Sequence[Floats], model: Augmented) -> 
     blocks = sums[0, 2]
     sums = sums[sums[:, 2] >= _FEWEST_IN_BAND]
     if not len(sums):
-        return None, "the gyros hardly ever measure all at once"
+        return None, "the gyros rarely measure at the same time"
     return _judged(sums[:, :2], sums[:, 2:], np.array([rank, count - rank]), blocks), ""
 
 

@@ -26,7 +26,7 @@ def serve(group: asyncio.TaskGroup, service: Coroutine[Any, Any, None]) -> async
         except asyncio.CancelledError:
             if task is not None and task.cancelling():
                 raise
-        raise RuntimeError(f"{name} has ended by itself")
+        raise RuntimeError(f"{name} has ended unexpectedly")
 
     name = getattr(service, "__qualname__", "a service")
     return group.create_task(served())

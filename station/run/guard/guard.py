@@ -15,7 +15,7 @@ from station.run.guard.words import ARM, DISMISS, Order
 _READY_LIMIT_S = 10.0
 _EXIT_LIMIT_S = 0.5  # by the wall's clock
 _MOST_STARTS = 5
-_UNGUARDED = "if the station is killed now, nothing but the drives' own watchdogs stops the table"
+_UNGUARDED = "if the station is killed now, only the watchdogs of the drives stop the table"
 
 
 def guard_log_of(recording: Path) -> Path:
@@ -64,7 +64,7 @@ class Guard:
                 start_new_session=True,
             )
         except OSError as error:
-            self._tell(f"the guard process cannot be started ({error})")
+            self._tell(f"the guard process could not be started ({error})")
             self._heard.set()
             return
         assert self._process.stdin is not None
@@ -92,16 +92,16 @@ class Guard:
             if self._process is None:
                 if self._starts == _MOST_STARTS:
                     self._devices = None
-                    self._tell(f"guards end by themselves, no more are started: {_UNGUARDED}")
+                    self._tell(f"the guard process ended again and is not restarted: {_UNGUARDED}")
                     return
-                self._tell("the guard process has ended, another is started")
+                self._tell("the guard process has ended and is restarted")
                 self.start()
             try:
                 async with asyncio.timeout_at(limit_s):
                     await self._heard.wait()
                     self._heard.clear()
             except TimeoutError:
-                self._tell(f"the guard is not ready after {_READY_LIMIT_S:g} s; until it is, {_UNGUARDED}")
+                self._tell(f"the guard is not ready after {_READY_LIMIT_S:g} s. Until it is ready: {_UNGUARDED}")
                 break
         if self._armed:
             self._send(ARM)

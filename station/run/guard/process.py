@@ -84,12 +84,12 @@ async def _guard(order: Order) -> None:
     try:
         devices = [unpacked_device(packed) for packed in order.devices]
     except Exception as error:  # what stands in a plug-in
-        os.write(2, f"station: the guard cannot make a driver: {type(error).__name__}: {error}\n".encode())
+        os.write(2, f"station: the guard cannot create a driver: {type(error).__name__}: {error}\n".encode())
         return
     log = _Log(order)
     os.write(1, READY)
     if await _station_dies(order.pid):
-        with inherited(order.locks, f"guard of {order.who}, which has died: it stops {_named(devices)}"):
+        with inherited(order.locks, f"guard of {order.who}, which has died: stopping {_named(devices)}"):
             await _act(order, devices, log)
         log.close()
 
@@ -156,7 +156,7 @@ def _named(devices: Sequence[_Device]) -> str:
 
 async def _act(order: Order, devices: Sequence[_Device], say: "_Log") -> None:
     """Make devices safe in their order; those that are not are tried again and again for a minute."""
-    say(f"{order.who} has died with {_named(devices)} in its hands: the guard stops {'them' if devices[1:] else 'it'}")
+    say(f"{order.who} died while it controlled {_named(devices)}: the guard stops {'them' if devices[1:] else 'it'}")
     loop = asyncio.get_running_loop()
     began_s = loop.time()
     left = list(devices)
@@ -165,7 +165,7 @@ async def _act(order: Order, devices: Sequence[_Device], say: "_Log") -> None:
             state = await _tried(kind.make_safe(device, time_scale=order.time_scale, unconfirmed=say))
             after_s = (loop.time() - began_s) / order.time_scale
             if not state.trouble:
-                say(f"{kind.made_safe}, {after_s:.2f} s after the death was known")
+                say(f"{kind.made_safe}, {after_s:.2f} s after the death was detected")
                 left.remove((kind, device))
             elif after_s > _GIVE_UP_S:
                 say(f"the guard gives up after {after_s:.0f} s: {state.trouble}")

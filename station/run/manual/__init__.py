@@ -46,7 +46,7 @@ class ManualSequencer(Sequencer):
 
     def pause(self) -> None:
         """Raise UsageError: there is no script."""
-        raise UsageError('manual mode has no script to pause: "hold" brings the table to rest')
+        raise UsageError('manual mode has no script to pause. Send "hold" to bring the table to rest')
 
     def times(self, now_s: float) -> tuple[float, Span]:
         """Return how long it has gone on, in s; nothing is planned."""
@@ -174,7 +174,7 @@ class ManualSequencer(Sequencer):
             if reached and abs(angle_rad - before_rad) < ON_TARGET_RAD:
                 break
             if asyncio.get_running_loop().time() > now_s + ramp_s + OVERDUE_S:
-                said = f"axis {axis} was to come to rest, and is not seen at rest at {angle_rad * _DEG:.2f} deg"
+                said = f"axis {axis} should be at rest, but is not at {angle_rad * _DEG:.2f} deg"
                 raise DeviceRefused("table", said)
         await self._table.move(axis, angle_rad, _HOLD_RPS, step.acceleration_rps2)  # a rate of zero may drift
         return angle_rad

@@ -118,7 +118,7 @@ class Archive:
         try:
             return await asyncio.wrap_future(self._pool.schedule(_done, (work, *about), timeout=limit_s))
         except TooLong:
-            return f"it is damaged, or its disk hangs: no end within {limit_s:g} s"
+            return f"it is damaged, or its disk hangs: not read within {limit_s:g} s"
         except ProcessExpired:
             return "it is damaged: the HDF5 library failed on it"
 

@@ -49,7 +49,7 @@ def accept(path: Path, attributes: Mapping[str, str]) -> str:
         copy.replace(path)
     except (OSError, RecordingError) as error:
         said = error.strerror if isinstance(error, OSError) else str(error).rpartition("cannot be written: ")[2]
-        return f"it cannot be written, and is as it was ({said})"
+        return f"it cannot be written and is unchanged ({said})"
     finally:
         if made:
             copy.unlink(missing_ok=True)
@@ -66,7 +66,7 @@ def read(path: Path, when_utc_s: float, everything: bool) -> Whole:
         with h5py.File(path, "r", locking=False) as file:
             list(objects(path, file, None if everything else _listed))  # which leads nowhere else, and can be held
             if plain(file.attrs.get("format")) != FORMAT:
-                return Whole(replace(unread, wrong="an HDF5 file, but no recording", foreign=True))
+                return Whole(replace(unread, wrong="an HDF5 file, but not a recording", foreign=True))
             version = plain(file.attrs.get("format_version", 0))
             if not isinstance(version, int) or version > FORMAT_VERSION:
                 wrong = f"format version {version}, this program reads up to {FORMAT_VERSION}: update it"
@@ -77,7 +77,7 @@ def read(path: Path, when_utc_s: float, everything: bool) -> Whole:
             whole, bench = _whole(entry, file), str(plain(file.attrs.get("bench", "")))
         return _judged(whole, bench)
     except Exception as error:  # whatever a file made by hand holds, the next one is to be read
-        wrong = f"it cannot be read, it is damaged or not whole ({first_line(error)})"
+        wrong = f"it cannot be read: it is damaged or incomplete ({first_line(error)})"
         return Whole(replace(unread, wrong=wrong))
 
 

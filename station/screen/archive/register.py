@@ -111,7 +111,9 @@ def _register() -> Iterator[sqlite3.Connection]:
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         if not is_of_this_user_alone(path.parent):
-            raise UsageError(f"{path.parent}: other users can write there, so no number can be kept: chmod go-w it")
+            raise UsageError(
+                f"{path.parent}: other users can write there, so no number can be registered. Run chmod go-w on it"
+            )
         with closing(sqlite3.connect(path, timeout=_PATIENCE_S)) as register, register:
             register.execute(_SCHEMA)
             yield register

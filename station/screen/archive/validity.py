@@ -31,11 +31,11 @@ def validity_on(entries: Iterable[Entry], serial: str, day: date) -> Validity:
     earlier = [entry for entry in judged if _day_of(entry) <= day]
     if not earlier:
         first = min(map(_day_of, judged), default=None)
-        after = f"; its first one is of {first}" if first else ""
-        return Validity(None, f"no calibration of {serial} that passed or failed is as old as {day}{after}")
+        after = f"; the first one is of {first}" if first else ""
+        return Validity(None, f"{serial} has no calibration that passed or failed before {day}{after}")
     newest = max(earlier, key=lambda entry: entry.when_utc_s)
     if newest.texts.get("outcome") == Outcome.FAIL:
-        return Validity(newest, f"{serial} failed on {_day_of(newest)}: no calibration is valid since then")
+        return Validity(newest, f"{serial} failed on {_day_of(newest)} and has had no valid calibration since")
     due = _next_due(newest)
     if due is not None and due < day:
         return Validity(newest, f"the next calibration of {serial} was due on {due}")

@@ -125,7 +125,7 @@ class SessionLink:
         if self._process is not None and not self.run.hello:
             return "stopped while it was starting" if self.run.stop_asked else self._process.reason()
         last = f" ({self._process.reason()})" if self._process is not None else ""
-        return f"the session is gone without a word{last}; if it was killed, look at the table: it may turn on"
+        return f"the session ended without a result{last}. If it was killed, check the table: it may still turn"
 
 
 async def sessions_on(bench: str, bench_file: str) -> list[str]:

@@ -32,7 +32,7 @@ _PLACE = re.compile(rf": ((?:{'|'.join(_SECTIONS)})\.[\w.]+): (.*)", re.DOTALL)
 _FORM: dict[str, Any] = {name: packaged_toml("station.report", f"{name}.toml") for name in ("certificate", "dcc")}
 _FORM |= {"sections": _SECTIONS, "keys_of": keys_of}
 _FORM["as_toml"] = lambda text: json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")  # as TOML has it
-_LEAVE = "What was entered is not kept yet.", [("back", "Back to the form"), ("drop", "Leave, keep nothing")]
+_LEAVE = "Your entries are not saved yet.", [("back", "Back to the form"), ("drop", "Leave without saving")]
 
 
 class FactsDialog(ChooseDialog):
@@ -44,7 +44,7 @@ async def fill_in(app: Any, whole: Whole) -> None:
     try:
         recorded, files, sources = await asyncio.to_thread(_stated, whole)
     except (UsageError, *MISSHAPEN) as error:
-        app.notify(str(error), title="What is known cannot be read", severity="error", markup=False)
+        app.notify(str(error), title="Known facts cannot be read", severity="error", markup=False)
         return
     from station.report.formal import read_formal  # imported by now
 

@@ -28,14 +28,16 @@ def begin_manual(screen: StationScreen) -> None:
         prospect = await asyncio.to_thread(look_ahead, station.choices)
         wrong = prospect.bench_wrong or prospect.folder_wrong
         if station.bench_recalled and not prospect.all_twins:
-            wrong = f"bench {prospect.bench} is that of the last run, and real: F6 on Prepare opens it"
+            wrong = f"bench {prospect.bench} was used in the last run and is real hardware: F6 on Prepare opens it"
         if wrong:
             screen.notify(wrong, title="Not started", severity="error", markup=False)
         else:
             station.start_run(replace(prospect, manual=True))
 
-    question = f"Manual mode on {station.choices.bench or 'the built-in twins'}: driven by hand, recorded, not judged."
-    dialog = AskDialog(question, [("back", "Back"), ("begin", "Begin: the table moves to its home")])
+    question = (
+        f"Manual mode on {station.choices.bench or 'the built-in twins'}: driven by hand, recorded but not judged."
+    )
+    dialog = AskDialog(question, [("back", "Back"), ("begin", "Start: the table moves to its home")])
     screen.app.push_screen(dialog, lambda answer: station.work(begin, "begin") if answer == "begin" else None)
 
 
@@ -106,4 +108,4 @@ class ManualScreen(StationScreen):
             self.station.drive("go", axis=axis, angle_rad=angle_rad, rate_rps=math.radians(rate_dps))
         except ValueError:
             if text:
-                self.notify(f"{text!r} is no angle in deg", severity="warning", markup=False)
+                self.notify(f"{text!r} is not an angle in deg", severity="warning", markup=False)

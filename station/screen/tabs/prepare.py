@@ -224,12 +224,12 @@ class PrepareScreen(StationScreen):
 
     async def _look_at_devices(self, choices: Choices, found: Prospect) -> None:
         if self.station.bench_recalled and not found.all_twins:
-            self._checking = f"bench {found.bench} is that of the last run, and real: F6 opens it"
+            self._checking = f"bench {found.bench} was used in the last run and is real hardware: F6 opens it"
             self.redraw()
             return
         others = await sessions_on(found.bench, choices.bench)
         if others or self.station.busy:  # a port that two programs read loses samples of both
-            self._checking = "a session runs on this bench: its devices are not asked (F6 asks again)"
+            self._checking = "a session is running on this bench, so its devices are not checked (F6 checks again)"
             self.redraw()
             return
         self._checking = ""
@@ -262,7 +262,9 @@ class PrepareScreen(StationScreen):
         """Ask why a device that says another number is the right one all the same; it goes onto the record."""
         entered, told = self.station.choices.serial, self._told_serial()
         if told and entered and entered != told:
-            question = f"The device says {told}, entered is {entered}: why are both right? (For the certificate, too.)"
+            question = (
+                f"The device reports {told}, but you entered {entered}. Why are both right? (Also for the certificate.)"
+            )
 
             def keep(reason: str | None) -> None:
                 self._confirmed = entered, told, reason or ""
@@ -287,7 +289,7 @@ class PrepareScreen(StationScreen):
         found: list[tuple[str, str]] = []
         prospect, choices = self._prospect, self.station.choices
         if self.station.busy:
-            found.append(("WAIT", "a session runs: F3 shows it"))
+            found.append(("WAIT", "a session is running: F3 shows it"))
         for name, text, pattern in (
             ("operator", choices.operator, prospect and prospect.operator_pattern),
             ("device serial number", choices.serial, prospect and prospect.serial_pattern),
@@ -295,13 +297,13 @@ class PrepareScreen(StationScreen):
             if not text:
                 found.append(("WRONG", f"{name}: enter it"))
             elif pattern and not matches(pattern, text):
-                found.append(("WRONG", f"{name} {text!r} is not as the bench file wants it: {pattern}"))
+                found.append(("WRONG", f"{name} {text!r} does not match the pattern of the bench file: {pattern}"))
         age_s = time.time() - self.station.operator_utc_s
         if prospect is not None and choices.operator and age_s > prospect.shift_s:
-            found.append(("WRONG", f"operator: is it still {choices.operator}? Enter in the field confirms it"))
+            found.append(("WRONG", f"is the operator still {choices.operator}? Press Enter in the field to confirm"))
         told = self._told_serial()
         if told and choices.serial and choices.serial != told and not choices.serial_reason:
-            found.append(("WRONG", f"the device says serial no. {told}: correct it, or confirm with a reason (F8)"))
+            found.append(("WRONG", f"the device reports serial no. {told}: correct it, or confirm with a reason (F8)"))
         if prospect is None:
             found.append(("WAIT", "bench and script are being read (Enter)"))
             return found
@@ -311,14 +313,14 @@ class PrepareScreen(StationScreen):
             found += self._device_obstacles()
         if not prospect.bench_wrong and not prospect.script_wrong:
             if self._plan is None:
-                found.append(("WAIT", "the plan is being made"))
+                found.append(("WAIT", "the plan is being computed"))
             elif not self._plan.found.get("gyros"):
                 found.append(("WRONG", f"plan: {self._plan.reason}"))
         return found
 
     def _device_obstacles(self) -> list[tuple[str, str]]:
         if self._check is None:
-            return [("WAIT", self._checking or "the devices are being asked")]
+            return [("WAIT", self._checking or "the devices are being checked")]
         devices = self._check.found.get("devices")
         if devices is None:
             return [("WRONG", f"check: {self._check.reason}")]

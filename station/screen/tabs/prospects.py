@@ -94,7 +94,7 @@ def folder_trouble(folder: Path) -> str:
     for wrong, words in (
         (not there.is_dir(), f"{there} is a file"),
         (not os.access(there, os.W_OK | os.X_OK), f"{there.absolute()} cannot be written"),
-        (free_mb < _LEAST_FREE_MB, f"the disk of {there.absolute()} is all but full ({free_mb:.1f} MB left)"),
+        (free_mb < _LEAST_FREE_MB, f"the disk of {there.absolute()} is almost full ({free_mb:.1f} MB left)"),
     ):
         if wrong:
             return f"{words}: choose another folder with --folder"

@@ -27,7 +27,7 @@ from station.screen.tabs.facts import fill_in
 from station.views.figures import told_figures
 
 _MOST_OFFERED = 20
-_LOOKING = "looking for what the model lacks"
+_LOOKING = "looking for errors that the model misses"
 _NONE, _ALL = "none", "all"  # choices of runs that judge, beside the number of one
 _BLOCKS = ("verdict", "states", "change", "model", "record")
 _BUTTONS = (
@@ -65,7 +65,7 @@ class ResultScreen(StationScreen):
         entry = self._whole.entry if self._whole is not None else None
         if entry is None or entry.wrong or entry.texts.get("outcome"):
             return ""
-        return "this recording has no outcome: its session ended without a word; look whether the table is at rest"
+        return "this recording has no outcome because its session ended unexpectedly. Check that the table is at rest"
 
     def body(self) -> ComposeResult:
         with Container(id="columns"):
@@ -115,7 +115,7 @@ class ResultScreen(StationScreen):
         for n, e in enumerate(self._same[:_MOST_OFFERED]):
             words = f"{e.when}  {e.texts.get('outcome', ''):7} {e.texts.get('script', '')}  {e.path.name}"
             lines.append((str(n), words))
-        self.app.push_screen(ChooseDialog("By what is a cause to be judged that is found?", lines), self._judged_by)
+        self.app.push_screen(ChooseDialog("Which data should verify a cause?", lines), self._judged_by)
 
     def _judged_by(self, chosen: str | None) -> None:
         if chosen is not None and not self._obstacle("investigate"):
@@ -211,15 +211,15 @@ class ResultScreen(StationScreen):
         if what in ("investigate", "facts"):
             return "" if entry.gyros else "there is no calibration in this recording"
         if what == "next" and not self._found.get("next_script"):
-            return "no investigation has asked for another script (I investigates)"
+            return "no investigation needs another script (I investigates)"
         return "a session runs: F3 shows it" if self.station.busy else ""
 
     def _not_to_accept(self, entry: Entry) -> str:
         outcome = entry.texts.get("outcome", "")
         if outcome not in ("PASS", "ESTIMATED"):
-            return f"only a PASS can be accepted, this is {outcome or 'without an outcome'}: repeat it, or investigate"
+            return f"only a PASS can be accepted; this is {outcome or 'without an outcome'}: repeat it, or investigate"
         if entry.texts.get("accepted_by"):
-            return f"it was accepted by {entry.texts['accepted_by']}"
+            return f"accepted by {entry.texts['accepted_by']}"
         return "" if self.station.choices.operator else "accepting needs an operator: F2, enter the name"
 
     def on_screen_resume(self) -> None:
@@ -246,7 +246,7 @@ class ResultScreen(StationScreen):
             told = ("states", "change", "record") if whole.entry.gyros else ("record",)
             shown = {name: templated(f"{name}.rich", values) for name in told}
             if whole.entry.gyros:
-                lines = self._model or [Text("I looks for what the four states lack", "dim")]
+                lines = self._model or [Text("I looks for errors beyond the four states", "dim")]
                 shown["model"] = Group(Text("Investigation", "bold underline"), *lines)
         for name in _BLOCKS[1:]:
             self._block(name, shown.get(name))
@@ -287,5 +287,5 @@ def _investigation(found: Mapping[str, Any]) -> list[RenderableType]:
     except Exception:  # a file made by hand
         shown = None
     if shown is None:
-        return [Text("damaged, or kept by another version of the station: I investigates again", "yellow")]
+        return [Text("damaged, or written by another version of the station: I investigates again", "yellow")]
     return [Text.from_markup(what, emoji=False) if isinstance(what, str) else what for what, _ in shown]

@@ -101,7 +101,7 @@ class RunScreen(ManualScreen):
     def action_note(self) -> None:
         if self.station.shown is not None and self.station.shown.active:
             self.app.push_screen(
-                AskTextDialog("Note for the record (Enter keeps it, Escape goes back)"), self.station.note_run
+                AskTextDialog("Note for the recording (Enter saves it, Escape goes back)"), self.station.note_run
             )
 
 
@@ -126,7 +126,7 @@ def _judgement(snapshot: Snapshot) -> tuple[str, str]:
         return "not known yet", "dim"
     by_chance = _MANY_SIGMAS / math.sqrt(max(snapshot.recent, 1))
     if abs(snapshot.nis_recent - 1) > max(_NIS_OFF, math.sqrt(2) * by_chance):
-        return "NIS OFF 1: the noise or the model is not what was assumed", "bold red"
+        return "NIS OFF 1: the noise or the model differs from what was assumed", "bold red"
     if abs(snapshot.whiteness) > max(_WHITE_OFF, by_chance):
-        return "NOT WHITE: something is not in the model", "bold red"
+        return "NOT WHITE: the model misses something", "bold red"
     return "good: near 1, and white", "green"

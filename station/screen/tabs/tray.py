@@ -89,7 +89,9 @@ class TrayScreen(StationScreen):
         for script in self.query_one("#scripts", Input).value.split(",") if event.input is scan and event.value else ():
             spot = Spot(event.value, whole(script.strip()))
             if any((old.serial, old.script) == (spot.serial, spot.script) for old in tray.spots):
-                self.notify(f"{spot.serial} is there already", title="Not added", severity="warning", markup=False)
+                self.notify(
+                    f"{spot.serial} is on the tray already", title="Not added", severity="warning", markup=False
+                )
             elif wrong := tray.keep([*tray.spots, spot]):
                 self.notify(wrong, title="NOT kept", severity="error", markup=False)
 

@@ -17,11 +17,11 @@ from station.errors import ScriptError, sentence
 _SAME = 1e-9  # relative; what is nearer than this is the same acceleration
 _COMMENTS = 44  # the column of comments in a script file
 
-AXIS = Key(name="axis", kind="text", doc="which axis", required=True, one_of=("x", "y", "z"))
+AXIS = Key(name="axis", kind="text", doc="axis", required=True, one_of=("x", "y", "z"))
 ACCELERATION = Key(
-    name="acceleration", kind="acceleration", doc="of the ramps", default="20 deg/s2", field="acceleration_rps2"
+    name="acceleration", kind="acceleration", doc="acceleration of the ramps", default="20 deg/s2", field="acceleration_rps2"
 )
-LABEL = Key(name="label", kind="text", doc="a text for people; left out: made of the other keys")
+LABEL = Key(name="label", kind="text", doc="text shown to the operator; default: from the other keys")
 """A key of every kind; no record lists it."""
 
 

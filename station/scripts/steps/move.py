@@ -84,7 +84,7 @@ SPEC = StepKind(
     keys=(
         AXIS,
         Key(name="angle", kind="angle", doc="angle from home", required=True, field="angle_rad"),
-        Key(name="rate", kind="rate", doc="how fast", required=True, field="rate_rps"),
+        Key(name="rate", kind="rate", doc="rate", required=True, field="rate_rps"),
         ACCELERATION,
     ),
     make=_make,

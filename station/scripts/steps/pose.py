@@ -93,18 +93,18 @@ SPEC = StepKind(
     name="pose",
     what="go to stated angles of the axes and rest there",
     keys=(
-        *(Key(name=axis, kind="angle", doc=f"angle of {axis} from home; left out: it stays") for axis in _AXES),
-        Key(name="rate", kind="rate", doc="how fast", required=True, field="rate_rps", bound="above_zero"),
+        *(Key(name=axis, kind="angle", doc=f"angle of {axis} from home; default: it stays") for axis in _AXES),
+        Key(name="rate", kind="rate", doc="rate", required=True, field="rate_rps", bound="above_zero"),
         ACCELERATION,
         Key(
             name="settle",
             kind="time",
-            doc="how long it stands before the rest counts",
+            doc="settling time before the rest counts",
             default="0 s",
             field="settle_s",
             bound="not_negative",
         ),
-        Key(name="duration", kind="time", doc="how long the rest is", required=True, field="duration_s"),
+        Key(name="duration", kind="time", doc="duration of the rest", required=True, field="duration_s"),
     ),
     make=_make,
 )

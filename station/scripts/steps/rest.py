@@ -24,7 +24,7 @@ class Rest(Step):
         """Return what is wrong with the duration."""
         if 0 < self.duration_s < math.inf:
             return ""
-        return f"a rest of {self.duration_s:g} s; give a time above zero"
+        return f"a rest of {self.duration_s:g} s. Give a time above zero"
 
     def parts(self, angles_rad: Mapping[str, float]) -> Sequence[Part]:
         """Return one part, the rest."""
@@ -54,6 +54,6 @@ class Rest(Step):
 SPEC = StepKind(
     name="rest",
     what="stand still for a time",
-    keys=(Key(name="duration", kind="time", doc="how long", required=True, field="duration_s"),),
+    keys=(Key(name="duration", kind="time", doc="duration", required=True, field="duration_s"),),
     make=Rest,
 )

@@ -108,8 +108,8 @@ SPEC = StepKind(
     what="turn at a rate for a time",
     keys=(
         AXIS,
-        Key(name="rate", kind="rate", doc="how fast; negative rates turn backwards", required=True, field="rate_rps"),
-        Key(name="duration", kind="time", doc="how long, both ramps included", required=True, field="duration_s"),
+        Key(name="rate", kind="rate", doc="rate; negative rates turn backwards", required=True, field="rate_rps"),
+        Key(name="duration", kind="time", doc="duration, including both ramps", required=True, field="duration_s"),
         ACCELERATION,
     ),
     make=Rotate,

@@ -78,7 +78,7 @@ SPEC = StepKind(
         Key(
             name="amplitude",
             kind="angle",
-            doc="angle to either side of where the axis stands",
+            doc="amplitude about the present angle",
             required=True,
             field="amplitude_rad",
             bound="above_zero",
@@ -86,12 +86,12 @@ SPEC = StepKind(
         Key(
             name="frequency",
             kind="frequency",
-            doc="cycles a second; limited by rate and acceleration of the axis",
+            doc="cycles per second; limited by rate and acceleration of the axis",
             required=True,
             field="frequency_hz",
             bound="above_zero",
         ),
-        Key(name="cycles", kind="integer", doc="how many", required=True, bound="1 to 10000"),
+        Key(name="cycles", kind="integer", doc="number of cycles", required=True, bound="1 to 10000"),
     ),
     make=_make,
 )

@@ -361,7 +361,7 @@ def robot(folder: Path, seed: int, random: np.random.Generator) -> ForeignSet:
     expected = Expected(
         states=unit.states(),
         k_sd=0.01,
-        says=[rf"{1e3 * late_s:.0f}\.|{1e3 * late_s - 1:.0f}\.|{1e3 * late_s + 1:.0f}\.|too seldom"],
+        says=[rf"{1e3 * late_s:.0f}\.|{1e3 * late_s - 1:.0f}\.|{1e3 * late_s + 1:.0f}\.|too rarely"],
         never=[NO_LAW_OF_THE_RATE],
         verdicts=DELAYED | OPEN,
         added=DELAYS,
@@ -521,7 +521,7 @@ def delays(folder: Path, seed: int, random: np.random.Generator) -> ForeignSet:
         states=states,
         k_sd=0.005,
         says=[rf"\b{number}\.\d|\b{int(number) - 1}\.[5-9]"] if seed != 1 else [r"one count is 0\.06[01]"],
-        never=[r"write scale", r"times what the reference says"],
+        never=[r"write scale", r"times the reference"],
         verdicts=DELAYED | OPEN if seed == 1 else DELAYED,
         added=DELAYS,
     )
@@ -548,7 +548,7 @@ def laid_by_hand(folder: Path, seed: int, random: np.random.Generator) -> Foreig
     _gyro_csv(folder / "log.csv", t_s, output, accel)
     says = [rf"(?i)\b{'xyz'[gyro]}\b.*(constant|dead|disconnected)"] if seed % 2 else []
     states = {} if seed % 2 else unit.states()
-    expected = Expected(states=states, k_sd=0.01, says=[*says, r"nothing is traced|three axes"], untraced=True)
+    expected = Expected(states=states, k_sd=0.01, says=[*says, r"no effect can be traced|three axes"], untraced=True)
     return ForeignSet(
         mapping=_TOP + _TIME + _GYRO + _ACCEL + '[reference]\nkind = "gravity"\n', files=["log.csv"], expected=expected
     )

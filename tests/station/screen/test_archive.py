@@ -47,7 +47,7 @@ def small_files(recordings: Path) -> Iterator[Path]:
 def test_a_recording_is_as_it_was_where_acceptance_cannot_be_written(small_files: Path) -> None:
     path = small_files / "first.h5"
     before = path.read_bytes()
-    assert "it cannot be written, and is as it was" in asyncio.run(accept(path))
+    assert "it cannot be written and is unchanged" in asyncio.run(accept(path))
     assert path.read_bytes() == before
     assert not list(small_files.glob(".*.part"))
 

@@ -103,13 +103,13 @@ def test_what_the_form_keeps_is_what_a_report_states(jobs: Path) -> None:
         await entered(pilot, "customer.address", "Langstrasse 1 | Bern")
         assert line(pilot, "customer.name") == "customer name Aerial surveys entered"
         await entered(pilot, "certificate.issued", "1.5.2026")
-        assert "WRONG: '1.5.2026' is no date: write it as 2026-11-23" in line(pilot, "certificate.issued")
+        assert "WRONG: '1.5.2026' is not a date. Write it as 2026-11-23" in line(pilot, "certificate.issued")
         await keep(pilot)  # is refused, and leads to what is wrong
         await form_of(pilot, "WRONG certificate.issued")
         assert not list(jobs.glob("*.toml"))
         await entered(pilot, "certificate.issued", "2026-05-02")
         await pilot.press("escape")  # asks, and goes back to the form
-        await until(pilot, lambda: "not kept yet" in shown(pilot.app, "question"))
+        await until(pilot, lambda: "not saved yet" in shown(pilot.app, "question"))
         await pilot.press("escape")
         await form_of(pilot)
         await keep(pilot)
@@ -145,7 +145,7 @@ def test_the_customer_of_the_last_form_is_shown_as_that_and_the_job_is_not_taken
         assert line(pilot, "item.condition") == "condition new kept"
         await entered(pilot, "item.condition", "used")
         await pilot.press("ctrl+q")  # does not leave the station with what is not kept
-        await until(pilot, lambda: "not kept yet" in shown(pilot.app, "question"))
+        await until(pilot, lambda: "not saved yet" in shown(pilot.app, "question"))
         await pilot.press("escape")
         await form_of(pilot)
         await entered(pilot, "item.condition", "new")

@@ -283,7 +283,7 @@ def test_the_calibration_that_was_valid_on_a_day_is_found(
 
     assert valid_on("2026-11-25", 0)["recording"]["file"] == "day-04.h5"
     assert valid_on("2027-11-25", 0)["recording"]["file"] == "day-11.h5"
-    assert "its first one is of 2026-11-21" in valid_on("2026-11-01", 1)["reason"]
+    assert "the first one is of 2026-11-21" in valid_on("2026-11-01", 1)["reason"]
     write_run(series, runs, 20, outcome="ABORTED")
     assert valid_on("2026-12-20", 0)["recording"]["file"] == "day-11.h5"
     (series / "day-11-certificate.toml").write_text("[certificate]\nnext_due = 2026-12-18\n")

@@ -256,7 +256,7 @@ def test_a_result(recordings: Path, snap_compare: Compare, name: str, size: tupl
 
     async def before(pilot: Pilot[None]) -> None:
         app.open_recording(Path(f"recordings/{name}.h5"))
-        expected = "none of it" if name == "first" else "first.h5"
+        expected = "none in this folder" if name == "first" else "first.h5"
         await until(pilot, lambda: app.current_mode == "result" and app.screen.query("#change"))
         await drawn(pilot, app)
         await until(pilot, lambda: expected in str(app.screen.query_one("#change").render()))
@@ -279,7 +279,7 @@ def test_the_facts_of_a_certificate(recordings: Path, snap_compare: Compare, siz
     async def before(pilot: Pilot[None]) -> None:
         app.open_recording(Path("recordings/first.h5"))
         await until(pilot, lambda: app.current_mode == "result" and app.screen.query("#change"))
-        await until(pilot, lambda: "none of it" in str(app.screen.query_one("#change").render()))
+        await until(pilot, lambda: "none in this folder" in str(app.screen.query_one("#change").render()))
         await pilot.press("f")
         await until(pilot, lambda: isinstance(app.screen, FactsDialog) and app.screen.query("OptionList"))
         await pilot.press(*["down"] * 18)

@@ -49,7 +49,7 @@ def test_one_key_stops_from_everywhere_and_a_stop_that_is_not_heeded_is_told(pla
                 await until(pilot, lambda: len(session.heard) >= number)  # noqa: B023  awaited here
                 assert session.heard == [{"do": "stop"}] * number, where
                 assert number > 1 or "sent; waiting" in said_by_bar(app)
-            await until(pilot, lambda: "NOT HEEDED: USE THE EMERGENCY STOP" in said_by_bar(app))
+            await until(pilot, lambda: "NO REACTION: USE THE EMERGENCY STOP" in said_by_bar(app))
             assert app.screen.query_one(StopBar).has_class("-armed")
 
         driven(app, drive)

@@ -51,7 +51,7 @@ def test_without_a_terminal_it_says_so(place: Path) -> None:
     ("variables", "says"),
     [
         ({"TERM": "dumb"}, "TERM is 'dumb'"),
-        ({"TERM": ""}, "cannot show a screen"),
+        ({"TERM": ""}, "cannot show the screen"),
         ({"TERM": "xterm", "PYTHONIOENCODING": "latin-1"}, "LANG=C.UTF-8"),
     ],
 )
@@ -67,7 +67,7 @@ def test_a_port_that_is_taken_is_told(place: Path, capsys: pytest.CaptureFixture
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         assert main(["ui", "--web", str(taken.getsockname()[1])]) == 2
-    assert "give another to --web" in capsys.readouterr().err
+    assert "Choose another with --web" in capsys.readouterr().err
 
 
 async def asked_of(port: int) -> dict[str, int]:

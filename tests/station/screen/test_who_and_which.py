@@ -66,14 +66,14 @@ async def test_the_serial_number_is_what_the_device_says_and_another_needs_a_rea
         assert told in shown(app, "check")
         await pilot.press(*keys("A. Operator"), "tab", *keys("x"))
         assert value(app, "serial") == "x"  # in place of what was filled in
-        assert f"the device says serial no. {told}" in shown(app, "ready")
+        assert f"the device reports serial no. {told}" in shown(app, "ready")
         assert app.screen.query_one("#start", Button).disabled
         await pilot.press("f8", *keys("label of the customer"), "enter")
         await until(pilot, lambda: "nothing is missing" in shown(app, "ready"))
         run = app.choices.run_arguments(Path("r.h5"), None)
         assert run[run.index("--serial-reason") + 1] == "label of the customer"
         await pilot.press(*keys("y"))  # another number: what was confirmed was not this one
-        assert "the device says serial no." in shown(app, "ready")
+        assert "the device reports serial no." in shown(app, "ready")
 
 
 @pytest.mark.full
@@ -94,10 +94,10 @@ async def test_who_operates_is_confirmed_each_shift(place: Path) -> None:
     app = app_on(place)
     async with app.run_test(size=(120, 40)) as pilot:
         await asked(pilot, app)
-        assert "is it still A. Operator?" in shown(app, "ready")
+        assert "is the operator still A. Operator?" in shown(app, "ready")
         await pilot.press("shift+tab", "enter")
         assert value(app, "operator") == "A. Operator"
-        assert "is it still" not in shown(app, "ready")
+        assert "is the operator still" not in shown(app, "ready")
 
 
 @driven
@@ -111,7 +111,7 @@ async def test_a_real_bench_of_the_last_run_is_named_and_not_opened_by_itself(pl
     app = app_on(place)
     async with app.run_test(size=(120, 40)) as pilot:
         await until(pilot, lambda: "F6 opens it" in shown(app, "ready"))
-        assert "bench lab 3 is that of the last run" in shown(app, "check")
+        assert "bench lab 3 was used in the last run" in shown(app, "check")
         assert value(app, "bench") == str(real)
         await pilot.press("f6")
         await until(pilot, lambda: "nothing answers" in shown(app, "ready"))
