@@ -448,7 +448,9 @@ def test_laws_that_were_constructed_are_printed_and_reported_in_words_and_as_for
     assert f"constructed: {in_words}" in words
     assert "a lag(abs(u), 5)" in words
     assert "u: rate about the sense axis in rad/s" in words
-    assert re.search(r"Not undone: constructed: bias proportional to cos of \(.*belongs to the axes of the table", words)
+    assert re.search(
+        r"Not undone: constructed: bias proportional to cos of \(.*belongs to the axes of the table", words
+    )
     arrays = {name: data.array for name, data in read_recording(bare).sources.items()}
     calibration = read_calibration(bare)
     compensation = Compensation.of(calibration.gyros, arrays, calibration.model)

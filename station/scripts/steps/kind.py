@@ -19,7 +19,11 @@ _COMMENTS = 44  # the column of comments in a script file
 
 AXIS = Key(name="axis", kind="text", doc="axis", required=True, one_of=("x", "y", "z"))
 ACCELERATION = Key(
-    name="acceleration", kind="acceleration", doc="acceleration of the ramps", default="20 deg/s2", field="acceleration_rps2"
+    name="acceleration",
+    kind="acceleration",
+    doc="acceleration of the ramps",
+    default="20 deg/s2",
+    field="acceleration_rps2",
 )
 LABEL = Key(name="label", kind="text", doc="text shown to the operator; default: from the other keys")
 """A key of every kind; no record lists it."""
