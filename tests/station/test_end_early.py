@@ -73,7 +73,7 @@ def test_a_run_ends_once_every_sigma_is_reached_and_says_so(
         ended_s = file["events/t_ns"][-1] * 1e-9
     assert why == result["ended_early"]
     assert "every required sigma is reached" in why
-    assert "mean NIS" in why
+    assert "Mean NIS" in why
     assert [event.split(" after")[0] for event in events] == ["script begins", "ended early", "table at rest"]
     assert 40 < ended_s < 130
 
@@ -119,5 +119,5 @@ def test_a_bench_that_requires_no_sigma_is_refused(tmp_path: Path, capsys: pytes
     path = tmp_path / "bench.toml"
     path.write_text(text, encoding="utf-8")
     assert main(["run", "--bench", str(path), "--end-early", "-o", str(tmp_path / "r.h5")]) == 2
-    assert "requires no sigmas" in capsys.readouterr().err
+    assert "needs required sigmas" in capsys.readouterr().err
     assert not (tmp_path / "r.h5").exists()

@@ -224,7 +224,7 @@ def test_bad_options_and_places_are_refused_before_anything_is_asked(
         return capsys.readouterr().err
 
     assert "is a folder" in refused(tmp_path)
-    assert "cannot be written" in refused(tmp_path / "file" / "bench.toml")
+    assert "is not writable" in refused(tmp_path / "file" / "bench.toml")
     assert "modbus, galil" in refused(tmp_path / "b.toml", "--table", "kuka")
     assert "stim300" in refused(tmp_path / "b.toml", "--imu", "mpu6050")
     assert "--imu-link" in refused(tmp_path / "b.toml", "--imu-link", "twin:", "--imu-link", "twin:")

@@ -58,7 +58,7 @@ def test_of_the_paper_s_script_it_says_that_asymmetry_cannot_be_seen_and_what_it
     code, text, _ = planned(capsys)
     assert code == 0
     row = next(line for line in text.splitlines() if line.startswith("│ scale asymmetry"))
-    assert "cannot be seen" in row
+    assert "not detectable" in row
     words = " ".join(text.split())
     start = words.index("scale asymmetry, each direction, 5000 ppm; detected by: turns in both directions")
     corrupted = re.findall(r"(k|b|sigma_j|sigma_k) of (gyro\d .*?) (?:ppm|deg/h|urad)", words[start:])[:3]
