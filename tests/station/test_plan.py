@@ -65,7 +65,7 @@ def test_of_the_paper_s_script_it_says_that_asymmetry_cannot_be_seen_and_what_it
     assert [state for state, _ in corrupted] == ["k", "sigma_j", "sigma_k"]
     assert corrupted[0][1].startswith("gyro1 +5000 (")
     assert all(f"gyro{n}" in corrupted[0][1] for n in (1, 2, 3, 4))
-    assert "saturated: 4 steady conditions" in text
+    assert "saturated: 4 different steady conditions" in text
     assert text.splitlines()[0].startswith("OK")
 
 
