@@ -256,13 +256,13 @@ def test_a_recording_that_lacks_what_the_model_needs_is_refused_with_what_to_do(
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (("turntable-error-model", "a poem"), "no error model"),
+        (("turntable-error-model", "a poem"), "not an error model"),
         (('"format_version": 1', '"format_version": 2'), "version 2"),
         (("thermal_bias", "phlogiston"), "phlogiston.*catalogue"),
         (('"sd": 0.001', '"sd": -1'), "damaged"),
         (('"sd": 0.001', '"sd": "wide"'), "damaged"),
         (("rad/s/K", "rad"), "damaged"),
-        (('"effects": [', '"effects": ['[:-1] + "3, "), "no error model"),
+        (('"effects": [', '"effects": ['[:-1] + "3, "), "not an error model"),
     ],
 )
 def test_a_file_that_is_no_model_is_refused_by_name(tmp_path: Path, change: tuple[str, str], said: str) -> None:

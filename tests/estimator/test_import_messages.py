@@ -68,7 +68,7 @@ RECORD = MAPPING.replace(
         (text(ROWS * ([1e9] + [1] * 6) + ([1.7e18] + [0] * 6), spec="%.0f"), MAPPING, "Correct its unit"),
         (b"PK\x03\x04" + np.random.default_rng(2).bytes(5000), MAPPING, "is a spreadsheet or an archive. Save its"),
         (ROWS.astype("<f8").tobytes(), MAPPING, 'is not a text file. Write format = "binary" with its record'),
-        (ROWS.astype("<f4").tobytes(), RECORD, "check record"),
+        (ROWS.astype("<f4").tobytes(), RECORD, "heck record"),
     ],
     ids=range(14),
 )

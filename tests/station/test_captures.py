@@ -199,7 +199,7 @@ def test_a_log_of_candump_is_read_by_the_signals_of_a_dbc(tmp_path: Path, style:
 @pytest.mark.parametrize(
     ("mapping", "message"),
     [
-        (XBUS.replace('"xbus"', '"stim300"'), "capture1.bin: holds no message of stim300: check [file]"),
+        (XBUS.replace('"xbus"', '"stim300"'), "capture1.bin: holds no message of stim300. Check [file]"),
         (XBUS.replace('"RateOfTurn"', '"Rate"'), "has no column Rate: the capture has "),
         (
             STIM300.replace('"stim300"', '"stim300"\ngyro_output = "turns"'),

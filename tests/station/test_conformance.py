@@ -108,7 +108,7 @@ def test_what_is_wrong_with_a_description_is_told_before_anything_is_tried(
             "framing cut anywhere",
             "ended with|no samples came",
         ),
-        ("counted_imu", "int.from_bytes(frame[-2:]):", "0 or True:", "garbage", "damaged samples .* went through"),
+        ("counted_imu", "int.from_bytes(frame[-2:]):", "0 or True:", "garbage", "damaged samples .* were accepted"),
         (
             "counted_imu",
             "yield self._device, block",

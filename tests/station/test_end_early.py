@@ -79,7 +79,7 @@ def test_a_run_ends_once_every_sigma_is_reached_and_says_so_also_where_its_lengt
     assert why == result["ended_early"]
     assert re.match(r"after [0-9.]+ s of [0-9.]+ to [0-9.]+ s, in step '", why)
     assert "every required sigma is reached" in why
-    assert "mean NIS" in why
+    assert "Mean NIS" in why
     assert [event.split(" after")[0] for event in events] == ["script begins", "ended early", "table at rest"]
     assert 40 < ended_s < 130
 
@@ -125,5 +125,5 @@ def test_a_bench_that_requires_no_sigma_is_refused(tmp_path: Path, capsys: pytes
     path = tmp_path / "bench.toml"
     path.write_text(text, encoding="utf-8")
     assert main(["run", "--bench", str(path), "--end-early", "-o", str(tmp_path / "r.h5")]) == 2
-    assert "requires no sigmas" in capsys.readouterr().err
+    assert "needs required sigmas" in capsys.readouterr().err
     assert not (tmp_path / "r.h5").exists()

@@ -686,7 +686,7 @@ def test_bad_input_is_refused_with_what_to_do(
     assert "my_gyro_1_correct" in there.read_text()
     capsys.readouterr()
     assert "cannot be written" in refused(path, "--format", "c", "-o", there / "x.h")
-    assert "no file" in refused(path, "--format", "c", "-o", tmp_path, "--force")
+    assert "not a file" in refused(path, "--format", "c", "-o", tmp_path, "--force")
     assert main(["export", str(path), "--format", "c", "--json"]) == 2
     assert "--output" in json.loads(capsys.readouterr().out)["reason"]
     assert "0 to 3" in refused(path, "--format", "px4", "--instance", "4")

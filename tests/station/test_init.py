@@ -127,7 +127,7 @@ def test_gyros_on_can_may_lie_anyhow_and_be_any_signals(tmp_path: Path) -> None:
         "", "", "", "no", *[""] * 12,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
-    for reproach in ("3 to 64", "has 4 gyros", "is not a valid DBC file", "no signal of five.dbc"):
+    for reproach in ("3 to 64", "has 4 gyros", "is not a valid DBC file", "not a signal of five.dbc"):
         assert reproach in done.stdout, reproach
     (imu,) = load_bench(tmp_path / "bench.toml").imus
     assert len(imu.array) == 5
@@ -224,7 +224,7 @@ def test_bad_options_and_places_are_refused_before_anything_is_asked(
         return capsys.readouterr().err
 
     assert "is a folder" in refused(tmp_path)
-    assert "cannot be written" in refused(tmp_path / "file" / "bench.toml")
+    assert "is not writable" in refused(tmp_path / "file" / "bench.toml")
     assert "modbus, galil" in refused(tmp_path / "b.toml", "--table", "kuka")
     assert "stim300" in refused(tmp_path / "b.toml", "--imu", "mpu6050")
     assert "--imu-link" in refused(tmp_path / "b.toml", "--imu-link", "twin:", "--imu-link", "twin:")

@@ -82,7 +82,7 @@ def test_a_virtual_run_with_a_due_date_is_told_without_a_date_that_there_is_not(
     with h5py.File(run, "r+") as file:
         file.attrs["devices"] = ["array (can, twin:)"]
     _, page = issue(run, changed(run, NO_DATE, ""), "r.html")
-    assert "was over on" not in page
+    assert "had expired on" not in page
     assert "Specimen of a calibration certificate" in page
     assert "no date of measurement, so it is unknown whether these calibrations were valid" in page
 

@@ -596,7 +596,7 @@ def misshapen(path: Path) -> None:
         (later, "format version 99.*update"),
         (uncalibrated, "station calibrate --write"),
         (not_finite, "station calibrate --write"),
-        (misshapen, "not laid out"),
+        (misshapen, "do not have the layout"),
     ],
 )
 def test_a_recording_that_cannot_be_reported_is_refused_with_the_reason(
@@ -753,7 +753,7 @@ def test_a_logo_that_is_no_file_is_refused_at_once(
     os.mkfifo(tmp_path / "pipe.png")
     (tmp_path / "huge.png").write_bytes(bytes(2 << 20))
     meta = tmp_path / "meta.toml"
-    for name, said in {"zero": "a pipe or a device", "pipe": "a pipe or a device", "huge": "more than 1 MB"}.items():
+    for name, said in {"zero": "a pipe or a device", "pipe": "a pipe or a device", "huge": "larger than 1 MB"}.items():
         meta.write_text(f'[laboratory]\nlogo = "{name}.png"\n')
         assert said in refused(capsys, run, "--meta", meta, "-o", tmp_path / "r.html")
 

@@ -126,7 +126,7 @@ def test_each_state_has_one_unit_and_a_limit_is_told_as_written(
     capsys.readouterr()
     plan = " ".join(shown(capsys, "plan", "--bench", str(folder / "own.toml")))
     assert "mrad" in plan
-    assert "urad" not in plan.partition("Smallest size")[0]
+    assert "urad" not in plan.partition("Smallest detectable size")[0]
 
 
 @pytest.mark.usefixtures("narrow")

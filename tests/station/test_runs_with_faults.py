@@ -73,7 +73,7 @@ def test_another_device_after_a_link_came_back_ends_the_run_by_both_names(
 ) -> None:
     found = ended((bench, (Fault(device, "another", EXCHANGED),), 0))
     assert found.outcome == "FAULT", found.reason
-    assert found.reason.startswith(f"{device}: another device"), found.reason
+    assert found.reason.startswith(f"{device}: a different device"), found.reason
     assert all(word in found.reason for word in words), found.reason
 
 
@@ -83,7 +83,7 @@ def test_another_device_after_a_link_came_back_ends_the_run_by_both_names(
 def test_a_device_exchanged_without_a_lost_link_is_known_at_the_end(bench: str, device: str) -> None:
     found = ended((bench, (Fault(device, "another", 'another = "5.2 s"'),), 0))
     assert found.outcome == "FAULT", found.reason
-    assert found.reason.startswith(f"{device}: another device"), found.reason
+    assert found.reason.startswith(f"{device}: a different device"), found.reason
 
 
 @pytest.mark.full

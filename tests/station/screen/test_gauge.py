@@ -106,7 +106,7 @@ def test_what_too_few_runs_do_not_tell_is_said(
     folder, _ = studied
     shown = history(capsys, folder, "--gauge", "--bench", "bench 0")
     assert "reproducibility is unknown" in shown
-    assert "two devices" in history(capsys, folder, "--gauge", "--serial", "SN-0001")
+    assert "two or more devices" in history(capsys, folder, "--gauge", "--serial", "SN-0001")
     assert json.loads(history(capsys, folder, "--gauge", "--serial", "SN-0001", "--json"))["gauge"][0]["study"] is None
     assert "no run" in history(capsys, folder, "--gauge", "--serial", "SN-9999")
     write_run(folder, runs, 0.0, device_serial="SN-0001", station="bench 0", operator="")

@@ -178,7 +178,7 @@ def test_a_run_that_is_refused_says_why(place: Path) -> None:
     async def drive(pilot: Pilot[None]) -> None:
         app.start_run(PROSPECT)
         await until(pilot, lambda: app.shown and app.shown.stage is Stage.ENDED)
-        await until(pilot, lambda: "no [[step]] in it" in str(app.screen.query_one("#progress").render()))
+        await until(pilot, lambda: "it has no [[step]]" in str(app.screen.query_one("#progress").render()))
 
     driven(app, drive)
 
