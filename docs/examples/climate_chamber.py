@@ -97,7 +97,7 @@ async def ready(chamber: EspecChamber, settings: Mapping[str, Any]) -> None:
 
 
 class EspecTwin(LineDevice):
-    """The twin: the same lines; its temperature follows the set point with a time constant of a minute."""
+    """The twin: the same lines; its temperature follows the set point with a time constant of 20 s."""
 
     ends, skipped = b"\n", b"\r"
 
@@ -113,7 +113,7 @@ class EspecTwin(LineDevice):
         if text == "TYPE?":
             return "T,T,S2,160.0"
         now_s = asyncio.get_running_loop().time()
-        fall = math.exp(-(now_s - self._since_s) / 60.0) if self._mode == "CONSTANT" else 1.0
+        fall = math.exp(-(now_s - self._since_s) / 20.0) if self._mode == "CONSTANT" else 1.0
         actual_c = self._set_point_c + (self._from_c - self._set_point_c) * fall
         if text == "TEMP?":
             return f"{actual_c:.1f}, {self._set_point_c:.1f}, 150.0, -60.0"

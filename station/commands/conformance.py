@@ -291,8 +291,17 @@ def _bench_of(spec: DeviceSpec, faults: Mapping[str, Any], plugins: Sequence[Pat
     values = {"table": table, "imu": imu, "axes": axes, "channels": built_in_channels(GYROS.get(imu.proposed.array, 0))}
     values |= {"description": str(description or USUAL_DESCRIPTION), "p": _axes_of(description)}
     values |= {"table_faults": keys if table is spec else "", "imu_faults": keys if imu is spec else ""}
+    values["rate"] = imu.proposed.rate if isinstance(spec, ImuSpec) else _slowest(imu)
     values["other"] = "" if spec in (table, imu) else _other_section(spec, keys, plugins)
     return read_bench(rendered("station.commands", "conformance.toml", values), "conformance", plugins=plugins)
+
+
+def _slowest(imu: ImuSpec) -> str:
+    """Return the lowest rate of an IMU that is not tried itself: nothing is gained by more of its samples."""
+    rates_hz = imu.rates_hz
+    if isinstance(rates_hz, Mapping) or not rates_hz:
+        return imu.proposed.rate
+    return f"{min(rates_hz):g} Hz"
 
 
 def _other_section(spec: DeviceSpec, faults: str, plugins: Sequence[Path]) -> str:

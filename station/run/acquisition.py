@@ -1,6 +1,7 @@
 """What comes of the devices of a run: into the recording, the live filters, and what can be seen meanwhile."""
 
 import asyncio
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -96,6 +97,7 @@ class Acquisition:
         """Describe table and sources in the recording; ``time_scale`` is how fast the loop's clock runs."""
         self._imus, self._others, self._bench = opened.imus, opened.others, opened.bench
         self._devices = tuple(opened.devices.values())
+        self._restoring: defaultdict[str, asyncio.Lock] = defaultdict(asyncio.Lock)
         self._described: set[str] = set()  # devices of other kinds that the recording has a group of
         self.writer, self._model, self._reopening, self._on_event = writer, model, reopening, on_event
         self._host_scale, self._scale = time_scale, max(time_scale, 1.0)  # below 1 devices are slow, too
@@ -157,10 +159,26 @@ class Acquisition:
         return found
 
     async def prepare_others(self) -> None:
-        """Bring the devices of other kinds to where the run needs them, one after another."""
+        """Bring the devices of other kinds to where the run needs them, one after another.
+
+        One whose link is lost on the way there is told anew once that is open again.
+        """
         for device in self._others:
             self.monitor.phase = Phase.PREPARING
-            await device.config.kind.ready(device.driver, device.config.settings)
+            ready = False
+            while not ready:
+                opened = self._reopening.times.get(device.name, 0)
+                try:
+                    await device.config.kind.ready(device.driver, device.config.settings)
+                    ready = True
+                except LinkLost as error:
+                    await self._restore(device, error, opened)
+
+    async def _restore(self, device: OpenDevice, error: LinkLost, opened: int) -> None:
+        """Open the link of a device again, unless another task has since it had been ``opened`` so often."""
+        async with self._restoring[device.name]:
+            if self._reopening.times.get(device.name, 0) == opened:
+                await self._reopening.restore(device.name, device.driver, error)
 
     async def follow(self, device: OpenDevice) -> None:
         """Take in the series of a device until cancelled; a lost link is opened again while nothing turns.
@@ -171,6 +189,7 @@ class Acquisition:
         assert isinstance(driver, AppendsSeries)
         columns = driver.columns
         while True:
+            opened = self._reopening.times.get(device.name, 0)
             try:
                 async for t_ns, row in driver.rows():
                     if len(row) != len(columns):
@@ -181,7 +200,7 @@ class Acquisition:
                 return
             except LinkLost as error:
                 if device in self._others:
-                    await self._reopening.restore(device.name, driver, error)
+                    await self._restore(device, error, opened)
                 else:
                     await asyncio.sleep(_LOOK_S * self._scale)
 

@@ -133,6 +133,20 @@ def test_a_set_point_that_a_device_would_refuse_ends_the_run_before_anything_mov
         assert "steps" not in file
 
 
+def test_a_link_that_is_lost_before_the_script_is_opened_again(place: Path) -> None:
+    fault = '\n[twin.chamber.fault]\nunplug = "6 s"\nreplug = "9 s"\n'
+    (place / "bench.toml").write_text(default_bench_text() + CHAMBER + fault)
+    run()
+    series = read_recording("run.h5").series["chamber"]
+    assert abs(series.columns["temperature_c"][-1] - 27) <= 2
+    with h5py.File("run.h5") as file:
+        events = list(file["events/text"].asstr()[()])
+        assert file["device/chamber"].attrs["link_opened"] == 2
+    reopened = [text for text in events if text.startswith("chamber: open again after")]
+    assert len(reopened) == 1
+    assert events.index(reopened[0]) < events.index("script begins")
+
+
 def test_a_lost_link_in_a_turn_ends_the_run_and_leaves_table_and_chamber_safe(
     place: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

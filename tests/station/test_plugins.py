@@ -1,4 +1,4 @@
-"""Devices, steps, effects and export forms of one's own: five examples as a package that pip installs, or as files."""
+"""Devices, steps, effects and export forms of one's own: the examples as a package that pip installs, or as files."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ HIDDEN = f"[hysteresis]\nsize = {json.dumps([f'{size:g} deg/s' for size in np.de
 
 
 def packed(folder: Path) -> Path:
-    """Pack the five examples as a wheel that announces them by entry points."""
+    """Pack the examples as a wheel that announces them by entry points."""
     files = {path.name: path.read_text() for path in sorted(EXAMPLES.glob("*.py"))}
     about = "mine-1.0.dist-info"
     files[f"{about}/METADATA"] = "Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n"
