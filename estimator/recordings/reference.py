@@ -37,7 +37,7 @@ _ANGLE_SD_RAD = 1e-4  # of an angle whose instant is known
 _RATE_SD_RPS = 3e-4  # what a rate reading is off by before the angles have told
 _SURE_RPS = float(np.radians(0.02))  # to which the doubt of its instant must leave a rate within a ramp known
 _NEAR_NS = 1_000_000  # so near on both sides a change of rate is looked for
-_ACCELERATION_SPAN_NS = 20_000_000  # a mean over it is hardly touched by the noise of two rates
+_HALF_SPAN_NS = 10_000_000  # to each side of an acceleration: a mean over it is hardly touched by noise of rates
 _AT_ONCE = 1024  # readings: sums over more lose digits
 _KEPT_NS = 60_000_000_000  # rows and readings: more than windows, ramps and gaps between readings reach back
 _MADE: "WeakKeyDictionary[TableReadings, dict[Site | None, BodyRates]]" = WeakKeyDictionary()
@@ -369,20 +369,15 @@ class BodyRates:
         known = times[first:last]
         origin = int(known[0])
         at_s, known_s = (t_ns - origin) * 1e-9, (known - origin) * 1e-9
-        columns = range(len(self._gimbals))
-        angle = np.column_stack([np.interp(at_s, known_s, self._final["angle"][first:last, c]) for c in columns])
-        rate = np.column_stack([np.interp(at_s, known_s, self._final["rate"][first:last, c]) for c in columns])
+        parts = (self._final[name][first:last].T for name in ("angle", "rate"))
+        angle, rate = (np.column_stack([np.interp(at_s, known_s, own) for own in part]) for part in parts)
         return angle, rate
 
     def accelerations_at(self, t_ns: Stamps) -> Floats:
-        """Return the mean accelerations (rows, gimbals) over 20 ms about instants as for ``at``, rad/s2.
-
-        A reading and a corner may lie so close together that the slope between them is nothing but rounding.
-        """
-        half_ns = _ACCELERATION_SPAN_NS // 2
-        before, after = t_ns - half_ns, t_ns + half_ns
+        """Return the mean accelerations (rows, gimbals) over 20 ms about instants as for ``at``, rad/s2."""
+        # A reading and a corner may lie so close together that the slope between them is nothing but rounding.
         known = self._final["t_ns"]
-        before, after = (np.clip(one, known[0], known[-1]) for one in (before, after))
+        before, after = (np.clip(t_ns + way_ns, known[0], known[-1]) for way_ns in (-_HALF_SPAN_NS, _HALF_SPAN_NS))
         change = self.gimbals_at(after)[1] - self.gimbals_at(before)[1]
         return np.asarray(change / (np.maximum(after - before, 1) * 1e-9)[:, None])
 
