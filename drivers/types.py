@@ -83,7 +83,14 @@ class AxisState:
         at_ns, rate_ns, half_ns, mean_ns = (
             round(t_s * 1e9) for t_s in (angle_s, rate_s - window_s / 2, half_width_s, window_s)
         )
-        return cls(at_ns, angle[2], rate_ns, rate[2], half_ns, mean_ns)
+        return cls(
+            angle_t_ns=at_ns,
+            angle_rad=angle[2],
+            rate_t_ns=rate_ns,
+            rate_rps=rate[2],
+            half_width_ns=half_ns,
+            rate_window_ns=mean_ns,
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,7 +30,7 @@ class TimedMove:
     acceleration_rps2: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class DirectRun:
     """Readings of the table (k, gimbals), outputs (n, m) and temperature readings (n,) of the gyros."""
 
@@ -72,15 +72,17 @@ def direct_run(
         motions[move.axis].move(move.start_s, move.angle_rad, move.rate_rps, move.acceleration_rps2)
     true = {axis: table.true_angles(axis, motion.angles, started_s) for axis, motion in motions.items()}
     body = Body(
-        gimbals,
-        lambda axis, t: true[axis](t),
-        lambda: 0,
-        latitude_rad,
-        heading_rad,
-        earth_turns,
-        table.directions(gimbals),
+        gimbals=gimbals,
+        angles=lambda axis, t: true[axis](t),
+        revision=lambda: 0,
+        latitude_rad=latitude_rad,
+        heading_rad=heading_rad,
+        earth_turns=earth_turns,
+        directions=table.directions(gimbals),
     )
-    gyros = GyroArray(mounting, truth, body, rate_hz, seed, hidden, started_s)
+    gyros = GyroArray(
+        mounting=mounting, truth=truth, body=body, rate_hz=rate_hz, seed=seed, hidden=hidden, started_s=started_s
+    )
     t_s = np.arange(1, round(duration_s * rate_hz) + 1) / rate_hz
     output = gyros.sample_all(t_s)
     table_s = np.arange(round(duration_s * table_rate_hz) + 2) / table_rate_hz
@@ -89,7 +91,14 @@ def direct_run(
     angle = np.column_stack([np.round(angle / count) * count for angle, _ in read])
     rate = np.column_stack([rate for _, rate in read])
     temperature = _read_temperature(gyros, t_s, (*seed, _OF_TEMPERATURE))
-    return DirectRun(_ns(table_s), angle, rate, _ns(t_s), output, temperature)
+    return DirectRun(
+        table_t_ns=_ns(table_s),
+        angle_rad=angle,
+        rate_rps=rate,
+        t_ns=_ns(t_s),
+        output_rps=output,
+        temperature_c=temperature,
+    )
 
 
 def _read(motion: AxisMotion, read: Motion, t_s: Floats) -> tuple[Floats, Floats]:

@@ -86,7 +86,13 @@ class CountedImu(OneSource[ByteLink]):
         if not len(t_ns):
             return None
         rate_rps = frames["rate"][new] * self._lsb_rps
-        return ImuBlock(t_ns, arrival_ns[new], rate_rps, frames["temperature"][new] * 0.01, count[new])
+        return ImuBlock(
+            t_ns=t_ns,
+            arrival_ns=arrival_ns[new],
+            rate_rps=rate_rps,
+            temperature_c=frames["temperature"][new] * 0.01,
+            counter=count[new],
+        )
 
 
 class CountedTwin:

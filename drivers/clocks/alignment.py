@@ -76,7 +76,7 @@ def _earliest(at_s: Floats, excess: Floats) -> tuple[float, float]:
     return float(at_s[best]), float(excess[best])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(kw_only=True, frozen=True, slots=True)
 class _Line:
     """A line through points, ``scatter`` the standard deviation of one about it."""
 
@@ -266,4 +266,11 @@ def _line_through(points: list[tuple[float, float]], most_drift: float, known_to
     residual = residual[kept]
     scatter = math.sqrt(float(residual @ residual) / max(count - 2, 1))
     sd = max(scatter, known_to)
-    return _Line(middle, level, slope, sd / math.sqrt(count), sd / math.sqrt(stiffness), scatter)
+    return _Line(
+        at_s=middle,
+        value=level,
+        slope=slope,
+        sd_value=sd / math.sqrt(count),
+        sd_slope=sd / math.sqrt(stiffness),
+        scatter=scatter,
+    )

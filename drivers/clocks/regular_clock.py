@@ -141,7 +141,15 @@ class RegularClock:
         return self._searched(excess, own, equal)
 
     def _searched(self, excess: Floats, own: Flags, equal: Flags) -> "_Search":
-        return _Search(self._lateness, self._period_s, excess, own, equal, self._shifts, self._lost_share)
+        return _Search(
+            lateness=self._lateness,
+            period_s=self._period_s,
+            excess=excess,
+            own=own,
+            equal=equal,
+            before=self._shifts,
+            lost_share=self._lost_share,
+        )
 
     def _equal(self) -> Flags:
         """Return which of the held samples are like the one before."""
@@ -232,6 +240,7 @@ class _Search:
 
     def __init__(
         self,
+        *,
         lateness: Lateness,
         period_s: float,
         excess: Floats,

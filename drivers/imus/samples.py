@@ -75,4 +75,11 @@ def regular_block(
 def block_of(t_ns: Stamps, arrival_ns: Stamps, values: Floats, gyros: int, counter: Stamps | None = None) -> ImuBlock:
     """Return a block of rows: rates of the gyros, temperature, and three accelerations where there are such."""
     accel = values[:, gyros + 1 :] if values.shape[1] > gyros + 1 else None
-    return ImuBlock(t_ns, arrival_ns, values[:, :gyros], values[:, gyros], counter, accel)
+    return ImuBlock(
+        t_ns=t_ns,
+        arrival_ns=arrival_ns,
+        rate_rps=values[:, :gyros],
+        temperature_c=values[:, gyros],
+        counter=counter,
+        accel_mps2=accel,
+    )

@@ -55,7 +55,15 @@ class SignalReader:
     """
 
     def __init__(
-        self, device: str, database: Any, dbc: Path, name: str, quantity: str, unit: str = "", saturates: bool = False
+        self,
+        *,
+        device: str,
+        database: Any,
+        dbc: Path,
+        name: str,
+        quantity: str,
+        unit: str = "",
+        saturates: bool = False,
     ) -> None:
         """Find ``MESSAGE.Signal``; DeviceError if there is none or it cannot be that quantity.
 
@@ -87,7 +95,7 @@ class SignalReader:
         if signal.multiplexer_ids:
             self._selected = tuple(signal.multiplexer_ids)
             selector = f"{message_name}.{signal.multiplexer_signal}"
-            self._selector = SignalReader(device, database, dbc, selector, "count")
+            self._selector = SignalReader(device=device, database=database, dbc=dbc, name=selector, quantity="count")
 
     @property
     def counts(self) -> bool:

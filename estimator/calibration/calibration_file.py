@@ -116,15 +116,15 @@ def _read(path: Path, file: Any, group: Any) -> Calibration:
     arrays = {source: read_array(f"{path}: /imu/{source}", source, file[f"imu/{source}"]) for source in set(sources)}
     gyros = tuple(
         GyroCalibration(
-            name,
-            source,
-            _floats(group, "states", (n, 4))[i],
-            _floats(group, "covariance", (n, 4, 4))[i],
-            float(_floats(group, "noise_rps", (n,))[i]),
-            arrays[source].p[arrays[source].names.index(name)],
-            str(plain(file[f"imu/{source}"].attrs.get("device", ""))),
-            _budget(group, i),
-            _noise(group, i),
+            name=name,
+            source=source,
+            states=_floats(group, "states", (n, 4))[i],
+            covariance=_floats(group, "covariance", (n, 4, 4))[i],
+            noise_rps=float(_floats(group, "noise_rps", (n,))[i]),
+            p=arrays[source].p[arrays[source].names.index(name)],
+            device=str(plain(file[f"imu/{source}"].attrs.get("device", ""))),
+            budget=_budget(group, i),
+            noise=_noise(group, i),
             effects=effects[i],
         )
         for i, (name, source) in enumerate(zip(names, sources, strict=True))
@@ -133,12 +133,12 @@ def _read(path: Path, file: Any, group: Any) -> Calibration:
         raise ValueError("states that are no numbers")
     excluded = [text.partition(": ") for text in _texts(group.attrs.get("excluded", ()))]
     return Calibration(
-        gyros,
-        float(group.attrs["nis_mean"]),
-        int(group.attrs["samples"]),
-        int(group.attrs["lost"]),
-        tuple(_texts(group.attrs.get("notes", ()))),
-        tuple(Excluded(name, reason) for name, _, reason in excluded),
+        gyros=gyros,
+        nis_mean=float(group.attrs["nis_mean"]),
+        samples=int(group.attrs["samples"]),
+        lost=int(group.attrs["lost"]),
+        notes=tuple(_texts(group.attrs.get("notes", ()))),
+        excluded=tuple(Excluded(name, reason) for name, _, reason in excluded),
         model=model,
         doubts=tuple(_texts(group.attrs.get("doubts", ()))),
         holds_for=str(plain(group.attrs.get("holds_for", ""))),
@@ -184,7 +184,17 @@ def _effects(group: Any, model: str, n: int, where: str) -> list[tuple[EffectVal
         for column, ((called, _, parameter), unit) in enumerate(zip(labels, units, strict=True)):
             size = next(size for size in known[called].sizes if size.name == parameter)
             value, sd = float(values[i, column]), float(sds[i, column])
-            own.append(EffectValue(called, parameter, value, sd, unit, size.sd, known[called].shared))
+            own.append(
+                EffectValue(
+                    effect=called,
+                    parameter=parameter,
+                    value=value,
+                    sd=sd,
+                    unit=unit,
+                    expected_sd=size.sd,
+                    shared=known[called].shared,
+                )
+            )
         found.append(tuple(own))
     return found
 

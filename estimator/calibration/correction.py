@@ -115,7 +115,18 @@ def _conditions(
     none = np.empty((len(t_s), 0))
     force = np.full((len(t_s), 3), np.nan) if accel_mps2 is None else accel_mps2
     wdot = np.zeros_like(w_rps) if wdot_rps2 is None else wdot_rps2
-    return Conditions(t_s, w_rps, wdot, none, none, none, (), force, temperature_c, causal=True)
+    return Conditions(
+        t_s=t_s,
+        w_rps=w_rps,
+        wdot_rps2=wdot,
+        angle_rad=none,
+        rate_rps=none,
+        acceleration_rps2=none,
+        gimbals=(),
+        specific_force_mps2=force,
+        temperature_c=temperature_c,
+        causal=True,
+    )
 
 
 def _slope(values: Floats, t_s: Floats) -> Floats:

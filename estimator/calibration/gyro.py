@@ -10,7 +10,7 @@ from estimator.observations.rests import RestNoise
 from estimator.types import Floats
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(kw_only=True, frozen=True, slots=True)
 class EffectValue:
     """One parameter of an effect of the error model: what was found on a gyro, and what the model expected.
 
@@ -26,7 +26,7 @@ class EffectValue:
     shared: bool
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class GyroCalibration:
     """States of one gyro [k, b_rps, sigma_j_rad, sigma_k_rad], their covariance, the noise of one sample.
 

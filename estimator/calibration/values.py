@@ -19,7 +19,7 @@ from estimator.types import Floats
 _UNSEEN = 0.5  # a posterior sigma above this share of the prior's: the run did not show the state
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(kw_only=True, frozen=True, slots=True)
 class GyroParity:
     """Fault that the parity sees in one gyro: rms and worst block over their sigma; ``suspect`` if not by chance.
 
@@ -45,7 +45,7 @@ class UndeclaredEffect:
     shown_by: str
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Calibration:
     """What one recording says of its gyros. ``samples`` counts gyro samples used, ``lost`` those missing.
 

@@ -24,7 +24,7 @@ class Axes(NamedTuple):
     k: Floats
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Conditions:
     """Rows of an even grid of instants ``t_s`` (N,).
 
@@ -117,16 +117,16 @@ class Conditions:
         """Return what a motion of gimbals (N, g) puts a body through. Raises RecordingError for unknown gimbals."""
         names = check_gimbals(gimbals)
         return cls(
-            t_s,
-            body_rate(angle_rad, rate_rps, names, site),
-            body_acceleration(angle_rad, rate_rps, acceleration_rps2, names, site),
-            angle_rad,
-            rate_rps,
-            acceleration_rps2,
-            names,
-            specific_force(angle_rad, names),
-            temperature_c,
-            site,
+            t_s=t_s,
+            w_rps=body_rate(angle_rad, rate_rps, names, site),
+            wdot_rps2=body_acceleration(angle_rad, rate_rps, acceleration_rps2, names, site),
+            angle_rad=angle_rad,
+            rate_rps=rate_rps,
+            acceleration_rps2=acceleration_rps2,
+            gimbals=names,
+            specific_force_mps2=specific_force(angle_rad, names),
+            temperature_c=temperature_c,
+            site=site,
         )
 
 

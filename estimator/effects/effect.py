@@ -199,7 +199,15 @@ class Record:
             columns = partial(columns_of, law)
         alike = self.confused_with if isinstance(self.confused_with, tuple) else self.confused_with(settings)
         named = tuple(Parameter(p.name.format(**settings), p.unit, p.largest) for p in own)
-        return Effect((self.label or self.name).format(**settings), named, columns, needs, self, law, alike)
+        return Effect(
+            name=(self.label or self.name).format(**settings),
+            parameters=named,
+            regressors=columns,
+            needs=needs,
+            record=self,
+            law=law,
+            confused_with=alike,
+        )
 
     def check(self) -> None:
         """Raise EffectError, with what is wrong, for a record that the station cannot work with."""
@@ -227,7 +235,7 @@ class Record:
                 raise EffectError(f"the effect {self.name} says neither how it is undone nor why not: acts, left_out")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(kw_only=True, frozen=True, slots=True)
 class Effect:
     """An effect on some table, its settings at some values, its ``law`` with them in place; "" if it is none.
 

@@ -18,7 +18,7 @@ _D2 = 1.128  # mean range of two normal values of sigma 1
 _ROUNDING = 1e-9  # of the mean: copies of one run are not outside
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class ControlChart:
     """Chart of ``values`` (runs, ...): their mean (...), their limits, two of (...), and which are outside (runs, ...).
 
@@ -44,4 +44,12 @@ def control_chart(values: ArrayLike, counted: Sequence[bool]) -> ControlChart:
     ewma_half = np.multiply.outer(share, half)
     least = _ROUNDING * np.abs(mean)
     outside, ewma_outside = np.abs(x - mean) > half + least, np.abs(ewma - mean) > ewma_half + least
-    return ControlChart(x, mean, (mean - half, mean + half), outside, ewma, ewma_half, ewma_outside)
+    return ControlChart(
+        values=x,
+        mean=mean,
+        limits=(mean - half, mean + half),
+        outside=outside,
+        ewma=ewma,
+        ewma_limits=ewma_half,
+        ewma_outside=ewma_outside,
+    )

@@ -245,7 +245,7 @@ def _model_laws(model: ErrorModel | None, recording: Recording, runs: Sequence[R
     except ModelError as error:
         raise ModelError(f"{recording.name}: {error}") from None
     return [
-        Law(known.called, effect, known.mean, known.sd, EFFECTS, _hz(known))
+        Law(called=known.called, effect=effect, mean=known.mean, sd=known.sd, line=EFFECTS, hz=_hz(known))
         for known, effect in zip(model.effects, made, strict=True)
     ]
 
@@ -261,7 +261,14 @@ def _delay_law(recording: Recording, source: str, taken_off_s: float) -> Law:
         stated = reference.uncertainty
         sd_s = expected_sd_s(stated.timing_s if stated else 0.0, reference.half_width_ns)
         line = _TIMING if stated else ""
-    return Law(_DELAY, LATENCY.effect(), np.array([-taken_off_s]), np.array([sd_s]), line, source=source)
+    return Law(
+        called=_DELAY,
+        effect=LATENCY.effect(),
+        mean=np.array([-taken_off_s]),
+        sd=np.array([sd_s]),
+        line=line,
+        source=source,
+    )
 
 
 def _delays(joint: Joint, covariances: Sequence[Floats]) -> dict[str, tuple[float, float]]:
@@ -344,8 +351,22 @@ def _estimated(
         else:
             samples = int(body.known(np.asarray(data.t_ns * 1e-9, dtype=np.float64)).sum()) * m
     effects = [_values(joint, v, covariances[g]) for g, v in zip(gyros, values, strict=True)]
-    its = x, lines, [joint.noise[g] for g in gyros], effects, noise_rps, samples, squares, dof
-    return SourceEstimate(run.source, data, *its, blocks, joint.expected_nis, run.growth_s, offset)
+    return SourceEstimate(
+        source=run.source,
+        data=data,
+        x=x,
+        lines=lines,
+        noise=[joint.noise[g] for g in gyros],
+        effects=effects,
+        noise_rps=noise_rps,
+        samples=samples,
+        squares=squares,
+        dof=dof,
+        blocks=blocks,
+        expected_nis=joint.expected_nis,
+        growth_s=run.growth_s,
+        offset=offset,
+    )
 
 
 def _block_s(data: ImuData) -> float:
@@ -386,7 +407,15 @@ def _values(joint: Joint, shares: Floats, covariance: Floats) -> tuple[EffectVal
     doubts = np.sqrt(np.diag(covariance)[4:])
     edges = np.cumsum([0, *(len(law.sd) for law in joint.laws)]).tolist()
     return tuple(
-        EffectValue(law.called, p.name, float(v * sd), float(d * sd), p.unit, float(sd), law.effect.shared)
+        EffectValue(
+            effect=law.called,
+            parameter=p.name,
+            value=float(v * sd),
+            sd=float(d * sd),
+            unit=p.unit,
+            expected_sd=float(sd),
+            shared=law.effect.shared,
+        )
         for law, (a, b) in zip(joint.laws, pairwise(edges), strict=True)
         if law.line == EFFECTS
         for p, v, d, sd in zip(law.effect.parameters, shares[a:b], doubts[a:b], law.sd, strict=True)

@@ -41,7 +41,7 @@ class TooShort(RecordingError):
     """Too few blocks to tell noise by its frequencies."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Law:
     """An effect beside the states: mean and standard deviation that are expected of its parameters (p,).
 
@@ -58,7 +58,7 @@ class Law:
     source: str = ""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Joint:
     """Estimate of all gyros of some runs.
 
@@ -170,8 +170,19 @@ def joint_estimate(runs: Sequence[Run], laws: Sequence[Law] = (), stated: NoiseM
     posterior = evidence.posterior(terms, weight)
     noise = [_noise(own, evidence.shapes, share) for own, share in zip(arw.tolist(), weight.T, strict=True)]
     white, chance = np.maximum(white, 1e-3 * arw), _expected_nis(evidence, weight)
-    found = posterior.means, posterior.covariances
-    return Joint(list(moved), ordered, columns, *found, noise, arw, white, chance, weight, evidence)
+    return Joint(
+        runs=list(moved),
+        laws=ordered,
+        columns=columns,
+        means=posterior.means,
+        covariances=posterior.covariances,
+        noise=noise,
+        arw=arw,
+        white=white,
+        expected_nis=chance,
+        weight=weight,
+        evidence=evidence,
+    )
 
 
 def settled(
@@ -192,7 +203,16 @@ def run_of_blocks(source: str, data: ImuData, blocks: Blocks, reference: TableRe
     stretch = np.zeros(b, dtype=np.intp)
     weight, growth_s = weighed(w, z, weight, stretch)
     none = np.empty((0, 0))
-    nowhere = Conditions(np.empty(0), *(np.empty((0, 3)),) * 2, none, none, none, (), np.empty((0, 3)))
+    nowhere = Conditions(
+        t_s=np.empty(0),
+        w_rps=np.empty((0, 3)),
+        wdot_rps2=np.empty((0, 3)),
+        angle_rad=none,
+        rate_rps=none,
+        acceleration_rps2=none,
+        gimbals=(),
+        specific_force_mps2=np.empty((0, 3)),
+    )
     return Run(
         name=source,
         source=source,

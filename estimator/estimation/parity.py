@@ -64,9 +64,18 @@ def parity(
             continue
         fault = np.abs(residual @ column) / size
         worst = int(np.argmax(fault))
-        found = float(np.sqrt(np.mean(fault**2))), float(fault[worst]), float((common[worst] + 0.5) * length_s)
         alike = np.abs(column @ null) >= 0.999 * size * sizes  # itself, and those that it cannot be told from
-        checks.append(GyroParity(name, *found, bool(fault[worst] > _SUSPECT), bool(alike.sum() == 1), source))
+        checks.append(
+            GyroParity(
+                name=name,
+                rms_sigma=float(np.sqrt(np.mean(fault**2))),
+                worst_sigma=float(fault[worst]),
+                worst_t_s=float((common[worst] + 0.5) * length_s),
+                suspect=bool(fault[worst] > _SUSPECT),
+                told_apart=bool(alike.sum() == 1),
+                source=source,
+            )
+        )
     return checks
 
 

@@ -18,7 +18,7 @@ _BY_CHANCE = 0.001
 _OUTSIDE = 0.05  # of the interval of a ratio
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Repeatability:
     """States of one gyro over ``runs`` runs, each (4,): mean, scatter, expected scatter, what is between runs.
 
@@ -46,13 +46,13 @@ def repeatability(runs: Sequence[Sequence[GyroCalibration]]) -> list[Repeatabili
         squares, spread = _moments(states, noise)
         found.append(
             Repeatability(
-                name,
-                len(own),
-                states.mean(axis=0),
-                states.std(axis=0, ddof=1),
-                np.sqrt((noise**2).mean(axis=0)),
-                np.sqrt(np.maximum(squares - (len(own) - 1), 0.0) / spread),
-                _beyond_chance(squares, len(own) - 1),
+                name=name,
+                runs=len(own),
+                mean=states.mean(axis=0),
+                scatter=states.std(axis=0, ddof=1),
+                expected=np.sqrt((noise**2).mean(axis=0)),
+                between=np.sqrt(np.maximum(squares - (len(own) - 1), 0.0) / spread),
+                differs=_beyond_chance(squares, len(own) - 1),
             )
         )
     return found

@@ -23,7 +23,7 @@ Sources = Sequence[tuple[str, ImuData]]
 _EXCESS = 2.0  # mean square from which on it is told
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class SourceEstimate:
     """Of the gyros (m) of one source: states x (m, 4), what their covariance is the sum of, noise, effects, by gyro.
 
@@ -76,7 +76,16 @@ def estimate_white(recording: Recording, source: str, data: ImuData) -> SourceEs
         arw = found.noise_rps * np.sqrt(row_length_s(recording, data))
         kinds = [NoiseFound(NoiseModel(one), 0.0, 0.0) for one in arw.tolist()]
     lines = [(Contribution("noise", covariance),) for covariance in found.covariance]
-    return SourceEstimate(source, data, found.x, lines, kinds, [()] * m, found.noise_rps, gram.rows * m)
+    return SourceEstimate(
+        source=source,
+        data=data,
+        x=found.x,
+        lines=lines,
+        noise=kinds,
+        effects=[()] * m,
+        noise_rps=found.noise_rps,
+        samples=gram.rows * m,
+    )
 
 
 def estimate_laid(poses: Poses, sources: Sources) -> DeviceEstimate:
@@ -87,7 +96,18 @@ def estimate_laid(poses: Poses, sources: Sources) -> DeviceEstimate:
         own = [found.covariance[4 * i : 4 * i + 4, 4 * i : 4 * i + 4] for i in range(m)]
         lines = [(Contribution("noise", covariance),) for covariance in own]
         samples = len(data.t_ns) * m
-        estimates.append(SourceEstimate(source, data, found.x, lines, [None] * m, [()] * m, found.noise_rps, samples))
+        estimates.append(
+            SourceEstimate(
+                source=source,
+                data=data,
+                x=found.x,
+                lines=lines,
+                noise=[None] * m,
+                effects=[()] * m,
+                noise_rps=found.noise_rps,
+                samples=samples,
+            )
+        )
         notes.append(f"{source}: gravity was propagated over {found.turns} turns between {len(poses.up)} rests")
         if found.excess > _EXCESS:
             doubts.append(sentence("estimation.gravity_missed", source=source, times=np.sqrt(found.excess)))

@@ -37,7 +37,7 @@ def cosines(values: Floats, axis: int = 0) -> Floats:
     return np.asarray(dct(values, axis=axis, norm="ortho"))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Stretch:
     """A stretch of a run: its blocks, and the band (b,) that each of its frequencies (b,) in Hz falls into.
 
@@ -66,7 +66,16 @@ class Stretch:
         _, band = np.unique(band, return_inverse=True)
         counts = np.bincount(band).astype(np.float64)
         hz = np.bincount(band, frequency) / counts
-        return cls(run, blocks, frequency, band.astype(np.intp), hz, counts, length_s, alone)
+        return cls(
+            run=run,
+            blocks=blocks,
+            frequency_hz=frequency,
+            band=band.astype(np.intp),
+            band_hz=hz,
+            counts=counts,
+            length_s=length_s,
+            alone=alone,
+        )
 
     def by_band(self, left: Floats, right: Floats) -> Floats:
         """Return the products (bands, l, r) of columns (b, l) and (b, r), summed over the frequencies of each band."""

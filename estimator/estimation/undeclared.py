@@ -101,7 +101,7 @@ def undeclared(runs: Sequence[Run], excluded: frozenset[str]) -> Undeclared:
         sd = _SHARE * share * size * effect.largest
         if name in _OF_TIME and "temperature" not in offers:
             effect = _about_its_mean(effect)
-        law = Law(readable(name), effect, np.zeros(len(effect.parameters)), sd, UNSEEN)
+        law = Law(called=readable(name), effect=effect, mean=np.zeros(len(effect.parameters)), sd=sd, line=UNSEEN)
         if _acts(law, runs):
             (laws if held else assumed).append(law)
     return Undeclared(laws, assumed, runs)

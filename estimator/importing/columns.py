@@ -44,7 +44,7 @@ def read_table(path: Path, file_format: FileFormat, wanted: Wanted) -> Table:
         if not columns:
             raise RecordingError(f"{path.name} holds no message of {file_format.kind}. Check [file]")
         _check_present(path.name, wanted.all, list(columns), "the capture")
-        return Table(path.name, columns, notes=notes)
+        return Table(name=path.name, columns=columns, notes=notes)
     if raw[:4] == b"PK\x03\x04":
         raise RecordingError(f"{path.name} is a spreadsheet or an archive. Save its table as CSV")
     if raw[:1] not in (b"\xff", b"\xfe") and len(raw[:_LOOKED_AT].translate(None, _TEXT)) > _BINARY * len(
@@ -84,7 +84,7 @@ def _read_binary(name: str, raw: bytes, record: np.dtype[Any], header_bytes: int
     if np.mean((size > HUGE) | ((size > 0) & (size < 1 / HUGE))) > _ABSURD_SHARE:
         raise RecordingError(f"{name} holds no plausible numbers. Check record, header_bytes and byte_order in [file]")
     notes = (f"it ends within a record; the last {rest} bytes were skipped",) if rest else ()
-    return Table(name, columns, notes=notes)
+    return Table(name=name, columns=columns, notes=notes)
 
 
 def _read_mat(path: Path, wanted: Sequence[str]) -> Table:
@@ -103,7 +103,7 @@ def _read_mat(path: Path, wanted: Sequence[str]) -> Table:
             columns[key] = np.asarray(present[key], dtype=np.float64)
         except (TypeError, ValueError):
             raise RecordingError(f"{path.name}: {key} is not numeric") from None
-    return Table(path.name, by_rows(columns))
+    return Table(name=path.name, columns=by_rows(columns))
 
 
 def by_rows(columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:

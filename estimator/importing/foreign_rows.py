@@ -62,7 +62,9 @@ def _encoder(gimbal: str, t_ns: Stamps, angle_rad: Floats) -> TableReadings:
     """Return an encoder's angle (k,) as a table of one axis: its slope is the rate, its turns are counted."""
     known = np.isfinite(angle_rad)
     t_ns, angle = t_ns[known], np.unwrap(angle_rad[known])[:, None]
-    return TableReadings(t_ns, angle, slopes_of(t_ns, angle), (gimbal,), own_rates=False)
+    return TableReadings(
+        t_ns=t_ns, angle_rad=angle, rate_rps=slopes_of(t_ns, angle), gimbals=(gimbal,), own_rates=False
+    )
 
 
 def _lost(t_ns: Stamps, whole: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -55,7 +55,7 @@ class Imported:
     lost_files: int = 0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class _Part:
     """One file: what was measured, with instants from its first sample, and what is to be told of it."""
 
@@ -145,7 +145,17 @@ def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused
     if not (spans or rests or isinstance(reference, Measured)):
         return None, left_out
     warm = None if warmth is None else warmth[:, 0]
-    return _Part(log, t_s, rate, accel, warm, known, spans, rests, notes), left_out
+    return _Part(
+        log=log,
+        t_s=t_s,
+        rate_rps=rate,
+        accel_mps2=accel,
+        temperature_c=warm,
+        reference=known,
+        spans=spans,
+        rests=rests,
+        notes=notes,
+    ), left_out
 
 
 def _new(what: str, t_s: Floats, values: Floats, notes: list[str]) -> NDArray[np.intp]:

@@ -66,7 +66,7 @@ class Look:
     notes: tuple[str, ...]
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(kw_only=True, slots=True, eq=False)
 class _File:
     """What was read: names in order, numbers (n,) or (n, width) by name, texts by name, keys of the table [file].
 
@@ -148,7 +148,7 @@ def _matlab(path: Path) -> _File:
     }
     single = {k: float(v.ravel()[0]) for k, v in numeric.items() if v.size == 1}
     rate = next(((k, v) for k, v in single.items() if _RATE.search(k) and v > 0), None)
-    return _File(path, list(used), used, {}, ['format = "mat"'], rate)
+    return _File(path=path, names=list(used), numbers=used, texts={}, keys=['format = "mat"'], rate=rate)
 
 
 def _text(path: Path) -> _File:
@@ -193,7 +193,7 @@ def _text(path: Path) -> _File:
             numbers[name] = np.array(known)
         else:
             texts[name] = [own[at] for own in rows]
-    return _File(path, names, numbers, texts, keys)
+    return _File(path=path, names=names, numbers=numbers, texts=texts, keys=keys)
 
 
 def _plain(name: str) -> str:

@@ -27,7 +27,7 @@ _GRAVITY_OFF = 0.2
 _LEVEL = 0.05  # part of a sense axis that is horizontal and so feels the unknown part of Earth rate
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Rest:
     """Gyro rows ``first`` to before ``stop`` of one file, at rest; ``up`` and ``north`` in body axes where known.
 
@@ -195,7 +195,7 @@ def _posed(samples: _Samples, first: int, stop: int, pose: Pose) -> Rest:
     if up is not None and found is not None and float(up @ found) < _UP_WITHIN:
         raise RecordingError(sentence("importing.up_elsewhere", stated=_rounded(up), found=_rounded(found)))
     start_s, end_s = float(samples.t_s[first]), float(samples.t_s[stop - 1])
-    return Rest(first, stop, start_s, end_s, found if up is None else up, north)
+    return Rest(first=first, stop=stop, start_s=start_s, end_s=end_s, up=found if up is None else up, north=north)
 
 
 def _window_rows(t_s: Floats) -> int:

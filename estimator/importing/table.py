@@ -44,7 +44,7 @@ class Wanted:
         return (*self.numeric, *self.labels)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Table:
     """Columns, each (rows,) or (rows, width), labels by row, and how many lines were unreadable.
 

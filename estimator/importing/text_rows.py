@@ -51,7 +51,11 @@ class _Body:
             values = np.loadtxt(lines, delimiter=delimiter, usecols=self.where, comments=None, ndmin=2)
         except ValueError:
             return None
-        return Table(self.name, dict(zip(self.wanted.numeric, values.T, strict=True)), position=np.arange(len(values)))
+        return Table(
+            name=self.name,
+            columns=dict(zip(self.wanted.numeric, values.T, strict=True)),
+            position=np.arange(len(values)),
+        )
 
     def careful(self) -> Table:
         """Return the rows that can be read, line by line."""
@@ -84,12 +88,12 @@ class _Body:
             stamps = slice(0, len(wanted.needed))
             values[:, stamps] = np.column_stack([over_midnight(column) for column in values[:, stamps].T])
         return Table(
-            self.name,
-            dict(zip(wanted.numeric, values.T, strict=True)),
-            {key: tuple(texts[i] for _, _, texts in good) for i, key in enumerate(wanted.labels)},
-            skipped,
-            first_skipped,
-            np.array([place for place, _, _ in good], dtype=np.int64),
+            name=self.name,
+            columns=dict(zip(wanted.numeric, values.T, strict=True)),
+            labels={key: tuple(texts[i] for _, _, texts in good) for i, key in enumerate(wanted.labels)},
+            skipped_lines=skipped,
+            first_skipped=first_skipped,
+            position=np.array([place for place, _, _ in good], dtype=np.int64),
         )
 
     def hint(self) -> str:

@@ -97,7 +97,7 @@ class Following:
         return np.asarray(self.rows[0] + self.turned.rates(t_s - self.delay_s) @ self.rows[1:])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class _Means:
     """Mean outputs (n, m) over intervals of ``length_s`` from ``first_s`` (n,) on.
 
@@ -129,7 +129,15 @@ class _Means:
             known = own[np.isfinite(own)]
             if len(known):
                 spread[gyro] = np.ptp(np.quantile(known, _MIDDLE))
-        return cls(length_s, edges[chosen], outputs, _AT_MOST * spread, used, gyros, body)
+        return cls(
+            length_s=length_s,
+            first_s=edges[chosen],
+            outputs=outputs,
+            most_rps=_AT_MOST * spread,
+            used=used,
+            gyros=gyros,
+            body=body,
+        )
 
     def rates(self, delay_s: float) -> Floats:
         """Return the mean body rates (n, 3) so long before, NaN where they are not known."""

@@ -11,7 +11,7 @@ from estimator.recordings.growing_rows import GrowingRows
 from estimator.types import Floats
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Blocks:
     """Means over blocks of ``length_s``, and what happened within them.
 
@@ -50,7 +50,15 @@ class Blocks:
         means = np.add.reduceat(columns * self.rows[:, None], first) / rows[:, None]
         spread = columns - np.repeat(means, np.diff(np.append(first, len(long))), axis=0)
         within = self.within + (spread * self.rows[:, None]).T @ spread
-        return Blocks(long[first], rows, means[:, :3], means[:, 3:], within, self.length_s * factor, self.period_s)
+        return Blocks(
+            index=long[first],
+            rows=rows,
+            w_rps=means[:, :3],
+            z_rps=means[:, 3:],
+            within=within,
+            length_s=self.length_s * factor,
+            period_s=self.period_s,
+        )
 
     def select(self, keep: NDArray[np.bool_]) -> "Blocks":
         """Return the means of these blocks only; what is within stays that of all."""
@@ -92,7 +100,15 @@ class BlockSums:
         means = sums / rows[:, None]
         within = self._products - sums.T @ means
         means = means + self._shift
-        return Blocks(index, rows, means[:, :3], means[:, 3:], within, self._length_s, self._period_s)
+        return Blocks(
+            index=index,
+            rows=rows,
+            w_rps=means[:, :3],
+            z_rps=means[:, 3:],
+            within=within,
+            length_s=self._length_s,
+            period_s=self._period_s,
+        )
 
 
 def block_squares(

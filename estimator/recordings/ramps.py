@@ -59,7 +59,7 @@ Readings = tuple[Floats, Floats, Floats, Floats, float]
 """Instants in s, angles, rates, half widths in s (n,); the time before their instants in s that rates are means of."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Ramp:
     """Corners at ``t_s`` (k,) with angles and rates there, and what the rates of the readings (n,) are by them.
 
@@ -358,7 +358,9 @@ def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, las
     # A corner at which the slope hardly changes may be anywhere: it counts by what it does to the rate.
     bends = np.abs(np.diff(np.diff(p[k : 2 * k]) / np.diff(p[:k]), prepend=0.0, append=0.0))
     sd_s = float(np.max(np.sqrt(variance) * bends / bends.max()))
-    return Ramp(p[:k], angle, p[-1] * rate, reading_rps, sd_s, float(p[-1]))
+    return Ramp(
+        t_s=p[:k], angle_rad=angle, rate_rps=p[-1] * rate, reading_rps=reading_rps, sd_s=sd_s, scale=float(p[-1])
+    )
 
 
 def _weighed(p: Floats, readings: Readings, sd: Floats, tail: float) -> tuple[Floats, Floats, Floats]:

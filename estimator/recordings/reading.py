@@ -247,10 +247,18 @@ def _read_reference(path: Path, file: Any) -> Reference:
         if "half_width_ns" in group:
             width = _column(where, group, "half_width_ns")
             width = np.pad(width[:n], (0, max(n - len(width), 0)), mode="edge")[finite]
-        rows = t_ns[:n][finite], angle[:n, order][finite], rate[:n, order][finite]
         # An import makes its rates of an encoder's angles.
         own_rates = has_rates and "imported_from" not in file.attrs
-        return TableReadings(*rows, gimbals, stated, width, window_ns, own_rates)
+        return TableReadings(
+            t_ns=t_ns[:n][finite],
+            angle_rad=angle[:n, order][finite],
+            rate_rps=rate[:n, order][finite],
+            gimbals=gimbals,
+            uncertainty=stated,
+            half_width_ns=width,
+            rate_window_ns=window_ns,
+            own_rates=own_rates,
+        )
     if "reference" not in file:
         raise RecordingError(f"{path} has neither /table nor /reference, so the motion of the body is unknown")
     where, group = f"{path}: /reference", file["reference"]

@@ -53,7 +53,7 @@ class TableUncertainty:
     timing_s: float = 0.0
 
 
-@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False, weakref_slot=True)
 class TableReadings:
     """Angles and rates (k, gimbals) that the table reported; columns as ``gimbals``, outermost first.
 

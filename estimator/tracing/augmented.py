@@ -44,7 +44,7 @@ class Part:
         return len(next(iter(self.tone.amplitude.values())))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Augmented:
     """States and effects of the gyros ``names`` (n).
 
@@ -88,9 +88,17 @@ class Augmented:
             means.append(np.concatenate([mean, *amplitudes]))
             covariances.append(whole)
         prior, arw = (np.array([getattr(gyro, key) for gyro in evidence.gyros]) for key in ("prior", "arw"))
-        noise = (float(np.sqrt(weight @ one**2)) for one in (evidence.shapes.instability, evidence.shapes.walk))
-        names = tuple(gyro.name for gyro in evidence.gyros)
-        return cls(names, np.array(means), np.array(covariances), (*own, *shared, *tones), prior, arw, *noise)
+        shapes = evidence.shapes
+        return cls(
+            names=tuple(gyro.name for gyro in evidence.gyros),
+            mean=np.array(means),
+            covariance=np.array(covariances),
+            parts=(*own, *shared, *tones),
+            prior=prior,
+            arw=arw,
+            instability=float(np.sqrt(weight @ shapes.instability**2)),
+            walk=float(np.sqrt(weight @ shapes.walk**2)),
+        )
 
     def estimated(self, posterior: Posterior) -> Self:
         """Return the same model with another estimate; its tones stay as they are."""

@@ -32,7 +32,7 @@ class Value(NamedTuple):
     unit: str
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(kw_only=True, frozen=True, slots=True)
 class Added:
     """An effect that was added: which gyros show it, how probable it is, its parameters.
 
@@ -88,7 +88,7 @@ class Errors:
     coverage95: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(kw_only=True, frozen=True, slots=True)
 class PhaseErrors:
     """Mean error of one gyro over a rest, a ramp or a steady rate of a run: before, after, its noise; rad/s."""
 
@@ -102,7 +102,7 @@ class PhaseErrors:
     noise_rps: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class GyroErrors:
     """One gyro before and after.
 
@@ -148,7 +148,7 @@ class Suspect:
     probability: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class ResidualView:
     """What pictures of one gyro need: residual before and after over time, all of one run.
 
@@ -167,7 +167,7 @@ class ResidualView:
     noise_rps: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Investigation:
     """Everything that an investigation says. ``in_sample``: no verification run was given.
 

@@ -137,7 +137,9 @@ def faults_added(faults: Sequence[Fault]) -> list[Added]:
     for kind in dict.fromkeys(fault.kind for fault in faults if fault.kind != SAMPLE_HOLD.name):
         own = [fault for fault in faults if fault.kind == kind]
         parameters = {f"{f.gyro} {name}": Value(value, 0.0, unit) for f in own for name, value, unit in f.values}
-        found.append(Added(kind, tuple(dict.fromkeys(f.gyro for f in own)), 1.0, parameters))
+        found.append(
+            Added(effect=kind, gyros=tuple(dict.fromkeys(f.gyro for f in own)), probability=1.0, parameters=parameters)
+        )
     return found
 
 
@@ -173,7 +175,16 @@ def added_of(search: Search, found: Found, part: Part, model: Augmented, told: O
     law = candidate.law
     called = in_words(law) if law else candidate.called
     copies = tuple(search.copies(part, found.terms))
-    return Added(called, gyros, part.probability, parameters, told, copies, bool(law), law)
+    return Added(
+        effect=called,
+        gyros=gyros,
+        probability=part.probability,
+        parameters=parameters,
+        out_of_sample=told,
+        same=copies,
+        constructed=bool(law),
+        expression=law,
+    )
 
 
 def rival_sizes(

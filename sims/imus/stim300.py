@@ -53,12 +53,12 @@ class Stim300Device(LineDevice):
             raise ValueError(f"{identifier:02X} is no datagram of today's firmware")
         rate_hz = round(ride.rate_hz)
         self.settings = Settings(
-            rate_hz,
-            identifier,
-            next(code for code, name in UNITS.items() if name == gyro_unit),
-            accel_range_g,
-            line_termination,
-            serial[:-4] + f"{int(serial[-4:]) + ride.number:04d}",
+            rate_hz=rate_hz,
+            identifier=identifier,
+            gyro_unit=next(code for code, name in UNITS.items() if name == gyro_unit),
+            accel_range_g=accel_range_g,
+            line_termination=line_termination,
+            serial=serial[:-4] + f"{int(serial[-4:]) + ride.number:04d}",
         )
         super().__init__(write)
         self.faults = ride.faults

@@ -16,7 +16,7 @@ _BITS_A_BYTE = 10
 _MARGIN = 1.1
 
 
-@dataclass(slots=True)
+@dataclass(kw_only=True, slots=True)
 class Settings:
     """What a STIM300 keeps about itself."""
 

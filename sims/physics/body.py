@@ -28,6 +28,7 @@ class Body:
 
     def __init__(
         self,
+        *,
         gimbals: Sequence[str],
         angles: Callable[[str, Floats], Floats],
         revision: Callable[[], int],

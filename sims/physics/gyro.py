@@ -42,6 +42,7 @@ class GyroArray:
 
     def __init__(
         self,
+        *,
         mounting: Mounting,
         truth: GyroTruth,
         body: Body,

@@ -72,7 +72,7 @@ class NodeFaults:
         return out
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(kw_only=True, frozen=True, slots=True)
 class Ride:
     """A device under test as it stands on the simulated table.
 

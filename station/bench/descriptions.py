@@ -82,12 +82,21 @@ def _frame(table: Table) -> tuple[Frames, list[Any]]:
     own = table.read_all("description.frame", sync=_bytes, end=_known)
     size, order = own["bytes"], own["byte_order"]
     sync, end = own["sync"], own["end"]
-    framing = Frames(size, sync, end)
+    framing = Frames(size=size, sync=sync, end=end)
     if own["check"]:
         rule, within = _check(own["check"])
         first, last = within["from"], (within["to"] or 0) % size or size
         big = (within["byte_order"] or order) == "big"
-        framing = Frames(size, sync, end, rule, _place(own["check"], within["at"], rule.bits, size), big, first, last)
+        framing = Frames(
+            size=size,
+            sync=sync,
+            end=end,
+            check=rule,
+            at=_place(own["check"], within["at"], rule.bits, size),
+            big=big,
+            first=first,
+            last=last,
+        )
     known = len(sync) - sync.count(None)
     if not known or (framing.check is None and known + len(end) < 2):
         raise table.fail(

@@ -66,15 +66,15 @@ def _run(arguments: argparse.Namespace) -> int:
         if host is not None and (note := peer_note()):
             tell(f"note: {note}", sys.stderr)
         options = RunOptions(
-            arguments.reset_fault,
-            arguments.end_early,
-            model,
-            operator,
-            serial,
-            arguments.serial_reason or "",
-            host is not None,
-            scale or 1.0,
-            arguments.manual,
+            reset_fault=arguments.reset_fault,
+            end_early=arguments.end_early,
+            model=model,
+            operator=operator,
+            device_serial=serial,
+            serial_reason=arguments.serial_reason or "",
+            outlives_terminal=host is not None,
+            time_scale=scale or 1.0,
+            manual=arguments.manual,
         )
         with clock(bench, scale) as runner:
             result = run_to_end(runner, drive(bench, script, path, options, arguments.json, host, arguments.bench))

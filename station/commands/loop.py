@@ -68,7 +68,7 @@ class _Driver:
         if not self.arguments.json:
             tell(f"run {number}, {purpose}: {script.name}, {script.least_s:.0f} s", sys.stderr)
         began_s = self._now_s()
-        options = RunOptions(self.arguments.reset_fault, time_scale=self.arguments.scale or 1.0)
+        options = RunOptions(reset_fault=self.arguments.reset_fault, time_scale=self.arguments.scale or 1.0)
         path = loop.folder / f"{number}-{purpose}.h5"
         result = run_to_end(self._runner, drive(self._seeded(number), script, path, options, self.arguments.json))
         loop.runs.append(Driven(purpose, script, result, self._now_s() - began_s))

@@ -34,7 +34,7 @@ RAW_RULE = sentence("export.raw_rule")
 """How the hash of the raw data is formed, in words."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Exported:
     """Gyros of a recording with their calibration. ``identity`` says what they are and where the figures come from."""
 
@@ -95,15 +95,15 @@ def exported_of(path: Path, devices: Sequence[str] = (), instance: int = 0) -> E
     gyros = tuple(gyro for gyro in calibration.gyros if not devices or gyro.device in devices)
     arrays = {name: data.array for name, data in recording.sources.items()}
     return Exported(
-        path,
-        _identity(path, recording, gyros),
-        calibration,
-        gyros,
-        Compensation.of(gyros, arrays, calibration.model),
-        seen_by(recording.sources[name] for name in {gyro.source: None for gyro in gyros}),
-        tuple(device for device in there if device and (not devices or device in devices)),
-        instance,
-        _units_of(recording),
+        path=path,
+        identity=_identity(path, recording, gyros),
+        calibration=calibration,
+        gyros=gyros,
+        compensation=Compensation.of(gyros, arrays, calibration.model),
+        seen=seen_by(recording.sources[name] for name in {gyro.source: None for gyro in gyros}),
+        devices=tuple(device for device in there if device and (not devices or device in devices)),
+        instance=instance,
+        units=_units_of(recording),
     )
 
 

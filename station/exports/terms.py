@@ -29,7 +29,7 @@ _PLACES = {"lag": 1, "play": 1, "last": 2}
 """Numbers that each function with memory keeps for a gyro."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Term:
     """One effect: the name of its table, the table (n,) or (n, p), its unit, and the expression for gyro ``i``.
 
@@ -100,7 +100,16 @@ def terms_of(compensation: Compensation) -> Terms:
         unit = ", ".join(dict.fromkeys(size.unit for size in held.known.sizes))
         called, of = held.known.called, law or held.known.record.formula
         values = held.values if held.values.shape[1] > 1 else held.values[:, 0]
-        terms.append(Term(called if of in called else f"{called} ({of})", table, values, unit, expression, held.acts))
+        terms.append(
+            Term(
+                effect=called if of in called else f"{called} ({of})",
+                table=table,
+                values=values,
+                unit=unit,
+                expression=expression,
+                acts=held.acts,
+            )
+        )
     slope = any("slope" in term.expression for term in terms)
     return Terms(tuple(terms), places + slope)
 

@@ -166,7 +166,11 @@ def _read_candump(database: Any, dbc: Path, raw: bytes, names: Sequence[str]) ->
     Signals of other messages are those of the nearest frame, if it is of the same sample.
     """
     try:
-        readers = {name: SignalReader("", database, dbc, name, "count") for name in names if name != "time"}
+        readers = {
+            name: SignalReader(device="", database=database, dbc=dbc, name=name, quantity="count")
+            for name in names
+            if name != "time"
+        }
     except DeviceError as error:
         raise RecordingError(error.message) from None
     keys = {name: _key(*message_key(reader.message), is_j1939(reader.message)) for name, reader in readers.items()}

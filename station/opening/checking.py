@@ -29,7 +29,7 @@ _LOOK_AT_OTHER = "Do protocol, link, baud rate and parity match the device?"
 _LOOK_AT_IMU = "Do protocol, link, baud rate or channel match the device?"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(kw_only=True, frozen=True, slots=True)
 class AxisCheck:
     """One axis as it answered: ``text`` is its condition in words, limits are the bench file's."""
 
@@ -159,14 +159,14 @@ async def _check_table(opened: OpenBench, device: OpenDevice, time_scale: float)
             trip = float(np.median(trips)) / time_scale
             check.axes.append(
                 AxisCheck(
-                    axis,
-                    state.angle_rad,
-                    state.rate_rps,
-                    status.text,
-                    limits.rate_rps,
-                    limits.acceleration_rps2,
-                    limits.travel_rad,
-                    trip,
+                    name=axis,
+                    angle_rad=state.angle_rad,
+                    rate_rps=state.rate_rps,
+                    text=status.text,
+                    max_rate_rps=limits.rate_rps,
+                    max_acceleration_rps2=limits.acceleration_rps2,
+                    travel_rad=limits.travel_rad,
+                    round_trip_s=trip,
                 )
             )
             dps = math.degrees(state.rate_rps)

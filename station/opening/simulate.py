@@ -98,7 +98,9 @@ def simulate(
             noise=device.stated,
             device=name,
         )
-        reference = TableReadings(run.table_t_ns, run.angle_rad, run.rate_rps, tuple(gimbals))
+        reference = TableReadings(
+            t_ns=run.table_t_ns, angle_rad=run.angle_rad, rate_rps=run.rate_rps, gimbals=tuple(gimbals)
+        )
     if reference is None:
         raise ValueError("a simulation needs one device or more")
     # An empty bench, not none: stamps of gyros and table are those of one clock, as of every run of the station.
@@ -144,6 +146,13 @@ def _own(device: DeviceTruth) -> tuple[Mounting, GyroTruth]:
     """Return how a device is mounted, and what it is, by its own account."""
     mounting = mounted(MOUNTS_DEG[device.kind]) if device.kind else None
     k, b_rps, sigma_j, sigma_k = device.states.T
-    noise = device.arw_rps_rthz, device.bias_instability_rps
-    truth = GyroTruth(k, b_rps, sigma_j, sigma_k, *noise, rate_random_walk_rps_rts=device.rate_random_walk_rps_rts)
+    truth = GyroTruth(
+        k,
+        b_rps,
+        sigma_j,
+        sigma_k,
+        device.arw_rps_rthz,
+        bias_instability_rps=device.bias_instability_rps,
+        rate_random_walk_rps_rts=device.rate_random_walk_rps_rts,
+    )
     return mounting or Mounting(device.array.p, device.array.j, device.array.k), truth

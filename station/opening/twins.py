@@ -65,11 +65,11 @@ class Twins:
         site = bench.site
         latitude, heading = (site.latitude_rad, site.heading_rad) if site else (math.pi / 4, 0.0)
         self._body = Body(
-            bench.table.gimbals,
-            self.table.angles,
-            self.table.revision,
-            latitude,
-            heading,
+            gimbals=bench.table.gimbals,
+            angles=self.table.angles,
+            revision=self.table.revision,
+            latitude_rad=latitude,
+            heading_rad=heading,
             directions=faults.directions(bench.table.gimbals),
         )
         self._wires = self._read_wires(told["wires"])
@@ -134,7 +134,15 @@ class Twins:
         self._later(faults.until_s, partial(turn_knobs, knobs, faults, False))
 
         def put_there(number: int) -> tuple[Any, asyncio.Task[Any]]:
-            ride = Ride(self.gyros(imu, number), imu.rate_hz, self._up(imu), knobs, imu.options, imu.can, number)
+            ride = Ride(
+                gyros=self.gyros(imu, number),
+                rate_hz=imu.rate_hz,
+                up=self._up(imu),
+                faults=knobs,
+                options=imu.options,
+                signals=imu.can,
+                number=number,
+            )
             ride.gyros.thermometer = not faults.no_temperature
             device = twin_of(imu.spec)(ride, out)
             return device, self.run(device.serve())
@@ -186,13 +194,13 @@ class Twins:
         twin, truth = self.bench.twin, self._truths[imu.name]
         try:
             return GyroArray(
-                mounting_of(imu),
-                replace(truth, k=truth.k + _APART * number),
-                self._body,
-                imu.rate_hz,
-                (twin.seed, index, number) if number else (twin.seed, index),
-                self._hidden.of_device(imu.name) if self._hidden is not None else None,
-                twin.started_s,
+                mounting=mounting_of(imu),
+                truth=replace(truth, k=truth.k + _APART * number),
+                body=self._body,
+                rate_hz=imu.rate_hz,
+                seed=(twin.seed, index, number) if number else (twin.seed, index),
+                hidden=self._hidden.of_device(imu.name) if self._hidden is not None else None,
+                started_s=twin.started_s,
             )
         except HiddenError as error:
             raise BenchError(f"{twin.hidden}: {imu.name}: {error}") from None

@@ -208,7 +208,7 @@ def empty_object(reason: str, outcome: str | None = None, recording: str | None 
 
 def result_object(verdict: Verdict, recording: str, calibration: Calibration | None) -> dict[str, Any]:
     """Return the result as what --json prints."""
-    found = calibration or Calibration((), math.nan, 0, 0, ())
+    found = calibration or Calibration(gyros=(), nis_mean=math.nan, samples=0, lost=0, notes=())
     return {
         "outcome": str(verdict.outcome),
         "reason": verdict.reason,

@@ -45,7 +45,7 @@ _MADE_OF = {
 """What the templates ask for values."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(kw_only=True, frozen=True, slots=True)
 class Report:
     """A document, SHA-256 of its sources ("file", "data" of the recording), the device as found, what was not seen."""
 
@@ -96,7 +96,9 @@ def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Re
     with laid_out(recorded.path, "its content or its investigation cannot be reported ({})"):
         html = rendered("station.report", "report.html", _MADE_OF | values)
     # Names and texts of recordings, sources and files: whatever they hold, the document steers and reverses nothing.
-    return Report(harmless(html), standing, number, hashes, before, not_seen)
+    return Report(
+        html=harmless(html), standing=standing, number=number, hashes=hashes, before=before, not_seen=not_seen
+    )
 
 
 def _as_found(recorded: Recorded, path: Path) -> Recorded:

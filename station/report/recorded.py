@@ -27,7 +27,7 @@ _NOTE = "note: "  # what a session writes before a note
 _MAY_LACK_ESTIMATE = (Outcome.MANUAL, Outcome.FAIL, Outcome.ABORTED, Outcome.FAULT)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Course:
     """How a live filter went: states and sigmas (b, m, 4) at ``t_ns`` (b,); NIS and its degrees of freedom by block."""
 
@@ -66,7 +66,7 @@ class Event:
         return self.text.removeprefix(_NOTE)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Recorded:
     """A recording and what was kept beside its samples.
 
@@ -141,14 +141,16 @@ def read_recorded(path: Path) -> Recorded:
             calibration = read_calibration(path, trusted=True)
         estimates, innovations = file.get("estimate", {}), file.get("innovation", {})
         return Recorded(
-            path,
-            recording,
-            calibration,
-            _allan(file["calibration"]) if calibration is not None else None,
-            {name: _course(estimates[name], innovations[name]) for name in estimates if name in innovations},
-            {name: {k: plain(v) for k, v in group.attrs.items()} for name, group in file["imu"].items()},
-            _steps(file["steps"]) if "steps" in file else (),
-            _events(file["events"]) if "events" in file else (),
+            path=path,
+            recording=recording,
+            calibration=calibration,
+            allan=_allan(file["calibration"]) if calibration is not None else None,
+            courses={name: _course(estimates[name], innovations[name]) for name in estimates if name in innovations},
+            source_attributes={
+                name: {k: plain(v) for k, v in group.attrs.items()} for name, group in file["imu"].items()
+            },
+            steps=_steps(file["steps"]) if "steps" in file else (),
+            events=_events(file["events"]) if "events" in file else (),
         )
 
 
@@ -184,7 +186,7 @@ def _course(estimate: "Group", innovation: "Group") -> Course:
         np.asarray(group[name][()], dtype=np.float64)
         for group, name in ((estimate, "states"), (estimate, "sd"), (innovation, "nis"), (innovation, "dof"))
     )
-    course = Course(estimate["t_ns"][()], states, sd, innovation["t_ns"][()], nis, dof)
+    course = Course(t_ns=estimate["t_ns"][()], states=states, sd=sd, nis_t_ns=innovation["t_ns"][()], nis=nis, dof=dof)
     if states.ndim != 3 or states.shape != sd.shape or len(states) != len(course.t_ns) or len(nis) != len(dof):
         raise ValueError("the live estimates are of different lengths")
     return course

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 ALL = "all gyros"  # under this name an error model keeps what was found of a shared effect
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Traced:
     """Group /investigation: ``what`` is what `station investigate --json` printed.
 
@@ -86,20 +86,22 @@ def _read(path: Path, group: "Group") -> Traced:
     judged = judged_views(residuals)
     spectra = group.get("spectrum_verification") or group.get("spectrum") or {}
     return Traced(
-        path,
-        read_json(str(plain(group.attrs["json"]))),
-        names,
-        states,
-        model,
-        tuple(view for name in names for view in judged if view.gyro == name),
-        {name: _spectrum(part) for name, part in spectra.items()},
+        path=path,
+        what=read_json(str(plain(group.attrs["json"]))),
+        names=names,
+        states=states,
+        model=model,
+        residuals=tuple(view for name in names for view in judged if view.gyro == name),
+        spectra={name: _spectrum(part) for name, part in spectra.items()},
     )
 
 
 def _residual(run: str, gyro: str, part: "Group") -> ResidualView:
     columns = {key: values[()].astype(np.float64) for key, values in part.items()}
     judges, noise_rps = bool(part.attrs["verification"]), float(part.attrs["noise_rps"])
-    return ResidualView(run, gyro, judges, noise_rps=noise_rps, **{"temperature_c": None, **columns})
+    return ResidualView(
+        run=run, gyro=gyro, verification=judges, noise_rps=noise_rps, **{"temperature_c": None, **columns}
+    )
 
 
 def _spectrum(part: "Group") -> Spectra:

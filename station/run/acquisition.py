@@ -87,6 +87,7 @@ class Acquisition:
 
     def __init__(
         self,
+        *,
         opened: OpenBench,
         writer: RecordingWriter,
         model: ErrorModel | None,
@@ -128,7 +129,14 @@ class Acquisition:
             about = {"device": config.name, "rate_hz": config.rate_hz, "lost": 0, "noise": noise}
             self.writer.add_source(name, array, config.prior, about)
             effects = SampleColumns(self._model, table.gimbals, self._bench.site, array) if self._model else None
-            self.live.sources[name] = LiveSource(array, config.rate_hz, noise_rps, config.prior, effects, timing_s)
+            self.live.sources[name] = LiveSource(
+                array=array,
+                rate_hz=config.rate_hz,
+                noise_rps=noise_rps,
+                prior=config.prior,
+                effects=effects,
+                timing_s=timing_s,
+            )
 
     async def open(self, imu: OpenImu) -> Identity:
         """Open a device under test, and record and return what it says it is."""

@@ -48,7 +48,15 @@ class LiveEstimate:
         with self._keeping:
             kept = [self._kept_rows[name] for name in ("t_ns", "angle", "rate", "half_ns")]
         t_ns, angle_rad, rate_rps, half_ns = kept
-        return TableReadings(t_ns, angle_rad, rate_rps, self._gimbals, uncertainty, half_ns, self._window_ns)
+        return TableReadings(
+            t_ns=t_ns,
+            angle_rad=angle_rad,
+            rate_rps=rate_rps,
+            gimbals=self._gimbals,
+            uncertainty=uncertainty,
+            half_width_ns=half_ns,
+            rate_window_ns=self._window_ns,
+        )
 
     def add_row(self, row: TableRow) -> bool:
         """Keep a row of table readings; return whether there are enough for ``advance``."""

@@ -202,7 +202,14 @@ class Monitor:
             if self.sequencer is not None:
                 setpoint = self.sequencer.setpoint_rps(axis, now_s)
                 target = self.sequencer.target_rad(axis)
-            yield AxisSnapshot(axis, angle, rate, setpoint, self.table_fault or state, target)
+            yield AxisSnapshot(
+                name=axis,
+                angle_rad=angle,
+                rate_rps=rate,
+                setpoint_rps=setpoint,
+                state=self.table_fault or state,
+                target_rad=target,
+            )
 
     def _source_snapshots(self, now_s: float) -> Iterator[SourceSnapshot]:
         for imu in self._open.imus:
@@ -246,5 +253,15 @@ class Monitor:
             rate = nothing if last is None else last.rate_rps[-1]
             expected = predicted_output(source.array, states, w_rps)[0]
             columns = (states, sd, nis, rate, residual, expected)
-            for gyro, values, sds, *figures in zip(source.array.names, *(c.tolist() for c in columns), strict=True):
-                yield GyroSnapshot(gyro, name, tuple(values), tuple(sds), *figures)
+            rows = zip(source.array.names, *(c.tolist() for c in columns), strict=True)
+            for gyro, values, sds, own_nis, measured, own_residual, predicted in rows:
+                yield GyroSnapshot(
+                    name=gyro,
+                    source=name,
+                    values=tuple(values),
+                    sds=tuple(sds),
+                    nis=own_nis,
+                    residual=own_residual,
+                    rate_rps=measured,
+                    expected_rps=predicted,
+                )

@@ -99,7 +99,14 @@ class Sequencer:
 
     def _course(self, turn: Turn, from_s: float) -> Course:
         """Return the rate of a turn over time, if it begins at an instant of the loop's clock."""
-        return Course(from_s, turn.duration_s, turn.rate_rps, turn.acceleration_rps2, turn.way_rad, turn.to_rad)
+        return Course(
+            sent_s=from_s,
+            duration_s=turn.duration_s,
+            rate_rps=turn.rate_rps,
+            acceleration_rps2=turn.acceleration_rps2,
+            way_rad=turn.way_rad,
+            target_rad=turn.to_rad,
+        )
 
     async def going_on(self) -> None:
         """Wait for the end of a pause, if there is one."""

@@ -51,7 +51,7 @@ _NOTE = "note: "
 _TERMINAL_GONE = "the terminal is gone (SIGHUP): the run continues"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(kw_only=True, frozen=True, slots=True)
 class Result:
     """How a run ended, and its calibration if it came to one."""
 
@@ -70,7 +70,7 @@ class Result:
     """What failed beside the run and did not touch what is measured."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(kw_only=True, frozen=True, slots=True)
 class RunOptions:
     """How a run is made.
 
@@ -120,12 +120,12 @@ class Session:
         self._untrue = False  # readings of the table: they do not show whether it stands
         self._reopening = Reopening(self._moving, lambda text: self._event(EventKind.LINK, text), self._time_scale)
         self._acquisition = Acquisition(
-            bench,
-            RecordingWriter(path, _attributes(bench, script, options), journal=True),
-            self._model,
-            time_scale,
-            self._reopening,
-            on_event,
+            opened=bench,
+            writer=RecordingWriter(path, _attributes(bench, script, options), journal=True),
+            model=self._model,
+            time_scale=time_scale,
+            reopening=self._reopening,
+            on_event=on_event,
         )
         self._writer, self._event = self._acquisition.writer, self._acquisition.event
         self._live, self._monitor = self._acquisition.live, self._acquisition.monitor
@@ -380,7 +380,16 @@ class Session:
             verdict = replace(verdict, reason=f"{verdict.reason}; the recording lacks the outcome: {error}")
         reports = tuple(acquisition.reports.values())
         links, notes = self._monitor.link_counts(), tuple(acquisition.beside.notes)
-        return Result(verdict, self._writer.path, calibration, agreement, self._ended_early, reports, links, notes)
+        return Result(
+            verdict=verdict,
+            recording=self._writer.path,
+            calibration=calibration,
+            agreement=agreement,
+            ended_early=self._ended_early,
+            sources=reports,
+            links=links,
+            notes=notes,
+        )
 
     def _verdict_of(self, error: BaseException) -> Verdict:
         """Return the verdict for what ended the run: a device's error first, a stop, else a defect of the station."""

@@ -37,7 +37,7 @@ class EventKind(StrEnum):
     TERMINAL = "terminal"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(kw_only=True, frozen=True, slots=True)
 class AxisSnapshot:
     """One axis of the table: the last readback, and the rate that the script asks for now.
 

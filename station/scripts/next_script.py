@@ -53,7 +53,7 @@ class NextScript:
         return text if hopeful else f"no script of this table is likely to help; the best is {text}"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Past:
     """One source of one recording: what its gyros went through, and how they are."""
 
@@ -73,7 +73,14 @@ class Past:
             period_s = float(np.median(np.diff(run.data.t_ns))) * 1e-9
             noise = NoiseModel(float(np.sqrt(np.median(steps**2) / 0.455 / 2 * period_s)))
         every = max(round(_PERIOD_S / run.grid.period_s), 1)
-        return cls(run.source, data.device, run.grid.rows(slice(None, None, every)), run.array, noise, run.prior)
+        return cls(
+            source=run.source,
+            device=data.device,
+            conditions=run.grid.rows(slice(None, None, every)),
+            array=run.array,
+            noise=noise,
+            prior=run.prior,
+        )
 
 
 def next_script(

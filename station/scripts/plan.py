@@ -23,7 +23,7 @@ _PERIOD_S = 0.05
 _MOST_ROWS = 72_000  # an hour of them; longer scripts are looked at in coarser steps
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Plan:
     """A script on a bench, its motion and its forecast.
 
@@ -81,14 +81,14 @@ def make_plan(
     if effects is None:
         effects = catalogue(motion.gimbals, script.least_s)
     return Plan(
-        script,
-        bench,
-        motion,
-        forecast(conditions, devices, effects),
-        _table_sd(motion, bench, devices),
-        np.array(bench.limits.sds),
-        temperature_rise_k,
-        tuple(rounded(asked, script)),
+        script=script,
+        bench=bench,
+        motion=motion,
+        forecast=forecast(conditions, devices, effects),
+        table_sd=_table_sd(motion, bench, devices),
+        required=np.array(bench.limits.sds),
+        temperature_rise_k=temperature_rise_k,
+        rounded=tuple(rounded(asked, script)),
     )
 
 

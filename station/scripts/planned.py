@@ -14,7 +14,7 @@ from station.scripts.script import Script
 from station.scripts.steps.kind import Turn
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class PlannedMotion:
     """Instants ``t_s`` (N,); angles, rates and accelerations (N, g) of the ``gimbals``, outermost first.
 
@@ -43,7 +43,9 @@ class PlannedMotion:
     def readings(self, uncertainty: TableUncertainty | None) -> TableReadings:
         """Return what a table of this uncertainty will have read."""
         t_ns = np.round(self.t_s * 1e9).astype(np.int64)
-        return TableReadings(t_ns, self.angle_rad, self.rate_rps, self.gimbals, uncertainty)
+        return TableReadings(
+            t_ns=t_ns, angle_rad=self.angle_rad, rate_rps=self.rate_rps, gimbals=self.gimbals, uncertainty=uncertainty
+        )
 
 
 def planned_motion(script: Script, gimbals: Sequence[str], period_s: float = 0.05) -> PlannedMotion:
@@ -64,7 +66,9 @@ def planned_motion(script: Script, gimbals: Sequence[str], period_s: float = 0.0
         rate[:, column] += speed
         acceleration[:, column] += push
     open_s = [(timed.start_s, timed.start_s + timed.span.least_s) for timed in timeline if not timed.span.is_exact]
-    return PlannedMotion(t_s, angle, rate, acceleration, axes, tuple(open_s))
+    return PlannedMotion(
+        t_s=t_s, angle_rad=angle, rate_rps=rate, acceleration_rps2=acceleration, gimbals=axes, open_s=tuple(open_s)
+    )
 
 
 def _trapezoid(since_s: Floats, turn: Turn) -> tuple[Floats, Floats, Floats]:

@@ -13,7 +13,7 @@ from station.errors import sentence
 from station.views.figures import StateUnit, state_figures
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(kw_only=True, frozen=True, slots=True)
 class LimitLine:
     """One limit: what it is of, the value found, the bounds, SI.
 
@@ -126,19 +126,49 @@ def limit_lines(found: Calibration, limits: Limits, labels: Sequence[str] | None
 
     A gyro that is not estimated breaks a limit.
     """
-    lines = [LimitLine(e.name, "estimate", math.nan, 0.0, 1.0, note=e.reason) for e in found.excluded]
+    lines = [
+        LimitLine(gyro=e.name, what="estimate", value=math.nan, low=0.0, high=1.0, note=e.reason)
+        for e in found.excluded
+    ]
     for row, gyro in enumerate(found.gyros):
         label = labels[row] if labels else gyro.name
         for s, unit in enumerate(state_figures(limits.units)):
             size, sd = limits.sizes[s], limits.sds[s]
             of_size, of_sd = limits.written_sizes[s], limits.written_sds[s]
             value, found_sd = float(gyro.states[s]), float(gyro.sd[s])
-            lines.append(LimitLine(label, unit.name, value, -size, size, row, s, unit=unit, written=of_size))
-            lines.append(LimitLine(label, unit.name, found_sd, 0.0, sd, row, s, of_u=True, unit=unit, written=of_sd))
+            lines.append(
+                LimitLine(
+                    gyro=label,
+                    what=unit.name,
+                    value=value,
+                    low=-size,
+                    high=size,
+                    row=row,
+                    state=s,
+                    unit=unit,
+                    written=of_size,
+                )
+            )
+            lines.append(
+                LimitLine(
+                    gyro=label,
+                    what=unit.name,
+                    value=found_sd,
+                    low=0.0,
+                    high=sd,
+                    row=row,
+                    state=s,
+                    of_u=True,
+                    unit=unit,
+                    written=of_sd,
+                )
+            )
     if math.isfinite(found.nis_mean):
-        lines.append(LimitLine("all", MEAN_NIS, found.nis_mean, limits.nis_low, limits.nis_high))
+        lines.append(
+            LimitLine(gyro="all", what=MEAN_NIS, value=found.nis_mean, low=limits.nis_low, high=limits.nis_high)
+        )
     if limits.lost < 1:
         share = found.lost / max(found.samples + found.lost, 1)
         written = limits.written.get("lost", "")
-        lines.append(LimitLine("all", SAMPLES_LOST, share, 0.0, limits.lost, written=written))
+        lines.append(LimitLine(gyro="all", what=SAMPLES_LOST, value=share, low=0.0, high=limits.lost, written=written))
     return [line for line in lines if line.stated]

@@ -56,7 +56,9 @@ def certified(folder: Path, seed: int = 7, **attributes: Any) -> Path:
     data = ImuData(
         array, t_ns, random.normal(0, 0.4, (200, 3)), temperature_c=27 + 3 * np.sin(t_ns * 1e-9), device="imu"
     )
-    still = TableReadings(t_ns[[0, -1]], np.zeros((2, 3)), np.zeros((2, 3)), ("z", "y", "x"))
+    still = TableReadings(
+        t_ns=t_ns[[0, -1]], angle_rad=np.zeros((2, 3)), rate_rps=np.zeros((2, 3)), gimbals=("z", "y", "x")
+    )
     bench = default_bench_text()
     for key, wide in (("scale_factor_error", "5 %"), ("bias", "9 deg/s"), ("misalignment", "9 deg")):
         bench = re.sub(rf'^{key} = ".*?"', f'{key} = "{wide}"', bench, flags=re.MULTILINE)
@@ -75,7 +77,9 @@ def certified(folder: Path, seed: int = 7, **attributes: Any) -> Path:
     }
     model = ErrorModel(tuple(KnownEffect(name, False, parts, {}) for name, parts in sizes.items()))
     gyros = [_gyro(random, name, p) for name, p in zip(array.names, array.p, strict=True)]
-    write_calibration(path, Calibration(tuple(gyros), 1.0, 600, 0, (), model=model.text()))
+    write_calibration(
+        path, Calibration(gyros=tuple(gyros), nis_mean=1.0, samples=600, lost=0, notes=(), model=model.text())
+    )
     (folder / "meta.toml").write_text(META, encoding="utf-8")
     return path
 
@@ -83,9 +87,26 @@ def certified(folder: Path, seed: int = 7, **attributes: Any) -> Path:
 def _gyro(random: np.random.Generator, name: str, p: Any) -> GyroCalibration:
     root = random.normal(0, 1, (4, 4)) * np.array([1e-5, 1e-6, 1e-5, 1e-5])[:, None]
     effects = tuple(
-        EffectValue(effect, f"part {n}", float(value * random.uniform(0.5, 1.5)), 1e-8, unit, abs(value), False)
+        EffectValue(
+            effect=effect,
+            parameter=f"part {n}",
+            value=float(value * random.uniform(0.5, 1.5)),
+            sd=1e-8,
+            unit=unit,
+            expected_sd=abs(value),
+            shared=False,
+        )
         for effect, (values, unit) in EFFECTS.items()
         for n, value in enumerate(values)
     )
     states = random.normal(0, (5e-3, 2e-2, 2e-3, 2e-3))
-    return GyroCalibration(name, "imu", states, root @ root.T, 1e-3, p, "imu", effects=effects)
+    return GyroCalibration(
+        name=name,
+        source="imu",
+        states=states,
+        covariance=root @ root.T,
+        noise_rps=1e-3,
+        p=p,
+        device="imu",
+        effects=effects,
+    )

@@ -113,5 +113,12 @@ def gyros(
     mounting = mounted(MOUNTS_DEG[mount])
     m = len(mounting.p)
     truth = GyroTruth(np.zeros(m), -(mounting.p @ np.radians(rate_dps)), np.zeros(m), np.zeros(m), 0.0, 0.0)
-    still = Body(("z",), lambda _, t_s: np.zeros(len(t_s)), lambda: 0, 0.0, 0.0, earth_turns=False)
-    return GyroArray(mounting, truth, still, rate_hz, (1,))
+    still = Body(
+        gimbals=("z",),
+        angles=lambda _, t_s: np.zeros(len(t_s)),
+        revision=lambda: 0,
+        latitude_rad=0.0,
+        heading_rad=0.0,
+        earth_turns=False,
+    )
+    return GyroArray(mounting=mounting, truth=truth, body=still, rate_hz=rate_hz, seed=(1,))

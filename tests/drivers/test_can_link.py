@@ -353,7 +353,7 @@ def test_the_can_twin_is_measured_over_slcan_and_over_socketcand() -> None:
 
     async def measure(link: CanLink, bus: Any) -> None:
         imu = CanImu(ImuSetup("imu", 200.0, 0.5, signals=CanSource(BUILT_IN_DBC, channels)), link)
-        twin = asyncio.create_task(CanNodes(Ride(gyros(200.0), 200.0, signals=signals), bus).serve())
+        twin = asyncio.create_task(CanNodes(Ride(gyros=gyros(200.0), rate_hz=200.0, signals=signals), bus).serve())
         seen: dict[str, list[float]] = {name: [] for name in imu.names}
         async with asyncio.timeout(5):
             async for name, block in imu.blocks():

@@ -103,7 +103,7 @@ def run(
         await imu.open()
         array = gyros(rate_hz, RATES_DPS) if mapping.gyros == 3 else _Pair(gyros(rate_hz, RATES_DPS))
         signals = CanSource(mapping.dbc, channels(mapping))
-        ride = Ride(array, rate_hz, up, faults or NodeFaults(), signals=signals)  # type: ignore[arg-type]
+        ride = Ride(gyros=array, rate_hz=rate_hz, up=up, faults=faults or NodeFaults(), signals=signals)  # type: ignore[arg-type]
         twin = CanNodes(ride, bus)
         task = asyncio.create_task(twin.serve())
         found = await collect(imu, duration_s)

@@ -53,7 +53,7 @@ def signals(draw: st.DrawFn) -> Signal:
 @given(signals(), st.lists(st.binary(min_size=8, max_size=8), min_size=1, max_size=20))
 def test_every_signal_is_read_as_cantools_reads_it(signal: Signal, frames: list[bytes]) -> None:
     message = Message(1, "M", 8, [signal])
-    reader = SignalReader("imu", Database(message), DBC, "M.s", "rate", "rad/s")
+    reader = SignalReader(device="imu", database=Database(message), dbc=DBC, name="M.s", quantity="rate", unit="rad/s")
     data = np.frombuffer(b"".join(frames), dtype=np.uint8).reshape(-1, 8)
     expected = [message.decode(frame, scaling=True)["s"] for frame in frames]
     np.testing.assert_allclose(reader.values(data), np.array(expected, dtype=np.float64), rtol=1e-12, atol=1e-12)
@@ -72,8 +72,12 @@ def test_floats_are_read_as_floats() -> None:
         "SIG_VALTYPE_ 1 X : 1;\nSIG_VALTYPE_ 1 Y : 1;\n"
     )
     data = np.array([[0.25, 90.0]], dtype="<f4").view(np.uint8)
-    assert SignalReader("imu", made, DBC, "M.X", "rate").values(data) == pytest.approx([0.25])
-    assert SignalReader("imu", made, DBC, "M.Y", "rate").values(data) == pytest.approx([np.pi / 2])
+    assert SignalReader(device="imu", database=made, dbc=DBC, name="M.X", quantity="rate").values(
+        data
+    ) == pytest.approx([0.25])
+    assert SignalReader(device="imu", database=made, dbc=DBC, name="M.Y", quantity="rate").values(
+        data
+    ) == pytest.approx([np.pi / 2])
 
 
 def test_a_multiplexed_signal_is_there_only_where_its_multiplexer_says_so() -> None:
@@ -83,10 +87,13 @@ def test_a_multiplexed_signal_is_there_only_where_its_multiplexer_says_so() -> N
         ' SG_ X m0 : 8|16@1- (0.1,0) [0|0] "deg/s" A\n SG_ T m1 : 8|16@1- (0.1,0) [0|0] "degC" A\n'
     )
     data = np.array([[0, 10, 0], [1, 250, 0]], dtype=np.uint8)
-    reader = SignalReader("imu", made, DBC, "M.X", "rate")
+    reader = SignalReader(device="imu", database=made, dbc=DBC, name="M.X", quantity="rate")
     assert reader.present(data).tolist() == [True, False]
     np.testing.assert_allclose(reader.values(data), [np.radians(1.0), np.nan])
-    np.testing.assert_allclose(SignalReader("imu", made, DBC, "M.T", "temperature").values(data), [np.nan, 25.0])
+    np.testing.assert_allclose(
+        SignalReader(device="imu", database=made, dbc=DBC, name="M.T", quantity="temperature").values(data),
+        [np.nan, 25.0],
+    )
 
 
 @pytest.mark.parametrize(
@@ -105,7 +112,9 @@ def test_a_multiplexed_signal_is_there_only_where_its_multiplexer_says_so() -> N
 def test_units_of_rate_are_understood_as_files_spell_them(text: str, si: float) -> None:
     made = database(f'BO_ 1 M: 2 A\n SG_ X : 0|16@1- (2,0) [0|0] "{text}" A\n')
     data = np.array([[3, 0]], dtype=np.uint8)
-    assert SignalReader("imu", made, DBC, "M.X", "rate").values(data) == pytest.approx([6 * si])
+    assert SignalReader(device="imu", database=made, dbc=DBC, name="M.X", quantity="rate").values(
+        data
+    ) == pytest.approx([6 * si])
 
 
 @pytest.mark.parametrize(
@@ -118,7 +127,7 @@ def test_other_units_too(text: str, plain: str) -> None:
 
 def test_kelvin_becomes_degrees() -> None:
     made = database('BO_ 1 M: 2 A\n SG_ T : 0|16@1+ (0.1,0) [0|0] "K" A\n')
-    reader = SignalReader("imu", made, DBC, "M.T", "temperature")
+    reader = SignalReader(device="imu", database=made, dbc=DBC, name="M.T", quantity="temperature")
     assert reader.values(np.array([[0xA4, 0x0B]], dtype=np.uint8)) == pytest.approx([298.0 - 273.15])
     assert reader.unscaled(25.0) == pytest.approx(298.15)
 
@@ -126,8 +135,8 @@ def test_kelvin_becomes_degrees() -> None:
 def test_a_unit_of_the_mapping_counts_before_that_of_the_dbc() -> None:
     made = database('BO_ 1 M: 2 A\n SG_ X : 0|16@1- (1,0) [0|0] "" A\n')
     with pytest.raises(DeviceError, match=r"imu: M\.X in made\.dbc has unit '', not deg/s or rad/s"):
-        SignalReader("imu", made, DBC, "M.X", "rate")
-    reader = SignalReader("imu", made, DBC, "M.X", "rate", "mrad/s")
+        SignalReader(device="imu", database=made, dbc=DBC, name="M.X", quantity="rate")
+    reader = SignalReader(device="imu", database=made, dbc=DBC, name="M.X", quantity="rate", unit="mrad/s")
     assert reader.values(np.array([[250, 0]], dtype=np.uint8)) == pytest.approx([0.25])
 
 

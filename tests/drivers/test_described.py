@@ -266,14 +266,33 @@ class Bench:
         **faults: float,
     ) -> None:
         self.near, self.far = pair("imu")
-        body = Body("z", lambda _axis, t: self.SLOPE_RPS2 * t**2 / 2, lambda: 0, 0.0, 0.0, earth_turns=False)
+        body = Body(
+            gimbals="z",
+            angles=lambda _axis, t: self.SLOPE_RPS2 * t**2 / 2,
+            revision=lambda: 0,
+            latitude_rad=0.0,
+            heading_rad=0.0,
+            earth_turns=False,
+        )
         axes = np.eye(3)[np.arange(len(description.channels[0].rates)) % 3]
         none = np.zeros(len(axes))
-        gyros = GyroArray(along(axes.tolist()), GyroTruth(none, none, none, none, 0.0, 0.0), body, rate_hz, (1,))
+        gyros = GyroArray(
+            mounting=along(axes.tolist()),
+            truth=GyroTruth(none, none, none, none, 0.0, 0.0),
+            body=body,
+            rate_hz=rate_hz,
+            seed=(1,),
+        )
         self.heard = b""
         self.faults = NodeFaults(**faults)
         up = np.array([0.0, 0.0, 1.0])
-        ride = Ride(gyros, rate_hz, lambda t_s: np.tile(up, (len(t_s), 1)), self.faults, signals=description)
+        ride = Ride(
+            gyros=gyros,
+            rate_hz=rate_hz,
+            up=lambda t_s: np.tile(up, (len(t_s), 1)),
+            faults=self.faults,
+            signals=description,
+        )
         self.device = DescribedDevice(ride, lambda data: self.far.write(wire(data)))
         self.imu = DescribedImu(ImuSetup("imu", rate_hz, 0.5, signals=description), self.near)
 

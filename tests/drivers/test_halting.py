@@ -33,7 +33,9 @@ def halted_s(
             angle, left = rate * turned_s - brake * turned_s**2 / 2, rate - brake * turned_s
             t_ns = round(now_s * 1e9)
             noise = noise_dps * (left > 0) * chance.gauss(0, 1)
-            return AxisState(t_ns, angle * DEG, t_ns, (left + noise) * DEG, 0)
+            return AxisState(
+                angle_t_ns=t_ns, angle_rad=angle * DEG, rate_t_ns=t_ns, rate_rps=(left + noise) * DEG, half_width_ns=0
+            )
 
         try:
             said = await bring_to_rest("table", sorted(rates_dps), tell, read, 0.2)

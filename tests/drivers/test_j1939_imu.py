@@ -197,11 +197,11 @@ def with_twin(
         name = wire()
         bus = MemoryBus(name)
         ride = Ride(
-            gyros(rate_hz, RATES_DPS),
-            100.0,
-            lambda t_s: np.tile(FORCE / 9.80665, (len(t_s), 1)),
-            faults or NodeFaults(),
-            {"model": twin_model or model, "address": DEVICE},
+            gyros=gyros(rate_hz, RATES_DPS),
+            rate_hz=100.0,
+            up=lambda t_s: np.tile(FORCE / 9.80665, (len(t_s), 1)),
+            faults=faults or NodeFaults(),
+            options={"model": twin_model or model, "address": DEVICE},
         )
         device = AceinnaDevice(ride, bus, **twin)
 
@@ -378,7 +378,9 @@ def test_the_twin_answers_only_what_is_asked_of_it() -> None:
         def send(self, msg: can.Message) -> None:
             heard.append(Frame(0, msg.arbitration_id, msg.is_extended_id, bytes(msg.data)))
 
-    device = AceinnaDevice(Ride(gyros(100.0), 100.0, options={"model": "openimu300ri", "address": DEVICE}), Ear())
+    device = AceinnaDevice(
+        Ride(gyros=gyros(100.0), rate_hz=100.0, options={"model": "openimu300ri", "address": DEVICE}), Ear()
+    )
 
     def ask(frame: Frame) -> list[str]:
         heard.clear()

@@ -106,7 +106,9 @@ def test_opening_takes_access_and_sets_scales_and_the_guard_and_says_who_it_is()
 
 
 def test_a_drive_that_one_has_not_got_access_to_refuses_by_its_code_and_does_not_move() -> None:
-    without = DriveProfile(PROFILE.name, PROFILE.registers, PROFILE.commands, PROFILE.homing_method)
+    without = DriveProfile(
+        name=PROFILE.name, registers=PROFILE.registers, commands=PROFILE.commands, homing_method=PROFILE.homing_method
+    )
 
     async def main() -> None:
         async with drives(without) as (table, model):

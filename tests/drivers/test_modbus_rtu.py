@@ -57,11 +57,13 @@ def run(main: Callable[[], Awaitable[None]], loop: Callable[[], asyncio.Abstract
 
 
 def read(unit: int, address: int, count: int) -> Request:
-    return Request("x", unit, f"register {address}", address, count)
+    return Request(axis="x", unit_id=unit, register=f"register {address}", address=address, count=count)
 
 
 def write(unit: int, address: int, *words: int) -> Request:
-    return Request("x", unit, f"register {address}", address, len(words), words)
+    return Request(
+        axis="x", unit_id=unit, register=f"register {address}", address=address, count=len(words), words=words
+    )
 
 
 def probes(units: tuple[int, ...] = UNITS) -> dict[int, list[Request]]:

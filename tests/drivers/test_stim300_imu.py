@@ -38,10 +38,17 @@ ACCELERATION_DPS2 = 40.0
 def on_a_table(rate_hz: int) -> tuple[GyroArray, AxisMotion]:
     """Return a triad without errors on a table whose one axis may move."""
     motion = AxisMotion(0.0, 10.0, 10.0)
-    body = Body("z", lambda _axis, t: motion.angles(t), lambda: motion.revision, 0.0, 0.0, earth_turns=False)
+    body = Body(
+        gimbals="z",
+        angles=lambda _axis, t: motion.angles(t),
+        revision=lambda: motion.revision,
+        latitude_rad=0.0,
+        heading_rad=0.0,
+        earth_turns=False,
+    )
     none = np.zeros(3)
     truth = GyroTruth(none, none, none, none, 0.0, 0.0, warming_c=0.0)
-    return GyroArray(mounted(MOUNTS_DEG["triad"]), truth, body, rate_hz, (1,)), motion
+    return GyroArray(mounting=mounted(MOUNTS_DEG["triad"]), truth=truth, body=body, rate_hz=rate_hz, seed=(1,)), motion
 
 
 @dataclass
@@ -60,7 +67,7 @@ class Wire:
 async def wired(rate_hz: int = 2000, **options: Any) -> AsyncIterator[Wire]:
     near, far = pair("imu")
     gyros, motion = on_a_table(rate_hz)
-    ride = Ride(gyros, rate_hz, faults=options.pop("faults", NodeFaults()))
+    ride = Ride(gyros=gyros, rate_hz=rate_hz, faults=options.pop("faults", NodeFaults()))
     wire = Wire(Stim300Device(ride, far.write, **options), near, motion)
 
     async def listen() -> None:
@@ -143,7 +150,7 @@ def test_a_device_that_does_not_answer_is_taken_as_it_is(streams: bool) -> None:
     async def scene() -> None:
         near, far = pair("imu")
         imu = Stim300Imu(imu_setup("stim300", "imu", 500, timeout_s=0.5), near)
-        task = asyncio.ensure_future(Stim300Device(Ride(on_a_table(500)[0], 500), far.write).serve())
+        task = asyncio.ensure_future(Stim300Device(Ride(gyros=on_a_table(500)[0], rate_hz=500), far.write).serve())
         if not streams:
             task.cancel()
         began = asyncio.get_running_loop().time()
@@ -274,7 +281,7 @@ def test_bytes_that_come_one_by_one_still_make_blocks_of_ten_milliseconds() -> N
             for i in range(len(data)):
                 far.write(data[i : i + 1])
 
-        device = Stim300Device(Ride(on_a_table(2000)[0], 2000), drip)
+        device = Stim300Device(Ride(gyros=on_a_table(2000)[0], rate_hz=2000), drip)
         task = asyncio.ensure_future(device.serve())
         blocks = await gathered(Stim300Imu(imu_setup("stim300", "imu", 2000), near), 1.0)
         task.cancel()
@@ -325,7 +332,7 @@ def test_utility_mode_identifies_sets_and_refuses() -> None:
 def test_a_device_without_a_voice_is_a_lost_link() -> None:
     async def scene() -> None:
         near, far = pair("imu")
-        task = asyncio.ensure_future(Stim300Device(Ride(on_a_table(500)[0], 500), far.write).serve())
+        task = asyncio.ensure_future(Stim300Device(Ride(gyros=on_a_table(500)[0], rate_hz=500), far.write).serve())
         with pytest.raises(LinkLost, match="is it powered, and sending samples"):
             async with Stim300Utility("imu", near):
                 pass
@@ -341,7 +348,7 @@ def test_over_a_pseudo_terminal_it_names_itself_and_streams() -> None:
         tty.setraw(theirs)
         os.set_blocking(ours, False)
         loop = asyncio.get_running_loop()
-        device = Stim300Device(Ride(on_a_table(2000)[0], 2000), lambda data: void(os.write(ours, data)))
+        device = Stim300Device(Ride(gyros=on_a_table(2000)[0], rate_hz=2000), lambda data: void(os.write(ours, data)))
         loop.add_reader(ours, lambda: device.received(os.read(ours, 1000)))
         task = asyncio.ensure_future(device.serve())
         link = SerialLink("imu", os.ttyname(theirs), 921600)

@@ -26,13 +26,24 @@ class Talk:
     """A twin, and what it has sent."""
 
     def __init__(self, rate_hz: float = 800) -> None:
-        body = Body("z", lambda _axis, t: 0.0 * t, lambda: 0, 0.0, 0.0, earth_turns=False)
+        body = Body(
+            gimbals="z",
+            angles=lambda _axis, t: 0.0 * t,
+            revision=lambda: 0,
+            latitude_rad=0.0,
+            heading_rad=0.0,
+            earth_turns=False,
+        )
         none = np.zeros(3)
         truth = GyroTruth(none, -RATES_RPS, none, none, 0.0, 0.0, warming_c=0.0)
-        gyros = GyroArray(along([[1, 0, 0], [0, 1, 0], [0, 0, 1]]), truth, body, rate_hz, (1,))
+        gyros = GyroArray(
+            mounting=along([[1, 0, 0], [0, 1, 0], [0, 0, 1]]), truth=truth, body=body, rate_hz=rate_hz, seed=(1,)
+        )
         self.sent = bytearray()
         up = np.tile(UP, (100, 1))
-        self.device = VectorNavDevice(Ride(gyros, rate_hz, lambda t: up[: len(t)]), self.sent.extend, baud=115200)
+        self.device = VectorNavDevice(
+            Ride(gyros=gyros, rate_hz=rate_hz, up=lambda t: up[: len(t)]), self.sent.extend, baud=115200
+        )
 
     def heard(self) -> list[Sentence | Frames]:
         """Return what it has sent since the last time."""

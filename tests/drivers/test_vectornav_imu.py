@@ -34,10 +34,19 @@ IDENTITY = Identity("VN-100S-CR, hardware 7", "0100012345", "2.1.0.0")
 
 
 def gyros(rate_hz: float) -> GyroArray:
-    body = Body("z", lambda _axis, t: SLOPE_RPS2 * t**2 / 2, lambda: 0, 0.0, 0.0, earth_turns=False)
+    body = Body(
+        gimbals="z",
+        angles=lambda _axis, t: SLOPE_RPS2 * t**2 / 2,
+        revision=lambda: 0,
+        latitude_rad=0.0,
+        heading_rad=0.0,
+        earth_turns=False,
+    )
     none = np.zeros(3)
     truth = GyroTruth(none, none, none, none, 0.0, 0.0)
-    return GyroArray(along([[1, 0, 0], [0, 1, 0], [0, 0, 1]]), truth, body, rate_hz, (1,))
+    return GyroArray(
+        mounting=along([[1, 0, 0], [0, 1, 0], [0, 0, 1]]), truth=truth, body=body, rate_hz=rate_hz, seed=(1,)
+    )
 
 
 @dataclass
@@ -61,7 +70,7 @@ async def bench(
 ) -> AsyncIterator[Bench]:
     """Join a source to its twin; ``wire`` hands on what the twin sends, ``to_device`` what it is sent."""
     near, far = pair("imu")
-    ride = Ride(gyros(rate_hz), rate_hz, twin.pop("up", None), twin.pop("faults", NodeFaults()))
+    ride = Ride(gyros=gyros(rate_hz), rate_hz=rate_hz, up=twin.pop("up", None), faults=twin.pop("faults", NodeFaults()))
     device = VectorNavDevice(ride, lambda data: wire(data, far.write), **twin)
 
     async def hear() -> None:

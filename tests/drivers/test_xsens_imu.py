@@ -57,12 +57,18 @@ class Table:
 
     def __init__(self) -> None:
         self.motion = AxisMotion(0.0, 10.0, 10.0)
-        self.body = Body("z", lambda _axis, t: self.motion.angles(t), lambda: self.motion.revision, 0.8, 0.0)
+        self.body = Body(
+            gimbals="z",
+            angles=lambda _axis, t: self.motion.angles(t),
+            revision=lambda: self.motion.revision,
+            latitude_rad=0.8,
+            heading_rad=0.0,
+        )
 
     def gyros(self, rate_hz: float) -> GyroArray:
         zeros = np.zeros(3)
         truth = GyroTruth(zeros, zeros, zeros, zeros, 0.0, 0.0)
-        return GyroArray(mounted(MOUNTS_DEG["triad"]), truth, self.body, rate_hz, (1,))
+        return GyroArray(mounting=mounted(MOUNTS_DEG["triad"]), truth=truth, body=self.body, rate_hz=rate_hz, seed=(1,))
 
 
 @dataclass
@@ -150,7 +156,7 @@ def with_twin(
 
         force = table.body.up if accelerometer else None
         own_hz = twin_hz or rate_hz
-        ride = Ride(table.gyros(own_hz), own_hz, force, twin.pop("faults", NodeFaults()))
+        ride = Ride(gyros=table.gyros(own_hz), rate_hz=own_hz, up=force, faults=twin.pop("faults", NodeFaults()))
         device = XsensDevice(ride, write, **twin)
         prepare(device, table)
         imu = XsensImu(imu_setup("xsens", "mti", rate_hz, **(options or {})), near)
@@ -320,7 +326,7 @@ def test_a_source_may_be_started_again() -> None:
     async def main() -> None:
         loop = asyncio.get_running_loop()
         near, far = pair("mti")
-        device = XsensDevice(Ride(Table().gyros(100), 100), far.write)
+        device = XsensDevice(Ride(gyros=Table().gyros(100), rate_hz=100), far.write)
         tasks = [loop.create_task(device.serve()), loop.create_task(listen(far, device.received))]
         imu = XsensImu(imu_setup("xsens", "mti", 100), near)
         await imu.open()

@@ -51,7 +51,7 @@ def recorded(seed: int, axes: str = "xyz", *, states: np.ndarray = STATES, rate_
         heading_rad=SITE.heading_rad,
         rate_hz=rate_hz,
     )
-    reference = TableReadings(run.table_t_ns, run.angle_rad, run.rate_rps, GIMBALS)
+    reference = TableReadings(t_ns=run.table_t_ns, angle_rad=run.angle_rad, rate_rps=run.rate_rps, gimbals=GIMBALS)
     return Recording({"array": ImuData(tetrahedron(), run.t_ns, run.output_rps)}, reference, SITE)
 
 

@@ -74,18 +74,29 @@ def calibrated(array: SensorArray, sizes: dict[str, tuple[float, ...]]) -> tuple
         states = random.normal(0, (5e-3, 2e-3, 2e-3, 2e-3))
         effects = tuple(
             EffectValue(
-                effect.called,
-                size.name,
-                value * (1 if effect.shared else random.uniform(0.5, 1.5)),
-                0.0,
-                size.unit,
-                size.sd,
-                effect.shared,
+                effect=effect.called,
+                parameter=size.name,
+                value=value * (1 if effect.shared else random.uniform(0.5, 1.5)),
+                sd=0.0,
+                unit=size.unit,
+                expected_sd=size.sd,
+                shared=effect.shared,
             )
             for effect in known
             for size, value in zip(effect.sizes, sizes.get(effect.called, sizes.get(effect.name, ())), strict=True)
         )
-        gyros.append(GyroCalibration(name, "imu", states, np.eye(4) * 1e-12, 1e-4, array.p[i], "imu", effects=effects))
+        gyros.append(
+            GyroCalibration(
+                name=name,
+                source="imu",
+                states=states,
+                covariance=np.eye(4) * 1e-12,
+                noise_rps=1e-4,
+                p=array.p[i],
+                device="imu",
+                effects=effects,
+            )
+        )
     return gyros, ErrorModel(known)
 
 
@@ -98,7 +109,17 @@ def test_the_rate_that_made_the_outputs_comes_back(array: SensorArray, sizes: di
     w = np.column_stack([0.8 * np.sin(t_s / 3 + phase) for phase in (0, 1, 2)])
     warm, force = 25 + 8 * np.sin(t_s / 20), GRAVITY_MPS2 * np.column_stack([np.sin(t_s), np.cos(t_s), 0 * t_s])
     none = np.empty((len(t_s), 0))
-    conditions = Conditions(t_s, w, 0 * w, none, none, none, (), force, warm)
+    conditions = Conditions(
+        t_s=t_s,
+        w_rps=w,
+        wdot_rps2=0 * w,
+        angle_rad=none,
+        rate_rps=none,
+        acceleration_rps2=none,
+        gimbals=(),
+        specific_force_mps2=force,
+        temperature_c=warm,
+    )
     outputs = np.empty((len(t_s), len(array)))
     for i, gyro in enumerate(gyros):
         k, b, sigma_j, sigma_k = gyro.states
@@ -152,7 +173,18 @@ def test_a_law_of_the_past_of_the_rate_or_with_a_jump_is_undone_but_for_its_effe
     wdot = np.column_stack([-0.8 / 3 * np.sin(t_s / 3 + phase) for phase in (0.1, 1, 2)])
     warm, none = 25 + 0.05 * t_s, np.empty((len(t_s), 0))
     gyros, model = calibrated(array, {f"constructed {law}": (size,)})
-    conditions = Conditions(t_s, w, wdot, none, none, none, (), np.full_like(w, np.nan), warm, causal=True)
+    conditions = Conditions(
+        t_s=t_s,
+        w_rps=w,
+        wdot_rps2=wdot,
+        angle_rad=none,
+        rate_rps=none,
+        acceleration_rps2=none,
+        gimbals=(),
+        specific_force_mps2=np.full_like(w, np.nan),
+        temperature_c=warm,
+        causal=True,
+    )
     effect = model.effects[0].effect(())
     found = Compensation.of(gyros, {"imu": array}, model.text())
     outputs = w @ found.sensitivity.T - found.bias_rps
@@ -223,15 +255,23 @@ def test_the_twins_own_physics_is_undone() -> None:
     values = [(1e-3, 0.01 * dps), (-2e-3, -0.02 * dps), (1.5e-3, 0.01 * dps), (5e-4, 0.005 * dps)]
     gyros = [
         GyroCalibration(
-            name,
-            "array",
-            states[i],
-            np.eye(4),
-            1e-9,
-            array.p[i],
-            "array",
+            name=name,
+            source="array",
+            states=states[i],
+            covariance=np.eye(4),
+            noise_rps=1e-9,
+            p=array.p[i],
+            device="array",
             effects=tuple(
-                EffectValue(effect.called, effect.sizes[0].name, value, 0.0, effect.sizes[0].unit, 1.0, False)
+                EffectValue(
+                    effect=effect.called,
+                    parameter=effect.sizes[0].name,
+                    value=value,
+                    sd=0.0,
+                    unit=effect.sizes[0].unit,
+                    expected_sd=1.0,
+                    shared=False,
+                )
                 for effect, value in zip(known, values[i], strict=True)
             ),
         )

@@ -18,7 +18,17 @@ def conditions(n: int = 400) -> Conditions:
     w, wdot, force = (random.standard_normal((n, 3)) for _ in range(3))
     angle, rate = random.standard_normal((n, 3)), random.standard_normal((n, 3))
     warm = 25 + 5 * np.sin(0.1 * t_s)
-    return Conditions(t_s, w, wdot, angle, rate, 0 * rate, ("z", "y", "x"), 9.80665 * force, warm)
+    return Conditions(
+        t_s=t_s,
+        w_rps=w,
+        wdot_rps2=wdot,
+        angle_rad=angle,
+        rate_rps=rate,
+        acceleration_rps2=0 * rate,
+        gimbals=("z", "y", "x"),
+        specific_force_mps2=9.80665 * force,
+        temperature_c=warm,
+    )
 
 
 def test_a_law_is_worked_out_as_it_is_written() -> None:

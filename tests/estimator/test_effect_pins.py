@@ -152,12 +152,31 @@ def compensation(names: list[str]) -> Compensation:
     gyros = []
     for i, gyro in enumerate(array.names):
         values = [
-            EffectValue(e.called, s.name, s.sd * (i + 1) / 3, 0.0, s.unit, s.sd, e.shared)
+            EffectValue(
+                effect=e.called,
+                parameter=s.name,
+                value=s.sd * (i + 1) / 3,
+                sd=0.0,
+                unit=s.unit,
+                expected_sd=s.sd,
+                shared=e.shared,
+            )
             for e in model.effects
             for s in e.sizes
         ]
         states = np.array([1e-3, 2e-3, -1e-3, 5e-4]) * (i + 1)
-        gyros.append(GyroCalibration(gyro, "imu", states, np.eye(4), 1e-4, array.p[i], "imu", effects=tuple(values)))
+        gyros.append(
+            GyroCalibration(
+                name=gyro,
+                source="imu",
+                states=states,
+                covariance=np.eye(4),
+                noise_rps=1e-4,
+                p=array.p[i],
+                device="imu",
+                effects=tuple(values),
+            )
+        )
     return Compensation.of(gyros, {"imu": array}, model.text())
 
 

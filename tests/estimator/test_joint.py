@@ -135,7 +135,7 @@ def test_a_long_rest_has_numbers_and_no_false_doubts(accelerometer: bool, exclud
     still = np.zeros((len(t_ns) // 5, 3))
     for reference in (
         RateReadings(t_ns[[0, -1]], np.zeros((2, 3))),
-        TableReadings(t_ns[::5], still, still, ("z", "y", "x")),
+        TableReadings(t_ns=t_ns[::5], angle_rad=still, rate_rps=still, gimbals=("z", "y", "x")),
     ):
         found = calibrate(
             Recording({"imu": ImuData(triad(), t_ns, rate, accel_mps2=force)}, reference), excluded=excluded

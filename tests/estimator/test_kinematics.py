@@ -139,7 +139,13 @@ def test_the_twins_body_turns_alike(gimbals: tuple[str, ...]) -> None:
     motions = {axis: AxisMotion(0.4 * i, 10.0, 10.0) for i, axis in enumerate(gimbals)}
     for i, motion in enumerate(motions.values()):
         motion.jog(0.5 * i, (-1) ** i * (0.5 + 0.4 * i), 0.3)
-    body = Body(gimbals, lambda axis, t: motions[axis].angles(t), lambda: 0, SITE.latitude_rad, SITE.heading_rad)
+    body = Body(
+        gimbals=gimbals,
+        angles=lambda axis, t: motions[axis].angles(t),
+        revision=lambda: 0,
+        latitude_rad=SITE.latitude_rad,
+        heading_rad=SITE.heading_rad,
+    )
     t_s = np.arange(0.013, 12.0, 0.05)
     # Where an acceleration begins or ends, a finite difference sees some of either.
     states = np.array([[motions[g].at(float(t)) for g in gimbals] for t in t_s])

@@ -18,7 +18,14 @@ def readings(angle: np.ndarray, rate: np.ndarray, noise_rps: float = 0.0) -> Tab
     t_ns = np.round(T_S * 1e9).astype(np.int64)
     still = np.zeros(len(T_S))
     width = np.full(len(T_S), 1_000_000)
-    return TableReadings(t_ns, np.column_stack([still, angle]), np.column_stack([still, rate]), ("z", "x"), None, width)
+    return TableReadings(
+        t_ns=t_ns,
+        angle_rad=np.column_stack([still, angle]),
+        rate_rps=np.column_stack([still, rate]),
+        gimbals=("z", "x"),
+        uncertainty=None,
+        half_width_ns=width,
+    )
 
 
 def test_readings_that_agree_are_not_doubted_noise_or_not() -> None:

@@ -26,10 +26,10 @@ from station.cli import main
 RNG = np.random.default_rng(1)
 T_NS = np.arange(200, dtype=np.int64) * 10_000_000 + 5
 TABLE = TableReadings(
-    T_NS[::5],
-    RNG.normal(size=(40, 3)),
-    RNG.normal(size=(40, 3)),
-    ("z", "y", "x"),
+    t_ns=T_NS[::5],
+    angle_rad=RNG.normal(size=(40, 3)),
+    rate_rps=RNG.normal(size=(40, 3)),
+    gimbals=("z", "y", "x"),
     half_width_ns=np.arange(40, dtype=np.int64) * 100_000,
 )
 

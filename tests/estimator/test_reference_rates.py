@@ -200,7 +200,15 @@ def one_axis(
     half_width_ns = np.broadcast_to(np.round(np.asarray(half_width_s) * 1e9).astype(np.int64), t_ns.shape)
     uncertainty = TableUncertainty(timing_s=timing_s)
     return BodyRates.of(
-        TableReadings(t_ns, angle[:, None], rate[:, None], ("z",), uncertainty, half_width_ns), site=None
+        TableReadings(
+            t_ns=t_ns,
+            angle_rad=angle[:, None],
+            rate_rps=rate[:, None],
+            gimbals=("z",),
+            uncertainty=uncertainty,
+            half_width_ns=half_width_ns,
+        ),
+        site=None,
     )
 
 

@@ -244,7 +244,7 @@ def _on_a_shaft(gyro_early_s: float) -> Recording:
     rate = (angle(shown + 5e-5) - angle(shown - 5e-5)) / 1e-4 + 0.02 + 0.002 * random.standard_normal(len(t_ns))
     counts = 2 * np.pi / 4000 * np.round(angle(read_ns * 1e-9) * 4000 / (2 * np.pi))
     slope = np.gradient(counts, read_ns * 1e-9)
-    reference = TableReadings(read_ns, counts[:, None], slope[:, None], ("z",))
+    reference = TableReadings(t_ns=read_ns, angle_rad=counts[:, None], rate_rps=slope[:, None], gimbals=("z",))
     array = sensor_array([[0.0, 0.0, 1.0]], names=("z",), part_of_array=True)
     return Recording({"gyro": ImuData(array, t_ns, rate[:, None])}, reference)
 

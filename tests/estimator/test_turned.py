@@ -15,7 +15,7 @@ def ns(t_s: np.ndarray) -> np.ndarray:
 def test_means_are_differences_of_angles_whatever_lies_between() -> None:
     t_s = np.sort(np.random.default_rng(0).uniform(0, 10, 900))
     angle = np.sin(t_s)
-    table = TableReadings(ns(t_s), angle[:, None], np.zeros((900, 1)), ("y",))
+    table = TableReadings(t_ns=ns(t_s), angle_rad=angle[:, None], rate_rps=np.zeros((900, 1)), gimbals=("y",))
     assert by_turns(table)
     body = Turned.of_reference(table, None)
     first, last = t_s[100:110], t_s[400:410]

@@ -30,12 +30,18 @@ class Bus:
 
 @pytest.mark.parametrize("vector", VECTORS, ids=lambda vector: vector["why"])
 def test_a_request_is_answered_or_refused(vector: dict[str, str]) -> None:
-    body = Body("z", lambda _axis, t: 0.0 * t, lambda: 0, 0.0, 0.0)
+    body = Body(gimbals="z", angles=lambda _axis, t: 0.0 * t, revision=lambda: 0, latitude_rad=0.0, heading_rad=0.0)
     none = np.zeros(3)
-    gyros = GyroArray(mounted(MOUNTS_DEG["triad"]), GyroTruth(none, none, none, none, 0.0, 0.0), body, 100.0, (1,))
+    gyros = GyroArray(
+        mounting=mounted(MOUNTS_DEG["triad"]),
+        truth=GyroTruth(none, none, none, none, 0.0, 0.0),
+        body=body,
+        rate_hz=100.0,
+        seed=(1,),
+    )
     bus = Bus()
     data = bytes.fromhex(vector["data"])
-    AceinnaDevice(Ride(gyros, 100.0, options={"model": "openimu300ri", "address": 0x80}), bus).received(
+    AceinnaDevice(Ride(gyros=gyros, rate_hz=100.0, options={"model": "openimu300ri", "address": 0x80}), bus).received(
         can.Message(arbitration_id=int(vector["id"], 16), is_extended_id=True, data=data)
     )
     assert bus.sent == vector["answers"]

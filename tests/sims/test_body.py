@@ -26,7 +26,9 @@ class Rig:
             for axis, start in zip("zyx", (0.3, -0.2, 0.1), strict=True)
         }
         self.table = TableModel(axes, lambda: self.now_s)
-        self.body = Body("zyx", self.angles, self.table.revision, np.pi / 4, 0.3)
+        self.body = Body(
+            gimbals="zyx", angles=self.angles, revision=self.table.revision, latitude_rad=np.pi / 4, heading_rad=0.3
+        )
 
     def angles(self, axis: str, t_s: np.ndarray) -> np.ndarray:
         self.asked += 1

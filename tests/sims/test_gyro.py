@@ -17,7 +17,13 @@ NONE = np.zeros(4)
 
 def turntable() -> tuple[Body, AxisMotion]:
     motion = AxisMotion(0.0, 10.0, 10.0)
-    return Body("z", lambda _axis, t: motion.angles(t), lambda: motion.revision, np.pi / 4, 0.0), motion
+    return Body(
+        gimbals="z",
+        angles=lambda _axis, t: motion.angles(t),
+        revision=lambda: motion.revision,
+        latitude_rad=np.pi / 4,
+        heading_rad=0.0,
+    ), motion
 
 
 def gyros(
@@ -31,7 +37,7 @@ def gyros(
 ) -> GyroArray:
     k, b, sigma_j, sigma_k = np.zeros((4, 4)) if states is None else states.T
     truth = GyroTruth(k, b, sigma_j, sigma_k, arw, instability)
-    return GyroArray(MOUNTING, truth, body or turntable()[0], rate_hz, (seed,))
+    return GyroArray(mounting=MOUNTING, truth=truth, body=body or turntable()[0], rate_hz=rate_hz, seed=(seed,))
 
 
 def sampled(array: GyroArray, duration_s: float, rate_hz: float = 100.0, per_call: int = 10) -> np.ndarray:
@@ -111,7 +117,7 @@ def test_a_command_changes_the_truth_from_then_on_and_not_the_noise(per_call: in
 
 def test_gyros_warm_up_to_their_end_temperature() -> None:
     truth = GyroTruth(NONE, NONE, NONE, NONE, 0.0, 0.0, temperature_c=25.0, warming_c=2.0, warming_time_s=300.0)
-    array = GyroArray(MOUNTING, truth, turntable()[0], 100.0, (1,))
+    array = GyroArray(mounting=MOUNTING, truth=truth, body=turntable()[0], rate_hz=100.0, seed=(1,))
     assert array.temperature_c(0.0) == 25.0
     assert array.temperature_c(300.0) == pytest.approx(25 + 2 * (1 - np.exp(-1)))
     assert array.temperature_c(1e5) == pytest.approx(27.0)

@@ -595,9 +595,16 @@ def test_gyros_that_look_ahead_put_out_what_a_whole_run_does_whatever_the_table_
         "stuck": {"gyro": 2, "from": "3 s", "until": "4 s"},
     }
     motion = AxisMotion(0.0, 10.0, 10.0)
-    body = Body("z", lambda _axis, t: motion.angles(t), lambda: motion.revision, 0.0, 0.0, earth_turns=False)
+    body = Body(
+        gimbals="z",
+        angles=lambda _axis, t: motion.angles(t),
+        revision=lambda: motion.revision,
+        latitude_rad=0.0,
+        heading_rad=0.0,
+        earth_turns=False,
+    )
     truth = GyroTruth(*np.zeros((4, 4)), 0.0, 0.0)
-    live = GyroArray(MOUNTING, truth, body, 100.0, (1,), Hidden.of(tables))
+    live = GyroArray(mounting=MOUNTING, truth=truth, body=body, rate_hz=100.0, seed=(1,), hidden=Hidden.of(tables))
     out, told = [], {133: 0.5, 140: -0.2, 391: -0.8, 555: 0.3}
     for i in range(1, 801):
         if i in told:
@@ -607,8 +614,17 @@ def test_gyros_that_look_ahead_put_out_what_a_whole_run_does_whatever_the_table_
     known.keep_all()
     for i, rate in told.items():
         known.jog(i / 100 - 0.004, rate, 2.0)
-    body = Body("z", lambda _axis, t: known.angles(t), lambda: 0, 0.0, 0.0, earth_turns=False)
-    whole = GyroArray(MOUNTING, truth, body, 100.0, (1,), Hidden.of(tables)).sample_all(np.arange(1, 801) / 100)
+    body = Body(
+        gimbals="z",
+        angles=lambda _axis, t: known.angles(t),
+        revision=lambda: 0,
+        latitude_rad=0.0,
+        heading_rad=0.0,
+        earth_turns=False,
+    )
+    whole = GyroArray(
+        mounting=MOUNTING, truth=truth, body=body, rate_hz=100.0, seed=(1,), hidden=Hidden.of(tables)
+    ).sample_all(np.arange(1, 801) / 100)
     # Told 4 ms before an instant, an axis has moved in it; what was put out before could not know.
     np.testing.assert_allclose(np.array(out), whole, atol=1e-9)
 

@@ -29,10 +29,21 @@ DPS = np.array([20.0, -7.0, 3.0])
 def array_of(rate_hz: int, dps: np.ndarray = DPS) -> GyroArray:
     """Return three gyros at rest, whose biases are the rates (they are taken off)."""
     motion = AxisMotion(0.0, 10.0, 10.0)
-    body = Body("z", lambda _axis, t: motion.angles(t), lambda: motion.revision, 0.0, 0.0, earth_turns=False)
+    body = Body(
+        gimbals="z",
+        angles=lambda _axis, t: motion.angles(t),
+        revision=lambda: motion.revision,
+        latitude_rad=0.0,
+        heading_rad=0.0,
+        earth_turns=False,
+    )
     none = np.zeros(3)
     return GyroArray(
-        mounted(MOUNTS_DEG["triad"]), GyroTruth(none, -np.radians(dps), none, none, 0.0, 0.0), body, rate_hz, (1,)
+        mounting=mounted(MOUNTS_DEG["triad"]),
+        truth=GyroTruth(none, -np.radians(dps), none, none, 0.0, 0.0),
+        body=body,
+        rate_hz=rate_hz,
+        seed=(1,),
     )
 
 
@@ -75,7 +86,7 @@ def run(
     async def scene() -> None:
         faults = options.pop("faults", NodeFaults())
         device = Stim300Device(
-            Ride(array_of(rate_hz, options.pop("dps", DPS)), rate_hz, faults=faults), take, **options
+            Ride(gyros=array_of(rate_hz, options.pop("dps", DPS)), rate_hz=rate_hz, faults=faults), take, **options
         )
         task = asyncio.ensure_future(device.serve())
         await asyncio.sleep(seconds / 2)
@@ -200,7 +211,9 @@ def test_samples_that_a_busy_computer_sends_late_say_how_late() -> None:
     sent = Sent()
 
     async def scene() -> None:
-        device = Stim300Device(Ride(array_of(500), 500), lambda data: setattr(sent, "raw", sent.raw + data))
+        device = Stim300Device(
+            Ride(gyros=array_of(500), rate_hz=500), lambda data: setattr(sent, "raw", sent.raw + data)
+        )
         task = asyncio.ensure_future(device.serve())
         await asyncio.sleep(0.03)
         time.sleep(0.04)  # the computer does something else

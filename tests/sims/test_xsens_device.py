@@ -60,12 +60,22 @@ class Line:
     ) -> None:
         motion = AxisMotion(0.0, 100.0, 1e9)
         motion.jog(0.0, turning_rps, 1e9)
-        body = Body("z", lambda _axis, t: motion.angles(t), lambda: motion.revision, 0.8, 0.0)
+        body = Body(
+            gimbals="z",
+            angles=lambda _axis, t: motion.angles(t),
+            revision=lambda: motion.revision,
+            latitude_rad=0.8,
+            heading_rad=0.0,
+        )
         zeros = np.zeros(3)
         truth = GyroTruth(zeros, zeros, zeros, zeros, NOISE, 0.0)
-        gyros = GyroArray(mounted(MOUNTS_DEG["triad"]), truth, body, RATE_HZ, (1,), hidden)
+        gyros = GyroArray(
+            mounting=mounted(MOUNTS_DEG["triad"]), truth=truth, body=body, rate_hz=RATE_HZ, seed=(1,), hidden=hidden
+        )
         self.sent = b""
-        self.device = XsensDevice(Ride(gyros, RATE_HZ, up, faults or NodeFaults()), self._write, **options)
+        self.device = XsensDevice(
+            Ride(gyros=gyros, rate_hz=RATE_HZ, up=up, faults=faults or NodeFaults()), self._write, **options
+        )
 
     def _write(self, data: bytes) -> None:
         self.sent += data

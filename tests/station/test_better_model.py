@@ -149,20 +149,33 @@ def test_every_effect_that_can_be_live_gives_the_batch_estimate_however_the_samp
     warm = data.temperature_c.copy()
     warm[:150] = np.nan  # the first temperature comes late
     live = LiveEstimate(reference.gimbals, recording.site)
-    source = live.sources["array"] = LiveSource(data.array, 100.0, 0.05 * DEG, data.prior, columns)
+    source = live.sources["array"] = LiveSource(
+        array=data.array, rate_hz=100.0, noise_rps=0.05 * DEG, prior=data.prior, effects=columns
+    )
     random, used = np.random.default_rng(0), 0
     for row, t_ns in enumerate(reference.t_ns.tolist()):
         until = int(np.searchsorted(data.t_ns, t_ns)) - int(random.integers(0, 20))
         if until > used:
             part = slice(used, until)
-            source.add(ImuBlock(data.t_ns[part], data.t_ns[part], data.rate_rps[part], warm[part]))
+            source.add(
+                ImuBlock(
+                    t_ns=data.t_ns[part],
+                    arrival_ns=data.t_ns[part],
+                    rate_rps=data.rate_rps[part],
+                    temperature_c=warm[part],
+                )
+            )
             used = until
         if live.add_row(TableRow(t_ns, reference.angle_rad[row], reference.rate_rps[row], 0)):
             live.advance()
     rest = slice(used, None)
-    source.add(ImuBlock(data.t_ns[rest], data.t_ns[rest], data.rate_rps[rest], warm[rest]))
+    source.add(
+        ImuBlock(
+            t_ns=data.t_ns[rest], arrival_ns=data.t_ns[rest], rate_rps=data.rate_rps[rest], temperature_c=warm[rest]
+        )
+    )
     live.finish()
-    held = ImuBlock(data.t_ns, data.t_ns, data.rate_rps, warm)
+    held = ImuBlock(t_ns=data.t_ns, arrival_ns=data.t_ns, rate_rps=data.rate_rps, temperature_c=warm)
     assert source.history.blocks > 200
     batch = white_solution(
         recording,

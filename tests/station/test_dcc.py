@@ -37,7 +37,9 @@ def made(run: Path, meta: Path | None = None, pdf: bytes | None = None) -> bytes
     """Return the certificate of a recording without that of paper."""
     recorded = read_recorded(run)
     formal = read_formal(recorded, meta or run.with_name("meta.toml"))
-    report = Report("", standing_of(recorded, formal), "1A2B3C", {"file": "0" * 64, "data": "1" * 64})
+    report = Report(
+        html="", standing=standing_of(recorded, formal), number="1A2B3C", hashes={"file": "0" * 64, "data": "1" * 64}
+    )
     return make_dcc(recorded, formal, report, pdf)
 
 
@@ -169,7 +171,11 @@ def test_paper_screen_and_json_have_the_same_figures(run: Path, tmp_path: Path) 
 def test_the_device_as_found_is_stated_beside_the_device_as_left(run: Path, tmp_path: Path) -> None:
     before, recorded = read_recorded(certified(tmp_path, seed=8)), read_recorded(run)
     formal = read_formal(recorded, run.with_name("meta.toml"))
-    xml = make_dcc(recorded, formal, Report("", standing_of(recorded, formal), "1", {"file": "0"}, before))
+    xml = make_dcc(
+        recorded,
+        formal,
+        Report(html="", standing=standing_of(recorded, formal), number="1", hashes={"file": "0"}, before=before),
+    )
     for of, result in zip((recorded, before), found(xml, "//dcc:measurementResult"), strict=True):
         assert of.calibration is not None
         values = texts(result, ".//dcc:list[dcc:name/dcc:content='States']/dcc:quantity/si:real/si:value")

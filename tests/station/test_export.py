@@ -123,12 +123,16 @@ def record(tmp_path: Path) -> Record:
                 device=device,
             )
             gyros += [_gyro(random, array, i, device, model, sizes) for i in range(len(array))]
-        still = TableReadings(t_ns[[0, -1]], np.zeros((2, 3)), np.zeros((2, 3)), ("z", "y", "x"))
+        still = TableReadings(
+            t_ns=t_ns[[0, -1]], angle_rad=np.zeros((2, 3)), rate_rps=np.zeros((2, 3)), gimbals=("z", "y", "x")
+        )
         path = tmp_path / "run.h5"
         identity = {"device_serial": "SN 7 \n*/ /* ü", "operator": "A. Müller", "script": 'the "script"'}
         write_recording(path, Recording(sources, still, attributes=identity))
         text = model.text() if sizes else ""
-        write_calibration(path, Calibration(tuple(gyros), 1.0, SAMPLES, 0, (), model=text))
+        write_calibration(
+            path, Calibration(gyros=tuple(gyros), nis_mean=1.0, samples=SAMPLES, lost=0, notes=(), model=text)
+        )
         return path
 
     return made
@@ -156,13 +160,13 @@ def _gyro(
 ) -> GyroCalibration:
     effects = tuple(
         EffectValue(
-            e.called,
-            size.name,
-            value * (1 if e.shared else float(random.uniform(0.5, 1.5))),
-            1e-6,
-            size.unit,
-            size.sd,
-            e.shared,
+            effect=e.called,
+            parameter=size.name,
+            value=value * (1 if e.shared else float(random.uniform(0.5, 1.5))),
+            sd=1e-6,
+            unit=size.unit,
+            expected_sd=size.sd,
+            shared=e.shared,
         )
         for e in model.effects
         for size, value in zip(e.sizes, sizes.get(e.called, sizes.get(e.name, ())), strict=True)
@@ -170,7 +174,15 @@ def _gyro(
     states = random.normal(0, (5e-3, 2e-2, 2e-3, 2e-3))
     noise = NoiseFound(NoiseModel(1e-4, 1e-6, 1e-7), 2e-6, 2e-7)
     return GyroCalibration(
-        array.names[i], device, states, np.eye(4) * 1e-10, 1e-3, array.p[i], device, noise=noise, effects=effects
+        name=array.names[i],
+        source=device,
+        states=states,
+        covariance=np.eye(4) * 1e-10,
+        noise_rps=1e-3,
+        p=array.p[i],
+        device=device,
+        noise=noise,
+        effects=effects,
     )
 
 

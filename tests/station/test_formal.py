@@ -51,7 +51,16 @@ def recorded(folder: Path, bench: str = BENCH, **attributes: Any) -> Recorded:
     """Return a recording that holds only attributes and a step."""
     told = {"operator": "A. Turing", "clock_zero_utc_s": FIRST_OF_MAY_2026_UTC_S, "bench": bench} | attributes
     recording = Recording({}, cast(Any, None), attributes=told)
-    return Recorded(folder / "run.h5", recording, None, None, {}, {}, (Step("rest", 0, 1),), ())
+    return Recorded(
+        path=folder / "run.h5",
+        recording=recording,
+        calibration=None,
+        allan=None,
+        courses={},
+        source_attributes={},
+        steps=(Step("rest", 0, 1),),
+        events=(),
+    )
 
 
 def written(folder: Path, text: str) -> Path:

@@ -568,7 +568,7 @@ def test_the_one_device_that_tells_its_serial_number_is_recorded_by_it(
 def test_a_snapshot_comes_through_json_as_it_was() -> None:
     snapshot = Snapshot(
         Phase.HOMING, "", 1.5, 2.5, 10, 1, float("nan"), 0.9, -0.1, "after this step",
-        (AxisSnapshot("x", 0.1, -0.2, 0.3, "turning"),),
+        (AxisSnapshot(name="x", angle_rad=0.1, rate_rps=-0.2, setpoint_rps=0.3, state="turning"),),
         (SourceSnapshot("s", "d", 99.5, 10, 1, 2, 3, 4, 0.001, float("nan"), 25.0, "ok"),),
         (GyroSnapshot("g", "s", (1.0, 2.0, 3.0, 4.0), (0.1, 0.2, 0.3, float("nan")), 1.1),),
     )  # fmt: skip

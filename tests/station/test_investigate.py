@@ -195,24 +195,41 @@ def test_no_probability_is_rounded_to_certainty() -> None:
 def made(finding: Finding) -> Investigation:
     """Return an investigation made by hand."""
     before, after = Errors(3e-4, 2e-3, 0.41), Errors(1e-5, 6e-5, 0.95)
-    phase = PhaseErrors("verify.h5", 0.0, 15.0, 0.0, "rest", 1e-4, float("nan"), 1e-6)
-    gyro = GyroErrors("gyro1", before, after, (phase,), np.zeros(4), np.ones(4), np.array([1.0, -30.0, 0.5, 0.1]))
-    added = Added("latency", ("gyro1",), 0.98, {"delay": Value(0.004, 3e-5, "s")})
+    phase = PhaseErrors(
+        run="verify.h5",
+        start_s=0.0,
+        end_s=15.0,
+        rate_dps=0.0,
+        kind="rest",
+        before_rps=1e-4,
+        after_rps=float("nan"),
+        noise_rps=1e-6,
+    )
+    gyro = GyroErrors(
+        name="gyro1",
+        before=before,
+        after=after,
+        phases=(phase,),
+        states_before=np.zeros(4),
+        states_after=np.ones(4),
+        moved=np.array([1.0, -30.0, 0.5, 0.1]),
+    )
+    added = Added(effect="latency", gyros=("gyro1",), probability=0.98, parameters={"delay": Value(0.004, 3e-5, "s")})
     return Investigation(
-        finding,
-        "why",
-        (added,) if finding is Finding.ADDED else (),
-        (("thermal_bias", "bias_drift"),) if finding is Finding.CANNOT_TELL else (),
-        Unexplained("direction", 0.42) if finding is Finding.UNEXPLAINED else None,
-        before,
-        after if finding is Finding.ADDED else before,
-        Improvement(30.0, 25.0, 36.0) if finding is Finding.ADDED else None,
-        False,
-        (gyro,),
-        (ModelStep((), 0.0, before), ModelStep(("latency",), 500.0, after)),
-        (Suspect("latency", 500.0, 0.98), Suspect("bandwidth", 496.0, 0.02)),
-        {"thermal_bias": "the recordings hold no temperature"},
-        ("a note",),
+        finding=finding,
+        reason="why",
+        added=(added,) if finding is Finding.ADDED else (),
+        rivals=(("thermal_bias", "bias_drift"),) if finding is Finding.CANNOT_TELL else (),
+        unexplained=Unexplained("direction", 0.42) if finding is Finding.UNEXPLAINED else None,
+        before=before,
+        after=after if finding is Finding.ADDED else before,
+        improvement=Improvement(30.0, 25.0, 36.0) if finding is Finding.ADDED else None,
+        in_sample=False,
+        gyros=(gyro,),
+        models=(ModelStep((), 0.0, before), ModelStep(("latency",), 500.0, after)),
+        suspects=(Suspect("latency", 500.0, 0.98), Suspect("bandwidth", 496.0, 0.02)),
+        left_out={"thermal_bias": "the recordings hold no temperature"},
+        notes=("a note",),
     )
 
 
@@ -238,7 +255,12 @@ def test_without_a_verification_run_it_says_that_the_figures_are_in_sample(capsy
 def test_parameters_of_one_gyro_share_a_line(capsys: pytest.CaptureFixture[str]) -> None:
     names = ("gyro1 along body x", "gyro1 along body y", "gyro2 along body x", "time constant")
     sizes = {name: Value(0.02 * DEG, 0.001 * DEG, "rad/s/g") for name in names[:3]}
-    added = Added("g_sensitivity", ("gyro1", "gyro2"), 0.99, {**sizes, names[3]: Value(60.0, 2.0, "s")})
+    added = Added(
+        effect="g_sensitivity",
+        gyros=("gyro1", "gyro2"),
+        probability=0.99,
+        parameters={**sizes, names[3]: Value(60.0, 2.0, "s")},
+    )
     print_investigation(replace(made(Finding.ADDED), added=(added,)), None, None, stdout())
     lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
     assert "gyro1: along body x 72.0 ± 3.6 deg/h/g, along body y 72.0 ± 3.6 deg/h/g" in lines
@@ -249,7 +271,16 @@ def test_parameters_of_one_gyro_share_a_line(capsys: pytest.CaptureFixture[str])
 def test_an_effect_without_a_name_is_said_as_the_law_that_it_is(capsys: pytest.CaptureFixture[str]) -> None:
     law = "lag(T, 58.12)"
     parameters = {"gyro1 of lag(T, 58.12)": Value(2e-4, 1e-6, "rad/s per unit"), "constant": Value(58.123, 4.2, "s")}
-    added = Added(in_words(law), ("gyro1",), 0.98, parameters, None, (), True, law)
+    added = Added(
+        effect=in_words(law),
+        gyros=("gyro1",),
+        probability=0.98,
+        parameters=parameters,
+        out_of_sample=None,
+        same=(),
+        constructed=True,
+        expression=law,
+    )
     found = replace(made(Finding.ADDED), added=(added,))
     print_investigation(found, None, None, stdout())
     said = "CONSTRUCTED: bias proportional to temperature above 25 degC lagged by 58.1 ± 4.2 s; not in the catalogue"

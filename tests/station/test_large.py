@@ -34,7 +34,14 @@ def fed(live: LiveEstimate, from_s: int, until_s: int) -> None:
         t_ns = second * 1_000_000_000 + np.arange(0, 1_000_000_000, SAMPLE_NS)
         rate = np.zeros((len(t_ns), 3))
         rate[:, 2] = 0.4
-        source.add(ImuBlock(t_ns, t_ns, rate + 1e-3 * noise.normal(size=rate.shape), np.full(len(t_ns), 25.0)))
+        source.add(
+            ImuBlock(
+                t_ns=t_ns,
+                arrival_ns=t_ns,
+                rate_rps=rate + 1e-3 * noise.normal(size=rate.shape),
+                temperature_c=np.full(len(t_ns), 25.0),
+            )
+        )
         for row_ns in range(second * 1_000_000_000, (second + 1) * 1_000_000_000, TABLE_NS):
             if live.add_row(TableRow(row_ns, np.array([0.4e-9 * row_ns]), np.array([0.4]), 0)):
                 live.advance()
@@ -43,7 +50,7 @@ def fed(live: LiveEstimate, from_s: int, until_s: int) -> None:
 
 def test_a_live_estimate_needs_no_more_memory_the_longer_it_runs() -> None:
     live = LiveEstimate(("z",), None)
-    live.sources["imu"] = LiveSource(triad(), 2.0, 1e-3, Prior())
+    live.sources["imu"] = LiveSource(array=triad(), rate_hz=2.0, noise_rps=1e-3, prior=Prior())
     tracemalloc.start()
     try:
         fed(live, 0, 140)

@@ -32,7 +32,7 @@ def threads_that_take_turns_often() -> Iterator[None]:
 
 def new_estimate() -> LiveEstimate:
     live = LiveEstimate(("z",), None)
-    live.sources["imu"] = LiveSource(triad(), 1e9 / SAMPLE_NS, 1e-3, Prior())
+    live.sources["imu"] = LiveSource(array=triad(), rate_hz=1e9 / SAMPLE_NS, noise_rps=1e-3, prior=Prior())
     live.keep_blocks()
     return live
 
@@ -45,7 +45,7 @@ def rows_and_blocks() -> Iterator[tuple[TableRow, ImuBlock]]:
         t_ns = np.arange(row_ns, row_ns + ROW_NS, SAMPLE_NS)
         rate = 1e-3 * noise.normal(size=(len(t_ns), 3))
         rate[:, 2] += RATE_RPS
-        yield row, ImuBlock(t_ns, t_ns, rate, np.full(len(t_ns), 25.0))
+        yield row, ImuBlock(t_ns=t_ns, arrival_ns=t_ns, rate_rps=rate, temperature_c=np.full(len(t_ns), 25.0))
 
 
 @pytest.mark.usefixtures("threads_that_take_turns_often")

@@ -49,7 +49,13 @@ class LateAxis:
         angle = round(self.angle_rad(told_s) / self._count_rad) * self._count_rad
         await asyncio.sleep(self._answer_s / 2)
         t_ns, half_ns = round(at_s * 1e9), round(self._answer_s / 2 * 1e9)
-        return AxisState(t_ns, angle, t_ns, self.course.speed_rps(told_s), half_ns)
+        return AxisState(
+            angle_t_ns=t_ns,
+            angle_rad=angle,
+            rate_t_ns=t_ns,
+            rate_rps=self.course.speed_rps(told_s),
+            half_width_ns=half_ns,
+        )
 
     async def status(self, axis: str) -> AxisStatus:
         await asyncio.sleep(self._answer_s)
@@ -71,7 +77,14 @@ def alarmed_s(
     rate_rps, acceleration_rps2, way_rad = rate * DEG, acceleration * DEG, way * DEG
     ramp_s = min(rate_rps / acceleration_rps2, math.sqrt(way_rad / acceleration_rps2))
     duration_s = way_rad / rate_rps + ramp_s if ramp_s == rate_rps / acceleration_rps2 else 2 * ramp_s
-    course = Course(1.0, duration_s, rate_rps, acceleration_rps2, way_rad, way_rad)
+    course = Course(
+        sent_s=1.0,
+        duration_s=duration_s,
+        rate_rps=rate_rps,
+        acceleration_rps2=acceleration_rps2,
+        way_rad=way_rad,
+        target_rad=way_rad,
+    )
     table = LateAxis(course, late_s=late_s, slow=slow, counts=counts, answer_s=answer_s, freeze_s=freeze_s)
 
     async def main() -> float:

@@ -34,8 +34,16 @@ SIGMAS_AT_THE_LIMITS = np.array([1e-4, 1e-5, 2e-4, 2e-4])
 
 def calibration(states: np.ndarray, sd: np.ndarray, *, nis: float = 1.0, lost: int = 0, **more: object) -> Calibration:
     """Return a calibration of one gyro."""
-    gyro = GyroCalibration("x", "imu", states, np.diag(sd**2), 1e-4, np.array([1.0, 0.0, 0.0]), "imu")
-    return replace(Calibration((gyro,), nis, 900, lost, ()), **more)
+    gyro = GyroCalibration(
+        name="x",
+        source="imu",
+        states=states,
+        covariance=np.diag(sd**2),
+        noise_rps=1e-4,
+        p=np.array([1.0, 0.0, 0.0]),
+        device="imu",
+    )
+    return replace(Calibration(gyros=(gyro,), nis_mean=nis, samples=900, lost=lost, notes=()), **more)
 
 
 def axis(name: str, covered_s: tuple[float, float] | None) -> AxisCoverage:

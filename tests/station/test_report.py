@@ -395,13 +395,32 @@ def gyros_with(effects: list[KnownEffect]) -> tuple[list[GyroCalibration], str]:
     gyros = []
     for i, name in enumerate(tetrahedron().names):
         values = tuple(
-            EffectValue(e.called, s.name, float(s.sd * rng.normal()), 0.1 * s.sd, s.unit, s.sd, False)
+            EffectValue(
+                effect=e.called,
+                parameter=s.name,
+                value=float(s.sd * rng.normal()),
+                sd=0.1 * s.sd,
+                unit=s.unit,
+                expected_sd=s.sd,
+                shared=False,
+            )
             for e in effects
             for s in e.sizes
         )
         states = np.array([0.005, 0.002, 0.0017, -0.0017]) * rng.normal(size=4)
         p = tetrahedron().p[i]
-        gyros.append(GyroCalibration(name, "array", states, np.eye(4) * 1e-9, 1e-4, p, "array", effects=values))
+        gyros.append(
+            GyroCalibration(
+                name=name,
+                source="array",
+                states=states,
+                covariance=np.eye(4) * 1e-9,
+                noise_rps=1e-4,
+                p=p,
+                device="array",
+                effects=values,
+            )
+        )
     return gyros, ErrorModel(tuple(effects)).text()
 
 

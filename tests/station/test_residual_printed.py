@@ -32,7 +32,17 @@ def left(nis: float, *depends_on: tuple[str, float], origin: Origin = Origin.NOI
     spectrum = Spectrum(np.array([0.1, 1.0]), np.array([2e-9, 1e-9]), np.array([1e-9, 1e-9]))
     dependences = tuple(Dependence(variable, share, 0.0) for variable, share in depends_on)
     p = 1e-9 if dependences else 0.25
-    gyro = GyroResidual("gyro1", nis, 0.06, 0.3, 0.02, p, spectrum, 0.31 if dependences else 0.0, dependences)
+    gyro = GyroResidual(
+        name="gyro1",
+        nis=nis,
+        nis_sd=0.06,
+        lag1=0.3,
+        lag1_sd=0.02,
+        white_p=p,
+        spectrum=spectrum,
+        beyond=0.31 if dependences else 0.0,
+        dependences=dependences,
+    )
     return Residual((gyro,), Split(origin, 0.2, 0.1, None if origin == Origin.NOISE else 0.88, spare))
 
 

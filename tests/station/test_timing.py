@@ -39,7 +39,14 @@ def test_rates_are_known_through_ramps_of_a_controller_that_tells_mean_rates(ram
         told = t + 0.008  # the rate is asked for after the angle
         mean_rps = (motion.at(told)[0] - motion.at(told - window_s)[0]) / window_s
         angle_rad, times = round(motion.at(t)[0] / count) * count, (round(t * 1e9), round((told - window_s / 2) * 1e9))
-        state = AxisState(times[0], angle_rad, times[1], round(mean_rps / count) * count, 0, round(window_s * 1e9))
+        state = AxisState(
+            angle_t_ns=times[0],
+            angle_rad=angle_rad,
+            rate_t_ns=times[1],
+            rate_rps=round(mean_rps / count) * count,
+            half_width_ns=0,
+            rate_window_ns=round(window_s * 1e9),
+        )
         for row in aligner.add({"z": state}):
             if live.add_row(row):
                 live.advance()

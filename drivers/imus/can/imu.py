@@ -88,7 +88,15 @@ class ChannelSignals:
 
         def reader(name: str, quantity: str) -> SignalReader:
             saturates = channel.saturates and quantity in ("rate", "acceleration")
-            return SignalReader(device, database, dbc, name, quantity, units.get(quantity, ""), saturates)
+            return SignalReader(
+                device=device,
+                database=database,
+                dbc=dbc,
+                name=name,
+                quantity=quantity,
+                unit=units.get(quantity, ""),
+                saturates=saturates,
+            )
 
         self.rates = [reader(name, "rate") for name in channel.rates]
         self.acceleration = [reader(name, "acceleration") for name in channel.acceleration or ()]

@@ -24,7 +24,7 @@ _DIGITS = 9  # after the point, where numbers are written
 _NUMBER = rb"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?)"
 
 
-@dataclass(frozen=True)
+@dataclass(kw_only=True, frozen=True)
 class Frames:
     """Binary frames of ``size`` bytes that begin with ``sync``, in which None is any byte, and end with ``end``.
 

@@ -175,7 +175,14 @@ class Stim300Imu(OneSource[ByteLink]):
         if "accelerometer" in raw:
             accel = self._accel.rates(stim300.vouched(*raw["accelerometer"]), counter, t_ns, self._ticks)
         centre_ns = round(self._gyro.centre_s * 1e9)
-        return ImuBlock(t_ns - centre_ns, arrival_ns[new], rate, temperature, counter, accel)
+        return ImuBlock(
+            t_ns=t_ns - centre_ns,
+            arrival_ns=arrival_ns[new],
+            rate_rps=rate,
+            temperature_c=temperature,
+            counter=counter,
+            accel_mps2=accel,
+        )
 
     def _forgive_replaced(self, counter: Stamps) -> None:
         """Take samples off the count of lost ones in whose place the device sent an answer."""

@@ -142,12 +142,12 @@ class VectorNavImu(OneSource[ByteLink]):
         arrival_ns = np.full(len(values), chunk.t_ns, dtype=np.int64)
         _, t_ns = self._stamped.stamp(device_ns, arrival_ns)
         return ImuBlock(
-            t_ns,
-            arrival_ns,
-            values["imu.uncomp_gyro"].astype(np.float64),
-            values["imu.temperature"].astype(np.float64),
-            device_ns,
-            values["imu.uncomp_accel"].astype(np.float64),
+            t_ns=t_ns,
+            arrival_ns=arrival_ns,
+            rate_rps=values["imu.uncomp_gyro"].astype(np.float64),
+            temperature_c=values["imu.temperature"].astype(np.float64),
+            counter=device_ns,
+            accel_mps2=values["imu.uncomp_accel"].astype(np.float64),
         )
 
     def _new(self, device_ns: Stamps) -> Flags:

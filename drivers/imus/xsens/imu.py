@@ -155,7 +155,14 @@ class XsensImu(XbusDevice):
         if not len(t_ns):
             return None
         shown = accel[new] if self._has_accel else None
-        return ImuBlock(t_ns, arrival_ns[new], rate[new], temperature[new], count[new], shown)
+        return ImuBlock(
+            t_ns=t_ns,
+            arrival_ns=arrival_ns[new],
+            rate_rps=rate[new],
+            temperature_c=temperature[new],
+            counter=count[new],
+            accel_mps2=shown,
+        )
 
     def _batch(self, samples: mtdata2.Samples, arrival_ns: Stamps) -> _Batch | None:
         rate = samples.numbers(mtdata2.RATE_OF_TURN)

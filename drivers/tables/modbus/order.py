@@ -29,7 +29,7 @@ _FIELDS = (
 )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(kw_only=True, frozen=True, slots=True)
 class Request:
     """Read ``count`` registers, or write ``words`` where there are some; ``axis`` and ``register`` are for messages."""
 

@@ -67,7 +67,7 @@ class Register:
         return self.scale * counts_per_turn if self.per_count else self.scale
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(kw_only=True, frozen=True, slots=True)
 class DriveProfile:
     """Everything that tells one make of drive from another.
 
@@ -120,13 +120,13 @@ def load_profile(name_or_path: str) -> DriveProfile:
         commands = {"abort": data["commands"]["quick_stop"], **data["commands"]}
         common = {"low_word_first": data["word_order"] == "little", "least_words": data.get("least_words", 1)}
         profile = DriveProfile(
-            data["name"],
-            {name: _register(name, entry, common) for name, entry in data["registers"].items()},
-            commands,
-            data["homing"]["method"],
-            tuple((write["register"], write["value"]) for write in data.get("on_open", [])),
-            {int(code, 0): text for code, text in data.get("errors", {}).items()},
-            (data["interlock"]["register"], data["interlock"]["closed"]) if "interlock" in data else ("", 0),
+            name=data["name"],
+            registers={name: _register(name, entry, common) for name, entry in data["registers"].items()},
+            commands=commands,
+            homing_method=data["homing"]["method"],
+            on_open=tuple((write["register"], write["value"]) for write in data.get("on_open", [])),
+            errors={int(code, 0): text for code, text in data.get("errors", {}).items()},
+            interlock=(data["interlock"]["register"], data["interlock"]["closed"]) if "interlock" in data else ("", 0),
         )
     except (LookupError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
         raise ProfileError(f"drive profile {path} lacks or misspells {error}") from None

@@ -368,7 +368,13 @@ class ModbusTable(Table):
 
     def _reading(self, axis: str, name: str) -> Request:
         register = self._profile[name]
-        return Request(axis, int(self._axes[axis].address), name, register.address, register.words)
+        return Request(
+            axis=axis,
+            unit_id=int(self._axes[axis].address),
+            register=name,
+            address=register.address,
+            count=register.words,
+        )
 
     def _writing(self, axis: str, name: str, value: float) -> Request:
         drive, register = self._axes[axis], self._profile[name]
@@ -376,4 +382,11 @@ class ModbusTable(Table):
             words = register.encode(value, drive.counts_per_turn)
         except ValueError as error:
             raise DeviceRefused(self._device, f"axis {axis}: {error}") from None
-        return Request(axis, int(drive.address), name, register.address, len(words), tuple(words))
+        return Request(
+            axis=axis,
+            unit_id=int(drive.address),
+            register=name,
+            address=register.address,
+            count=len(words),
+            words=tuple(words),
+        )

@@ -97,6 +97,7 @@ class LiveSource:
 
     def __init__(
         self,
+        *,
         array: SensorArray,
         rate_hz: float,
         noise_rps: float,
@@ -276,7 +277,9 @@ def filter_nis(recording: Recording, model: ErrorModel | None = None) -> float |
         effects = SampleColumns(model, reference.gimbals, recording.site, data.array) if model is not None else None
         rate_hz = _rate_hz(data)
         noise_rps = float(data.noise.arw * np.sqrt(rate_hz))
-        source = LiveSource(data.array, rate_hz, noise_rps, data.prior, effects, timing_s)
+        source = LiveSource(
+            array=data.array, rate_hz=rate_hz, noise_rps=noise_rps, prior=data.prior, effects=effects, timing_s=timing_s
+        )
         source.add(_Samples.of(data))
         source.advance(rates, everything=True)
         total += source.filter.nis_sum

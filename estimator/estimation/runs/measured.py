@@ -33,7 +33,7 @@ _LARGEST = np.geomspace(0.1, 300.0, 33)  # growth at the largest rate, over the 
 _LEAST_RPS = 1e-12
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class _Measured:
     """Blocks (B,) from ``origin_s`` on: number, mean body rate (B, 3), output error (B, m), whether they are ``full``.
 
@@ -82,7 +82,15 @@ def means_by_samples(recording: Recording, data: ImuData, block_s: float) -> _Me
         return np.asarray(np.add.reduceat(w, start, axis=0) / blocks.rows[:, None])
 
     full = blocks.rows >= 0.5 * np.median(blocks.rows)
-    return _Measured(origin_ns * 1e-9, length_s, blocks.index, blocks.w_rps, blocks.z_rps, full, past_rps)
+    return _Measured(
+        origin_s=origin_ns * 1e-9,
+        length_s=length_s,
+        index=blocks.index,
+        w_rps=blocks.w_rps,
+        z_rps=blocks.z_rps,
+        full=full,
+        past_rps=past_rps,
+    )
 
 
 def means_by_turns(recording: Recording, data: ImuData, block_s: float) -> _Measured | None:
@@ -103,13 +111,13 @@ def means_by_turns(recording: Recording, data: ImuData, block_s: float) -> _Meas
     index = np.flatnonzero(np.isfinite(w).all(axis=1) & np.isfinite(y).all(axis=1))
     first, last = edges[index], edges[index + 1]
     return _Measured(
-        float(origin_s),
-        length_s,
-        index.astype(np.int64),
-        w[index],
-        (y - w @ data.array.p.T)[index],
-        np.ones(len(index), dtype=np.bool_),
-        lambda delay_s: body.means(first - delay_s, last - delay_s),
+        origin_s=float(origin_s),
+        length_s=length_s,
+        index=index.astype(np.int64),
+        w_rps=w[index],
+        z_rps=(y - w @ data.array.p.T)[index],
+        full=np.ones(len(index), dtype=np.bool_),
+        past_rps=lambda delay_s: body.means(first - delay_s, last - delay_s),
     )
 
 

@@ -24,7 +24,7 @@ FEWEST_TURNS = 12
 """Turns and rests of known angle below which nothing is traced."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Run:
     """One source of one recording, as means over blocks of ``length_s``.
 

@@ -45,7 +45,18 @@ def conditions_by_turns(
     else:
         angle = rate = slope = np.empty((len(grid_s), 0))
         gimbals, force = (), force_at(recording, data, grid_s)
-    return Conditions(grid_s, w, wdot, angle, rate, slope, gimbals, force, temperature_c, recording.site)
+    return Conditions(
+        t_s=grid_s,
+        w_rps=w,
+        wdot_rps2=wdot,
+        angle_rad=angle,
+        rate_rps=rate,
+        acceleration_rps2=slope,
+        gimbals=gimbals,
+        specific_force_mps2=force,
+        temperature_c=temperature_c,
+        site=recording.site,
+    )
 
 
 def temperature_at(data: ImuData, grid_s: Floats) -> Floats | None:

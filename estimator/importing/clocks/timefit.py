@@ -24,7 +24,7 @@ _CHECK = "check column in [time], or state rate_hz instead; in a binary file che
 _SAME_SHARE = 0.5  # of the rows of a replay, how many must be there already, to the last digit
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class TimeFit:
     """Instants (kept rows,) in seconds from the first, the rows that are kept, and in words what was done.
 
@@ -53,7 +53,7 @@ class TimeFit:
 def regular_times(position: NDArray[np.int64], rate_hz: float) -> TimeFit:
     """Return the instants of samples without stamps, at a stated rate; a broken line keeps its place in time."""
     t_s = np.asarray((position - position[0]) / rate_hz, dtype=np.float64)
-    return TimeFit(t_s, np.arange(len(position)), 0, f"{rate_hz:.6g} Hz as stated")
+    return TimeFit(t_s=t_s, rows=np.arange(len(position)), replayed=0, text=f"{rate_hz:.6g} Hz as stated")
 
 
 def fit_times(stamps_s: Floats, values: Floats, position: NDArray[np.int64] | None = None) -> TimeFit:
@@ -96,7 +96,17 @@ def fit_times(stamps_s: Floats, values: Floats, position: NDArray[np.int64] | No
         scatters = best.scatter > _EXACT and bool((np.diff(t) > 0).all())
         other_s = t - zero_s if scatters else None
         scatter_s = best.scatter * best.period_s
-        return TimeFit(t_s, rows, replayed, text + done, doubled, zero_s, other_s, scatter_s, on_grid=True)
+        return TimeFit(
+            t_s=t_s,
+            rows=rows,
+            replayed=replayed,
+            text=text + done,
+            doubled=doubled,
+            zero_s=zero_s,
+            other_s=other_s,
+            scatter_s=scatter_s,
+            on_grid=True,
+        )
     other_s = None
     if (wandering := _wandering(t)) is not None:
         t, text = wandering, f"even over seconds at {1 / np.median(np.diff(wandering)):.6g} Hz"
@@ -111,7 +121,16 @@ def fit_times(stamps_s: Floats, values: Floats, position: NDArray[np.int64] | No
         text = f"as stamped (uneven: off an even grid of {1 / best.period_s:.4g} Hz by {best.away:.1f} periods)"
         text += f", {late.sum()} rows skipped whose stamp does not increase" if late.any() else ""
     scatter_s = best.scatter * best.period_s if other_s is not None else 0.0
-    return TimeFit(t - t[0], rows, replayed, text + done, doubled, float(t[0]), other_s, scatter_s)
+    return TimeFit(
+        t_s=t - t[0],
+        rows=rows,
+        replayed=replayed,
+        text=text + done,
+        doubled=doubled,
+        zero_s=float(t[0]),
+        other_s=other_s,
+        scatter_s=scatter_s,
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,7 +15,7 @@ KEYS = packaged_toml("estimator.importing.mapping", "keys.toml")
 Vector = tuple[float, float, float]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Columns:
     """Columns of a text file, or variables of a .mat file; SI is (value - ``offset``) * ``scale`` + ``shift``.
 
@@ -44,7 +44,14 @@ def stated_columns(section: StrictTable, quantity: str, key: str = "columns", *,
         unit = section.string("count_unit", "deg/s", one_of=tuple(units))
     elif raw:
         unit, size = section.string("count_unit", one_of=tuple(units)), section.number("count", positive=True)
-    return Columns(names, size * units[unit], _SHIFT.get(unit, 0.0), raw, offset, 1 if key == "column" else 3)
+    return Columns(
+        names=names,
+        scale=size * units[unit],
+        shift=_SHIFT.get(unit, 0.0),
+        raw=raw,
+        offset=offset,
+        width=1 if key == "column" else 3,
+    )
 
 
 def signed_axis(text: str) -> Vector:

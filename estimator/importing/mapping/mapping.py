@@ -109,7 +109,7 @@ class GyroColumns:
     scale_from_data: bool
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Mapping:
     """What is in foreign files; ``text`` is the mapping file itself, kept in the recording."""
 
@@ -177,16 +177,16 @@ def read_mapping(path: Path | str, protocols: Protocols | None = None) -> Mappin
     reference = read_reference(section, wide=(other.format if other else file_format).kind != "csv")
     top.done(also=("accelerometer", "temperature", "site", "datasheet", "undeclared"))
     mapping = Mapping(
-        path.name,
-        text,
-        file_format,
-        timing,
-        gyro,
-        accelerometer,
-        temperature,
-        reference,
-        other,
-        site,
+        name=path.name,
+        text=text,
+        format=file_format,
+        timing=timing,
+        gyro=gyro,
+        accelerometer=accelerometer,
+        temperature=temperature,
+        reference=reference,
+        reference_file=other,
+        site=site,
         **named,
         prior=prior,
         accelerometer_file=beside_file,

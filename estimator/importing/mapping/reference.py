@@ -128,9 +128,9 @@ def _attitude(section: StrictTable) -> Measured:
     names = section.strings("columns")
     if not stated["order"]:
         order = np.arange(9) if stated["sign"] > 0 else np.arange(9).reshape(3, 3).T.ravel()
-        return Measured("attitude", Columns(names, width=9, axes=np.eye(9)[:, order]))
+        return Measured("attitude", Columns(names=names, width=9, axes=np.eye(9)[:, order]))
     turned = np.eye(4)[:, stated["order"]] * [1.0, *[stated["sign"]] * 3]
-    return Measured("attitude", Columns(names, width=4, axes=turned))
+    return Measured("attitude", Columns(names=names, width=4, axes=turned))
 
 
 def turn_about(axis: str, angle_deg: float) -> Turn:

@@ -44,7 +44,7 @@ class Phase:
     kind: str
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Judged:
     """Errors over all gyros, by gyro, the improvement, and what pictures need; ``surprise`` in sigmas of chance."""
 
@@ -288,7 +288,17 @@ def judge(
             found[name] += _phases(run, i, parts, (before, after), rests, [columns for _, columns in said])
             sigma = float(after.arw[after.names.index(name)]) / np.sqrt(run.length_s)
             views.append(
-                ResidualView(run.name, name, held_back, run.t_s, run.w_rps @ run.array.p[i], warm, *rests, sigma)
+                ResidualView(
+                    run=run.name,
+                    gyro=name,
+                    verification=held_back,
+                    t_s=run.t_s,
+                    rate_rps=run.w_rps @ run.array.p[i],
+                    temperature_c=warm,
+                    before_rps=rests[0],
+                    after_rps=rests[1],
+                    noise_rps=sigma,
+                )
             )
     everything = [phase for phases in found.values() for phase in phases]
     gyros = tuple(_gyro(name, before, after, phases, errors[name]) for name, phases in found.items() if phases)
@@ -296,12 +306,12 @@ def judge(
     surprise = (sum(phase.chi for phase in everything) - dof) / np.sqrt(2 * max(dof, 1))
     whole = sum_of(errors.values())
     return Judged(
-        _errors(everything, 0, whole),
-        _errors(everything, 1, whole),
-        whole.improvement if after.parts else None,
-        gyros,
-        tuple(views),
-        float(surprise),
+        before=_errors(everything, 0, whole),
+        after=_errors(everything, 1, whole),
+        improvement=whole.improvement if after.parts else None,
+        gyros=gyros,
+        views=tuple(views),
+        surprise=float(surprise),
     )
 
 
@@ -331,14 +341,14 @@ def _phases(
         u = run.w_rps[keep] @ run.array.p[i]
         yield _Phase(
             PhaseErrors(
-                run.name,
-                float(run.t_s[keep[0]] - 0.5 * run.length_s),
-                float(run.t_s[keep[-1]] + 0.5 * run.length_s),
-                float(np.degrees(u.mean())),
-                phase.kind,
-                float(rests[0][keep].mean()),
-                float(rests[1][keep].mean()),
-                float(np.sqrt(noise[0] / len(keep))),
+                run=run.name,
+                start_s=float(run.t_s[keep[0]] - 0.5 * run.length_s),
+                end_s=float(run.t_s[keep[-1]] + 0.5 * run.length_s),
+                rate_dps=float(np.degrees(u.mean())),
+                kind=phase.kind,
+                before_rps=float(rests[0][keep].mean()),
+                after_rps=float(rests[1][keep].mean()),
+                noise_rps=float(np.sqrt(noise[0] / len(keep))),
             ),
             tuple(bool(abs(s[-1]) < 1.96 * np.sqrt(v)) for s, v in zip(scores, variances, strict=True)),
             tuple(float(np.abs(basis @ s).max()) for s in scores),
@@ -387,6 +397,14 @@ def _gyro(name: str, before: Augmented, after: Augmented, phases: Sequence[_Phas
     g = after.names.index(name)
     (old, old_covariance), (new, covariance) = (decode(m.mean[g, :4], m.covariance[g, :4, :4]) for m in (before, after))
     moved = (new - old) / np.sqrt(np.diag(old_covariance))
-    sd = [np.sqrt(np.diag(c)) for c in (old_covariance, covariance)]
-    both = _errors(phases, 0, errors), _errors(phases, 1, errors)
-    return GyroErrors(name, *both, tuple(phase.errors for phase in phases), old, new, np.asarray(moved), *sd)
+    return GyroErrors(
+        name=name,
+        before=_errors(phases, 0, errors),
+        after=_errors(phases, 1, errors),
+        phases=tuple(phase.errors for phase in phases),
+        states_before=old,
+        states_after=new,
+        moved=np.asarray(moved),
+        sd_before=np.sqrt(np.diag(old_covariance)),
+        sd_after=np.sqrt(np.diag(covariance)),
+    )

@@ -35,7 +35,7 @@ class Spectrum:
     noise: Floats
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class GyroResidual:
     """What a model leaves of one gyro, whitened by its noise model.
 
@@ -83,7 +83,7 @@ class Residual:
         return all(gyro.clean for gyro in self.gyros) and (self.split is None or self.split.origin == Origin.NOISE)
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(kw_only=True, slots=True, eq=False)
 class _Gyro:
     """Stretches of one gyro in the cosine domain, over the noise; of each model what it leaves (b, models).
 
@@ -128,7 +128,7 @@ def _whitened(
     """Return what models leave of a gyro; ``left``, by model and run (b, m), takes it in as it is."""
     g = models[0].names.index(name)
     arw = float(models[0].arw[g])
-    gyro = _Gyro(arw, [], [], [], np.zeros(()), 0.0)
+    gyro = _Gyro(arw=arw, stretches=[], shapes=[], rests=[], gram=np.zeros(()), blocks=0.0)
     for number, run, i in with_gyro(runs, name):
         columns = [model.columns(run, first + number, i) for model in models]
         for its, own, model in zip(left, columns, models, strict=True):
@@ -170,15 +170,15 @@ def _judged(
     lag1, white_p = _whiteness(parts)
     beyond, found = dependences(gram, rest, groups, expected, _BEYOND * nis_sd * expected)
     return GyroResidual(
-        name,
-        float(gram[rest, rest]) / expected,
-        nis_sd,
-        lag1,
-        float(1 / np.sqrt(gyro.blocks)),
-        white_p,
-        _spectrum(gyro, parts),
-        beyond,
-        found,
+        name=name,
+        nis=float(gram[rest, rest]) / expected,
+        nis_sd=nis_sd,
+        lag1=lag1,
+        lag1_sd=float(1 / np.sqrt(gyro.blocks)),
+        white_p=white_p,
+        spectrum=_spectrum(gyro, parts),
+        beyond=beyond,
+        dependences=found,
     )
 
 

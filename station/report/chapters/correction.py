@@ -80,7 +80,15 @@ def _augmented(gyro: GyroCalibration, label: str, traced: Traced) -> GyroCalibra
     model, none = traced.model.effects, (0.0, 0.0)
     found = {k.called: k.found.get(ALL if k.shared else label, [none] * len(k.sizes)) for k in model}
     effects = tuple(
-        EffectValue(known.called, size.name, value, 0.0, size.unit, size.sd, known.shared)
+        EffectValue(
+            effect=known.called,
+            parameter=size.name,
+            value=value,
+            sd=0.0,
+            unit=size.unit,
+            expected_sd=size.sd,
+            shared=known.shared,
+        )
         for known in model
         for size, (value, _) in zip(known.sizes, found[known.called], strict=True)
     )

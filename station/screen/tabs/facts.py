@@ -93,7 +93,16 @@ def _stated(whole: Whole) -> tuple["Recorded", tuple[Path, Path], Mapping[str, M
     from station.report.recorded import Recorded, Step
 
     head = Recording({}, None, attributes=whole.attributes)  # type: ignore[arg-type]
-    recorded = Recorded(whole.entry.path, head, None, None, {}, {}, (Step("", 0, 0),), ())
+    recorded = Recorded(
+        path=whole.entry.path,
+        recording=head,
+        calibration=None,
+        allan=None,
+        courses={},
+        source_attributes={},
+        steps=(Step("", 0, 0),),
+        events=(),
+    )
     station = hashlib.sha256(recorded.text("station").encode()).hexdigest()
     kept, last = kept_facts(recorded.path), state_folder() / f"certificate-{station[:20]}.toml"
     told = {field: recorded.text(name) for field, name in _RECORDED.items()}

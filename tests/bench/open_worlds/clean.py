@@ -134,7 +134,7 @@ def _encoder(recording: Recording, name: str, random: np.random.Generator) -> Re
     motion = motion_of(name, _REFERENCE_HZ)
     count = 2 * np.pi / _COUNTS
     angle = np.floor(motion.angle_rad[:, 0] / count + random.uniform()) * count
-    stated = Measured("angle", Columns(("angle",)), "z", earth_rate=True)
+    stated = Measured("angle", Columns(names=("angle",)), "z", earth_rate=True)
     return _with(recording, foreign_reference(stated, _ns(motion.t_s), angle[:, None]), keep_site=True)
 
 

@@ -96,9 +96,30 @@ def test_other_runs_of_the_device_are_offered_to_judge_an_investigation(recordin
 
 def test_an_investigation_that_is_kept_beside_a_recording_is_shown_as_the_command_prints_it(recordings: Path) -> None:
     errors = Errors(1e-5, 6e-5, 0.95)
-    gyro = GyroErrors("gyro1", errors, errors, (), np.zeros(4), np.zeros(4), np.array([0.1, -0.2, 0.3, 0.0]))
+    gyro = GyroErrors(
+        name="gyro1",
+        before=errors,
+        after=errors,
+        phases=(),
+        states_before=np.zeros(4),
+        states_after=np.zeros(4),
+        moved=np.array([0.1, -0.2, 0.3, 0.0]),
+    )
     found = Investigation(
-        Finding.NOTHING, "it is noise", (), (), None, errors, errors, None, True, (gyro,), (), (), {}, ("a note",)
+        finding=Finding.NOTHING,
+        reason="it is noise",
+        added=(),
+        rivals=(),
+        unexplained=None,
+        before=errors,
+        after=errors,
+        improvement=None,
+        in_sample=True,
+        gyros=(gyro,),
+        models=(),
+        suspects=(),
+        left_out={},
+        notes=("a note",),
     )
     write_investigation(recordings / "second-investigation.h5", found, investigation_view(found, None))
     app = HistoryFirst(Choices(folder=Path("recordings"), operator="A. Operator"))
