@@ -1,0 +1,131 @@
+"""Noise of sensors at rest: any named series of samples with a rate and a unit, and those of a recording."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.errors import RecordingError
+from estimator.geometry.noise import NoiseModel
+from estimator.observations.allan.deviation import AllanCurve, curves, overlapping_deviation
+from estimator.observations.allan.terms import NoiseTerms, fewest_samples, noise_terms
+from estimator.packaged import sentence
+from estimator.types import Floats, Stamps
+
+RATE, FORCE = "rad/s", "m/s2"
+"""Units of what gyros and accelerometers put out."""
+_LONGEST_GAP_S = 1.0  # a longer one ends a stretch
+_GAP_STEPS = 1.5  # so many sampling periods apart, samples between are missing
+_MOST_MISSING = 0.05  # of a stretch: with more, averaging times are no longer what they are said to be
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Series:
+    """Evenly sampled outputs of sensors at rest: stretches (n, m) that do not follow on each other.
+
+    ``names`` (m,) are those of the sensors, ``unit`` is that of the samples in SI. ``missing`` samples were passed
+    over: their neighbours count as neighbours.
+    """
+
+    names: tuple[str, ...]
+    unit: str
+    period_s: float
+    stretches: tuple[Floats, ...]
+    missing: int = 0
+
+    @classmethod
+    def of(
+        cls,
+        names: Sequence[str],
+        unit: str,
+        t_ns: Stamps,
+        values: Floats,
+        spans_ns: Sequence[tuple[int, int]],
+    ) -> "Series":
+        """Return the series of outputs (n, m) at instants (n,) within spans of rest (first, last).
+
+        A gap of more than a second ends a stretch, shorter ones are passed over. Rows that are not numbers are missing.
+        Raises RecordingError for samples without a rate, or if more than a twentieth of the rests is missing.
+        """
+        good = np.isfinite(values).all(axis=1)
+        t_ns, values = t_ns[good], values[good]
+        steps_ns = np.diff(t_ns)
+        if len(steps_ns) < 2 or float(np.median(steps_ns)) <= 0:
+            raise RecordingError(sentence("allan.no_rate", names=", ".join(names)))
+        regular = steps_ns <= _GAP_STEPS * np.median(steps_ns)
+        period_s = float(np.mean(steps_ns[regular])) * 1e-9
+        stretches: list[Floats] = []
+        missing = 0
+        for first, last in spans_ns:
+            rows = slice(*np.searchsorted(t_ns, [first, last + 1]).tolist())
+            gaps_s = np.diff(t_ns[rows]) * 1e-9
+            ends = np.flatnonzero(gaps_s > max(_LONGEST_GAP_S, _GAP_STEPS * period_s)) + 1
+            short = gaps_s[(gaps_s > _GAP_STEPS * period_s) & (gaps_s <= _LONGEST_GAP_S)]
+            missing += int(np.sum(np.round(short / period_s) - 1))
+            stretches += [part for part in np.split(values[rows], ends) if len(part) > 1]
+        total = sum(map(len, stretches))
+        if missing > _MOST_MISSING * (total + missing):
+            share = missing / (total + missing)
+            raise RecordingError(sentence("allan.gaps", names=", ".join(names), share=share))
+        return cls(tuple(names), unit, period_s, tuple(stretches), missing)
+
+    @property
+    def span_s(self) -> float:
+        """Length of all stretches."""
+        return sum(map(len, self.stretches)) * self.period_s
+
+    @property
+    def longest_s(self) -> float:
+        """Length of the longest stretch, which bounds the averaging times."""
+        return max(map(len, self.stretches), default=0) * self.period_s
+
+    @property
+    def long_enough(self) -> bool:
+        """Whether a stretch is long enough for N, B and K."""
+        return max(map(len, self.stretches), default=0) >= fewest_samples(self.period_s)
+
+    @property
+    def constant(self) -> tuple[str, ...]:
+        """Sensors whose output does not change."""
+        still = [all(np.ptp(part[:, i]) == 0 for part in self.stretches) for i in range(len(self.names))]
+        return tuple(name for name, is_still in zip(self.names, still, strict=True) if is_still)
+
+    def only(self, names: Sequence[str]) -> "Series":
+        """Return the series of some of the sensors."""
+        columns = [self.names.index(name) for name in names]
+        stretches = tuple(part[:, columns] for part in self.stretches)
+        return Series(tuple(names), self.unit, self.period_s, stretches, self.missing)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensorNoise:
+    """Noise of one sensor over ``span_s`` of rest: Allan deviation, and N, B and K with their intervals, SI.
+
+    ``longest_s`` is the longest rest without a gap.
+    """
+
+    name: str
+    unit: str
+    span_s: float
+    longest_s: float
+    curve: AllanCurve
+    terms: NoiseTerms
+
+    @property
+    def model(self) -> NoiseModel:
+        """The likeliest N, B and K as the noise model of a gyro."""
+        return NoiseModel(*self.terms.values.tolist())
+
+
+def sensor_noise(series: Series, per_decade: int = 5) -> list[SensorNoise]:
+    """Return the noise of each sensor of a series; ValueError if that is not long enough, or an output constant."""
+    if not series.long_enough or series.constant:
+        raise ValueError("a series that is too short, or does not change")
+    terms = noise_terms(series.stretches, series.period_s)
+    tau_s, deviation = overlapping_deviation(series.stretches, series.period_s, per_decade)
+    sizes = np.array([own.values for own in terms])
+    found = curves(tau_s, deviation, list(map(len, series.stretches)), series.period_s, sizes)
+    return [
+        SensorNoise(name, series.unit, series.span_s, series.longest_s, curve, own)
+        for name, curve, own in zip(series.names, found, terms, strict=True)
+    ]
