@@ -139,7 +139,7 @@ class Bands:
         """Return the Fisher information (p, 3, 3), and a little more where it is singular."""
         information = self.information(squares)
         diagonal = np.einsum("pii->pi", information)
-        return information + 1e-9 * diagonal[:, :, None] * np.eye(3)
+        return np.asarray(information + 1e-9 * diagonal[:, :, None] * np.eye(3))
 
     def _rise(self, guess: Floats, least: Floats, term: int, square: Floats) -> Floats:
         """Return by how much the deviance (p,) is above its least with this square of a term."""

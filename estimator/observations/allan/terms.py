@@ -132,19 +132,20 @@ def _start(bands: Bands) -> Floats:
 def _trimmed(bands: Bands, hz: Floats, start: Floats) -> tuple[Bands, Floats]:
     """Return the bands without the highest octaves where these differ from what those below tell, and the fit.
 
-    The output filter of a sensor, and its steps, shape what is highest.
+    The output filter of a sensor, and its steps, shape what is highest. A filter reaches further down than is seen of
+    it: the octave below goes, too.
     """
     dropped = np.zeros(bands.counts.shape, dtype=bool)
     top_hz = float(hz.max())
     rows = np.arange(len(dropped))
-    while len(rows) and np.sum(hz <= top_hz / 2) >= _LEAST_BANDS:
+    while len(rows) and np.sum(hz <= top_hz / 4) >= _LEAST_BANDS:
         octave = (hz > top_hz / 2) & (hz <= top_hz)
         below = bands.select(rows).without(hz > top_hz / 2)
         squares, _ = below.fit(start[rows])
         share = bands.counts[0, octave].sum() / below.counts[0].sum()  # what is below leaves it open by so much
         differing = np.abs(_excess(bands.select(rows), squares, octave)) > _UNLIKE * np.sqrt(1 + share)
         rows = rows[differing]
-        dropped[np.ix_(rows, np.flatnonzero(octave))] = True
+        dropped[rows] |= hz > top_hz / 4
         top_hz /= 2
     kept = bands.without(dropped)
     squares, _ = kept.fit(start)
