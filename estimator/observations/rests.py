@@ -16,15 +16,15 @@ REST_S = 5.0
 def rest_noise(data: ImuData, reference: TableReadings | RateReadings) -> list[SensorNoise]:
     """Return the noise of each gyro of a source while the table rests; none if it never does for five seconds.
 
-    None either if an output is constant, or more than a twentieth of the samples is missing.
+    None either if an output is constant or no number, or more than a twentieth of the samples is missing.
     """
     try:
         series = gyro_series(data, rest_spans(reference))
     except RecordingError:
         return []
-    if not series.long_enough or series.constant:
+    if not series.long_enough or series.constant or series.silent:
         return []
-    return sensor_noise(series)
+    return sensor_noise(series, coarse=True)
 
 
 def sensor_series(recording: Recording) -> dict[str, list[Series]]:

@@ -7,10 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from estimator.errors import RecordingError
-from estimator.observations.allan.sensor import SensorNoise, Series, sensor_noise
-from estimator.observations.allan.terms import fewest_samples
+from estimator.observations.allan.sensor import SensorNoise, sensor_noise, usable
 from estimator.observations.rests import sensor_series
-from estimator.packaged import sentence
 from estimator.recordings.reading import read_recording
 from station.atomic_write import check_picture
 from station.errors import UsageError
@@ -39,9 +37,10 @@ def command_allan(arguments: argparse.Namespace) -> int:
     notes: list[str] = []
     for source, kinds in sensor_series(recording).items():
         for series in kinds:
-            noises = _noise_of(series, notes)
-            if noises:
-                found.setdefault(source, []).append(noises)
+            used, reasons = usable(series)
+            notes += reasons
+            if used is not None:
+                found.setdefault(source, []).append(sensor_noise(used, _PER_DECADE))
     if not found:
         raise RecordingError("; ".join(notes))
     if arguments.json:
@@ -73,21 +72,6 @@ def _share(text: str) -> float:
     if not 0 < share <= _MOST_UNCERTAIN:
         raise UsageError(f'--uncertainty {text}: write a share above 0 and up to 50 %, for instance "10 %"')
     return share
-
-
-def _noise_of(series: Series, notes: list[str]) -> list[SensorNoise]:
-    """Return the noise of the sensors of a series that can be used, and add to the notes why others cannot."""
-    names = ", ".join(series.names)
-    if not series.long_enough:
-        least_s = fewest_samples(series.period_s) * series.period_s
-        notes.append(sentence("allan.short", names=names, longest_s=series.longest_s, least_s=least_s))
-        return []
-    if series.constant:
-        notes.append(sentence("allan.constant", names=", ".join(series.constant)))
-        series = series.only([name for name in series.names if name not in series.constant])
-    if series.missing:
-        notes.append(f"{names}: {series.missing} samples are missing at rest and were passed over")
-    return sensor_noise(series, _PER_DECADE) if series.names else []
 
 
 def _object(

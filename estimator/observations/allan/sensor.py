@@ -8,7 +8,7 @@ import numpy as np
 from estimator.errors import RecordingError
 from estimator.geometry.noise import NoiseModel
 from estimator.observations.allan.deviation import AllanCurve, curves, overlapping_deviation
-from estimator.observations.allan.terms import NoiseTerms, fewest_samples, noise_terms
+from estimator.observations.allan.terms import NoiseTerms, fewest_samples, mean_width, noise_terms
 from estimator.packaged import sentence
 from estimator.types import Floats, Stamps
 
@@ -16,6 +16,7 @@ RATE, FORCE = "rad/s", "m/s2"
 """Units of what gyros and accelerometers put out."""
 _LONGEST_GAP_S = 1.0  # a longer one ends a stretch
 _GAP_STEPS = 1.5  # so many sampling periods apart, samples between are missing
+_SILENT = 0.5  # share of numbers up to which a sensor is left out, not the rows without its numbers
 _MOST_MISSING = 0.05  # of a stretch: with more, averaging times are no longer what they are said to be
 
 
@@ -24,7 +25,7 @@ class Series:
     """Evenly sampled outputs of sensors at rest: stretches (n, m) that do not follow on each other.
 
     ``names`` (m,) are those of the sensors, ``unit`` is that of the samples in SI. ``missing`` samples were passed
-    over: their neighbours count as neighbours.
+    over: their neighbours count as neighbours. ``silent`` sensors put out no numbers, and are not among the names.
     """
 
     names: tuple[str, ...]
@@ -32,6 +33,7 @@ class Series:
     period_s: float
     stretches: tuple[Floats, ...]
     missing: int = 0
+    silent: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -47,9 +49,15 @@ class Series:
         A gap of more than a second ends a stretch, shorter ones are passed over. Rows that are not numbers are missing.
         Raises RecordingError for samples without a rate, or if more than a twentieth of the rests is missing.
         """
+        speaks = np.isfinite(values).mean(axis=0) > _SILENT
+        silent = tuple(name for name, speaking in zip(names, speaks, strict=True) if not speaking)
+        names = [name for name in names if name not in silent]
+        values = values[:, speaks]
         good = np.isfinite(values).all(axis=1)
         t_ns, values = t_ns[good], values[good]
         steps_ns = np.diff(t_ns)
+        if not names:
+            raise RecordingError(sentence("allan.silent", names=", ".join(silent)))
         if len(steps_ns) < 2 or float(np.median(steps_ns)) <= 0:
             raise RecordingError(sentence("allan.no_rate", names=", ".join(names)))
         regular = steps_ns <= _GAP_STEPS * np.median(steps_ns)
@@ -67,7 +75,7 @@ class Series:
         if missing > _MOST_MISSING * (total + missing):
             share = missing / (total + missing)
             raise RecordingError(sentence("allan.gaps", names=", ".join(names), share=share))
-        return cls(tuple(names), unit, period_s, tuple(stretches), missing)
+        return cls(tuple(names), unit, period_s, tuple(stretches), missing, silent)
 
     @property
     def span_s(self) -> float:
@@ -90,11 +98,23 @@ class Series:
         still = [all(np.ptp(part[:, i]) == 0 for part in self.stretches) for i in range(len(self.names))]
         return tuple(name for name, is_still in zip(self.names, still, strict=True) if is_still)
 
+    def means(self, width: int) -> "Series":
+        """Return the series of means over so many samples."""
+        if width == 1:
+            return self
+        counts = [len(part) // width for part in self.stretches]
+        stretches = tuple(
+            part[: count * width].reshape(count, width, -1).mean(axis=1)
+            for part, count in zip(self.stretches, counts, strict=True)
+            if count
+        )
+        return Series(self.names, self.unit, self.period_s * width, stretches, self.missing, self.silent)
+
     def only(self, names: Sequence[str]) -> "Series":
         """Return the series of some of the sensors."""
         columns = [self.names.index(name) for name in names]
         stretches = tuple(part[:, columns] for part in self.stretches)
-        return Series(tuple(names), self.unit, self.period_s, stretches, self.missing)
+        return Series(tuple(names), self.unit, self.period_s, stretches, self.missing, self.silent)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,11 +137,35 @@ class SensorNoise:
         return NoiseModel(*self.terms.values.tolist())
 
 
-def sensor_noise(series: Series, per_decade: int = 5) -> list[SensorNoise]:
-    """Return the noise of each sensor of a series; ValueError if that is not long enough, or an output constant."""
+def usable(series: Series) -> tuple[Series | None, list[str]]:
+    """Return the sensors of a series whose noise can be told, None if there is none, and in words what is wrong."""
+    names = ", ".join(series.names)
+    notes: list[str] = []
+    if series.silent:
+        notes.append(sentence("allan.silent", names=", ".join(series.silent)))
+    if not series.long_enough:
+        least_s = fewest_samples(series.period_s) * series.period_s
+        notes.append(sentence("allan.short", names=names, longest_s=series.longest_s, least_s=least_s))
+        return None, notes
+    if series.missing:
+        notes.append(sentence("allan.missing", names=names, count=series.missing))
+    constant = series.constant
+    if constant:
+        notes.append(sentence("allan.constant", names=", ".join(constant)))
+        series = series.only([name for name in series.names if name not in constant])
+    return (series if series.names else None), notes
+
+
+def sensor_noise(series: Series, per_decade: int = 5, *, coarse: bool = False) -> list[SensorNoise]:
+    """Return the noise of each sensor of a series; ValueError if that is not long enough, or an output constant.
+
+    The Allan deviation begins at one sample, ``coarse`` at the means that N, B and K are taken from, which is faster.
+    """
     if not series.long_enough or series.constant:
         raise ValueError("a series that is too short, or does not change")
     terms = noise_terms(series.stretches, series.period_s)
+    if coarse:
+        series = series.means(mean_width(series.period_s))
     tau_s, deviation = overlapping_deviation(series.stretches, series.period_s, per_decade)
     sizes = np.array([own.values for own in terms])
     found = curves(tau_s, deviation, list(map(len, series.stretches)), series.period_s, sizes)
