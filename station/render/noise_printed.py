@@ -9,7 +9,7 @@ from rich.table import Table
 from estimator.observations.allan.sensor import SensorNoise
 from estimator.observations.allan.spectrum import TERMS
 from station.render.terminal import Shown, print_all, rich_table, stdout
-from station.views.noise import digits, length_words, lengths_s, noise_unit, term_words, warnings_of
+from station.views.noise import digits, filter_notes, length_words, lengths_s, noise_unit, term_words, warnings_of
 
 _ROWS = 10  # of the table of Allan deviations
 
@@ -26,6 +26,7 @@ def print_noise(source: str, noises: Sequence[SensorNoise], share: float) -> Non
         (_lengths(noises, share), {}),
         (_deviations(f"Overlapping Allan deviation, {unit}", noises), {}),
     ]
+    shown += [(escape(f"note: {note}"), {"highlight": False}) for note in filter_notes(noises)]
     shown += [(escape(f"warning: {warning}"), {"highlight": False}) for warning in warnings_of(noises)]
     print_all(stdout(), shown)
 

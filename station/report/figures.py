@@ -85,10 +85,10 @@ def interval(value: float, low: float, high: float, unit: Unit, place: str) -> M
 
     ``place`` is the index in the datasets of the calibration.
     """
-    upper = plain(high, unit, 2, f"calibration/rest_noise_high{place}")
+    upper = plain(high, unit, 3, f"calibration/rest_noise_high{place}")
     if low == 0:
         return Markup("at most {}").format(upper)
-    lower = plain(low, unit, 2, f"calibration/rest_noise_low{place}")
+    lower = plain(low, unit, 3, f"calibration/rest_noise_low{place}")
     return Markup("{} ({} to {})").format(plain(value, unit, 3, f"calibration/rest_noise{place}"), lower, upper)
 
 

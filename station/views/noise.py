@@ -85,3 +85,15 @@ def warnings_of(noises: Sequence[SensorNoise]) -> list[str]:
                 "explain: look for vibration, a drift of temperature or an oscillation; the intervals do not hold it"
             )
     return found
+
+
+def filter_notes(noises: Sequence[SensorNoise]) -> list[str]:
+    """Return, in words, from which averaging time on N, B and K hold of sensors, where that is not from the first."""
+    found = []
+    for shortest_s in dict.fromkeys(noise.terms.shortest_s for noise in noises if noise.terms.trimmed):
+        names = ", ".join(noise.name for noise in noises if noise.terms.shortest_s == shortest_s)
+        found.append(
+            f"{names}: N, B and K hold from {digits(shortest_s)} s on; what is faster is shaped by a filter, an "
+            "oscillation or the steps of a converter"
+        )
+    return found

@@ -63,17 +63,18 @@ def found_in(kind: str, count: int, seed: int) -> Iterator[NoiseTerms]:
 
 def coverage(count: int, seed: int) -> None:
     """Print how many intervals hold the truth."""
-    total = []
+    total: dict[str, list[bool]] = {name: [] for name in "NBK"}
     for kind, (*_, n, b, k) in SENSORS.items():
         found = list(found_in(kind, count, seed))
         words = []
         for name, true in zip("NBK", (n, b, k), strict=True):
             inside = [terms[name].low <= true <= terms[name].high for terms in found]
             seen = np.mean([terms[name].seen for terms in found])
-            total += inside
+            total[name] += inside
             words.append(f"{name} {np.mean(inside):.1%} (seen in {seen:.0%})")
         print(f"{kind}, {count} series: {', '.join(words)}", flush=True)
-    print(f"all: {np.mean(total):.1%}")
+    of_all = ", ".join(f"{name} {np.mean(inside):.1%}" for name, inside in total.items())
+    print(f"all {count * len(SENSORS)}: {of_all}; together {np.mean([*total.values()]):.1%}")
 
 
 def freedom(count: int, seed: int) -> None:

@@ -40,7 +40,7 @@ class Term:
 class NoiseTerms:
     """N, B and K of one sensor.
 
-    ``shortest_s`` is the averaging time from which on they hold: below it the sensor's filter shapes the noise.
+    ``shortest_s`` is the averaging time from which on they hold: if ``trimmed``, a filter shapes the noise below it.
     ``unlike_hz`` is the middle of an octave whose noise is ``unlike`` times what the three terms explain; None if all
     are explained.
     """
@@ -49,6 +49,7 @@ class NoiseTerms:
     b: Term
     k: Term
     shortest_s: float
+    trimmed: bool = False
     unlike_hz: float | None = None
     unlike: float = 1.0
 
@@ -92,8 +93,18 @@ def noise_terms(stretches: Sequence[Floats], period_s: float) -> list[NoiseTerms
         highest_hz = float(hz[counted].max())
         n, b, k = (_term(number, own, intervals, row, spans_s) for number in range(3))
         unlike_hz, unlike = _unexplained(bands.select(np.array([row])), hz, own)
-        shortest_s = width * period_s if counted.all() else 1 / (2 * highest_hz)
-        found.append(NoiseTerms(n=n, b=b, k=k, shortest_s=shortest_s, unlike_hz=unlike_hz, unlike=unlike))
+        trimmed = not counted.all()
+        found.append(
+            NoiseTerms(
+                n=n,
+                b=b,
+                k=k,
+                shortest_s=1 / (2 * highest_hz) if trimmed else width * period_s,
+                trimmed=trimmed,
+                unlike_hz=unlike_hz,
+                unlike=unlike,
+            )
+        )
     return found
 
 
