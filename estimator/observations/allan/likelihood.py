@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from estimator.types import Flags, Floats
 
-_MOST_STEPS, _ENOUGH = 40, 1e-4
+_MOST_STEPS, _ENOUGH = 40, 1e-3
 _HALVINGS = 8
-_MOST_TRIES, _NEAR = 20, 0.003
+_MOST_TRIES, _NEAR = 20, 0.01
 _FREE = [np.array(free) for free in product((False, True), repeat=3) if any(free)]
 """Which of the three squares may be above zero."""
 
@@ -114,8 +114,10 @@ class Bands:
         variance = np.linalg.inv(self._conditioned(best))[:, term, term]
         outer = inner + 2 * np.sqrt(variance) if above else inner / 2
         near = np.full(len(best), -rise)
+        guess = best
         for _ in range(_MOST_TRIES):
-            far = self._rise(best, least, term, outer) - rise
+            guess, deviance = self._fit_at(guess, term, outer)
+            far = deviance - least - rise
             short = far < 0
             if not short.any():
                 break
@@ -125,9 +127,10 @@ class Bands:
         for _ in range(_MOST_TRIES):
             root_near = np.sqrt(rise) - np.sqrt(np.maximum(near + rise, 0.0))
             root_far = np.sqrt(np.maximum(far + rise, 0.0)) - np.sqrt(rise)
-            share = np.clip(root_near / np.maximum(root_near + root_far, 1e-300), 0.1, 0.9)
+            share = np.clip(root_near / np.maximum(root_near + root_far, 1e-300), 0.02, 0.98)
             middle = inner + share * (outer - inner)
-            there = self._rise(best, least, term, middle) - rise
+            guess, deviance = self._fit_at(guess, term, middle)
+            there = deviance - least - rise
             if (np.abs(there[crossed]) < _NEAR * rise).all():
                 break
             outside = there > 0
@@ -141,13 +144,13 @@ class Bands:
         diagonal = np.einsum("pii->pi", information)
         return np.asarray(information + 1e-9 * diagonal[:, :, None] * np.eye(3))
 
-    def _rise(self, guess: Floats, least: Floats, term: int, square: Floats) -> Floats:
-        """Return by how much the deviance (p,) is above its least with this square of a term."""
+    def _fit_at(self, guess: Floats, term: int, square: Floats) -> tuple[Floats, Floats]:
+        """Return the fit with this square (p,) of a term, begun at a guess (p, 3), and its deviance (p,)."""
         start = guess.copy()
         start[:, term] = square
         dark = ~np.isfinite(self.deviance(start))
         start[dark] += self._faint(term)[dark]
-        return np.asarray(self.fit(start, term)[1] - least)
+        return self.fit(start, term)
 
     def _faint(self, term: int) -> Floats:
         """Return squares (p, 3), of other terms, that give every band some variance."""
