@@ -106,4 +106,7 @@ def curves(
     outside = (1 - LEVEL) / 2
     low = deviation * np.sqrt(edf / (2 * gammaincinv(edf / 2, 1 - outside)))
     high = deviation * np.sqrt(edf / (2 * gammaincinv(edf / 2, outside)))
-    return [AllanCurve(tau_s, *parts) for parts in zip(deviation.T, edf.T, low.T, high.T, strict=True)]
+    return [
+        AllanCurve(tau_s=tau_s, deviation=own, edf=own_edf, low=own_low, high=own_high)
+        for own, own_edf, own_low, own_high in zip(deviation.T, edf.T, low.T, high.T, strict=True)
+    ]

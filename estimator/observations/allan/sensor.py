@@ -1,7 +1,7 @@
 """Noise of sensors at rest: any named series of samples with a rate and a unit, and those of a recording."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -75,7 +75,14 @@ class Series:
         if missing > _MOST_MISSING * (total + missing):
             share = missing / (total + missing)
             raise RecordingError(sentence("allan.gaps", names=", ".join(names), share=share))
-        return cls(tuple(names), unit, period_s, tuple(stretches), missing, silent)
+        return cls(
+            names=tuple(names),
+            unit=unit,
+            period_s=period_s,
+            stretches=tuple(stretches),
+            missing=missing,
+            silent=silent,
+        )
 
     @property
     def span_s(self) -> float:
@@ -108,13 +115,13 @@ class Series:
             for part, count in zip(self.stretches, counts, strict=True)
             if count
         )
-        return Series(self.names, self.unit, self.period_s * width, stretches, self.missing, self.silent)
+        return replace(self, period_s=self.period_s * width, stretches=stretches)
 
     def only(self, names: Sequence[str]) -> "Series":
         """Return the series of some of the sensors."""
         columns = [self.names.index(name) for name in names]
         stretches = tuple(part[:, columns] for part in self.stretches)
-        return Series(tuple(names), self.unit, self.period_s, stretches, self.missing, self.silent)
+        return replace(self, names=tuple(names), stretches=stretches)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -170,6 +177,13 @@ def sensor_noise(series: Series, per_decade: int = 5, *, coarse: bool = False) -
     sizes = np.array([own.values for own in terms])
     found = curves(tau_s, deviation, list(map(len, series.stretches)), series.period_s, sizes)
     return [
-        SensorNoise(name, series.unit, series.span_s, series.longest_s, curve, own)
+        SensorNoise(
+            name=name,
+            unit=series.unit,
+            span_s=series.span_s,
+            longest_s=series.longest_s,
+            curve=curve,
+            terms=own,
+        )
         for name, curve, own in zip(series.names, found, terms, strict=True)
     ]
