@@ -19,7 +19,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from estimator.observations.allan.deviation import degrees_of_freedom
-from estimator.observations.allan.duration import record_length_s
+from estimator.observations.allan.duration import record_length_s, relative_uncertainty
 from estimator.observations.allan.sensor import RATE, Series, sensor_noise
 from estimator.observations.allan.terms import NoiseTerms, noise_terms
 
@@ -109,7 +109,9 @@ def length(count: int, seed: int) -> None:
             shape = round(wanted_s / period_s), _AT_ONCE
             rate = n * random.standard_normal(shape) + k * np.cumsum(random.standard_normal(shape), axis=0)
             spread += [terms[name].value for terms in noise_terms([rate + b * flicker(random, *shape)], period_s)]
-        print(f"{name}: {wanted_s:.0f} s for 10 %; spread {np.std(spread) / sizes[term]:.1%} of {len(spread)} series")
+        expected = relative_uncertainty(np.array(sizes), term, wanted_s, period_s)
+        words = f"{name}: {wanted_s:.0f} s for 10 % under the noise of one series, {expected:.1%} under the true noise"
+        print(f"{words}; spread {np.std(spread) / sizes[term]:.1%} of {len(spread)} series", flush=True)
 
 
 def duration() -> None:
