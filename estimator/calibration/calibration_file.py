@@ -1,6 +1,7 @@
 """Results kept in the recording they were drawn from, the group /calibration, and read back from there."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ from estimator.calibration.values import Calibration
 from estimator.errors import MISSHAPEN, RecordingError
 from estimator.geometry.model import STATES
 from estimator.geometry.noise import NoiseFound, NoiseModel
+from estimator.observations.allan.sensor import SensorNoise
+from estimator.observations.allan.spectrum import TERMS
 from estimator.observations.coverage import coverage_object, coverage_of
 from estimator.observations.health import Excluded
 from estimator.packaged import sentence
@@ -30,9 +33,11 @@ def write_calibration(path: Path, calibration: Calibration, attributes: dict[str
 
     Of runs on a table also ``noise`` (n, 3) and what 95 % of the expectation lies below (n, 2), and ``budget`` (n,
     contributions, 4): standard uncertainties that add in squares to ``sd``. If the table rested, also the Allan
-    deviation then, ``allan_deviation_rps`` (n, t) at ``allan_tau_s`` (n, t), NaN beyond the last, and the noise it
-    tells of, ``rest_noise`` (n, 3). With an error model its effects, ``effects`` (n, e) and ``effects_sd`` (n, e) in SI
-    units, named by the attributes ``effect_names`` and ``effect_units``; ``model`` is the text of that model.
+    deviation then, ``allan_deviation_rps`` (n, t) at ``allan_tau_s`` (n, t), NaN beyond the last, its interval of 95 %
+    from ``allan_low_rps`` to ``allan_high_rps``, and the noise it tells of: the likeliest N, B and K in ``rest_noise``
+    (n, 3), their intervals from ``rest_noise_low`` to ``rest_noise_high``, the lower end 0 of what was not seen.
+    With an error model its effects, ``effects`` (n, e) and ``effects_sd`` (n, e) in SI units, named by the attributes
+    ``effect_names`` and ``effect_units``; ``model`` is the text of that model.
     """
     gyros = calibration.gyros
     found = [g.noise for g in gyros if g.noise is not None]
@@ -42,11 +47,7 @@ def write_calibration(path: Path, calibration: Calibration, attributes: dict[str
         more["noise_below"] = np.array([[n.instability_below, n.walk_below] for n in found])
     rests = [g.rest for g in gyros if g.rest is not None]
     if len(rests) == len(gyros):
-        longest = max(len(rest.tau_s) for rest in rests)
-        more["rest_noise"] = np.array([[r.noise.arw, r.noise.instability, r.noise.walk] for r in rests])
-        for key in ("tau_s", "deviation_rps"):
-            curves = [getattr(rest, key) for rest in rests]
-            more[f"allan_{key}"] = np.array([np.pad(c, (0, longest - len(c)), constant_values=np.nan) for c in curves])
+        more |= _rest_datasets(rests)
     names = [c.name for c in gyros[0].budget] if gyros else []
     if names and all([c.name for c in g.budget] == names for g in gyros):
         more["budget"] = np.array([[c.u for c in g.budget] for g in gyros])
@@ -80,6 +81,21 @@ def write_calibration(path: Path, calibration: Calibration, attributes: dict[str
             **(attributes or {}),
         },
     )
+
+
+def _rest_datasets(rests: Sequence[SensorNoise]) -> dict[str, NDArray[np.float64]]:
+    """Return what the rests say of the noise of each gyro, curves with NaN beyond their last averaging time."""
+    longest = max(len(rest.curve.tau_s) for rest in rests)
+    columns = {"tau_s": "tau_s", "deviation_rps": "deviation", "low_rps": "low", "high_rps": "high"}
+    found = {
+        "rest_noise": np.array([rest.terms.values for rest in rests]),
+        "rest_noise_low": np.array([[rest.terms[name].low for name in TERMS] for rest in rests]),
+        "rest_noise_high": np.array([[rest.terms[name].high for name in TERMS] for rest in rests]),
+    }
+    for key, attribute in columns.items():
+        own = [getattr(rest.curve, attribute) for rest in rests]
+        found[f"allan_{key}"] = np.array([np.pad(c, (0, longest - len(c)), constant_values=np.nan) for c in own])
+    return found
 
 
 def read_calibration(path: Path | str, *, trusted: bool = False) -> Calibration:

@@ -6,7 +6,7 @@ import numpy as np
 
 from estimator.calibration.budget import TYPE_A, UNMEASURED, UNSEEN, Contribution
 from estimator.geometry.noise import NoiseFound
-from estimator.observations.rests import RestNoise
+from estimator.observations.allan.sensor import SensorNoise
 from estimator.types import Floats
 
 
@@ -44,7 +44,7 @@ class GyroCalibration:
     device: str
     budget: tuple[Contribution, ...] = ()
     noise: NoiseFound | None = None
-    rest: RestNoise | None = None
+    rest: SensorNoise | None = None
     effects: tuple[EffectValue, ...] = ()
 
     @property

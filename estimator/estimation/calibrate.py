@@ -16,6 +16,7 @@ from estimator.estimation.parity import parity
 from estimator.estimation.source_estimate import DeviceEstimate, SourceEstimate, Sources, estimate_laid, estimate_white
 from estimator.estimation.undeclared import undeclared_notes
 from estimator.geometry.model import decode
+from estimator.observations.allan.sensor import SensorNoise
 from estimator.observations.conditions_seen import holds_for
 from estimator.observations.coverage import coverage, coverage_notes
 from estimator.observations.defects.examined import examined
@@ -23,7 +24,7 @@ from estimator.observations.defects.reading_doubts import reading_doubts
 from estimator.observations.defects.stuck import stuck_doubts
 from estimator.observations.foreign import at_rest, factor_notes, foreign_motion_notes, sparse_doubts
 from estimator.observations.health import Excluded
-from estimator.observations.rests import RestNoise, motion_notes, rest_noise
+from estimator.observations.rests import motion_notes, rest_noise
 from estimator.packaged import sentence
 from estimator.recordings.memory import check_estimating
 from estimator.recordings.recording import Recording
@@ -165,7 +166,7 @@ def _gyros(recording: Recording, found: SourceEstimate) -> list[GyroCalibration]
     """Return the gyros of a source, the table's own uncertainty and the noise of its rests beside what was found."""
     reference, data, m = recording.reference, found.data, len(found.data.array)
     table: list[tuple[Contribution, ...]] = [()] * m
-    rests: list[RestNoise | None] = [None] * m
+    rests: list[SensorNoise | None] = [None] * m
     if isinstance(reference, TableReadings):
         arw = np.array([one.mean.arw if one else 0.0 for one in found.noise])
         table = table_budget(reference, recording.site, data.array, data.prior, arw)

@@ -1,53 +1,70 @@
-"""Rests of a recording, and what its motion leaves unseen."""
-
-from dataclasses import dataclass
+"""Rests of a recording, the noise that they show, and what its motion leaves unseen."""
 
 import numpy as np
 
-from estimator.geometry.noise import NoiseModel, allan_deviation_of_parts, identify
+from estimator.errors import RecordingError
+from estimator.observations.allan.sensor import FORCE, RATE, SensorNoise, Series, sensor_noise
 from estimator.packaged import sentence
 from estimator.recordings.recording import ImuData, Recording
-from estimator.recordings.reference import RateReadings, TableReadings
-from estimator.types import Floats, runs_of
+from estimator.recordings.reference import AttitudeReadings, Poses, RateReadings, Reference, TableReadings, Turns
+from estimator.types import runs_of
 
 REST_RPS = float(np.radians(0.05))
 REST_S = 5.0
-_FINEST_S = 0.01  # what is below tells of the sensor's filter and its steps, not of its random walks
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RestNoise:
-    """What ``span_s`` of rest show of one gyro: Allan deviation (t,) at ``tau_s`` (t,), and the noise it tells of."""
-
-    span_s: float
-    tau_s: Floats
-    deviation_rps: Floats
-    noise: NoiseModel
-
-
-def rest_noise(data: ImuData, reference: TableReadings | RateReadings) -> list[RestNoise]:
+def rest_noise(data: ImuData, reference: TableReadings | RateReadings) -> list[SensorNoise]:
     """Return the noise of each gyro of a source while the table rests; none if it never does for five seconds.
 
-    A sample that is missing is passed over: its neighbours count as neighbours.
+    None either if an output is constant or no number, or more than a twentieth of the samples is missing.
     """
-    t_ns = data.t_ns
-    if len(t_ns) < 2:
+    try:
+        series = gyro_series(data, rest_spans(reference))
+    except RecordingError:
         return []
-    period_s = float(np.median(np.diff(t_ns))) * 1e-9
-    width = max(round(_FINEST_S / period_s), 1)
-    parts = []
-    for first, last in rest_spans(reference):
-        part = data.rate_rps[np.searchsorted(t_ns, first) : np.searchsorted(t_ns, last, side="right")]
-        part = part[np.isfinite(part).all(axis=1)]
-        rows = len(part) // width
-        if rows:
-            parts.append(part[: rows * width].reshape(rows, width, -1).mean(axis=1))
-    tau_s, deviation_rps = allan_deviation_of_parts(parts, width * period_s)
-    if not len(tau_s) or not (deviation_rps > 0).all():
+    if not series.long_enough or series.constant or series.silent:
         return []
-    span_s = sum(map(len, parts)) * width * period_s
-    found = identify(tau_s, deviation_rps, span_s)
-    return [RestNoise(span_s, tau_s, own, noise) for own, noise in zip(deviation_rps.T, found, strict=True)]
+    return sensor_noise(series, coarse=True)
+
+
+def sensor_series(recording: Recording) -> dict[str, list[Series]]:
+    """Return by source the series of its gyros, and of its accelerometers if it has any, while the body rests.
+
+    Raises RecordingError, which says what to do, if no rest is known.
+    """
+    spans = known_rests(recording.reference)
+    if not spans:
+        raise RecordingError(sentence("allan.no_rest", recording=recording.name, length_s=REST_S))
+    found: dict[str, list[Series]] = {}
+    for source, data in recording.sources.items():
+        found[source] = [gyro_series(data, spans)]
+        if data.accel_mps2 is not None:
+            found[source].append(accelerometer_series(data, spans))
+    return found
+
+
+def gyro_series(data: ImuData, spans_ns: list[tuple[int, int]]) -> Series:
+    """Return the rates of the gyros of a source within spans of rest."""
+    return Series.of(data.array.names, RATE, data.t_ns, data.rate_rps, spans_ns)
+
+
+def accelerometer_series(data: ImuData, spans_ns: list[tuple[int, int]]) -> Series:
+    """Return the specific force along the axes of a source, as recorded, within spans of rest."""
+    assert data.accel_mps2 is not None
+    columns = data.accel_mps2.reshape(len(data.accel_mps2), -1)
+    names = [f"accel {axis}" for axis in ("xyz" if columns.shape[1] == 3 else range(1, columns.shape[1] + 1))]
+    return Series.of(names, FORCE, data.t_ns, columns, spans_ns)
+
+
+def known_rests(reference: Reference) -> list[tuple[int, int]]:
+    """Return the spans (first, last) in ns of five seconds and more in which a reference says that the body rests."""
+    if isinstance(reference, TableReadings | RateReadings):
+        return rest_spans(reference)
+    if isinstance(reference, Poses):
+        pairs = zip(reference.t_start_ns.tolist(), reference.t_end_ns.tolist(), strict=True)
+        return [(first, last) for first, last in pairs if last - first >= REST_S * 1e9]
+    assert isinstance(reference, AttitudeReadings | Turns)
+    return []
 
 
 def rest_spans(reference: TableReadings | RateReadings) -> list[tuple[int, int]]:

@@ -17,11 +17,12 @@ from estimator.calibration.gyro import GyroCalibration
 from estimator.calibration.values import Calibration, GyroParity
 from estimator.estimation.repeatability import Repeatability
 from estimator.geometry.model import STATES
+from estimator.observations.allan.sensor import SensorNoise
 from estimator.observations.coverage import coverage_object, not_proved
-from estimator.observations.rests import RestNoise
 from station.bench.units import Units
 from station.errors import EXIT_USAGE
 from station.render.lines import tell
+from station.render.noise_printed import noise_table
 from station.render.terminal import print_rendered, stdout
 from station.run.outcome import Outcome, Verdict
 from station.views.figures import OUTCOME_STYLES, StateUnit, state_figures
@@ -74,6 +75,7 @@ def print_calibration(calibration: Calibration, verdict: Verdict, units: Units, 
         "undeclared": _undeclared(calibration, units),
         "noise": np.degrees(np.mean(noises, axis=0)).tolist() if noises else None,
         "rest": _rest([gyro.rest for gyro in calibration.gyros if gyro.rest is not None]),
+        "noise_table": noise_table,
     }
     print_rendered(stdout(), "station.render", "calibration.rich", values)
     if details:
@@ -116,16 +118,16 @@ def _budget(calibration: Calibration) -> Mapping[str, Floats]:
     return {name: np.sqrt(np.mean(np.square(u), axis=0)) for name, u in lines.items()}
 
 
-def _rest(rests: Sequence[RestNoise]) -> Mapping[str, str] | None:
-    """Return the mean noise of the gyros at rest alone, with where their mean Allan deviation is least."""
+def _rest(rests: Sequence[SensorNoise]) -> Mapping[str, Any] | None:
+    """Return the noise of each gyro at rest alone, with where their mean Allan deviation is least."""
     if not rests:
         return None
-    shortest = min(rests, key=lambda rest: len(rest.tau_s))
-    mean = np.mean([rest.deviation_rps[: len(shortest.tau_s)] for rest in rests], axis=0)
+    shortest = min((rest.curve for rest in rests), key=lambda curve: len(curve.tau_s))
+    mean = np.mean([rest.curve.deviation[: len(shortest.tau_s)] for rest in rests], axis=0)
     least = int(np.argmin(mean))
     return {
         "span_s": f"{np.mean([rest.span_s for rest in rests]):.0f}",
-        "arw": f"{math.degrees(np.mean([rest.noise.arw for rest in rests])):.3g}",
+        "noises": rests,
         "lowest": f"{math.degrees(mean[least]) * 3600:.2g} deg/h at {shortest.tau_s[least]:.0f} s",
     }
 

@@ -80,6 +80,18 @@ def plain(value: float, unit: Unit, digits: int = 3, source: str | None = None) 
     return figure(value, unit, significant(value * unit.factor, digits), source)
 
 
+def interval(value: float, low: float, high: float, unit: Unit, place: str) -> Markup:
+    """Return a term of the noise at rest with its interval, "at most" its upper end where the lower one is 0.
+
+    ``place`` is the index in the datasets of the calibration.
+    """
+    upper = plain(high, unit, 3, f"calibration/rest_noise_high{place}")
+    if low == 0:
+        return Markup("at most {}").format(upper)
+    lower = plain(low, unit, 3, f"calibration/rest_noise_low{place}")
+    return Markup("{} ({} to {})").format(plain(value, unit, 3, f"calibration/rest_noise{place}"), lower, upper)
+
+
 def fixed(value: float, unit: Unit, decimals: int, source: str | None = None) -> Markup:
     """Return a figure to so many decimals."""
     text = _minus(f"{value * unit.factor:.{decimals}f}") if math.isfinite(value) else UNKNOWN

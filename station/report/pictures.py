@@ -3,7 +3,7 @@
 import base64
 import io
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
@@ -16,12 +16,15 @@ from numpy.typing import NDArray
 
 from drivers.types import Floats
 from estimator.effects.constructed import readable as words
+from estimator.observations.allan.sensor import SensorNoise
+from estimator.observations.allan.spectrum import allan_variances
 from estimator.tracing.investigation import Investigation, ResidualView
 from station.errors import UsageError
 from station.render.template import rendered
-from station.report.figures import ARW, DEG_PER_H, DEG_PER_S, Unit
+from station.report.figures import ARW, DEG_PER_H, DEG_PER_S, Unit, typographic
 from station.report.recorded import Course, Recorded
 from station.views.investigation import Spectra, judged_spectra, judged_views
+from station.views.noise import noise_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -141,21 +144,72 @@ def nis_picture(recorded: Recorded) -> Picture | None:
 
 
 def allan_picture(recorded: Recorded) -> Picture | None:
-    """Return the Allan deviations of the gyros at rest, None if they are not kept."""
-    if recorded.allan is None:
+    """Return the Allan deviations of the gyros at rest with their intervals, None if they are not kept."""
+    if recorded.rest is None:
         return None
-    names, (tau_s, deviation_rps) = recorded.labels, recorded.allan
+    names, rest = recorded.labels, recorded.rest
     with _drawn((WIDTH_IN / 2, 1.7), 1, 1) as (figure, panels):
         panel = panels[0, 0]
         for number, name in enumerate(names):
-            colour, style = _STYLES[number % len(_STYLES)]
-            panel.loglog(tau_s[number], deviation_rps[number] * DEG_PER_H.factor, style, color=colour, label=name)
-        panel.set_xlabel("averaging time, s")
+            band = None
+            if rest.low_rps is not None and rest.high_rps is not None:
+                band = rest.low_rps[number], rest.high_rps[number]
+            _draw_allan(panel, number, name, rest.tau_s[number], rest.deviation_rps[number], band, DEG_PER_H.factor)
         panel.set_ylabel("Allan deviation, °/h")
-        _plain_decades(panel)
-        panel.legend(frameon=False, ncols=1 + len(names) // 9)
-        lowest = [f"{name} {np.nanmin(d) * DEG_PER_H.factor:.2g}" for name, d in zip(names, deviation_rps, strict=True)]
+        _finish_allan(panel, len(names))
+        lowest = [
+            f"{name} {np.nanmin(d) * DEG_PER_H.factor:.2g}" for name, d in zip(names, rest.deviation_rps, strict=True)
+        ]
         return _done(figure, "allan", lowest=lowest)
+
+
+def draw_noise(path: Path, noises: Mapping[str, Sequence[Sequence[SensorNoise]]]) -> None:
+    """Draw the Allan deviations of sensors at rest with their intervals and the fit of N, B and K.
+
+    ``noises`` are by source and kind of sensor; each kind of a source has a panel. Raises UsageError if the file cannot
+    be written.
+    """
+    kinds = [(source, kind) for source, of_source in noises.items() for kind in of_source]
+    with _drawn((WIDTH_IN, 3.3 * len(kinds)), len(kinds), 1, top=0.3, between=0.7) as (figure, panels):
+        for panel, (source, kind) in zip(panels[:, 0], kinds, strict=True):
+            unit, factor = noise_unit(kind[0].unit, 1)
+            for number, noise in enumerate(kind):
+                curve = noise.curve
+                band = curve.low, curve.high
+                _draw_allan(panel, number, noise.name, curve.tau_s, curve.deviation, band, factor)
+                fitted = np.sqrt(allan_variances(curve.tau_s) @ noise.terms.values**2)
+                holds = curve.tau_s >= noise.terms.shortest_s
+                panel.loglog(curve.tau_s[holds], fitted[holds] * factor, ":", color="black", lw=0.7)
+            panel.set_title(f"{source}: overlapping Allan deviation, 95 % intervals; dotted: N, B and K", fontsize=8)
+            panel.set_ylabel(typographic(unit))
+            panel.tick_params(labelbottom=True)
+            _finish_allan(panel, len(kind))
+        try:
+            figure.savefig(path, dpi=_DPI)
+        except OSError as error:
+            raise UsageError(f"--plot {path} cannot be written: {error}") from None
+
+
+def _draw_allan(
+    panel: "Axes",
+    number: int,
+    name: str,
+    tau_s: Floats,
+    deviation: Floats,
+    band: tuple[Floats, Floats] | None,
+    factor: float,
+) -> None:
+    """Draw the Allan deviation (t,) of sensor ``number`` and, if known, the band (t,), (t,) of its interval."""
+    colour, style = _STYLES[number % len(_STYLES)]
+    if band is not None:
+        panel.fill_between(tau_s, band[0] * factor, band[1] * factor, color=colour, alpha=0.15, lw=0)
+    panel.loglog(tau_s, deviation * factor, style, color=colour, label=name)
+
+
+def _finish_allan(panel: "Axes", sensors: int) -> None:
+    panel.set_xlabel("averaging time, s")
+    _plain_decades(panel)
+    panel.legend(frameon=False, ncols=1 + sensors // 9)
 
 
 def residual_picture(view: ResidualView, spectra: Spectra | None) -> Picture:

@@ -67,17 +67,34 @@ class Event:
 
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
+class RestNoise:
+    """Noise of the gyros at rest: Allan deviations (n, t) at averaging times (n, t), NaN beyond the last.
+
+    ``low`` and ``high`` (n, t) are the ends of their intervals of 95 %, ``terms_low`` and ``terms_high`` (n, 3) those
+    of N, B and K, the lower end 0 of what was not seen. None of these in files of before.
+    """
+
+    tau_s: Floats
+    deviation_rps: Floats
+    terms: Floats
+    low_rps: Floats | None
+    high_rps: Floats | None
+    terms_low: Floats | None
+    terms_high: Floats | None
+
+
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Recorded:
     """A recording and what was kept beside its samples.
 
-    ``calibration`` is None of a run that came to no estimate. ``allan`` are averaging times and Allan deviations at
-    rest, (n, t) each, NaN beyond the last. ``courses`` and ``source_attributes`` are by source.
+    ``calibration`` is None of a run that came to no estimate. ``rest`` is the noise at rest, None if it is not
+    kept. ``courses`` and ``source_attributes`` are by source.
     """
 
     path: Path
     recording: Recording
     calibration: Calibration | None
-    allan: tuple[Floats, Floats] | None
+    rest: RestNoise | None
     courses: Mapping[str, Course]
     source_attributes: Mapping[str, Mapping[str, Any]]
     steps: tuple[Step, ...]
@@ -144,7 +161,7 @@ def read_recorded(path: Path) -> Recorded:
             path=path,
             recording=recording,
             calibration=calibration,
-            allan=_allan(file["calibration"]) if calibration is not None else None,
+            rest=_rest_noise(file["calibration"]) if calibration is not None else None,
             courses={name: _course(estimates[name], innovations[name]) for name in estimates if name in innovations},
             source_attributes={
                 name: {k: plain(v) for k, v in group.attrs.items()} for name, group in file["imu"].items()
@@ -172,13 +189,33 @@ def laid_out(path: Path, message: str) -> Iterator[None]:
         raise RecordingError(f"{path}: {message.format(first_line(error))}") from None
 
 
-def _allan(group: "Group") -> tuple[Floats, Floats] | None:
+def _rest_noise(group: "Group") -> RestNoise | None:
     if "allan_tau_s" not in group:
         return None
-    tau_s, deviation = (np.asarray(group[f"allan_{key}"][()], dtype=np.float64) for key in ("tau_s", "deviation_rps"))
-    if tau_s.shape != deviation.shape or len(tau_s) != len(group["name"]):
+
+    def column(key: str, like: tuple[int, ...]) -> Floats | None:
+        if key not in group:
+            return None
+        values = np.asarray(group[key][()], dtype=np.float64)
+        if values.shape != like:
+            raise ValueError(f"{key} is not of these gyros")
+        return values
+
+    tau_s = np.asarray(group["allan_tau_s"][()], dtype=np.float64)
+    gyros = len(group["name"])
+    deviation = column("allan_deviation_rps", tau_s.shape)
+    terms = column("rest_noise", (gyros, 3))
+    if len(tau_s) != gyros or deviation is None or terms is None:
         raise ValueError("the Allan deviation is not of these gyros")
-    return tau_s, deviation
+    return RestNoise(
+        tau_s=tau_s,
+        deviation_rps=deviation,
+        terms=terms,
+        low_rps=column("allan_low_rps", tau_s.shape),
+        high_rps=column("allan_high_rps", tau_s.shape),
+        terms_low=column("rest_noise_low", (gyros, 3)),
+        terms_high=column("rest_noise_high", (gyros, 3)),
+    )
 
 
 def _course(estimate: "Group", innovation: "Group") -> Course:

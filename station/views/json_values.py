@@ -7,6 +7,8 @@ from typing import Any
 
 from estimator.calibration.gyro import GyroCalibration
 from estimator.geometry.model import STATES
+from estimator.observations.allan.spectrum import TERMS
+from estimator.observations.allan.terms import Term
 
 
 def json_object(value: Any) -> Any:
@@ -34,8 +36,16 @@ def by_state(values: Any) -> dict[str, Any]:
     return dict(zip(STATES, json_object(values), strict=True))
 
 
+def term_object(term: Term) -> dict[str, Any]:
+    """Return a term of the noise: the likeliest value, its interval of 95 %, and whether it was seen."""
+    return {"value": term.value, "interval": [term.low, term.high], "seen": term.seen}
+
+
 def budget_and_noise(gyro: GyroCalibration) -> dict[str, Any]:
-    """Return of a gyro the uncertainty budget by source and state, and the noise found, None if there is none."""
+    """Return of a gyro the uncertainty budget by source and state, the noise found, and that at rest alone, in SI.
+
+    Both noises are None if there is none.
+    """
     noise = gyro.noise and {
         "arw_rps_rthz": gyro.noise.mean.arw,
         "instability_rps": gyro.noise.mean.instability,
@@ -43,4 +53,10 @@ def budget_and_noise(gyro: GyroCalibration) -> dict[str, Any]:
         "walk_rps_rts": gyro.noise.mean.walk,
         "walk_below_rps_rts": gyro.noise.walk_below,
     }
-    return {"budget": {line.name: by_state(line.u) for line in gyro.budget}, "noise": noise}
+    rest = gyro.rest and {
+        "span_s": gyro.rest.span_s,
+        "longest_s": gyro.rest.longest_s,
+        **{name: term_object(gyro.rest.terms[name]) for name in TERMS},
+    }
+    budget = {line.name: by_state(line.u) for line in gyro.budget}
+    return {"budget": budget, "noise": noise, "noise_at_rest": rest}

@@ -97,7 +97,7 @@ def _stated(whole: Whole) -> tuple["Recorded", tuple[Path, Path], Mapping[str, M
         path=whole.entry.path,
         recording=head,
         calibration=None,
-        allan=None,
+        rest=None,
         courses={},
         source_attributes={},
         steps=(Step("", 0, 0),),

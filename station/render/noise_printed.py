@@ -1,0 +1,67 @@
+"""Noise of sensors at rest as a person reads it: N, B and K with intervals, and the Allan deviation."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from rich.markup import escape
+from rich.table import Table
+
+from estimator.observations.allan.sensor import SensorNoise
+from estimator.observations.allan.spectrum import TERMS
+from station.render.terminal import Shown, print_all, rich_table, stdout
+from station.views.noise import digits, filter_notes, length_words, lengths_s, noise_unit, term_words, warnings_of
+
+_ROWS = 10  # of the table of Allan deviations
+
+
+def print_noise(source: str, noises: Sequence[SensorNoise], share: float) -> None:
+    """Print the noise of the sensors of one kind of a source, and how long to record to know it to a ``share``."""
+    first = noises[0]
+    span = f"{first.span_s:.0f} s of rest"
+    if first.longest_s < 0.99 * first.span_s:
+        span += f", the longest {first.longest_s:.0f} s"
+    unit, _ = noise_unit(first.unit, 1)
+    shown: list[Shown] = [
+        (noise_table(f"{escape(source)}: noise with intervals of 95 %, {span}", noises), {}),
+        (_lengths(noises, share), {}),
+        (_deviations(f"Overlapping Allan deviation, {unit}", noises), {}),
+    ]
+    shown += [(escape(f"note: {note}"), {"highlight": False}) for note in filter_notes(noises)]
+    shown += [(escape(f"warning: {warning}"), {"highlight": False}) for warning in warnings_of(noises)]
+    print_all(stdout(), shown)
+
+
+def noise_table(title: str, noises: Sequence[SensorNoise]) -> Table:
+    """Return the table of N, B and K of sensors that have one unit."""
+    units = [noise_unit(noises[0].unit, term) for term in range(len(TERMS))]
+    heads = ["sensor", *(f"{name}, {unit}" for name, (unit, _) in zip(TERMS, units, strict=True))]
+    rows = []
+    for noise in noises:
+        cells = [term_words(noise.terms[name], factor) for name, (_, factor) in zip(TERMS, units, strict=True)]
+        rows.append([escape(noise.name), *cells])
+    return rich_table(title, heads, "lr", rows)
+
+
+def _lengths(noises: Sequence[SensorNoise], share: float) -> Table:
+    rows = []
+    for noise in noises:
+        lengths = zip(TERMS, lengths_s(noise, share), strict=True)
+        cells = [length_words(length, seen=noise.terms[name].seen) for name, length in lengths]
+        rows.append([escape(noise.name), *cells])
+    title = f"Length of one rest for a standard uncertainty of {share * 100:.3g} %"
+    return rich_table(title, ["sensor", *TERMS], "lr", rows)
+
+
+def _deviations(title: str, noises: Sequence[SensorNoise]) -> Table:
+    """Return Allan deviations with their intervals at some averaging times, a column a sensor."""
+    _, factor = noise_unit(noises[0].unit, 1)
+    tau_s = noises[0].curve.tau_s
+    rows = []
+    for row in np.unique(np.linspace(0, len(tau_s) - 1, _ROWS).round().astype(int)).tolist():
+        cells = [digits(tau_s[row])]
+        for noise in noises:
+            curve = noise.curve
+            low, high = digits(curve.low[row] * factor), digits(curve.high[row] * factor)
+            cells.append(f"{digits(curve.deviation[row] * factor)} ({low} to {high})")
+        rows.append(cells)
+    return rich_table(title, ["s", *(escape(noise.name) for noise in noises)], "r", rows)
