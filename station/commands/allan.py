@@ -3,6 +3,8 @@
 import argparse
 import json
 import sys
+from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -46,9 +48,9 @@ def command_allan(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps(_object(arguments.recording, found, notes, share)))
     else:
-        for source, of_kinds in found.items():
-            for noises in of_kinds:
-                print_noise(source, noises, share)
+        every = _apart(found)
+        for unit in dict.fromkeys(noise.unit for noise in every):
+            print_noise([noise for noise in every if noise.unit == unit], share)
         for note in notes:
             tell(f"station: {note}", sys.stderr)
     if picture is not None:
@@ -61,6 +63,15 @@ def command_allan(arguments: argparse.Namespace) -> int:
 def refused(reason: str, arguments: argparse.Namespace) -> dict[str, Any]:
     """Return what --json prints when there is no result."""
     return {"recording": arguments.recording, "reason": reason, "sensors": []}
+
+
+def _apart(found: dict[str, list[list[SensorNoise]]]) -> list[SensorNoise]:
+    """Return the noise of all sensors; where two have one name, that of their source stands before it."""
+    every = [(source, noise) for source, of_kinds in found.items() for noises in of_kinds for noise in noises]
+    names = Counter(noise.name for _, noise in every)
+    return [
+        replace(noise, name=f"{source} {noise.name}") if names[noise.name] > 1 else noise for source, noise in every
+    ]
 
 
 def _share(text: str) -> float:

@@ -1,6 +1,7 @@
 """Noise of sensors at rest as a person reads it: N, B and K with intervals, and the Allan deviation."""
 
 from collections.abc import Sequence
+from itertools import groupby
 
 import numpy as np
 from rich.markup import escape
@@ -12,23 +13,33 @@ from station.render.terminal import Shown, print_all, rich_table, stdout
 from station.views.noise import digits, filter_notes, length_words, lengths_s, noise_unit, term_words, warnings_of
 
 _ROWS = 10  # of the table of Allan deviations
+_COLUMNS = 3  # sensors side by side in it: 80 characters hold no more
 
 
-def print_noise(source: str, noises: Sequence[SensorNoise], share: float) -> None:
-    """Print the noise of the sensors of one kind of a source, and how long to record to know it to a ``share``."""
-    first = noises[0]
-    span = f"{first.span_s:.0f} s of rest"
-    if first.longest_s < 0.99 * first.span_s:
-        span += f", the longest {first.longest_s:.0f} s"
-    unit, _ = noise_unit(first.unit, 1)
+def print_noise(noises: Sequence[SensorNoise], share: float) -> None:
+    """Print the noise of sensors that have one unit, and how long to record to know it to a ``share``."""
+    unit, _ = noise_unit(noises[0].unit, 1)
     shown: list[Shown] = [
-        (noise_table(f"{escape(source)}: noise with intervals of 95 %, {span}", noises), {}),
+        (noise_table(f"Noise at rest with intervals of 95 %, {_rest(noises)}", noises), {}),
         (_lengths(noises, share), {}),
-        (_deviations(f"Overlapping Allan deviation, {unit}", noises), {}),
     ]
+    for _, alike in groupby(noises, key=lambda noise: noise.curve.tau_s.tolist()):
+        of_one_grid = list(alike)
+        for start in range(0, len(of_one_grid), _COLUMNS):
+            shown.append(
+                (_deviations(f"Overlapping Allan deviation, {unit}", of_one_grid[start : start + _COLUMNS]), {})
+            )
     shown += [(escape(f"note: {note}"), {"highlight": False}) for note in filter_notes(noises)]
     shown += [(escape(f"warning: {warning}"), {"highlight": False}) for warning in warnings_of(noises)]
     print_all(stdout(), shown)
+
+
+def _rest(noises: Sequence[SensorNoise]) -> str:
+    """Return how long sensors rested: the shortest of all rests, and the shortest of the longest without a gap."""
+    span_s = min(noise.span_s for noise in noises)
+    longest_s = min(noise.longest_s for noise in noises)
+    text = f"{span_s:.0f} s of rest"
+    return text if longest_s >= 0.99 * span_s else f"{text}, the longest {longest_s:.0f} s"
 
 
 def noise_table(title: str, noises: Sequence[SensorNoise]) -> Table:
