@@ -45,9 +45,9 @@ class NextScript:
 
     def words(self) -> str:
         """Return it in one line."""
-        aims = [f"{', '.join(own)} apart" if len(own) > 1 else f"{own[0]} from noise" for own in self.rivals]
+        aims = [" and ".join(own) if len(own) > 1 else f"{own[0]} from noise" for own in self.rivals]
         aim = ", ".join(aims).replace("_", " ")
-        text = f"{self.script.name}, {self.script.least_s:.0f} s: decides {aim} with probability "
+        text = f"{self.script.name}, {self.script.least_s:.0f} s: separates {aim} with probability "
         text += f"{min(self.probability, 0.99):.0%}"
         hopeful = self.probability >= _HOPELESS
         return text if hopeful else f"no script of this table is likely to help; the best is {text}"

@@ -238,7 +238,7 @@ def test_rivals_come_with_the_script_that_tells_them_apart(capsys: pytest.Captur
     print_investigation(made(Finding.CANNOT_TELL), following, Path("next.toml"), stdout())
     text = capsys.readouterr().out
     assert "cannot tell apart: thermal bias or bias drift" in text
-    assert "drive next: a rest, 300 s: tells thermal bias, bias drift apart with probability 90%" in " ".join(
+    assert "run next: a rest, 300 s: separates thermal bias and bias drift with probability 90%" in " ".join(
         text.split()
     )
     assert "station run --script next.toml" in text
@@ -358,6 +358,6 @@ def test_an_effect_without_a_rival_is_to_be_told_from_noise() -> None:
     following = next_script([("latency", "no such effect")], {}, past, limits, gimbals, SITE)
     assert following is not None
     assert following.probability > 0.95
-    assert "tells latency from noise" in following.words()
+    assert "separates latency from noise" in following.words()
     assert next_script([("no such effect",)], {}, past, limits, gimbals, SITE) is None
     assert next_script([], {}, past, limits, gimbals, SITE) is None

@@ -215,7 +215,7 @@ def test_the_same_recording_gives_the_same_bytes_and_json_says_what_was_written(
 
 def test_what_the_motion_does_not_show_is_named(html: str) -> None:
     text = words_of(parsed(html))
-    assert "saturated: 4 steady conditions" in text
+    assert "saturated: 4 different steady conditions" in text
     table = text[text.index("Effects that would have passed unnoticed") :]
     assert re.search(r"scale asymmetry ∞ 5000 ppm", table)
     assert "They do not cover effects that the run could not show: scale asymmetry" in text
@@ -612,7 +612,7 @@ def misshapen(path: Path) -> None:
     ("spoil", "told"),
     [
         (damaged, "cannot be read|damaged"),
-        (later, "format version 99.*update"),
+        (later, "format version 99.*Update"),
         (uncalibrated, "station calibrate --write"),
         (not_finite, "station calibrate --write"),
         (misshapen, "do not have the layout"),
@@ -825,7 +825,7 @@ def test_a_certificate_needs_equipment_that_is_not_overdue_and_the_approval_that
     real(bare)
     late = certified(bare, tmp_path, due="2026-11-17")
     assert title_of(late) == "Calibration report"
-    assert "The calibration of rate table was over on 2026-11-18" in words_of(parsed(late))
+    assert "The calibration of rate table had expired on 2026-11-18" in words_of(parsed(late))
     with h5py.File(bare, "r+") as file:
         file.attrs["bench"] = str(file.attrs["bench"]) + "\n[station]\napproved_by_another = true\n"
     recorded = read_recorded(bare)

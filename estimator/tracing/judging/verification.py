@@ -31,6 +31,7 @@ _APART = 1.0  # sigmas of an interval by which models differ, to be told apart b
 _FEWEST_JUDGED = 20
 _LACKS = ((1, 1.0), (9, 0.1))  # orders of cosines in a phase, and the odds that a model lacks something in them
 _LEAST_SEEN, _MOST_SEEN, _SIZES = 0.03, 3.0, 64  # over the doubt, and over what is shown: sizes of what a model lacks
+_CLEAR = 500.0  # log odds beyond which nothing is open
 Misfit = Mapping[tuple[str, int], float]
 """By gyro and number of a run, what no model fits beyond the noise, summed over blocks, (rad/s)^2."""
 _DIRECTION = 1e-3  # share of a direction that must be left beside the mean to count as another
@@ -192,27 +193,26 @@ def _lacking(shown: Mapping[str, tuple[Floats, float]], odds: float) -> dict[str
     ``shown`` by gyro is what there seems to be (n,) and its doubt, ``odds`` how much it is expected that there is any.
     """
     beyond = {}
-    lacks = np.full(_DRAWN, odds)
+    log_odds = np.full(_DRAWN, np.log(odds))
     for number, (name, (squares, doubt)) in enumerate(shown.items(), 1):
         beyond[name], likelier = _beyond(np.random.default_rng(number), squares, doubt)
-        lacks *= likelier
-    incomplete = np.random.default_rng(0).random(_DRAWN) < lacks / (1 + lacks)
+        log_odds += likelier
+    incomplete = np.random.default_rng(0).random(_DRAWN) < 1 / (1 + np.exp(-np.clip(log_odds, -_CLEAR, _CLEAR)))
     return {name: squares * incomplete for name, squares in beyond.items()}
 
 
 def _beyond(random: np.random.Generator, shown: Floats, sd: float) -> tuple[Floats, Floats]:
     """Return draws (n,) of a sum of squares that shows as ``shown`` (n,) within ``sd``, if there is one of any size.
 
-    With each come the odds (n,) that there is one, if it is as likely as not.
+    With each come the log odds (n,) that there is one, if it is as likely as not.
     """
     largest = max(float(shown.max()), sd)
     sizes = np.geomspace(_LEAST_SEEN * sd, _MOST_SEEN * largest, _SIZES)
-    fits = np.exp(-0.5 * ((shown[:, None] - sizes) / sd) ** 2)
-    total = np.maximum(fits.sum(axis=1), 1e-300)
-    upto = np.cumsum(fits, axis=1) / total[:, None]
+    logs = -0.5 * ((shown[:, None] - sizes) / sd) ** 2
+    total = np.logaddexp.reduce(logs, axis=1)
+    upto = np.cumsum(np.exp(logs - total[:, None]), axis=1)
     number = (upto < random.random(len(shown))[:, None]).sum(axis=1)
-    nothing = np.maximum(np.exp(-0.5 * (shown / sd) ** 2), 1e-300)
-    return sizes[np.minimum(number, _SIZES - 1)], total / _SIZES / nothing
+    return sizes[np.minimum(number, _SIZES - 1)], total - np.log(_SIZES) + 0.5 * (shown / sd) ** 2
 
 
 def _open_share(seed: int) -> Floats:
