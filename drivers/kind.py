@@ -14,6 +14,7 @@ from drivers.protocols import ChecksSetPoint, MadeSafe
 from drivers.specs import Key
 
 _SAFE_LIMIT_S, _PAUSE_S = 15.0, 0.5
+_FIRST = "table"  # the kind that is made safe before all others
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,10 +49,10 @@ async def make_safe(
 ) -> SafeState:
     """Make a device safe by its driver's ``make_safe``, again and again for 15 s, each time on a new connection.
 
-    One whose driver has no ``make_safe`` is safe as it is.
+    One whose driver has no ``make_safe`` is left as it is.
     """
     if not isinstance(device, MadeSafe):
-        return SafeState(trouble="", seen=True)
+        return SafeState(trouble="", seen=False)
     loop = asyncio.get_running_loop()
     limit_s = _SAFE_LIMIT_S * time_scale
     until_s = loop.time() + limit_s
@@ -107,6 +108,13 @@ class DeviceKind:
     make_safe: MakeSafe = make_safe
     made_safe: str = "it is safe"
     wires: Collection[str] = ("tcp", "serial")
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for a kind that would be made safe before the table."""
+        if self.safe_order is not None and self.safe_order <= 0 and self.name != _FIRST:
+            raise ValueError(
+                f"kind {self.name}: safe_order is {self.safe_order}. Give a number above 0: the table is first"
+            )
 
     async def refusal(self, device: Any, settings: Mapping[str, Any]) -> str:
         """Return why an open device would not take its set point of ``settings``; empty if it would, or cannot tell."""

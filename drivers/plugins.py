@@ -20,6 +20,7 @@ T = TypeVar("T")
 GIVEN = "STATION_PLUGINS"
 """The environment variable that hands Python files to all processes of a command: whole paths, separated as in PATH."""
 
+_SOURCE = "__station_source__"  # attribute of a module from a file: its bytes when it was imported
 _MOST_STEPS = 1000  # of folders and links on the way to a file
 
 
@@ -49,11 +50,19 @@ def load_files(paths: Iterable[Path] = ()) -> list[ModuleType]:
 
 
 def load_file(path: Path) -> ModuleType:
-    """Import a Python file, anew each time; PluginError if that fails."""
+    """Import a Python file, again only if it has changed since; PluginError if that fails.
+
+    A bench and its script bring the same file: the records of both have to be the same objects.
+    """
     with suppress(OSError):  # what is not there is told below
         if not stat.S_ISREG(path.stat().st_mode):
             raise PluginError(f"plug-in {path}: it is a pipe, a folder or a device, not a Python file")
+    text = path.read_bytes() if path.is_file() else b""
     name = f"station_plugin_{path.stem}_{sha256(str(path.absolute()).encode()).hexdigest()[:8]}"
+
+    known = sys.modules.get(name)
+    if known is not None and getattr(known, _SOURCE, None) == text:
+        return known
 
     def run() -> ModuleType:
         spec = spec_from_file_location(name, path)
@@ -61,6 +70,7 @@ def load_file(path: Path) -> ModuleType:
             raise ImportError("it is not a Python file")
         module = sys.modules[name] = module_from_spec(spec)
         spec.loader.exec_module(module)
+        setattr(module, _SOURCE, text)
         return module
 
     return _guarded(f"plug-in {path}", str(path.absolute()), run)

@@ -82,7 +82,7 @@ class _Axis:
             return f"axis {self.name} no longer reports its state"
         if self.contradicts_itself:
             rate_dps, angle_deg = math.degrees(self._last.rate_rps), math.degrees(self._last.angle_rad)
-            return f"axis {self.name} reports {rate_dps:.2f} deg/sbut a position that stays at {angle_deg:.2f} deg"
+            return f"axis {self.name} reports {rate_dps:.2f} deg/s but a position that stays at {angle_deg:.2f} deg"
         rate_dps, ago_s = math.degrees(self._last.rate_rps), now_s - self._last.rate_t_ns * 1e-9
         return f"axis {self.name} turned at {rate_dps:.2f} deg/s when last seen, {ago_s:.1f} s ago"
 

@@ -27,8 +27,10 @@ def rest_noise(data: ImuData, reference: TableReadings | RateReadings) -> list[S
     return sensor_noise(series, coarse=True)
 
 
-def sensor_series(recording: Recording) -> dict[str, list[Series]]:
+def sensor_series(recording: Recording) -> tuple[dict[str, list[Series]], list[str]]:
     """Return by source the series of its gyros, and of its accelerometers if it has any, while the body rests.
+
+    With them comes in words which of them cannot be used, and why.
 
     Raises RecordingError, which says what to do, if no rest is known.
     """
@@ -36,11 +38,17 @@ def sensor_series(recording: Recording) -> dict[str, list[Series]]:
     if not spans:
         raise RecordingError(sentence("allan.no_rest", recording=recording.name, length_s=REST_S))
     found: dict[str, list[Series]] = {}
+    notes: list[str] = []
     for source, data in recording.sources.items():
-        found[source] = [gyro_series(data, spans)]
-        if data.accel_mps2 is not None:
-            found[source].append(accelerometer_series(data, spans))
-    return found
+        found[source] = []
+        for series in (gyro_series, accelerometer_series):
+            if series is accelerometer_series and data.accel_mps2 is None:
+                continue
+            try:
+                found[source].append(series(data, spans))
+            except RecordingError as error:
+                notes.append(f"{source}: {error}")
+    return found, notes
 
 
 def gyro_series(data: ImuData, spans_ns: list[tuple[int, int]]) -> Series:

@@ -54,6 +54,8 @@ def read_recording(path: Path | str, *, trusted: bool = False) -> Recording:
     Raises RecordingError, with what is missing or wrong, for a file that is not of the format.
     """
     path = Path(path)
+    if path.is_dir():
+        raise RecordingError(f"{path} is a folder, not a recording. Give the file")
     if not trusted:
         recover(path)
         probe(path)

@@ -36,8 +36,8 @@ def command_allan(arguments: argparse.Namespace) -> int:
     share = _share(arguments.uncertainty)
     recording = read_recording(Path(arguments.recording))
     found: dict[str, list[list[SensorNoise]]] = {}
-    notes: list[str] = []
-    for source, kinds in sensor_series(recording).items():
+    by_source, notes = sensor_series(recording)
+    for source, kinds in by_source.items():
         for series in kinds:
             used, reasons = usable(series)
             notes += reasons

@@ -113,7 +113,7 @@ def in_safe_order(devices: Iterable[OpenDevice]) -> list[OpenDevice]:
     """Return those of some devices that have to be made safe, in the order that their kinds state."""
     placed = [(device.config.kind.safe_order, device) for device in devices]
     ordered = [(order, device) for order, device in placed if order is not None]
-    return [device for _, device in sorted(ordered, key=lambda one: one[0])]
+    return [device for _, device in sorted(ordered, key=lambda one: one[0])]  # the table's order is the least
 
 
 def with_links(bench: Bench, links: dict[str, str], devices: Sequence[str]) -> Bench:

@@ -161,7 +161,7 @@ def _check_dates(top: Table, stated: Mapping[str, Any], begun: datetime | None) 
     for one in stated.get("equipment", ()):
         if one.calibrated and one.due and one.due < one.calibrated:
             raise top.fail_at(
-                f"equipment: {one.name} was calibrated on {one.calibrated}but was due before that. Correct one"
+                f"equipment: {one.name} was calibrated on {one.calibrated} but was due before that. Correct one"
             )
         if one.calibrated and day and one.calibrated > day:
             raise top.fail_at(

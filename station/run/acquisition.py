@@ -40,6 +40,7 @@ _HISTORY_BLOCKS = 50  # of the live filter, which are written together
 _SLOW_S = 0.02  # of the table, after which its answers may be why a run fails
 _FIRST_SAMPLE_S = 3.0
 _SILENCE_S = 1.0
+_LOST_WHILE_READIED = 5  # times that a link may be lost while its device is readied
 _TIMED_S, _SIGMAS = 0.0005, 4.0  # an offset that is told lies beyond both
 
 
@@ -166,21 +167,26 @@ class Acquisition:
             self.writer.add_device(device.name, device.driver.columns, {})
         return found
 
-    async def prepare_others(self) -> None:
-        """Bring the devices of other kinds to where the run needs them, one after another.
+    async def prepare_others(self) -> bool:
+        """Bring devices of other kinds to where the run needs them, one by one; return whether there are any.
 
-        One whose link is lost on the way there is told anew once that is open again.
+        One whose link is lost on the way there is told anew once that is open again, a few times.
         """
         for device in self._others:
             self.monitor.phase = Phase.PREPARING
             ready = False
-            while not ready:
+            for last in (*(False,) * _LOST_WHILE_READIED, True):
+                if ready:
+                    break
                 opened = self._reopening.times.get(device.name, 0)
                 try:
                     await device.config.kind.ready(device.driver, device.config.settings)
                     ready = True
                 except LinkLost as error:
+                    if last:
+                        raise
                     await self._restore(device, error, opened)
+        return bool(self._others)
 
     async def _restore(self, device: OpenDevice, error: LinkLost, opened: int) -> None:
         """Open the link of a device again, unless another task has since it had been ``opened`` so often."""

@@ -267,7 +267,8 @@ class Session:
             if self._options.reset_fault:
                 await table.reset_fault()
             services += [serve(group, acquisition.follow(device)) for device in acquisition.appending()]
-            await acquisition.prepare_others()
+            if await acquisition.prepare_others():  # which may have taken hours
+                await first_look(table, take_over=False)
             watch_home = serve(group, watch_homing(table))
             monitor.phase = Phase.ENABLING
             await table.enable()

@@ -19,6 +19,7 @@ _SHOWN_BY_MOTION = 0.5  # of the sigma that a state begins with
 _SIGMAS = 2.0
 _DEG = math.degrees(1)
 _EXPECTED = "by the table"
+_SERIES = "series"  # how the names of charts of series begin
 _EVER = (-1e12, 1e12)
 _ARC_PARTS, _GIMBALS_APART = 24, 0.3
 
@@ -61,13 +62,18 @@ class Drawing(NamedTuple):
     """Instant of time 0 if the axis shows dates; times are then days."""
 
 
-def run_drawing(name: str, run: LiveRun, gyro: GyroSnapshot) -> Drawing:
-    """Return a chart of a run, one of ``RUN_CHARTS`` or ``series_charts``, with its steps marked."""
+def run_drawing(name: str, run: LiveRun, gyro: GyroSnapshot) -> Drawing | None:
+    """Return a chart of a run, one of ``RUN_CHARTS`` or ``series_charts``, with its steps marked.
+
+    None for the series of a device that this run does not have.
+    """
     if name == "axes" and run.snapshot is not None:
         return _axes_drawing(run, run.snapshot)
     limits = run.hello.get("limits") or {}
     if name in series_charts(run.seen[-1]):
         found = _series_drawing(series_charts(run.seen[-1]).index(name), run.seen)
+    elif name.startswith(_SERIES):
+        return None
     elif name in STATE_CHARTS:
         index = STATE_CHARTS.index(name)
         trend = run.trends.get(gyro.name) or Trend()
@@ -80,7 +86,7 @@ def run_drawing(name: str, run: LiveRun, gyro: GyroSnapshot) -> Drawing:
 
 def series_charts(snapshot: Snapshot) -> list[str]:
     """Return the names of the charts of what devices append to the recording, a column each."""
-    return [f"series{at}" for at in range(len(snapshot.series))]
+    return [f"{_SERIES}{at}" for at in range(len(snapshot.series))]
 
 
 def _series_drawing(at: int, seen: Sequence[Snapshot]) -> Drawing:

@@ -182,7 +182,7 @@ def test_ctrl_c_in_a_terminal_leaves_nothing(tmp_path: Path) -> None:
     near, far = pty.openpty()
     with ctrl_c_of_children():
         started = subprocess.Popen(
-            forked("init", "bench.toml"), stdin=far, stdout=far, stderr=far, cwd=tmp_path, start_new_session=True
+            command("init", "bench.toml"), stdin=far, stdout=far, stderr=far, cwd=tmp_path, start_new_session=True
         )
     os.close(far)
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import re
@@ -23,7 +24,9 @@ from support import TwinProcess, command
 from estimator.recordings.reading import read_recording
 from station.bench.bench import default_bench_text, load_bench
 from station.cli import main
+from station.opening import open_bench
 from station.run.guard.guard import guard_log_of
+from station.scripts.script import load_script
 
 EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "climate_chamber.py"
 CHAMBER = """
@@ -211,6 +214,25 @@ def test_after_ctrl_c_the_chamber_is_safe(place: Path) -> None:
         assert process.wait(_WAIT_S) == 3
         assert ask(twins.links["chamber"], "TEMP?").split(", ")[1] == "25.0"
         assert not guard_log_of(place / "run.h5").exists()
+
+
+def test_the_guard_can_make_devices_of_a_file_that_the_script_brings_as_well(tmp_path: Path) -> None:
+    (tmp_path / EXAMPLE.name).write_text(EXAMPLE.read_text())
+    link = CHAMBER.replace('"espec"', '"espec"\nlink = "tcp://127.0.0.1:9"')
+    (tmp_path / "bench.toml").write_text(f'plugins = ["{EXAMPLE.name}"]\n{default_bench_text()}{link}')
+    (tmp_path / "script.toml").write_text(SCRIPT)
+    bench = load_bench(tmp_path / "bench.toml")
+    load_script(tmp_path / "script.toml", bench.plugin_files)  # the file of the bench once more
+
+    async def packed() -> list[bytes]:
+        async with open_bench(bench) as opened:
+            assert opened.guarded is not None
+            return list(opened.guarded.packed)
+
+    new = "import sys; from drivers.recipe import unpacked_device as made; print(made(sys.stdin.buffer.read())[0].name)"
+    for data in asyncio.run(packed()):
+        made = subprocess.run([sys.executable, "-c", new], input=data, capture_output=True, check=True)
+        assert made.stdout.decode().strip() == "chamber"
 
 
 SUPPLY = """

@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 import pytest
 from printed import blocks_of, not_printed
-from support import TABLE_1, changed, ctrl_c_of_children, forked
+from support import TABLE_1, changed, command, ctrl_c_of_children
 
 from station.bench.bench import default_bench_text
 from station.bench.descriptions import DESCRIPTIONS
@@ -310,7 +310,7 @@ def test_a_link_that_leads_nowhere_names_its_device(
 
 def test_ctrl_c_in_mid_run_leaves_the_table_at_rest_and_a_readable_file(tmp_path: Path) -> None:
     path = tmp_path / "r.h5"
-    words = forked("run", "--json", "-o", path)
+    words = command("run", "--json", "-o", path)
     with ctrl_c_of_children(ignored=True):  # as of a background job: whoever asks a moving table to stop is heard
         run = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 60

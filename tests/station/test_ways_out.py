@@ -18,7 +18,7 @@ import h5py
 import pytest
 from faults import BENCHES
 from guard import fill
-from support import forked
+from support import command
 from test_run import bench_file, events
 
 import station
@@ -282,7 +282,7 @@ def test_a_run_does_not_wait_for_a_terminal_that_is_held_or_a_pipe_that_nobody_r
     (tmp_path / "script.toml").write_text(SCRIPT)
     unread, stderr = os.pipe()
     fill(stderr)
-    words = forked("run", "--script", tmp_path / "script.toml", "-o", tmp_path / "run.h5")
+    words = command("run", "--script", tmp_path / "script.toml", "-o", tmp_path / "run.h5")
     ended = subprocess.run(words, stdout=subprocess.DEVNULL, stderr=stderr, timeout=60, check=False)
     os.close(unread)
     os.close(stderr)

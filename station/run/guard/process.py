@@ -81,10 +81,13 @@ def _ask_to_be_continued() -> None:
 
 
 async def _guard(order: Order) -> None:
-    try:
-        devices = [unpacked_device(packed) for packed in order.devices]
-    except Exception as error:  # what stands in a plug-in
-        os.write(2, f"station: the guard cannot create a driver: {type(error).__name__}: {error}\n".encode())
+    devices: list[_Device] = []
+    for packed in order.devices:
+        try:
+            devices.append(unpacked_device(packed))
+        except Exception as error:  # what stands in a plug-in: the others are guarded all the same
+            os.write(2, f"station: the guard cannot create a driver: {type(error).__name__}: {error}\n".encode())
+    if not devices:
         return
     log = _Log(order)
     os.write(1, READY)
@@ -155,27 +158,38 @@ def _named(devices: Sequence[_Device]) -> str:
 
 
 async def _act(order: Order, devices: Sequence[_Device], say: "_Log") -> None:
-    """Make devices safe in their order; those that are not are tried again and again for a minute."""
+    """Make devices safe, the others once the first, the table, has been tried; each again and again for a minute.
+
+    From then on none waits for another.
+    """
     say(f"{order.who} died while it controlled {_named(devices)}: the guard stops {'them' if devices[1:] else 'it'}")
+    first_tried = asyncio.Event()
+    async with asyncio.TaskGroup() as tasks:
+        tasks.create_task(_until_safe(order, *devices[0], say, first_tried.set))
+        await first_tried.wait()
+        for kind, device in devices[1:]:
+            tasks.create_task(_until_safe(order, kind, device, say, lambda: None))
+
+
+async def _until_safe(order: Order, kind: DeviceKind, device: Any, say: "_Log", tried: Callable[[], None]) -> None:
+    """Make one device safe, again and again for a minute; ``tried`` is called after the first time."""
     loop = asyncio.get_running_loop()
     began_s = loop.time()
-    left = list(devices)
-    while left:
-        for kind, device in tuple(left):
-            state = await _tried(kind.make_safe(device, time_scale=order.time_scale, unconfirmed=say))
-            after_s = (loop.time() - began_s) / order.time_scale
-            if not state.trouble:
-                say(f"{kind.made_safe}, {after_s:.2f} s after the death was detected")
-                left.remove((kind, device))
-            elif after_s > _GIVE_UP_S:
-                say(f"the guard gives up after {after_s:.0f} s: {state.trouble}")
-                left.remove((kind, device))
-            else:
-                say(f"{state.trouble}; the guard tries again")
-                with suppress(DeviceError, OSError):
-                    device.close()
-        if left:
-            await asyncio.sleep(_PAUSE_S * order.time_scale)
+    while True:
+        state = await _tried(kind.make_safe(device, time_scale=order.time_scale, unconfirmed=say))
+        tried()
+        after_s = (loop.time() - began_s) / order.time_scale
+        if not state.trouble:
+            done = kind.made_safe if state.seen else f"{kind.what} is left as it is: its driver has no make_safe"
+            say(f"{done}, {after_s:.2f} s after the death was detected")
+            return
+        if after_s > _GIVE_UP_S:
+            say(f"the guard gives up after {after_s:.0f} s: {state.trouble}")
+            return
+        say(f"{state.trouble}; the guard tries again")
+        with suppress(DeviceError, OSError):
+            device.close()
+        await asyncio.sleep(_PAUSE_S * order.time_scale)
 
 
 async def _tried(way: Coroutine[Any, Any, SafeState]) -> SafeState:

@@ -15,13 +15,13 @@ class WayOut:
         """``time_scale`` is how fast the clock runs; ``tell`` keeps what happens in the record."""
         self._open, self._time_scale, self._tell = opened, time_scale, tell
         self._done: set[str] = set()
+        self._troubles: list[str] = []
 
     async def go(self, *, untrue_readings: bool) -> list[str]:
-        """Make safe what is not yet; return what went wrong, in words.
+        """Make safe what is not yet; return what went wrong so far, in words.
 
         With ``untrue_readings`` nothing that the table says of its stop is believed.
         """
-        troubles = []
         for device in self._open.in_safe_order():
             if device.name in self._done:
                 continue
@@ -29,12 +29,12 @@ class WayOut:
             state = await self._made_safe(device, is_table=is_table, untrue_readings=is_table and untrue_readings)
             self._done.add(device.name)
             if state.trouble:
-                troubles.append(state.trouble)
+                self._troubles.append(state.trouble)
             if is_table and state.seen:
                 self._tell(EventKind.AT_REST, "table at rest")
             elif state.seen:
                 self._tell(EventKind.NOTE, f"{device.name}: {device.config.kind.made_safe}")
-        return troubles
+        return list(self._troubles)
 
     async def _made_safe(self, device: OpenDevice, *, is_table: bool, untrue_readings: bool) -> SafeState:
         """Make one device safe; what a driver of another kind raises does not keep those after it from their turn."""
