@@ -99,7 +99,7 @@ def test_what_is_wrong_with_a_description_is_told_before_anything_is_tried(
             "clock",
             "sample times do not always increase",
         ),
-        ("counted_imu", "ImuBlock(t_ns, arr", "ImuBlock(t_ns - 50_000_000, arr", "clock", "are [45]. ms too early"),
+        ("counted_imu", "t_ns=t_ns,", "t_ns=t_ns - 50_000_000,", "clock", "are [45]. ms too early"),
         ("counted_imu", "counts = self._clock.counts", "counts = SourceCounts()", "loss", "and 0 were counted as lost"),
         (
             "counted_imu",

@@ -711,7 +711,7 @@ def test_a_run_that_was_no_pass_is_exported_with_a_warning(record: Record, capsy
         file["calibration"].attrs["notes"] = ["x: bias b is not determined by this run"]
     text = export(path, "c").read_text(encoding="utf-8")
     said = capsys.readouterr().err
-    assert "no pass: FAIL k of gyro x" in said
+    assert "did not pass: FAIL k of gyro x" in said
     assert "1 note of the calibration: --details" in said
     path.with_suffix(".txt").unlink(missing_ok=True)
     assert main(["export", str(path), "--format", "c", "--details"]) == 0
