@@ -211,12 +211,17 @@ class Acquisition:
                     values = dict(zip(columns, row, strict=True))
                     self.writer.append_series(device.name, t_ns, values)
                     self.monitor.take_series(device.name, columns, values)
-                return
+                raise DeviceFault(device.name, "its driver ended its series in mid-run")
             except LinkLost as error:
                 if device in self._others:
                     await self._restore(device, error, opened)
                 else:
                     await asyncio.sleep(_LOOK_S * self._scale)
+            except DeviceError:
+                raise
+            except Exception as error:  # a driver from outside may raise anything
+                what = f"the series of its driver failed ({type(error).__name__}: {error})"
+                raise DeviceFault(device.name, what) from error
 
     async def acquire(self, imu: OpenImu) -> None:
         """Take in samples until cancelled; a lost link is opened again while nothing turns."""
