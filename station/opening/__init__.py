@@ -93,6 +93,15 @@ class OpenBench:
     devices: Mapping[str, OpenDevice] = field(default_factory=dict)
     """All of them by name: the table, those under test, others."""
 
+    def __post_init__(self) -> None:
+        """See that ``table`` is the table of ``devices``, by which it is made safe."""
+        name = self.bench.table.name
+        known = self.devices.get(name)
+        if known is None:
+            known = OpenDevice(self.bench.table, self.table, None)
+        others = {key: device for key, device in self.devices.items() if key != name}
+        object.__setattr__(self, "devices", {name: replace(known, driver=self.table), **others})
+
     @property
     def others(self) -> tuple[OpenDevice, ...]:
         """The devices of kinds beside the table and the devices under test."""

@@ -129,13 +129,13 @@ def test_a_skewed_triad_is_refused_by_name() -> None:
     p, j = np.eye(3), np.roll(np.eye(3), 1, axis=1)
     k = np.cross(p, j)
     j[2] = [0.98, 0, 0.199]
-    with pytest.raises(GeometryError, match=r"p, j, k of gyro3 are not orthonormal \(off by 0.199\)"):
+    with pytest.raises(GeometryError, match=r"p, j, k of gyro3 are not orthonormal \(error 0.199\)"):
         sensor_array(p, j, k)
 
 
 def test_the_misprinted_triads_are_refused_unless_taken_as_printed() -> None:
     printed = tetrahedron_as_printed()
-    with pytest.raises(GeometryError, match=r"of gyro3 are not orthonormal \(off by 0.629\)"):
+    with pytest.raises(GeometryError, match=r"of gyro3 are not orthonormal \(error 0.629\)"):
         sensor_array(printed.p, printed.j, printed.k)
     taken = sensor_array(printed.p, printed.j, printed.k, as_printed=True)
     np.testing.assert_array_equal(taken.j, printed.j)

@@ -315,7 +315,7 @@ def test_a_delay_is_given_apart() -> None:
 def test_gyros_in_a_plane_and_samples_without_temperature_are_refused() -> None:
     gyros, model = calibrated(triad(), {"thermal_bias": (1e-4,)})
     found = Compensation.of(gyros, {"imu": triad()}, model.text())
-    with pytest.raises(CompensationError, match="without temperature"):
+    with pytest.raises(CompensationError, match="needs temperature"):
         compensate(found, np.zeros((2, 3)), np.arange(2.0))
     with pytest.raises(CompensationError, match="do not span"):
         _ = Compensation.of(gyros[:2], {"imu": triad()}, model.text()).solution

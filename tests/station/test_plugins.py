@@ -138,7 +138,7 @@ def alone(here: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_no_example_is_longer_than_a_page_or_three() -> None:
     lengths = {path.name: len(path.read_text().splitlines()) for path in EXAMPLES.glob("*.py")}
-    assert len(lengths) == 5
+    assert len(lengths) == 6
     assert max(lengths.values()) <= 150
     assert lengths["wait_for.py"] <= 60
 
@@ -195,7 +195,7 @@ def test_a_plan_and_the_screen_show_a_step_whose_duration_is_not_known(
     shown = " ".join(capsys.readouterr().out.split())
     assert "waits: 26 to 50 s (0:26 to 0:50 min), 3 steps" in shown
     assert re.search("_~+_", shown)
-    assert "within 5 degC: 6 to 30 s. What follows is predicted for the shortest run." in shown
+    assert "within 5 degC: 6 to 30 s. The prediction is for the shortest run." in shown
 
     prospect = look_ahead(Choices(bench="bench.toml", script="waits.toml"))
     assert "Script waits: 0:26 to 0:50 min" in templated("plan.rich", {"prospect": prospect, "plan": None}).plain
@@ -498,7 +498,7 @@ def test_a_record_under_another_name_than_its_own_is_refused(
     assert main(ASKED["tables"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "mine" in line
-    assert "calls itself galil" in line
+    assert "it is called galil" in line
 
 
 def test_a_device_that_is_broken_does_not_keep_others_from_being_chosen(
