@@ -230,7 +230,7 @@ def test_files_that_cannot_be_read_cost_themselves_only(tmp_path: Path, capsys: 
     assert refused[:3] == [
         "refused empty.bin: is empty",
         "refused absent.bin: cannot be read: No such file or directory",
-        "refused noise.bin: holds no message of xbus: check [file]",
+        "refused noise.bin: holds no message of xbus. Check [file]",
     ]
     assert refused[3].endswith("cannot be read: Is a directory")
     as_json = ["import", str(tmp_path / "mapping.toml"), *map(str, files), "-o", str(tmp_path / "b.h5"), "--json"]
@@ -305,4 +305,4 @@ def test_what_is_no_data_record_says_so(tmp_path: Path, capsys: pytest.CaptureFi
     assert (
         main(["import", str(tmp_path / "mapping.toml"), str(tmp_path / "log.csv"), "-o", str(tmp_path / "o.h5")]) == 2
     )
-    assert "table.bin holds no message of galil: check [file]" in " ".join(capsys.readouterr().err.split())
+    assert "table.bin holds no message of galil. Check [file]" in " ".join(capsys.readouterr().err.split())

@@ -201,7 +201,7 @@ def test_instruments_state_the_chain_of_their_certificates(tmp_path: Path) -> No
     )
     one = read_formal(recorded(tmp_path), written(tmp_path, chain.format(due="2027-01-15"))).equipment[0]
     assert (one.laboratory, one.calibrated, one.uncertainty) == ("PTB", date(2026, 1, 15), "2 ppm (k = 2)")
-    with pytest.raises(UsageError, match="rate table was calibrated on 2026-01-15but was due before that"):
+    with pytest.raises(UsageError, match="rate table was calibrated on 2026-01-15 but was due before that"):
         read_formal(recorded(tmp_path), written(tmp_path, chain.format(due="2025-01-15")))
     later = chain.format(due="2028-01-15").replace("2026-01-15", "2026-08-01")
     with pytest.raises(UsageError, match="calibrated on 2026-08-01, after this measurement of 2026-05-01"):

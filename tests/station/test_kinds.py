@@ -145,7 +145,7 @@ def test_a_link_that_is_lost_before_the_script_is_opened_again(place: Path) -> N
     with h5py.File("run.h5") as file:
         events = list(file["events/text"].asstr()[()])
         assert file["device/chamber"].attrs["link_opened"] == 2
-    reopened = [text for text in events if text.startswith("chamber: open again after")]
+    reopened = [text for text in events if text.startswith("chamber: reopened after")]
     assert len(reopened) == 1
     assert events.index(reopened[0]) < events.index("script begins")
 
@@ -287,8 +287,8 @@ def test_init_asks_for_the_devices_of_an_installed_kind(place: Path) -> None:
 @pytest.mark.parametrize(
     ("more", "told"),
     [
-        (CHAMBER, "'chamber' is the name of something else"),
-        (CHAMBER + 'name = "array"\n', "'array' is the name of something else"),
+        (CHAMBER, "'chamber' is already used as a name"),
+        (CHAMBER + 'name = "array"\n', "'array' is already used as a name"),
         (CHAMBER + 'name = "a/b"\n', "begin with a letter"),
         (CHAMBER + 'name = "two"\nwithin = -1\n', "within: must be above zero"),
         (CHAMBER.replace("espec", "espek") + 'name = "two"\n', "'espek' is not one of espec"),

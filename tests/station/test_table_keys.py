@@ -206,7 +206,7 @@ def test_another_link_of_the_table_is_that_of_all_its_axes(tmp_path: Path) -> No
         ("galil_xsens", axis("x", 'error_limit = "0 deg"'), "table.x.error_limit: must be above zero"),
         ("galil_xsens", axis("x", 'link = "tcp://10.0.0.1"'), "table.x.link: unknown key"),
         ("two_triads", axis("x", 'error_limit = "1 deg"'), "table.x.error_limit: unknown key"),
-        ("two_triads", axis("x", 'link = "tcp://10.0.0.1:502"'), "table.link: must be given, too"),
+        ("two_triads", axis("x", 'link = "tcp://10.0.0.1:502"'), "table.link: must also be given"),
         ("two_triads", ("[table]\n", '[table]\nvelocity_window = "1 s"\n'), "table.velocity_window: unknown key"),
         ("two_triads", ("[table]\n", "[table]\nfault_mask = 1\n"), "table.fault_mask: unknown key"),
         ("galil_xsens", ('"galil"', '"galil"\nvelocity_window = "0 s"'), "table.velocity_window: must be above zero"),

@@ -110,7 +110,7 @@ def test_what_too_few_runs_do_not_tell_is_said(
     assert json.loads(history(capsys, folder, "--gauge", "--serial", "SN-0001", "--json"))["gauge"][0]["study"] is None
     assert "no run" in history(capsys, folder, "--gauge", "--serial", "SN-9999")
     write_run(folder, runs, 0.0, device_serial="SN-0001", station="bench 0", operator="")
-    assert "no operator" in history(capsys, folder, "--gauge")
+    assert "without a stated operator" in history(capsys, folder, "--gauge")
 
 
 def test_a_study_is_no_line_of_a_file_each(studied: tuple[Path, Any], capsys: pytest.CaptureFixture[str]) -> None:
