@@ -55,7 +55,7 @@ def read_recording(path: Path | str, *, trusted: bool = False) -> Recording:
     """
     path = Path(path)
     if path.is_dir():
-        raise RecordingError(f"{path} is a folder, not a recording. Give the file")
+        raise RecordingError(f"{path} is not a file but a folder. Give a recording in it")
     if not trusted:
         recover(path)
         probe(path)
