@@ -20,7 +20,6 @@ from typing import Any
 
 import serial  # noqa: F401  a serial link imports it when it is opened, which would be late
 
-from drivers.errors import DeviceError
 from drivers.kind import DeviceKind, SafeState
 from drivers.links.lock import check_own, inherited
 from drivers.recipe import unpacked_device
@@ -176,7 +175,7 @@ async def _until_safe(order: Order, kind: DeviceKind, device: Any, say: "_Log", 
     loop = asyncio.get_running_loop()
     began_s = loop.time()
     while True:
-        state = await _tried(kind.make_safe(device, time_scale=order.time_scale, unconfirmed=say))
+        state = await _tried(partial(kind.make_safe, device, time_scale=order.time_scale, unconfirmed=say))
         tried()
         after_s = (loop.time() - began_s) / order.time_scale
         if not state.trouble:
@@ -187,14 +186,14 @@ async def _until_safe(order: Order, kind: DeviceKind, device: Any, say: "_Log", 
             say(f"the guard gives up after {after_s:.0f} s: {state.trouble}")
             return
         say(f"{state.trouble}; the guard tries again")
-        with suppress(DeviceError, OSError):
+        with suppress(Exception):  # of one device that cannot be closed the others know nothing
             device.close()
         await asyncio.sleep(_PAUSE_S * order.time_scale)
 
 
-async def _tried(way: Coroutine[Any, Any, SafeState]) -> SafeState:
+async def _tried(way: Callable[[], Coroutine[Any, Any, SafeState]]) -> SafeState:
     try:
-        return await way
+        return await way()
     except Exception as error:  # a driver from outside may raise anything: there is nobody else to make it safe
         return SafeState(trouble=f"defect of the driver ({type(error).__name__}: {error})", seen=False)
 
