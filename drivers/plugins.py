@@ -54,14 +54,15 @@ def load_file(path: Path) -> ModuleType:
 
     A bench and its script bring the same file: the records of both have to be the same objects.
     """
-    with suppress(OSError):  # what is not there is told below
+    text: bytes | None = None
+    with suppress(OSError):  # what is not there, or cannot be read, is told below
         if not stat.S_ISREG(path.stat().st_mode):
             raise PluginError(f"plug-in {path}: it is a pipe, a folder or a device, not a Python file")
-    text = path.read_bytes() if path.is_file() else b""
+        text = path.read_bytes()
     name = f"station_plugin_{path.stem}_{sha256(str(path.absolute()).encode()).hexdigest()[:8]}"
 
     known = sys.modules.get(name)
-    if known is not None and getattr(known, _SOURCE, None) == text:
+    if known is not None and text is not None and getattr(known, _SOURCE, None) == text:
         return known
 
     def run() -> ModuleType:
