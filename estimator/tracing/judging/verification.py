@@ -171,19 +171,22 @@ def with_structure(
     Draws that are further off than phases show are the less likely.
     """
     wanders = _open_share(0)  # of all gyros alike
-    drawn = {}
-    for name, own in errors.items():
-        (_, most), doubt = _structure(runs, first, models[-1], (models[-1], noise), name, 1)
+    shapes = {name: _shapes(runs, first, models[-1], (models[-1], noise), name) for name in errors}
+    drawn = dict(errors)
+    seen = [name for name in errors if shapes[name]]
+    for name in seen:
+        own = errors[name]
+        (_, most), doubt = _structure(shapes[name], 1)
         chosen = _by_chance(-0.5 * (np.maximum(own.after - most, 0.0) / doubt) ** 2)
         drawn[name] = own.chosen(chosen)
     # Of means little is expected by chance, so little shows; what is within phases has to be larger.
     for orders, odds in _LACKS:
         shown = {}
-        for name in errors:
-            (least, most), doubt = _structure(runs, first, models[-1], (models[-1], noise), name, orders)
+        for name in seen:
+            (least, most), doubt = _structure(shapes[name], orders)
             shown[name] = wanders * least + (1 - wanders) * most - drawn[name].after, doubt
         lacking = _lacking(shown, odds)
-        drawn = {name: own.more_by(lacking[name]) for name, own in drawn.items()}
+        drawn |= {name: drawn[name].more_by(lacking[name]) for name in seen}
     return drawn
 
 
@@ -227,16 +230,16 @@ def _by_chance(log_likely: Floats) -> NDArray[np.intp]:
     return np.searchsorted(upto, (np.arange(len(share)) + 0.5) / len(share)).astype(np.intp)
 
 
-def _structure(
-    runs: Sequence[Run], first: int, model: Augmented, noises: Sequence[Augmented], name: str, orders: int
-) -> tuple[list[float], float]:
-    """Return what the phases of a gyro show beyond noise, squared and summed over blocks, and its doubt.
+def _shapes(
+    runs: Sequence[Run], first: int, model: Augmented, noises: Sequence[Augmented], name: str
+) -> list[tuple[Floats, Floats]]:
+    """Return by phase of a gyro the squares of its first cosines (k,), the mean first, and what noise makes of them.
 
-    There is one sum for the noise of each of ``noises``. In each phase the mean counts, and so many ``orders`` of
-    cosines, the mean included, as its shape.
+    The latter (noises, k) are expected of the noise of each of ``noises``.
     """
-    sums, variance = np.zeros(len(noises)), 0.0
+    most = max(orders for orders, _ in _LACKS)
     sigma_rps = float(model.arw[model.names.index(name)])
+    found = []
     for number, run, i in with_gyro(runs, name):
         rest = run.z_rps[:, i] - model.predict(run, first + number, i)[0]
         white = sigma_rps / np.sqrt(run.length_s)
@@ -245,12 +248,23 @@ def _structure(
             kept = rest[phase.blocks][run.weight[phase.blocks] > 0]
             if not len(kept):
                 continue
-            shape = cosines(kept)[:orders] ** 2
             stretch = Stretch.of(0, slice(0, len(kept)), run.length_s, True)
-            expected = np.array([white**2 * shape_of(noise, stretch, span_s)[:orders] for noise in noises])
-            beyond = shape - expected
-            sums += beyond.sum(axis=1)
-            variance += float(np.sum(2 * expected[0] ** 2 + 4 * expected[0] * np.maximum(beyond[0], 0.0)))
+            expected = np.array([white**2 * shape_of(noise, stretch, span_s)[:most] for noise in noises])
+            found.append((cosines(kept)[:most] ** 2, expected))
+    return found
+
+
+def _structure(shapes: Sequence[tuple[Floats, Floats]], orders: int) -> tuple[list[float], float]:
+    """Return what phases show beyond noise, squared and summed over blocks, and its doubt.
+
+    There is one sum for each noise. In each phase so many ``orders`` of its ``shapes`` count.
+    """
+    sums, variance = np.zeros(len(shapes[0][1])), 0.0
+    for squares, noise in shapes:
+        expected = noise[:, :orders]
+        beyond = squares[:orders] - expected
+        sums += beyond.sum(axis=1)
+        variance += float(np.sum(2 * expected[0] ** 2 + 4 * expected[0] * np.maximum(beyond[0], 0.0)))
     return sums.tolist(), float(np.sqrt(variance))
 
 
