@@ -48,40 +48,31 @@ class Beside:
         """Return that of a source in order of time; ``line`` is how it follows the reference."""
         t_s, outputs = _thinned(data)
         m = len(data.array)
-        table = isinstance(reference, TableReadings)
-        unknown = np.full(outputs.shape, np.nan)
+        limits: Sequence[Sequence[Limit]]
         if line is None:
+            expected = np.full(outputs.shape, np.nan)
+            scatter = slopes = np.full(m, np.inf)
+            turned_rps = _turned(data, reference)
             limits = limits_by_turns(data, reference) if isinstance(reference, Turns) else [[] for _ in range(m)]
-            unlike = np.full(m, np.inf)
-            return cls(
-                t_s=t_s,
-                outputs=outputs,
-                expected=unknown,
-                scatter_rps=unlike,
-                turned_rps=_turned(data, reference),
-                slopes=unlike,
-                line=None,
-                limits=limits,
-                table=table,
-            )
-        expected = line.expected_rps(t_s)
-        left = np.abs(outputs - expected)
-        scatter = np.array([SD_OF_MEDIAN * _median(own) for own in left.T])
-        scatter = np.maximum(scatter, 1e-9)
-        turned = line.turned.rates(t_s - line.delay_s) @ data.array.p.T
-        known = np.isfinite(turned).all(axis=1)
-        rms = np.sqrt(np.mean(turned[known] ** 2, axis=0)) if known.any() else np.zeros(m)
-        limits = [limits_of(*each) for each in zip(outputs.T, expected.T, scatter.tolist(), strict=True)]
+        else:
+            expected = line.expected_rps(t_s)
+            left = np.abs(outputs - expected)
+            scatter = np.maximum([SD_OF_MEDIAN * _median(own) for own in left.T], 1e-9)
+            turned = line.turned.rates(t_s - line.delay_s) @ data.array.p.T
+            known = np.isfinite(turned).all(axis=1)
+            turned_rps = np.sqrt(np.mean(turned[known] ** 2, axis=0)) if known.any() else np.zeros(m)
+            slopes = _slopes(outputs, turned)
+            limits = [limits_of(*each) for each in zip(outputs.T, expected.T, scatter.tolist(), strict=True)]
         return cls(
             t_s=t_s,
             outputs=outputs,
             expected=expected,
             scatter_rps=scatter,
-            turned_rps=rms,
-            slopes=_slopes(outputs, turned),
+            turned_rps=turned_rps,
+            slopes=slopes,
             line=line,
             limits=limits,
-            table=table,
+            table=isinstance(reference, TableReadings),
         )
 
     def turns(self, gyro: int) -> bool:
