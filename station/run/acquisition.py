@@ -174,16 +174,13 @@ class Acquisition:
         """
         for device in self._others:
             self.monitor.phase = Phase.PREPARING
-            ready = False
-            for last in (*(False,) * _LOST_WHILE_READIED, True):
-                if ready:
-                    break
+            for lost in range(_LOST_WHILE_READIED + 1):
                 opened = self._reopening.times.get(device.name, 0)
                 try:
                     await device.config.kind.ready(device.driver, device.config.settings)
-                    ready = True
+                    break
                 except LinkLost as error:
-                    if last:
+                    if lost == _LOST_WHILE_READIED:
                         raise
                     await self._restore(device, error, opened)
         return bool(self._others)
