@@ -150,7 +150,8 @@ def _outputs(arguments: argparse.Namespace) -> tuple[Path, Path | None, Path | N
         raise UsageError("--sign KEY.pem goes with --certificate CERTIFICATE.pem and --dcc")
     if arguments.output is None:
         wanted = [".pdf"] * arguments.pdf + [".xml"] * arguments.dcc
-        html = free_path(Path(arguments.recording).with_suffix(".html"), beside=wanted)
+        recording = Path(arguments.recording)  # that a folder is none is told when it is read
+        html = free_path(recording.parent / f"{recording.stem}.html", beside=wanted)
         pdf = html.with_suffix(".pdf") if arguments.pdf else None
     else:
         named = Path(arguments.output)
