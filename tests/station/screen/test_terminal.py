@@ -105,8 +105,7 @@ def test_a_result_has_one_figure_a_state_its_unit_and_its_limit_as_written(place
     with Terminal(command("ui", "--folder", "recordings"), 200, 60, variables=variables) as terminal:
         terminal.press("f5")
         terminal.wait_for("1 recordings in")
-        in_history = terminal.wait_for("limit ±0.5 deg/s")
-        assert "sigma_j (mrad)" in in_history
+        terminal.wait_for(lambda text: "limit ±0.5 deg/s" in text and "sigma_j (mrad)" in text)
         terminal.press("enter")
         text = terminal.wait_for(lambda text: "States and their sigmas" in text and text.count("limit ±") == 4)
     for words in ("limit ±10000 ", "limit ±0.5 deg/s ", "limit ±0.5 deg "):
