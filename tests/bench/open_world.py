@@ -1,7 +1,7 @@
 """Effects that are not in the catalogue: what station investigate says of them, judged by the truth.
 
 python tests/bench/open_world.py                           development half, sizes 1 and 0.3
-python tests/bench/open_world.py --half fresh              ten newer kinds
+python tests/bench/open_world.py --half fresh              ten newer kinds; third: six more
 python tests/bench/open_world.py --half all --kinds rate_sign chirp --sizes 1 --seeds 2
 python tests/bench/open_world.py --half sealed             once, at the end; so is fresh-sealed
 python tests/bench/open_world.py --half fresh-sealed --oracle    whether the scripts show them: no investigation
