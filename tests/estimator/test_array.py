@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from paper_study.text import tetrahedron_as_printed
 
 from estimator.errors import GeometryError
 from estimator.geometry.array import (
@@ -18,6 +17,7 @@ from estimator.geometry.array import (
     triad,
 )
 from sims.physics.geometry import MOUNTS_DEG, mounted
+from station.studies.published import tetrahedron_as_printed
 
 READY_MADE: list[Callable[[], SensorArray]] = [
     triad,

@@ -2,28 +2,31 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
-from baselines import (
-    BaselineEstimate,
-    augmented_observation,
-    direct_observation,
-    least_squares,
-    rotation_script,
-    run_study,
-    six_position,
-    static_script,
-    table_rates,
-    unseen_directions,
-)
-from paper_study.filter import bound, covariance_filter
-from paper_study.text import tetrahedron_as_printed
 
 from estimator.errors import EstimatorError
 from estimator.estimation.gram import Gram, solve
 from estimator.geometry.array import SensorArray, cone, tetrahedron
 from estimator.geometry.model import Prior, decode, predicted_output, regressor_maps
 from estimator.observations.rows import Observations
+from station.campaigns.campaigns import Failure
+from station.cli import main
+from station.studies.baselines import METHODS, BaselineStudy, MethodSummary, rotation_script, static_script
+from station.studies.baselines_results import print_baselines
+from station.studies.methods import (
+    BaselineEstimate,
+    augmented_observation,
+    direct_observation,
+    least_squares,
+    six_position,
+    table_rates,
+    unseen_directions,
+)
+from station.studies.paper_filter import bound, covariance_filter
+from station.studies.published import tetrahedron_as_printed
 
 DEG = np.pi / 180
 NOISE_RPS = 0.05 * DEG
@@ -153,17 +156,43 @@ def test_the_bound_is_the_sigma_of_the_batch_estimate_in_white_noise_and_grows_w
     assert (wandering > white).all()
 
 
-def test_methods_agree_where_they_must_and_are_silent_where_they_should() -> None:
-    compared = run_study(1)
-    static, rotating, direct, augmented, squares, kalman, ours = compared.methods
-    assert np.isnan(direct.rms).all()
-    assert len(compared.unseen) == 4
-    assert static.rms[1] > 2e4  # ppm of k, where 5000 is the set value
-    assert rotating.rms[1] < 200
-    np.testing.assert_allclose(augmented.rms, squares.rms, rtol=1e-6)
-    np.testing.assert_allclose(kalman.rms, squares.rms, rtol=0.01)
-    assert (ours.rms < 3 * ours.stated).all()
-    assert kalman.operations_a_sample > 100 * ours.operations_a_sample
+def test_methods_agree_where_they_must_and_are_silent_where_they_should(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["study", "baselines", "--seeds", "1", "--jobs", "1", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    static, rotating, direct, augmented, squares, kalman, ours = found["methods"]
+    assert direct["rms_error"] == [None] * 4
+    assert len(found["unseen_by_table_rates"]) == 4
+    assert static["rms_error"][1] > 2e4  # ppm of k, where 5000 is the set value
+    assert rotating["rms_error"][1] < 200
+    np.testing.assert_allclose(augmented["rms_error"], squares["rms_error"], rtol=1e-6)
+    np.testing.assert_allclose(kalman["rms_error"], squares["rms_error"], rtol=0.01)
+    assert (np.array(ours["rms_error"]) < 3 * np.array(ours["rms_stated_sigma"])).all()
+    assert kalman["operations_a_sample"] > 100 * ours["operations_a_sample"]
+    assert found["failed"] == []
+
+
+def test_the_table_of_methods_shows_errors_sigmas_and_cost_and_what_is_not_seen(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    methods = [
+        MethodSummary(
+            name=name,
+            rms=np.array([4e-4, 20.0 + number, 1e-3, 1e-3]) if number != 2 else np.full(4, np.nan),
+            stated=np.array([2e-4, 20.0, 1e-3, 1e-3]),
+            seconds=0.012,
+            operations_a_sample=100.0,
+        )
+        for number, (name, *_) in enumerate(METHODS)
+    ]
+    failed = (Failure("7", "out of memory"),)
+    print_baselines(BaselineStudy(methods=tuple(methods), unseen=("biases: +0.50 b1",), seeds=19, failures=failed))
+    printed = capsys.readouterr().out
+    assert "over 19 seeds" in printed
+    assert printed.count("not seen") == 8
+    assert "k within 21 to 26 ppm" in " ".join(printed.split())
+    assert "2.00" in printed
+    assert "biases: +0.50 b1" not in printed
+    assert max(len(line) for line in printed.splitlines()) <= 120
 
 
 def test_the_scripts_of_the_six_positions_take_as_long_as_the_papers() -> None:

@@ -1,4 +1,4 @@
-"""The paper's own filter, for comparison on the same data, and the bound that none can beat.
+"""The paper's own filter, for comparison on the same data, and the Cramer-Rao bound.
 
 ``w`` is the body rate (rows, 3), ``y`` the outputs (rows, n), both in rad/s. Operations are counted from the
 dimensions, one multiplication, addition or division each.
@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.types import Floats
 from estimator.geometry.array import SensorArray
 from estimator.geometry.model import Prior, decode, regressor_maps
-from estimator.types import Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,7 +88,8 @@ def bound(
 
 def _filter_operations(states: int, outputs: int) -> int:
     """Return the operations of one dense update in Joseph form, as the equations stand."""
-    x, z = states, outputs
+    x = states
+    z = outputs
     innovation = 2 * z * x + 2 * z * x * x + 2 * z * z * x  # y = z - H x, H P, (H P) H' + R
     gain = 2 * z**3 + 2 * x * x * z + 2 * x * z * z + 2 * x * z  # S^-1, P H', K, x + K y
     joseph = 2 * x * x * z + 4 * x**3 + 2 * x * z * z + 2 * x * x * z  # I - K H, (I - K H) P (I - K H)', K R K'

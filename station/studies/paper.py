@@ -1,4 +1,4 @@
-"""The paper's experiment run again: to the letter of its statement, and by this station's own default.
+"""The paper's experiment run again: to the letter of its statement, and with this station's script and estimator.
 
 To the letter means: its printed axes, body rates of exactly 20 deg/s about x, y, z for 75 s each without ramps,
 the output of its eq. 6, its linear model, its filter on every sample with P0 = I and R = 1e-3 I in its own units, and
@@ -28,8 +28,12 @@ from estimator.observations.rows import BLOCK_S, block_rows, observations
 from estimator.recordings.recording import Recording
 from estimator.recordings.reference import RateReadings
 from estimator.recordings.writing import write_recording, write_results
-from paper_study.filter import FilterRun, bound, covariance_filter
-from paper_study.text import (
+from station.campaigns.campaigns import Failure, run_all
+from station.errors import UsageError
+from station.opening.simulate import DeviceTruth, simulate
+from station.scripts.script import Rest, Rotate, Script, paper_script
+from station.studies.paper_filter import FilterRun, bound, covariance_filter
+from station.studies.published import (
     LATITUDE_DEG,
     NOISE_DPH,
     RATE_DPS,
@@ -40,10 +44,6 @@ from paper_study.text import (
     tetrahedron_as_printed,
     to_si,
 )
-from station.campaigns.campaigns import Failure, run_all
-from station.errors import UsageError
-from station.opening.simulate import DeviceTruth, simulate
-from station.scripts.script import Rest, Rotate, Script, paper_script
 
 SOURCE = "array"
 HEADINGS_DEG = tuple(range(0, 360, 30))
@@ -96,14 +96,17 @@ class Curve:
     sd: Floats
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PaperStudy:
-    """Everything the study found. Errors are (n, 4), shares (4,) in percent, in the paper's units and order.
+    """All results of the study. Errors are (n, 4), shares (4,) in percent, in the paper's units and order.
 
-    ``headings`` are runs to the letter with Earth rate in the data, by heading in degrees. ``letter`` is how the
-    paper's filter converges on ``clean``, ``filter_apart_sd`` how far it ends from its batch form, in its own sigmas.
-    ``mems_percent`` is the mean relative error over ``seeds`` runs, ``mems_bound_percent`` that of an efficient
-    estimator.
+    ``clean`` and ``noise_free`` are runs to the letter without Earth rate, with the paper's noise and with none;
+    ``headings`` are runs with Earth rate in the data, by heading in degrees. ``letter`` is the convergence of the
+    paper's filter on the run of ``clean``; ``filter_apart_sd`` is the largest difference between its end and the batch
+    form of the same estimate, in the filter's sigmas. ``ours`` are the errors of this station at the paper's noise.
+    ``mems_percent`` is its mean relative error over ``seeds`` runs at the noise of MEMS gyros, ``mems_bound_percent``
+    that of an estimator that reaches the Cramer-Rao bound. ``bias_bound_dps`` is the bound of a bias at the paper's
+    noise. ``failures`` are the seeds that raised an error.
     """
 
     clean: LetterErrors
@@ -120,18 +123,20 @@ class PaperStudy:
 
 
 def run_study(seeds: int, **where: Any) -> PaperStudy:
-    """Run all cases, and our default over this many seeds. ``where`` is that of ``run_all``: scheduler, workers, quiet.
+    """Run every case to the letter, and this station over this many seeds.
 
-    Raises UsageError if there is nothing to put into one of the tables.
+    ``where`` goes to ``run_all``: scheduler, workers, quiet.
+
+    Raises UsageError if a case to the letter fails, or every seed.
     """
     cases = [Letter(None), Letter(None, noisy=False), *(Letter(heading) for heading in HEADINGS_DEG)]
-    letters, failed_letters = run_all(letter_states, cases, label="to the letter", **where)
+    letters, failed_letters = run_all(letter_states, cases, label="the paper's runs", **where)
     states = [x for x in letters if x is not None]
-    ours, failed_seeds = run_all(partial(our_errors, MEMS_NOISE), range(seeds), label="our default", **where)
+    ours, failed_seeds = run_all(partial(our_errors, MEMS_NOISE), range(seeds), label="this station", **where)
     errors = [e for e in ours if e is not None]
     if failed_letters or not errors:
         worst = (*failed_letters, *failed_seeds)[0]
-        raise UsageError(f"the study came to nothing: {worst.item}: {worst.reason}")
+        raise UsageError(f"the study has no result: {worst.item}: {worst.reason}")
     recording = letter_recording(cases[0])
     run = letter_filter(recording)
     filter_sd = np.sqrt(np.diagonal(run.covariance, axis1=2, axis2=3))

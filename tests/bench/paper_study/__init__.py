@@ -1,1 +1,0 @@
-"""The paper's experiment run again, its filter, what it prints, and what it says against itself."""
