@@ -22,7 +22,10 @@ LONG_MODULES = {  # for the same reason, by a few lines
     "estimator/importing/importing.py",
     "station/run/session.py",
 }
-WIDE_FOLDERS = {"station/commands"}  # one module for each command
+WIDE_FOLDERS = {
+    "station/commands",  # one module for each command
+    "station/run",  # one module for each part of a run, none of which makes sense without the session
+}
 
 
 def modules() -> Iterator[Path]:
