@@ -26,7 +26,7 @@ from station.exports import GROUP as EXPORTS
 from station.render.lines import tell
 
 _NO_ROOM = ("can't start new thread", "failed to map segment")
-_MODULES = {"run": "station.commands.common", "twin": "station.commands.common", "import": "station.commands.importing"}
+_MODULES = {"import": "station.commands.importing"}
 """Where the function of a command is, if not in a module of its name: ``command_NAME(arguments) -> exit code``."""
 
 _TYPED: dict[str, Any] = packaged_toml("station.commands", "commands.toml")

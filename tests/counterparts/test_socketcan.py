@@ -27,7 +27,8 @@ import guest as machine  # noqa: E402
 pytestmark = pytest.mark.timeout(900)
 MODULES = [
     "station.cli",
-    "station.commands.common",
+    "station.commands.run",
+    "station.commands.twin",
     "station.opening.serving",
     "station.run.session",
     "h5py",

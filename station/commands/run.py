@@ -1,0 +1,115 @@
+"""station run: a script on a bench, or motions by hand, into a recording with its calibration."""
+
+import argparse
+import asyncio
+import json
+import sys
+from contextlib import nullcontext, suppress
+from pathlib import Path
+
+from drivers.errors import DeviceError
+from estimator.calibration.error_model import ErrorModel
+from estimator.errors import MISSHAPEN, EstimatorError
+from estimator.untrusted import harmless
+from station.atomic_write import check_new_recording, new_recording
+from station.bench.bench import Bench
+from station.commands.common import chosen_bench, clock, drive, run_object
+from station.computer.facilities import peer_note
+from station.errors import UsageError, sentence
+from station.remote.after_run import tell_program
+from station.remote.hosting import Host
+from station.render.lines import tell
+from station.render.printing import print_result, refuse
+from station.render.terminal import print_rendered, stdout
+from station.run.early_end import check_early_end
+from station.run.event_loop.detached_output import lasting_streams
+from station.run.event_loop.loops import run_to_end
+from station.run.event_loop.signals import ignore_hang_up
+from station.run.outcome import Outcome
+from station.run.session import RunOptions
+from station.scripts.script import Script, check, load_script, paper_script
+
+
+def command_run(arguments: argparse.Namespace) -> int:
+    """Run a script on a bench, or words; a hosted run goes on when its terminal is gone."""
+    arguments.host |= arguments.manual
+    if arguments.host:
+        ignore_hang_up()
+    with lasting_streams() if arguments.host else nullcontext():
+        return _run(arguments)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    try:
+        bench = chosen_bench(arguments)
+        operator = bench.checked_operator(arguments.operator) if arguments.operator is not None else ""
+        serial = bench.checked_serial(arguments.serial_number) if arguments.serial_number is not None else ""
+        if arguments.manual and (arguments.script or arguments.end_early or arguments.model):
+            raise UsageError(sentence("run.manual_alone"))
+        script = Script("manual", ()) if arguments.manual else paper_script()
+        script = load_script(Path(arguments.script), bench.plugin_files) if arguments.script else script
+        script = check(script, bench.table.limits)
+        if arguments.end_early:
+            check_early_end(bench)
+        model = _model_of(arguments, bench)
+        path = Path(arguments.output) if arguments.output else new_recording(Path("recordings"))
+        check_new_recording(path)
+        scale = arguments.scale or (1.0 if arguments.host else None)  # virtual time has no sockets
+        host = Host(scale or 1.0) if arguments.host else None
+        if host is not None and (note := peer_note()):
+            tell(f"note: {note}", sys.stderr)
+        options = RunOptions(
+            reset_fault=arguments.reset_fault,
+            end_early=arguments.end_early,
+            model=model,
+            operator=operator,
+            device_serial=serial,
+            serial_reason=arguments.serial_reason or "",
+            outlives_terminal=host is not None,
+            time_scale=scale or 1.0,
+            manual=arguments.manual,
+        )
+        with clock(bench, scale) as runner:
+            result = run_to_end(runner, drive(bench, script, path, options, arguments.json, host, arguments.bench))
+    except (UsageError, EstimatorError) as error:
+        return refuse(str(error), arguments.json)
+    except DeviceError as error:
+        return refuse(str(error), arguments.json, Outcome.FAULT)
+    for note in result.notes:
+        tell(f"note: {harmless(note)}", sys.stderr)
+    if arguments.json:
+        print(json.dumps(run_object(result)))
+    else:
+        if result.ended_early:
+            print(f"ended early {result.ended_early}")
+        found = result.verdict, result.calibration, result.recording
+        print_result(*found, bench.units, details=arguments.details, sources=result.sources)
+        if serial and host is None and result.calibration is not None:
+            from station.screen.archive.archive import moved
+
+            with suppress(*MISSHAPEN, KeyboardInterrupt):  # the run has ended, whatever becomes of this
+                print_rendered(stdout(), "station.render", "moved.rich", {"moves": asyncio.run(moved(path))})
+    if bench.after_run:
+        sys.stdout.flush()  # the result is told by then, however long the program takes
+        told = {"bench": bench.station, "script": script.name, "operator": operator, "serial_number": serial}
+        if sys.stderr.isatty():
+            tell(f"after_run: {bench.after_run[0]} receives the result", sys.stderr)
+        problem = tell_program(bench.after_run, {**run_object(result), **told})
+        if problem:
+            tell(f"note: after_run: {problem}; the result is in {path}", sys.stderr)
+    return result.verdict.outcome.exit_code
+
+
+def _model_of(arguments: argparse.Namespace, bench: Bench) -> ErrorModel | None:
+    """Return the error model that is to be begun with, seen to fit the bench before anything moves."""
+    if arguments.model is None:
+        return None
+    model = ErrorModel.read(Path(arguments.model))
+    if arguments.end_early:
+        raise UsageError(sentence("run.end_early_model"))
+    model.made(bench.table.gimbals, frozenset({"gimbals", "specific force", "temperature"}))
+    if model.needs_temperature:
+        for imu in bench.imus:
+            if imu.used and not imu.knows_temperature:
+                raise UsageError(sentence("run.no_temperature", model=arguments.model, imu=imu.name))
+    return model
