@@ -62,7 +62,7 @@ def _means(study: PaperStudy) -> Table:
         "its statement to the letter": relative_percent(study.clean.linear),
         "the same without noise": relative_percent(study.noise_free.linear),
         "the same, decoded exactly": relative_percent(study.clean.decoded),
-        f"the same, Earth rate in the data ({len(earth)} headings)": relative_percent(earth),
+        f"the same, Earth rate, {len(earth)} headings": relative_percent(earth),
     }
     ours = {
         "this station, the paper's noise": relative_percent(study.ours),
@@ -70,7 +70,7 @@ def _means(study: PaperStudy) -> Table:
         "Cramer-Rao bound of that": study.mems_bound_percent,
         "required of that": BARS_PERCENT,
     }
-    table = rich_table("Mean relative error, % of the set value", ["", *NAMES], "lr")
+    table = rich_table("Mean relative error in % of the set value", ["", *NAMES], "lr")
     for group in (printed, to_the_letter, ours):
         for name, percents in group.items():
             table.add_row(name, *[_percent(value) for value in percents])
