@@ -23,7 +23,7 @@ from station.scripts.script import Script
 
 
 def clock(bench: Bench, scale: float | None) -> asyncio.Runner:
-    """Return what runs loops of one clock; virtual or paced time if every link leads to a twin in memory."""
+    """Return the runner for loops of one clock; virtual or paced time if every link leads to a twin in memory."""
     if not needs_only_memory(bench):
         gc.freeze()  # what there is by now stays: looking through it again would hold the loop up for 0.2 s
         return asyncio.Runner(loop_factory=partial(ScaledLoop, scale or 1.0))
@@ -39,7 +39,9 @@ async def drive(
     host: Host | None = None,
     bench_file: str | None = None,
 ) -> Result:
-    """Run a script on a bench into a recording, with its progress on stderr, and for whom a host lets look on."""
+    """Run a script on a bench into a recording; return the result. Progress goes to stderr, and to the clients of
+    ``host``.
+    """
     async with AsyncExitStack() as stack:
         stack.enter_context(patient_streams())
         if host is not None:
@@ -59,7 +61,7 @@ async def drive(
 
 
 def chosen_bench(arguments: argparse.Namespace) -> Bench:
-    """Return the bench that the options name, with their links, devices and seed."""
+    """Return the bench of the options --bench, --link, --device and --seed; UsageError for a malformed link."""
     bench = load_bench(Path(arguments.bench) if arguments.bench else None)
     links = {}
     for text in arguments.link:
@@ -76,7 +78,7 @@ def seeded(bench: Bench, seed: int | None) -> Bench:
 
 
 def run_object(result: Result) -> Mapping[str, Any]:
-    """Return a run as --json prints it and as a host tells it."""
+    """Return the object of a run, for --json and for the clients of a host."""
     found = result_object(result.verdict, str(result.recording), result.calibration)
     sources = {report.name: report.as_object() for report in result.sources}
     links = {device: asdict(counts) for device, counts in result.links.items()}

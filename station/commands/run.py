@@ -31,7 +31,7 @@ from station.scripts.script import Script, check, load_script, paper_script
 
 
 def command_run(arguments: argparse.Namespace) -> int:
-    """Run a script on a bench, or words; a hosted run goes on when its terminal is gone."""
+    """Run a script on a bench, or its words; a hosted run continues if its terminal is closed."""
     arguments.host |= arguments.manual
     if arguments.host:
         ignore_hang_up()
@@ -40,6 +40,7 @@ def command_run(arguments: argparse.Namespace) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    """Run a script on a bench into a recording; return the exit code, also for wrong usage and unopened devices."""
     try:
         bench = chosen_bench(arguments)
         operator = bench.checked_operator(arguments.operator) if arguments.operator is not None else ""
@@ -101,7 +102,10 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _model_of(arguments: argparse.Namespace, bench: Bench) -> ErrorModel | None:
-    """Return the error model that is to be begun with, seen to fit the bench before anything moves."""
+    """Return the error model of --model, checked against the bench before anything moves; None without it.
+
+    UsageError if it needs a temperature that a device does not have, or with --end-early.
+    """
     if arguments.model is None:
         return None
     model = ErrorModel.read(Path(arguments.model))

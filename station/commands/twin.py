@@ -16,10 +16,11 @@ from station.run.outcome import Outcome
 
 
 def command_twin(arguments: argparse.Namespace) -> int:
-    """Serve the twins of a bench until a signal."""
+    """Serve the twins of a bench until SIGINT or SIGTERM; return 0, or 4 if a port cannot be had."""
     bench = seeded(load_bench(Path(arguments.bench) if arguments.bench else None), arguments.seed)
 
     async def serve() -> None:
+        """Serve the bench's twins until SIGINT or SIGTERM, which end it without an error."""
         task = asyncio.current_task()
         assert task is not None
         loop = asyncio.get_running_loop()
