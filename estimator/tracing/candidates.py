@@ -60,6 +60,7 @@ class Candidate:
     beside: str = ""
     likelier: float = 0.0
     by_size: bool = False
+    flexible: bool = False
     sensed: Mapping[str, Floats] = field(default_factory=dict)
     settings: Settings = field(default_factory=dict)
 
