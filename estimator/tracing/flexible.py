@@ -1,10 +1,10 @@
 """Flexible laws: any function of what a law is about, as a sum of terms of which each has its own coefficient.
 
 A law in closed form, such as ``tanh(u/c)``, is one function of its variable among all. These stand for the others: a
-function that bends at some of many nodes, a memory that is any sum of first-order lags, a hysteresis that is any sum of plays
-(Prandtl, Ishlinskii), a relaxation that is any sum of decays (Prony). Where a closed form is right it explains as much
-with far fewer numbers, so it is the more probable; where it is not, they are. Of their many terms those are left out
-that the data do not need (``needed``).
+function that bends at some of many nodes, a memory that is any sum of first-order lags, a hysteresis that is any sum of
+plays (Prandtl, Ishlinskii), a relaxation that is any sum of decays (Prony). Where a closed form is right it explains as
+much with far fewer numbers, so it is the more probable; where it is not, they are. Of their many terms those are left
+out that the data do not need (``needed``).
 """
 
 from collections.abc import Sequence
@@ -78,7 +78,7 @@ def _nodes(name: str, runs: Sequence[Run]) -> list[float]:
         return []
     step = (high - low) / _NODES
     first = step * np.floor(low / step)
-    return (first + step * np.arange(1, _NODES + 1)).tolist()
+    return [float(first + step * n) for n in range(1, _NODES + 1)]
 
 
 def _bends(name: str, nodes: Sequence[float]) -> list[str]:
@@ -89,10 +89,8 @@ def _bends(name: str, nodes: Sequence[float]) -> list[str]:
     terms = []
     for node in nodes:
         shown = float(f"{node:.4g}")
-        if shown >= 0:
-            terms.append(f"abs({_less(name, shown)})+{_less(name, shown)}")
-        else:
-            terms.append(f"abs({_less(name, shown)})-({_less(name, shown)})")
+        away = "+" if shown >= 0 else "-"
+        terms.append(f"abs({_less(name, shown)}){away}({_less(name, shown)})")
     return terms
 
 

@@ -83,7 +83,7 @@ class Scan:
         return float(_gains(*self._products([candidate]))[0])
 
     def products(self, candidate: Candidate) -> tuple[Floats, Floats]:
-        """Return the products (gyros, p, p) of an effect's columns beside the model, and with what is left (gyros, p)."""
+        """Return products of an effect's columns beside the model, (gyros, p, p), and with what is left, (gyros, p)."""
         own, with_rest = self._products([candidate], keep=True)
         return own[:, 0], with_rest[:, 0]
 

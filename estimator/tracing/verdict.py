@@ -233,6 +233,14 @@ class Causes:
         others = [*weak, *(part for own in echoes.values() for part in own)]
         return cls([part for part in certain if all(part is not other for other in others)], echoes, weak)
 
+    def less_probable(self, names: Sequence[str], most: float) -> "Causes":
+        """Return the same with some parts, by the names of their candidates, no more probable than ``most``."""
+        parts = [
+            replace(part, probability=min(part.probability, most)) if part.candidate.name in names else part
+            for part in self.parts
+        ]
+        return replace(self, parts=parts)
+
     def added(
         self, search: Search, found: Found, model: Augmented, told: Mapping[str, OutOfSample]
     ) -> tuple[Added, ...]:

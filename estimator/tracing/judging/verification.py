@@ -31,6 +31,7 @@ _APART = 1.0  # sigmas of an interval by which models differ, to be told apart b
 _FEWEST_JUDGED = 20
 _LACKS = ((1, 1.0), (9, 0.1))  # orders of cosines in a phase, and the odds that a model lacks something in them
 _LEAST_SEEN, _MOST_SEEN, _SIZES = 0.03, 3.0, 64  # over the doubt, and over what is shown: sizes of what a model lacks
+_TWICE = 2.0  # an error over what the model says of it
 _CLEAR = 500.0  # log odds beyond which nothing is open
 Misfit = Mapping[tuple[str, int], float]
 """By gyro and number of a run, what no model fits beyond the noise, summed over blocks, (rad/s)^2."""
@@ -47,7 +48,11 @@ class Phase:
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Judged:
-    """Errors over all gyros, by gyro, the improvement, and what pictures need; ``surprise`` in sigmas of chance."""
+    """Errors over all gyros, by gyro, the improvement, and what pictures need.
+
+    ``surprise``: what the last model leaves, in sigmas of chance. ``understated``: probability that its error is more
+    than twice what its own covariance says; 0 where nothing was held back.
+    """
 
     before: Errors
     after: Errors
@@ -55,6 +60,7 @@ class Judged:
     gyros: tuple[GyroErrors, ...]
     views: tuple[ResidualView, ...]
     surprise: float
+    understated: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,6 +163,20 @@ def drawn(
             own = Drawn(squares[0] + left * chance, squares[1] + left * chance, float(len(columns)))
             sums[name] = sums[name] + own if name in sums else own
     return sums
+
+
+def understated(runs: Sequence[Run], first: int, model: Augmented, errors: Mapping[str, Drawn]) -> float:
+    """Return the probability that the error of a model on runs is more than twice what its covariance says.
+
+    ``first`` is the number of the first of the runs among all, ``errors`` are those of the model by gyro, as drawn.
+    """
+    expected = 0.0
+    for name in errors:
+        g = model.names.index(name)
+        for number, run, i in with_gyro(runs, name):
+            columns = model.columns(run, first + number, i)[run.weight > 0]
+            expected += float(np.einsum("bi,ij,bj->", columns, model.covariance[g], columns))
+    return float(np.mean(sum_of(errors.values()).after > _TWICE**2 * expected))
 
 
 def with_structure(
