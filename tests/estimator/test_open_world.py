@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from open_worlds.answers import Addition, Answer, error_of_states
-from open_worlds.cases import ARRAY, HALVES, KINDS, STATES, Case, cases_of, made, scene_of, sizes_of
+from open_worlds.cases import ARRAY, HALVES, KINDS, NEWER, STATES, Case, cases_of, made, scene_of, sizes_of
 from open_worlds.clean import REFERENCES, CleanCase, clean_recording
 from open_worlds.effects import Scene, last_sign, played
 from open_worlds.fresh_sealed import relayed
@@ -149,6 +149,41 @@ def test_heat_comes_through_a_plate_as_the_equation_of_diffusion_says() -> None:
     np.testing.assert_allclose(column_of(case, 1)[: len(far_c)] / (0.008 * DEG), far_c, atol=0.01)
 
 
+def test_a_fixture_rings_as_a_spring_and_a_damper_do_and_ends_where_it_was() -> None:
+    case = Case("ringing_fixture", 1.0, 0)
+    scene = scene_without_noise(case, 0)
+    twist_rps = column_of(case, 0) / 0.1
+    twist_rad = np.cumsum(twist_rps) * 0.01
+    push = np.gradient(twist_rps, 0.01) + scene.udot_rps2[:, 0]
+    steady = np.abs(np.gradient(scene.udot_rps2[:, 0])) == 0
+    stiffness, drag = np.linalg.lstsq(np.column_stack([twist_rad, twist_rps])[steady], -push[steady], rcond=None)[0]
+    assert 1.5 < np.sqrt(stiffness) / (2 * np.pi) < 4.0
+    assert 0.02 < drag / (2 * np.sqrt(stiffness)) < 0.15
+    assert abs(twist_rad[-1]) < 1e-3 * np.abs(twist_rad).max()
+
+
+def test_one_gyro_changes_the_range_of_all_and_a_smaller_rate_changes_it_back() -> None:
+    case = Case("shared_auto_range", 1.0, 0)
+    largest_dps = np.abs(scene_without_noise(case, 1).u_dps).max(axis=1)
+    wide = columns_of(case, 1) != 0
+    assert wide.any(axis=0).all()
+    assert np.array_equal(wide.all(axis=1), wide.any(axis=1))
+    changes = np.diff(wide[:, 0].astype(int))
+    up_dps, down_dps = (largest_dps[1:][changes == way] for way in (1, -1))
+    assert len(up_dps) > 4
+    assert up_dps.min() > down_dps.max() + 1.0
+
+
+def test_a_gyro_is_at_zero_where_it_has_been_still_and_drifts_with_the_temperature_while_it_turns() -> None:
+    case = Case("zero_rate_update", 1.0, 0)
+    scene = scene_without_noise(case, 1)
+    turning = np.abs(scene.u_dps[:, 0]) > 1.0
+    column = column_of(case, 1)
+    both = turning[1:] & turning[:-1]
+    np.testing.assert_allclose(np.diff(column)[both], 0.01 * DEG * np.diff(scene.warmth_c)[both], atol=1e-12)
+    assert abs(column[-1]) < 0.1 * np.abs(column).max()  # after the rest at the end
+
+
 def test_a_wobbling_axis_leans_as_it_did_when_it_has_come_round() -> None:
     case = Case("axis_wobble", 1.0, 0)
     scene = scene_without_noise(case, 0)
@@ -197,16 +232,15 @@ def test_every_case_is_in_one_half_and_a_newer_kind_as_a_whole() -> None:
     everything = set(cases_of(list(KINDS), [1.0, 0.3], 4))
     assert sum(len(half) for half in halves) == len(everything)
     assert set().union(*halves) == everything
-    development, sealed, fresh, fresh_sealed = ({case.kind for case in half} for half in halves)
+    development, sealed, *newer = ({case.kind for case in half} for half in halves)
     assert development == sealed
-    assert len(fresh) == len(fresh_sealed) == 10
-    assert not fresh & fresh_sealed
-    assert not (fresh | fresh_sealed) & development
+    assert [len(kinds) for kinds in newer] == [10, 10, 6, 6]
+    assert sum(map(len, newer)) + len(development) == len(KINDS)
+    assert set().union(development, *newer) == set(KINDS)
 
 
 def test_constants_of_the_newer_laws_are_those_of_the_device_and_not_of_the_run() -> None:
-    newer = [kind for kind in KINDS if Case(kind, 1.0, 0).half.startswith("fresh")]
-    for kind in newer:
+    for kind in (kind for kinds in NEWER.values() for kind in kinds):
         case = Case(kind, 1.0, 0)
         drawn = []
         for number in range(3):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from estimator.geometry.array import SensorArray, tetrahedron
 from estimator.recordings.recording import ImuData, Recording
-from open_worlds import effects, fresh, fresh_sealed
+from open_worlds import effects, fresh, fresh_sealed, third, third_sealed
 from open_worlds.effects import Kind, Scene
 from open_worlds.motion import DEG, SCRIPTS, SITE, motion_of
 from sims.physics.hidden.temperature import Temperature
@@ -38,9 +38,17 @@ SHAPES_BY_RUN = (
 )
 """Courses of the temperature that differ between runs, so that what has a memory is no function of time alone."""
 
-KINDS: dict[str, Kind] = {**effects.KINDS, **fresh.KINDS, **fresh_sealed.KINDS}
-HALVES = ("development", "sealed", "fresh", "fresh-sealed")
-"""Cases of the older kinds are in one of the first two, by a hash; newer kinds are in one of the others as a whole."""
+NEWER: dict[str, dict[str, Kind]] = {
+    "fresh": fresh.KINDS,
+    "fresh-sealed": fresh_sealed.KINDS,
+    "third": third.KINDS,
+    "third-sealed": third_sealed.KINDS,
+}
+"""Newer kinds by the half that they are in as a whole."""
+OLDER = ("development", "sealed")
+"""Halves of the older kinds, each case of which is in one of them by a hash."""
+KINDS: dict[str, Kind] = effects.KINDS | {name: kind for kinds in NEWER.values() for name, kind in kinds.items()}
+HALVES = (*OLDER, *NEWER)
 
 _QUIET_DPS = 1e-7
 
@@ -56,12 +64,11 @@ class Case:
     @property
     def half(self) -> str:
         """The half it belongs to: of two successive seeds of an older kind, a hash takes one for each."""
-        if self.kind in fresh.KINDS:
-            return "fresh"
-        if self.kind in fresh_sealed.KINDS:
-            return "fresh-sealed"
+        for half, kinds in NEWER.items():
+            if self.kind in kinds:
+                return half
         digest = hashlib.sha256(f"{self.kind}/{self.seed // 2}".encode()).digest()
-        return HALVES[:2][(digest[0] + self.seed) % 2]
+        return OLDER[(digest[0] + self.seed) % 2]
 
     @property
     def law(self) -> Kind:
