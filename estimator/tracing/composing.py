@@ -267,4 +267,4 @@ class Composer:
         if not law.flexible:
             return law
         found = needed(*scan.products(law))
-        return replace(_with_terms(law, found.terms), log_tries=law.log_tries + found.log_tries, flexible=False)
+        return replace(_with_terms(law, found.terms), log_tries=law.log_tries + found.log_tries)

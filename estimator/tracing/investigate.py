@@ -139,10 +139,12 @@ def _conclude(
     verdict = verdict_of([*(a.effect for a in faulty), *_called(causes.parts)], doubtful, unexplained)
     gyros = averaged(search, errors.gyros, after, [*certain, *doubtful], opened, between)
     # Nothing but what it predicts speaks for a law without a name.
-    laws = [part.candidate.name for part in certain if part.candidate.law]
+    laws = [part for part in certain if part.candidate.law]
     contradicted = errors.surprise > _SURPRISED or (bool(laws) and errors.understated > _UNKNOWN)
-    if contradicted or opened.probability > CERTAIN:
-        causes = causes.less_probable(laws, _UNKNOWN)
+    most_probable = _UNKNOWN if contradicted or opened.probability > CERTAIN else 1.0
+    causes = causes.less_probable(
+        {part.candidate.name: most_probable * (1 - part.candidate.flexible * errors.formless) for part in laws}
+    )
     if held_back and verdict.finding in (Finding.NOTHING, Finding.ADDED) and contradicted:
         suspected, with_it = _suspected(search, held_back, most)
         verdict = surprised(certain, suspected, verified[1])

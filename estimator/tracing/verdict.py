@@ -233,11 +233,10 @@ class Causes:
         others = [*weak, *(part for own in echoes.values() for part in own)]
         return cls([part for part in certain if all(part is not other for other in others)], echoes, weak)
 
-    def less_probable(self, names: Sequence[str], most: float) -> "Causes":
-        """Return the same with some parts, by the names of their candidates, no more probable than ``most``."""
+    def less_probable(self, most: Mapping[str, float]) -> "Causes":
+        """Return the same with parts no more probable than ``most`` says, by the names of their candidates."""
         parts = [
-            replace(part, probability=min(part.probability, most)) if part.candidate.name in names else part
-            for part in self.parts
+            replace(part, probability=min(part.probability, most.get(part.candidate.name, 1.0))) for part in self.parts
         ]
         return replace(self, parts=parts)
 

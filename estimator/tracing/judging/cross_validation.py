@@ -17,10 +17,10 @@ from estimator.tracing.judging.verification import (
     Judged,
     Misfit,
     drawn,
+    expected_squares,
     judge,
     phases_of,
     sum_of,
-    understated,
     with_structure,
 )
 from estimator.tracing.open_world import OpenWorld, something_beside, unnamed
@@ -34,6 +34,7 @@ Fold = Callable[[int, Stretch], bool]
 FOLDS = 5
 _CONFIRMED = 2.0
 """Natural logarithm by which an effect must make the verification run more probable: less is chance."""
+_TWICE, _LIKE = 2.0, 1.5  # errors over those that are expected: too large, and still like them
 _TONE_BLOCKS = 8.0  # blocks in a period of a tone, where its error is judged
 
 
@@ -160,7 +161,12 @@ def judged(
         misfit = {key: scale * squares for key, squares in misfit.items()}
     errors = with_structure(runs, first, (before, after), bare, drawn(runs, first, before, after, true, misfit))
     found = judge(runs, first, before, after, True, errors)
-    return replace(found, understated=understated(runs, first, after, errors))
+    squares = sum_of(errors.values()).after
+    return replace(
+        found,
+        understated=float(np.mean(squares > _TWICE**2 * expected_squares(runs, first, after))),
+        formless=float(np.mean(squares > _LIKE**2 * expected_squares(runs, first, after, forms_known=True))),
+    )
 
 
 def _noise_beside_anything(search: Search, after: Augmented, opened: OpenWorld | None) -> Augmented:

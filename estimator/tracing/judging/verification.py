@@ -31,7 +31,6 @@ _APART = 1.0  # sigmas of an interval by which models differ, to be told apart b
 _FEWEST_JUDGED = 20
 _LACKS = ((1, 1.0), (9, 0.1))  # orders of cosines in a phase, and the odds that a model lacks something in them
 _LEAST_SEEN, _MOST_SEEN, _SIZES = 0.03, 3.0, 64  # over the doubt, and over what is shown: sizes of what a model lacks
-_TWICE = 2.0  # an error over what the model says of it
 _CLEAR = 500.0  # log odds beyond which nothing is open
 Misfit = Mapping[tuple[str, int], float]
 """By gyro and number of a run, what no model fits beyond the noise, summed over blocks, (rad/s)^2."""
@@ -51,7 +50,8 @@ class Judged:
     """Errors over all gyros, by gyro, the improvement, and what pictures need.
 
     ``surprise``: what the last model leaves, in sigmas of chance. ``understated``: probability that its error is more
-    than twice what its own covariance says; 0 where nothing was held back.
+    than twice what its own covariance says. ``formless``: probability that it is more than half as much again as with
+    flexible laws of known form. Both are 0 where nothing was held back.
     """
 
     before: Errors
@@ -61,6 +61,7 @@ class Judged:
     views: tuple[ResidualView, ...]
     surprise: float
     understated: float = 0.0
+    formless: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,18 +166,34 @@ def drawn(
     return sums
 
 
-def understated(runs: Sequence[Run], first: int, model: Augmented, errors: Mapping[str, Drawn]) -> float:
-    """Return the probability that the error of a model on runs is more than twice what its covariance says.
+def expected_squares(runs: Sequence[Run], first: int, model: Augmented, *, forms_known: bool = False) -> float:
+    """Return the sum over blocks of the squared errors of a model on runs that its covariance says, over all gyros.
 
-    ``first`` is the number of the first of the runs among all, ``errors`` are those of the model by gyro, as drawn.
+    ``first`` is the number of the first of the runs among all. ``forms_known``: as if flexible laws were of known form,
+    that which was found, so that of each only the size is open.
     """
-    expected = 0.0
-    for name in errors:
-        g = model.names.index(name)
+    total = 0.0
+    for g, name in enumerate(model.names):
+        open_directions = _open_directions(model, g) if forms_known else np.eye(len(model.mean[g]))
+        precision = np.linalg.inv(model.covariance[g])
+        covariance = np.linalg.inv(open_directions.T @ precision @ open_directions)
         for number, run, i in with_gyro(runs, name):
-            columns = model.columns(run, first + number, i)[run.weight > 0]
-            expected += float(np.einsum("bi,ij,bj->", columns, model.covariance[g], columns))
-    return float(np.mean(sum_of(errors.values()).after > _TWICE**2 * expected))
+            columns = model.columns(run, first + number, i)[run.weight > 0] @ open_directions
+            total += float(np.einsum("bi,ij,bj->", columns, covariance, columns))
+    return total
+
+
+def _open_directions(model: Augmented, gyro: int) -> Floats:
+    """Return the directions (c, k) of the parameters of a gyro that are open if flexible laws are of known form."""
+    laws = [model.slice_of(part.candidate.name) for part in model.parts if part.candidate.flexible]
+    of_laws = np.zeros(len(model.mean[gyro]), dtype=np.bool_)
+    forms = []
+    for law in laws:
+        of_laws[law] = True
+        form = np.zeros(len(of_laws))
+        form[law] = model.mean[gyro, law]
+        forms.append(form)
+    return np.column_stack([np.eye(len(of_laws))[:, ~of_laws], *forms])
 
 
 def with_structure(
