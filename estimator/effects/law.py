@@ -349,6 +349,20 @@ def _finite_sizes(values: Floats) -> Floats:
     return np.where(np.isfinite(values), np.abs(values), 0.0)
 
 
+def _same(one: ast.expr, other: ast.expr) -> bool:
+    return ast.dump(one) == ast.dump(other)
+
+
+def _one_side(node: ast.expr, side: str) -> str:
+    """Return in words the part of a value less a constant that is on one side of zero, "beyond" or "below" it."""
+    match node:
+        case ast.BinOp(left=left, op=ast.Sub(), right=ast.Constant(value=int() | float() as limit)):
+            return f"{_words(left)} {side} {limit:g}"
+        case ast.BinOp(left=left, op=ast.Add(), right=ast.Constant(value=int() | float() as limit)):
+            return f"{_words(left)} {side} {-limit:g}"
+    return f"{_words(node)} {side} 0"
+
+
 _POWERS = {"2": "square", "3": "cube"}
 _CALLS = {
     "lag": "{} lagged by {} s",
@@ -360,12 +374,14 @@ _CALLS = {
 
 
 _MOST_TERMS_TOLD = 4
-_MANY = {"play": "plays", "expm1": "decays", "abs": "straight pieces", "lag": "lags"}
+_MANY = {"play": "plays", "expm1": "decays", "abs": "bends", "lag": "lags"}
 """What a law of many terms is made of, by a function that these have."""
 
 
 def _words(node: ast.expr) -> str:
     match node:
+        case ast.BinOp(left=ast.Call(func=ast.Name(id="abs"), args=[inner]), op=op, right=right) if _same(inner, right):
+            return _one_side(inner, "beyond" if isinstance(op, ast.Add) else "below")
         case ast.Name(id=name):
             return VARIABLES[name][2]
         case ast.Call(func=ast.Name(id=name), args=[inner, *numbers]):

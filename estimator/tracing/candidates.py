@@ -42,8 +42,8 @@ class Candidate:
     looking, ``range_log`` is the logarithm of the range it may have in nature. ``run`` is the recording of a step.
     ``by_size``: what is not linear is the effect's own size, its first parameter. ``sensed`` are the directions (3,)
     that gyros really sense, with their scale, in place of the nominal ones, ``settings`` those of a model that hold
-    what is not linear and stays as it is. ``log_prior`` is the logarithm of its
-    share of the expectation; if the effect ``beside`` is in the model, it is so much ``likelier``.
+    what is not linear and stays as it is. ``flexible``: a law that stands for any function. ``log_prior`` is the
+    logarithm of its share of the expectation; if the effect ``beside`` is in the model, it is so much ``likelier``.
     """
 
     name: str
@@ -60,6 +60,7 @@ class Candidate:
     beside: str = ""
     likelier: float = 0.0
     by_size: bool = False
+    flexible: bool = False
     sensed: Mapping[str, Floats] = field(default_factory=dict)
     settings: Settings = field(default_factory=dict)
 

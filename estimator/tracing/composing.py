@@ -20,6 +20,7 @@ from estimator.estimation.runs.run import Run
 from estimator.packaged import packaged_toml
 from estimator.tracing.candidates import Candidate
 from estimator.tracing.flexible import flexible_laws, values_of
+from estimator.tracing.needed import needed
 from estimator.tracing.scan import Scan, at, first_of_best
 from estimator.tracing.search import Found, Search
 from estimator.types import Floats
@@ -54,7 +55,10 @@ def laws_of(runs: Sequence[Run]) -> list[Candidate]:
         found += [c for law, kind in listed if (c := _candidate(runs, law, kind, prior)) is not None]
     flexible = flexible_laws(runs, offers)
     prior = _RARE + _LONGER * len(_LAWS) - float(np.log(max(len(flexible), 1)))
-    found += [c for law, kind in flexible if (c := _candidate(runs, law, kind, prior)) is not None]
+    for law, kind in flexible:
+        candidate = _candidate(runs, law, kind, prior)
+        if candidate is not None:
+            found.append(replace(candidate, flexible=True))
     return found
 
 
@@ -124,12 +128,16 @@ def _mean_squares(run: Run, effect: Effect) -> Floats:
 
 def _without(candidate: Candidate, number: int) -> Candidate:
     """Return a law without one of its terms."""
+    return _with_terms(candidate, [n for n in range(len(candidate.effect.parameters)) if n != number])
+
+
+def _with_terms(candidate: Candidate, numbers: Sequence[int]) -> Candidate:
+    """Return a law with some of its terms."""
 
     def shorter(effect: Effect) -> Effect:
-        terms = list(zip(effect.law.split(";"), effect.parameters, strict=True))
-        del terms[number]
-        law = ";".join(term for term, _ in terms).strip()
-        return constructed(law, tuple(parameter.largest for _, parameter in terms))
+        terms = [term.strip() for term in effect.law.split(";")]
+        law = "; ".join(terms[n] for n in numbers)
+        return constructed(law, tuple(effect.parameters[n].largest for n in numbers))
 
     of, effect = candidate.of, shorter(candidate.effect)
     name = f"law: {effect.law}"
@@ -248,7 +256,15 @@ class Composer:
             ranked.append((gain + law.log_prior, reach, options[best]))
         ranked = [one for one in ranked if one[1] > missing]
         ranked.sort(key=lambda pair: -pair[0])
-        chosen = [scan.tuned(law) if law.start is not None else law for _, _, law in ranked[:_LAWS_TRIED]]
+        chosen = [self._settled(scan, law) for _, _, law in ranked[:_LAWS_TRIED]]
         search.forget([name for name, (c, _) in search.known.items() if c.law and name not in self._kept])
         search.add([law for law in chosen if law.name not in self._kept])
         return [law.name for law in chosen]
+
+    def _settled(self, scan: Scan, law: Candidate) -> Candidate:
+        """Return a law with the constant that explains most, a flexible one with the terms that are needed."""
+        law = law if law.start is None else scan.tuned(law)
+        if not law.flexible:
+            return law
+        found = needed(*scan.products(law))
+        return replace(_with_terms(law, found.terms), log_tries=law.log_tries + found.log_tries)

@@ -1,13 +1,13 @@
 """Flexible laws: any function of what a law is about, as a sum of terms of which each has its own coefficient.
 
 A law in closed form, such as ``tanh(u/c)``, is one function of its variable among all. These stand for the others: a
-function in straight pieces, a memory that is any sum of first-order lags, a hysteresis that is any sum of plays
-(Prandtl, Ishlinskii), a relaxation that is any sum of decays (Prony). Where a closed form is right it explains as much
-with far fewer numbers, so it is the more probable; where it is not, they are.
+function that bends at some of many nodes, a memory that is any sum of first-order lags, a hysteresis that is any sum of
+plays (Prandtl, Ishlinskii), a relaxation that is any sum of decays (Prony). Where a closed form is right it explains as
+much with far fewer numbers, so it is the more probable; where it is not, they are. Of their many terms those are left
+out that the data do not need (``needed``).
 """
 
 from collections.abc import Sequence
-from itertools import pairwise
 
 import numpy as np
 
@@ -15,8 +15,8 @@ from estimator.effects.constructed import constructed
 from estimator.estimation.runs.run import Run
 from estimator.types import Floats
 
-_PIECES = (10, 26)
-_HALVINGS = 9
+_NODES = 32
+_ALIKE, _NEAR = 16, 6  # nodes at equal distances up to the largest rate, and halvings of the first towards rest
 _TAUS_S = np.geomspace(4.0, 400.0, 6)
 _PLAYS = np.array([0.02, 0.05, 0.1, 0.2, 0.4, 0.8])  # of the range
 
@@ -26,16 +26,19 @@ def flexible_laws(runs: Sequence[Run], offers: frozenset[str]) -> list[tuple[str
 
     ``offers`` is what all runs hold beside rates and times.
     """
-    speed, decays = _halved("speed", runs), _each("expm1(-t/{})", _TAUS_S)
-    laws = [(terms, "") for terms in (_halved("u", runs), speed, _times(speed, "u"), decays, _times(decays, "u"))]
-    laws += [(_each("play(u,{})", _PLAYS * _range_of("u", runs)), "")]
-    laws += [(_lagged(speed), "lag"), (_times(_lagged(speed), "u"), "lag")]
+    size, speed = (_bends(name, _nodes_of_rate(name, runs)) for name in ("abs(u)", "speed"))
+    decays = _each("expm1(-t/{})", _TAUS_S)
+    plays = _each("play(u,{})", _PLAYS * _range_of("u", runs))
+    fixed = [_bends("u", _nodes_of_rate("u", runs)), size, _times(size, "sign(u)"), speed, _times(speed, "u")]
+    fixed += [decays, _times(decays, "u"), plays]
+    lagged = [_lagged(speed), _times(_lagged(speed), "u")]
     if "temperature" in offers:
-        warmth, finer = (_pieces("T", runs, count) for count in _PIECES)
+        warmth = _bends("T", _nodes("T", runs))
         memory = _each("lag(T,{})-T", _TAUS_S)
-        laws += [(terms, "") for terms in (warmth, finer, _times(warmth, "u"), memory, _times(memory, "u"))]
-        laws += [(_each("play(T,{})", _PLAYS * _range_of("T", runs)), "")]
-        laws += [(_with("T", "lag(T,{c})", warmth), "lag")]
+        fixed += [warmth, _times(warmth, "u"), memory, _times(memory, "u")]
+        fixed += [_each("play(T,{})", _PLAYS * _range_of("T", runs))]
+        lagged += [_with("T", "lag(T,{c})", warmth)]
+    laws = [(terms, "") for terms in fixed] + [(terms, "lag") for terms in lagged]
     return [("; ".join(terms), kind) for terms, kind in laws if terms]
 
 
@@ -56,42 +59,43 @@ def _ends(name: str, runs: Sequence[Run]) -> tuple[float, float]:
     return min(float(np.nanmin(one)) for one in values), max(float(np.nanmax(one)) for one in values)
 
 
-def _halved(name: str, runs: Sequence[Run]) -> list[str]:
-    """Return a function of a rate in pieces that are the shorter the nearer they are to rest."""
+def _nodes_of_rate(name: str, runs: Sequence[Run]) -> list[float]:
+    """Return nodes at equal distances over the range of a rate, and closer and closer towards rest."""
     low, high = _ends(name, runs)
     top = max(abs(low), abs(high))
     if top <= 0:
         return []
-    above = top * 0.5 ** np.arange(_HALVINGS, dtype=np.float64)[::-1]
-    below = -above[::-1] if low < 0 else above[:0]
-    return _straight(name, [*below.tolist(), 0.0, *above.tolist()])
+    step = top / _ALIKE
+    above = [*(step * 0.5**n for n in range(_NEAR, 0, -1)), *(step * n for n in range(1, _ALIKE))]
+    below = [-node for node in reversed(above)] if low < 0 else []
+    return [*below, 0.0, *above]
 
 
-def _pieces(name: str, runs: Sequence[Run], count: int) -> list[str]:
-    """Return a function of a variable in about so many pieces of one length."""
+def _nodes(name: str, runs: Sequence[Run]) -> list[float]:
+    """Return nodes at equal distances over the range of a variable."""
     low, high = _ends(name, runs)
     if not high > low:
         return []
-    step = (high - low) / count
+    step = (high - low) / _NODES
     first = step * np.floor(low / step)
-    return _straight(name, (first + step * np.arange(count + 2)).tolist())
+    return [float(first + step * n) for n in range(1, _NODES + 1)]
 
 
-def _straight(name: str, nodes: Sequence[float]) -> list[str]:
-    """Return the pieces of a function that is straight from node to node, flat beyond, and nothing at zero.
+def _bends(name: str, nodes: Sequence[float]) -> list[str]:
+    """Return terms that each bend at a node, are nothing on the side of it where zero is, and straight on the other.
 
-    Each piece rises from nothing to a step on the side of it that is away from zero.
+    Their sum goes on beyond the last nodes as it came there.
     """
-    shown = [float(f"{node:.4g}") for node in nodes]
     terms = []
-    for near, far in pairwise(shown):
-        rising = f"abs({_less(name, near)})-abs({_less(name, far)})"
-        constant = far - near if near >= 0 or abs(near) < abs(far) else near - far
-        terms.append(f"{rising}{constant:+.6g}")
+    for node in nodes:
+        shown = float(f"{node:.4g}")
+        away = "+" if shown >= 0 else "-"
+        terms.append(f"abs({_less(name, shown)}){away}({_less(name, shown)})")
     return terms
 
 
 def _less(name: str, value: float) -> str:
+    """Return a variable less a value."""
     return f"{name}{-value:+.6g}" if value else name
 
 

@@ -129,7 +129,7 @@ def _conclude(
     before, after, wider = (Augmented.of(evidence, own, weight) for own in ([], certain, [*certain, *doubtful]))
     terms = [part.term for part in certain if part.tone is None]
     opened, between = something_beside(search, terms), between_recordings(search, terms)
-    errors = judged(search, before, after, held_back, verification)
+    errors = judged(search, before, after, held_back, verification, opened)
     fitted, verified = _left(search.runs, 0, before, after), _left(held_back, len(search.runs), before, after)
     unexplained = unexplained_of(fitted[1]) if opened.probability > CERTAIN else beyond_noise(search, found)
     if unexplained and _explained_by(search, terms, doubtful):
@@ -138,7 +138,14 @@ def _conclude(
     causes = Causes.among(search, certain, after, fitted[1], unexplained)
     verdict = verdict_of([*(a.effect for a in faulty), *_called(causes.parts)], doubtful, unexplained)
     gyros = averaged(search, errors.gyros, after, [*certain, *doubtful], opened, between)
-    if held_back and verdict.finding in (Finding.NOTHING, Finding.ADDED) and errors.surprise > _SURPRISED:
+    # Nothing but what it predicts speaks for a law without a name.
+    laws = [part for part in certain if part.candidate.law]
+    contradicted = errors.surprise > _SURPRISED or (bool(laws) and errors.understated > _UNKNOWN)
+    most_probable = _UNKNOWN if contradicted or opened.probability > CERTAIN else 1.0
+    causes = causes.less_probable(
+        {part.candidate.name: most_probable * (1 - part.candidate.flexible * errors.formless) for part in laws}
+    )
+    if held_back and verdict.finding in (Finding.NOTHING, Finding.ADDED) and contradicted:
         suspected, with_it = _suspected(search, held_back, most)
         verdict = surprised(certain, suspected, verified[1])
         gyros = beside_suspect(gyros, with_it)

@@ -82,6 +82,11 @@ class Scan:
         """Return by how much half the squares fall if an effect is let in, each gyro by itself."""
         return float(_gains(*self._products([candidate]))[0])
 
+    def products(self, candidate: Candidate) -> tuple[Floats, Floats]:
+        """Return products of an effect's columns beside the model, (gyros, p, p), and with what is left, (gyros, p)."""
+        own, with_rest = self._products([candidate], keep=True)
+        return own[:, 0], with_rest[:, 0]
+
     def _products(self, candidates: Sequence[Candidate], *, keep: bool = False) -> tuple[Floats, Floats]:
         """Return the products (gyros, k, p, p) of columns beside the model, and with what is left (gyros, k, p).
 

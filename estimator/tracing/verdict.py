@@ -233,6 +233,13 @@ class Causes:
         others = [*weak, *(part for own in echoes.values() for part in own)]
         return cls([part for part in certain if all(part is not other for other in others)], echoes, weak)
 
+    def less_probable(self, most: Mapping[str, float]) -> "Causes":
+        """Return the same with parts no more probable than ``most`` says, by the names of their candidates."""
+        parts = [
+            replace(part, probability=min(part.probability, most.get(part.candidate.name, 1.0))) for part in self.parts
+        ]
+        return replace(self, parts=parts)
+
     def added(
         self, search: Search, found: Found, model: Augmented, told: Mapping[str, OutOfSample]
     ) -> tuple[Added, ...]:

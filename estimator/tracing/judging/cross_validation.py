@@ -13,8 +13,17 @@ from estimator.estimation.spectra import GyroSpectra, NoiseShapes, Stretch, Z, g
 from estimator.recordings.recording import Recording
 from estimator.tracing.augmented import Augmented, Part
 from estimator.tracing.investigation import OutOfSample
-from estimator.tracing.judging.verification import Judged, Misfit, drawn, judge, phases_of, sum_of, with_structure
-from estimator.tracing.open_world import something_beside, unnamed
+from estimator.tracing.judging.verification import (
+    Judged,
+    Misfit,
+    drawn,
+    expected_squares,
+    judge,
+    phases_of,
+    sum_of,
+    with_structure,
+)
+from estimator.tracing.open_world import OpenWorld, something_beside, unnamed
 from estimator.tracing.search import Search
 
 Mask = list[NDArray[np.bool_]]
@@ -25,6 +34,7 @@ Fold = Callable[[int, Stretch], bool]
 FOLDS = 5
 _CONFIRMED = 2.0
 """Natural logarithm by which an effect must make the verification run more probable: less is chance."""
+_TWICE, _LIKE = 2.0, 1.5  # errors over those that are expected: too large, and still like them
 _TONE_BLOCKS = 8.0  # blocks in a period of a tone, where its error is judged
 
 
@@ -126,14 +136,22 @@ def _lowered_in_sample(search: Search, certain: Sequence[Part]) -> bool:
 
 
 def judged(
-    search: Search, before: Augmented, after: Augmented, held_back: Sequence[Run], verification: Sequence[Recording]
+    search: Search,
+    before: Augmented,
+    after: Augmented,
+    held_back: Sequence[Run],
+    verification: Sequence[Recording],
+    opened: OpenWorld | None = None,
 ) -> Judged:
-    """Return the errors of two models on the verification runs, cross-validated by step where there are none."""
+    """Return the errors of two models on the verification runs, cross-validated by step where there are none.
+
+    ``opened`` is what may act beside the last model; by default it is worked out.
+    """
     evidence, terms = together([*search.runs, *held_back], after, search.evidence.shapes)
     true, misfit = after.estimated(evidence.posterior(terms)), evidence.misfit
     if not held_back:
         return _cross_validated(search, before, after, true, misfit)
-    bare = _noise_beside_anything(search, after)
+    bare = _noise_beside_anything(search, after, opened)
     tones = [part.tone.found.frequency_hz for part in after.parts if part.tone is not None]
     fine_s = min([BLOCK_S, *(1 / (_TONE_BLOCKS * hz) for hz in tones)])
     runs, first = list(held_back), len(search.runs)
@@ -141,18 +159,25 @@ def judged(
         runs = runs_of_all(verification, held_back[0].order, fine_s)[0]
         scale = len(runs[0].t_s) / len(held_back[0].t_s)
         misfit = {key: scale * squares for key, squares in misfit.items()}
-    errors = drawn(runs, first, before, after, true, misfit)
-    return judge(runs, first, before, after, True, with_structure(runs, first, (before, after), bare, errors))
+    errors = with_structure(runs, first, (before, after), bare, drawn(runs, first, before, after, true, misfit))
+    found = judge(runs, first, before, after, True, errors)
+    squares = sum_of(errors.values()).after
+    return replace(
+        found,
+        understated=float(np.mean(squares > _TWICE**2 * expected_squares(runs, first, after))),
+        formless=float(np.mean(squares > _LIKE**2 * expected_squares(runs, first, after, forms_known=True))),
+    )
 
 
-def _noise_beside_anything(search: Search, after: Augmented) -> Augmented:
+def _noise_beside_anything(search: Search, after: Augmented, opened: OpenWorld | None) -> Augmented:
     """Return a model with the noise that there is beside any function of what was measured.
 
     Beside effects alone, slow errors that these do not explain would count as a bias that wanders.
     """
     terms = [part.term for part in after.parts if part.tone is None]
     evidence = search.evidence
-    richest = unnamed(search)[int(np.argmax(something_beside(search, terms).by_size))]
+    opened = opened or something_beside(search, terms)
+    richest = unnamed(search)[int(np.argmax(opened.by_size))]
     weight = evidence.noise_weight([*terms, richest])
     instability, walk = (float(np.sqrt(weight @ one**2)) for one in (evidence.shapes.instability, evidence.shapes.walk))
     return replace(after, instability=instability, walk=walk)

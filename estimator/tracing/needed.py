@@ -1,0 +1,66 @@
+"""Which terms of a flexible law the data need: the others are left out.
+
+Beside a model, the coefficients of the terms have a normal posterior. By how much it makes the data more probable that
+one of them is zero is the density there in the posterior over that in the prior (the Savage-Dickey ratio), so that no
+model needs to be fitted anew. All gyros have the same terms, each with coefficients of its own.
+"""
+
+from dataclasses import dataclass
+from math import lgamma
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.estimation.evidence import SCALES
+from estimator.types import Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Needed:
+    """Numbers of the terms that are needed, and the logarithm of how many choices of as many there are (nats)."""
+
+    terms: tuple[int, ...]
+    log_tries: float
+
+
+def needed(products: Floats, with_rest: Floats) -> Needed:
+    """Return the terms of a law that the data need: terms are left out one by one, and the most probable set counts.
+
+    ``products`` (gyros, p, p) of the columns of the terms and those ``with_rest`` (gyros, p), of what is to be
+    explained, are beside a model and over the noise. The columns are scaled to the largest plausible coefficients.
+    """
+    count = products.shape[-1]
+    terms = np.arange(count)
+    found = []
+    while len(terms):
+        shown = _Shown.of(products[:, terms[:, None], terms], with_rest[:, terms])
+        log_tries = lgamma(count + 1) - lgamma(len(terms) + 1) - lgamma(count - len(terms) + 1)
+        found.append((shown.log_evidence - log_tries, terms, log_tries))
+        terms = np.delete(terms, shown.least)
+    _, best, log_tries = max(found, key=lambda one: one[0])
+    return Needed(tuple(best.tolist()), log_tries)
+
+
+@dataclass(frozen=True, slots=True)
+class _Shown:
+    """The log evidence of some terms at their most probable scale, and the number of that which tells ``least``."""
+
+    log_evidence: float
+    least: int
+
+    @classmethod
+    def of(cls, products: NDArray[np.float64], with_rest: Floats) -> Self:
+        """Return it for terms with these products (gyros, p, p) and (gyros, p)."""
+        values, vectors = np.linalg.eigh(products)
+        values = np.maximum(values, 0.0)
+        along = np.einsum("gij,gi->gj", vectors, with_rest)
+        squares = SCALES[:, None, None] ** 2
+        grown = 1 + squares * values
+        evidence = 0.5 * (squares * along**2 / grown - np.log(grown)).sum(axis=(1, 2))
+        best = int(np.argmax(evidence))
+        spread = squares[best] / grown[best]
+        mean = np.einsum("gij,gj->gi", vectors, spread * along)
+        variance = np.einsum("gij,gj->gi", vectors**2, spread)
+        at_zero = -0.5 * (mean**2 / variance + np.log(variance / squares[best]))
+        return cls(float(evidence[best]), int(np.argmax(at_zero.sum(axis=0))))
