@@ -17,10 +17,10 @@ from estimator.packaged import sentence
 from estimator.recordings.recording import Recording
 from estimator.tracing.augmented import Augmented, Part
 from estimator.tracing.candidates import candidates_of
-from estimator.tracing.composing import Composer, laws_of
 from estimator.tracing.investigation import Finding, Investigation, ModelStep, OutOfSample
 from estimator.tracing.judging.averaging import averaged, beside_suspect, between_notes, between_recordings
 from estimator.tracing.judging.cross_validation import confirmed, judged, out_of_sample
+from estimator.tracing.laws.composing import Composer, laws_of
 from estimator.tracing.open_world import something_beside, weighed_against
 from estimator.tracing.residuals.residual import Residual, residuals
 from estimator.tracing.run_columns import RunColumns

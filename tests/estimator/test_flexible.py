@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from estimator.tracing.needed import needed
+from estimator.tracing.laws.needed import needed
 
 NODES = np.linspace(-0.95, 0.95, 39)
 SIDES = np.where(NODES >= 0, 1.0, -1.0)

@@ -13,11 +13,11 @@ from estimator.estimation.spectra import GyroSpectra, NoiseShapes, Stretch, Z, g
 from estimator.recordings.recording import Recording
 from estimator.tracing.augmented import Augmented, Part
 from estimator.tracing.investigation import OutOfSample
+from estimator.tracing.judging.expected import expected_squares
 from estimator.tracing.judging.verification import (
     Judged,
     Misfit,
     drawn,
-    expected_squares,
     judge,
     phases_of,
     sum_of,

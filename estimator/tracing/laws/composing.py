@@ -19,8 +19,8 @@ from estimator.estimation.evidence import Term
 from estimator.estimation.runs.run import Run
 from estimator.packaged import packaged_toml
 from estimator.tracing.candidates import Candidate
-from estimator.tracing.flexible import flexible_laws, values_of
-from estimator.tracing.needed import needed
+from estimator.tracing.laws.flexible import flexible_laws, values_of
+from estimator.tracing.laws.needed import needed
 from estimator.tracing.scan import Scan, at, first_of_best
 from estimator.tracing.search import Found, Search
 from estimator.types import Floats
@@ -42,7 +42,7 @@ _BETWEEN = 1.3  # by so much more a law may explain with a constant between thos
 _CLEARLY = 3.0  # natural logarithm by which a law must be the more probable
 _TRIES = 9.2  # natural logarithm that the choice of a constant costs at most
 _RIVAL = -6.0  # natural logarithm of how much less probable laws may be and still be rivals, a few together
-_LAWS = packaged_toml("estimator.tracing", "laws.toml")["length"]
+_LAWS = packaged_toml("estimator.tracing.laws", "laws.toml")["length"]
 
 
 def laws_of(runs: Sequence[Run]) -> list[Candidate]:

@@ -1,0 +1,39 @@
+"""The error of a model that its own covariance says: what a verification run is compared with."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from estimator.estimation.runs.run import Run, with_gyro
+from estimator.tracing.augmented import Augmented
+from estimator.types import Floats
+
+
+def expected_squares(runs: Sequence[Run], first: int, model: Augmented, *, forms_known: bool = False) -> float:
+    """Return the sum over blocks of the squared errors of a model on runs that its covariance says, over all gyros.
+
+    ``first`` is the number of the first of the runs among all. ``forms_known``: as if flexible laws were of known form,
+    that which was found, so that of each only the size is open.
+    """
+    total = 0.0
+    for g, name in enumerate(model.names):
+        open_directions = _open_directions(model, g) if forms_known else np.eye(len(model.mean[g]))
+        precision = np.linalg.inv(model.covariance[g])
+        covariance = np.linalg.inv(open_directions.T @ precision @ open_directions)
+        for number, run, i in with_gyro(runs, name):
+            columns = model.columns(run, first + number, i)[run.weight > 0] @ open_directions
+            total += float(np.einsum("bi,ij,bj->", columns, covariance, columns))
+    return total
+
+
+def _open_directions(model: Augmented, gyro: int) -> Floats:
+    """Return the directions (c, k) of the parameters of a gyro that are open if flexible laws are of known form."""
+    laws = [model.slice_of(part.candidate.name) for part in model.parts if part.candidate.flexible]
+    of_laws = np.zeros(len(model.mean[gyro]), dtype=np.bool_)
+    forms = []
+    for law in laws:
+        of_laws[law] = True
+        form = np.zeros(len(of_laws))
+        form[law] = model.mean[gyro, law]
+        forms.append(form)
+    return np.column_stack([np.eye(len(of_laws))[:, ~of_laws], *forms])
