@@ -5,6 +5,7 @@ so it does not depend on where a search begins. Intervals that do not fit, as of
 """
 
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,7 @@ _USUAL = 0.9  # quantile of the rates beyond which an interval has no more weigh
 _MIDDLE, _AT_MOST = (0.05, 0.95), 0.15  # share of the range of nearly all outputs that an interval may be off
 _SEEN = 1e-3  # of the rate about the axis that turns most: one that turns by less is not seen
 _LEAST_NOISE_RPS = 1e-6
+_DELAYS: "WeakKeyDictionary[ImuData, tuple[Reference, Site | None, float]]" = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,8 +169,25 @@ def _least(columns: Floats, output: Floats, step_s: float) -> Floats:
     return np.asarray(np.linalg.lstsq(both, right, rcond=1e-9)[0] / scale)
 
 
+def delay_by_motion(data: ImuData, reference: Reference, site: Site | None) -> float:
+    """Return the delay in s at which outputs follow a reference, 0 where ``following`` gives nothing.
+
+    It is looked for once as long as the data are kept, unless they are compared with another reference in between.
+    """
+    known = _DELAYS.get(data)
+    if known is None or known[0] is not reference or known[1] != site:
+        following(data, reference, site)
+    return _DELAYS[data][2]
+
+
 def following(data: ImuData, reference: Reference, site: Site | None) -> Following | None:
     """Return how the outputs of a source follow a reference; None where that tells no rates, or hardly turns."""
+    found = _followed(data, reference, site)
+    _DELAYS[data] = reference, site, 0.0 if found is None else found.delay_s
+    return found
+
+
+def _followed(data: ImuData, reference: Reference, site: Site | None) -> Following | None:
     body = body_turned(reference, site)
     means = None if body is None else _means(data, body)
     if body is None or means is None:
