@@ -2,6 +2,7 @@
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -34,6 +35,12 @@ def modules() -> Iterator[Path]:
         yield from sorted((ROOT / package).rglob("*.py"))
 
 
+@cache
+def nodes_of(path: Path) -> tuple[ast.AST, ...]:
+    """Return all nodes of the tree of a module."""
+    return tuple(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+
+
 def named(path: Path) -> str:
     """Return the path of a module in the repository."""
     return path.relative_to(ROOT).as_posix()
@@ -48,7 +55,7 @@ def test_a_function_fits_a_screen() -> None:
     long = {
         f"{named(path)}: {node.name}"
         for path in modules()
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in nodes_of(path)
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
         and (node.end_lineno or 0) - node.lineno >= MOST_LINES_OF_A_FUNCTION
     }
@@ -76,7 +83,7 @@ def test_no_import_runs_in_a_circle_not_even_for_types() -> None:
     }
     sorter: TopologicalSorter[str] = TopologicalSorter()
     for module, path in paths.items():
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes_of(path):
             if isinstance(node, ast.ImportFrom) and node.module:
                 imported = {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
                 sorter.add(module, *((imported & paths.keys()) - {module}))
@@ -87,7 +94,7 @@ def test_nothing_but_the_kinds_of_steps_asks_of_which_kind_a_step_is() -> None:
     kinds = ROOT / "station" / "scripts" / "steps"
     bases = {"Step"}
     for path in sorted(kinds.glob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes_of(path):
             if isinstance(node, ast.ClassDef) and any(isinstance(b, ast.Name) and b.id == "Step" for b in node.bases):
                 bases.add(node.name)
     assert {"Rest", "Move", "Rotate"} < bases
@@ -95,7 +102,7 @@ def test_nothing_but_the_kinds_of_steps_asks_of_which_kind_a_step_is() -> None:
         f"{named(path)}, line {node.lineno}"
         for path in modules()
         if kinds not in path.parents
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in nodes_of(path)
         if isinstance(node, ast.Call | ast.MatchClass) and bases & set(_classes_asked_for(node))
     }
     assert not asking
@@ -119,7 +126,7 @@ def test_a_kind_of_step_is_one_file_and_one_line() -> None:
         importing = {
             named(path)
             for path in modules()
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+            for node in nodes_of(path)
             if isinstance(node, ast.ImportFrom | ast.Import)
             and own in {getattr(node, "module", None), *(alias.name for alias in node.names)}
         }
@@ -135,7 +142,7 @@ def test_a_constructor_names_its_values() -> None:
     unnamed = {
         f"{named(path)}, line {node.lineno}: {called}"
         for path in modules()
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in nodes_of(path)
         if isinstance(node, ast.Call)
         and ((called := _name_of(node.func)) == "cls" or called[:1].isupper())
         and len(node.args) > MOST_POSITIONAL

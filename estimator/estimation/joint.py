@@ -28,7 +28,7 @@ from estimator.estimation.spectra import Z
 from estimator.estimation.undeclared import Undeclared, effects_by_state, moved_by, of_rates, undeclared
 from estimator.geometry.model import regressor_maps
 from estimator.geometry.noise import NoiseModel
-from estimator.observations.alignment import body_turned, following
+from estimator.observations.alignment import body_turned, delay_by_motion
 from estimator.observations.blocks import Blocks, block_squares
 from estimator.observations.foreign import CLUSTER_S, COLOURED, FEWEST_CLUSTERS, at_rest
 from estimator.observations.rows import BLOCK_S, coarser, row_length_s, sample_noise, source_blocks
@@ -201,8 +201,7 @@ def _delay_by_motion(recording: Recording, data: ImuData) -> float:
     """Return where to begin to look for a delay in s; that of a table's own readings is as good as none."""
     if not by_turns(recording.reference):
         return 0.0
-    line = following(data, recording.reference, recording.site)
-    return line.delay_s if line is not None else 0.0
+    return delay_by_motion(data, recording.reference, recording.site)
 
 
 def _shifted(sources: Sources, delays_s: Mapping[str, float]) -> Sources:

@@ -5,6 +5,7 @@ so it does not depend on where a search begins. Intervals that do not fit, as of
 """
 
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ LONGEST_S = 0.3
 """Longest delay between gyros and reference that is looked for, either way."""
 _STEP_S = 0.01  # of the delays that are tried first
 _REFINED = 1e-3  # of two such steps: how closely the best delay is found
+_ALIKE = 1e-6  # losses that differ by less are compared without the rounding of normal equations
 _LENGTH_S, _PERIODS = 0.05, 3  # of an interval: so long, and no fewer sampling periods
 _SLOW_S = 0.5  # means over so long tell how sensitive gyros are to slow motion
 _FILTER_S, _HARDLY = 0.2, 1e-3  # time constant of a filter, and how much an expectation of it counts
@@ -34,6 +36,7 @@ _USUAL = 0.9  # quantile of the rates beyond which an interval has no more weigh
 _MIDDLE, _AT_MOST = (0.05, 0.95), 0.15  # share of the range of nearly all outputs that an interval may be off
 _SEEN = 1e-3  # of the rate about the axis that turns most: one that turns by less is not seen
 _LEAST_NOISE_RPS = 1e-6
+_DELAYS: "WeakKeyDictionary[ImuData, tuple[Reference, Site | None, float]]" = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,8 +169,25 @@ def _least(columns: Floats, output: Floats, step_s: float) -> Floats:
     return np.asarray(np.linalg.lstsq(both, right, rcond=1e-9)[0] / scale)
 
 
+def delay_by_motion(data: ImuData, reference: Reference, site: Site | None) -> float:
+    """Return the delay in s at which outputs follow a reference, 0 where ``following`` gives nothing.
+
+    It is looked for once as long as the data are kept, unless they are compared with another reference in between.
+    """
+    known = _DELAYS.get(data)
+    if known is None or known[0] is not reference or known[1] != site:
+        following(data, reference, site)
+    return _DELAYS[data][2]
+
+
 def following(data: ImuData, reference: Reference, site: Site | None) -> Following | None:
     """Return how the outputs of a source follow a reference; None where that tells no rates, or hardly turns."""
+    found = _followed(data, reference, site)
+    _DELAYS[data] = reference, site, 0.0 if found is None else found.delay_s
+    return found
+
+
+def _followed(data: ImuData, reference: Reference, site: Site | None) -> Following | None:
     body = body_turned(reference, site)
     means = None if body is None else _means(data, body)
     if body is None or means is None:
@@ -177,9 +197,7 @@ def following(data: ImuData, reference: Reference, site: Site | None) -> Followi
     if len(turning) < _FEWEST or float(np.sqrt(np.mean(np.sum(turning**2, axis=1)))) < _TURNS_RPS:
         return None
     inner = np.isfinite(means.outputs) & ~_near_ends(means.outputs)
-    tried_s = np.arange(-LONGEST_S, LONGEST_S + _STEP_S / 2, _STEP_S)
-    losses = [_loss(means, delay, inner) for delay in tried_s.tolist()]
-    delay_s = _refined(means, float(tried_s[int(np.argmin(losses))]), inner)
+    delay_s = _refined(means, _tried(means, inner), inner)
     fits = inner
     for _ in range(_ROUNDS):
         # Ramps alone may tell the delay: what is off by more than nearly all others is left out, no less.
@@ -230,30 +248,44 @@ def _near_ends(outputs: Floats) -> Flags:
     return near
 
 
-def _line(means: _Means, delay_s: float, fits: Flags) -> tuple[Floats, Floats, Floats]:
-    """Return rows (4, m) by least squares of the intervals that fit, what they leave of all (n, m), and weights (n,).
+def _columns(means: _Means, delay_s: float) -> tuple[Floats, Flags, Floats]:
+    """Return [1, body rate] (n, 4) at a delay, for which intervals (n,) that is known, and weights (n,), 0 elsewhere.
 
     An interval that turns faster than nearly all others counts as those: a reference that jumps has no more weight.
     """
     w = means.rates(delay_s)
-    known = np.isfinite(w).all(axis=1)
-    speed = np.linalg.norm(w, axis=1)
+    x, y, z = w.T
+    known = np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
+    speed = np.sqrt(x * x + y * y + z * z)
     weight = np.where(known, 1.0, 0.0)
     if known.any():
         usual = float(np.quantile(speed[known], _USUAL))
         weight[known] = np.minimum(usual / np.maximum(speed[known], 1e-12), 1.0)
-    columns = np.column_stack([np.ones(len(w)), w])
+    return np.column_stack([np.ones(len(w)), w]), known, weight
+
+
+def _line(means: _Means, delay_s: float, fits: Flags) -> tuple[Floats, Floats, Floats]:
+    """Return rows (4, m) by least squares of the intervals that fit, what they leave (n, m), and weights (n,)."""
+    columns, known, weight = _columns(means, delay_s)
     rows = np.zeros((4, means.outputs.shape[1]))
     for gyro, own in enumerate(fits.T):
         good = known & own
         if good.sum() >= _FEWEST:
             weighed = columns[good] * weight[good, None]
-            size = np.sqrt(np.mean(weighed**2, axis=0))
-            # An axis about which nothing but the Earth turns is not seen: its noise would be called a sensitivity.
-            scale = np.maximum([size[0], *[np.max(size[1:])] * 3], 1e-12)
+            scale = _scales(np.mean(weighed**2, axis=0))
             right = means.outputs[good, gyro] * weight[good]
             rows[:, gyro] = np.linalg.lstsq(weighed / scale, right, rcond=_SEEN)[0] / scale
     return rows, means.outputs - columns @ rows, weight
+
+
+def _scales(squares: Floats) -> Floats:
+    """Return the scales (..., 4) of columns with such mean squares: one for the body rate about all axes.
+
+    An axis about which nothing but the Earth turns is not seen: its noise would be called a sensitivity.
+    """
+    size = np.sqrt(squares)
+    size[..., 1:] = np.max(size[..., 1:], axis=-1, keepdims=True)
+    return np.maximum(size, 1e-12)
 
 
 def _loss(means: _Means, delay_s: float, fits: Flags) -> float:
@@ -262,6 +294,44 @@ def _loss(means: _Means, delay_s: float, fits: Flags) -> float:
     counts = fits & np.isfinite(left)
     sizes = np.minimum(np.where(counts, np.abs(left) * weight[:, None], 0.0), means.most_rps)
     number = counts.sum(axis=0)
+    squares = np.sum(sizes**2, axis=0) / np.maximum(number, 1)
+    return float(np.sum(number * np.log(squares + _LEAST_NOISE_RPS**2)) / max(number.sum(), 1))
+
+
+def _tried(means: _Means, fits: Flags) -> float:
+    """Return the delay, of a grid over all that are looked for, that leaves least.
+
+    Normal equations of all gyros at once tell which delays may be it, in half the time of exact least squares.
+    """
+    tried_s = np.arange(-LONGEST_S, LONGEST_S + _STEP_S / 2, _STEP_S)
+    outputs = np.where(fits, means.outputs, 0.0)
+    losses = np.array([_loss_by_normal_equations(means, outputs, delay, fits) for delay in tried_s.tolist()])
+    may_be = tried_s[losses <= losses.min() + _ALIKE].tolist()
+    if len(may_be) == 1:
+        return float(may_be[0])
+    return float(may_be[int(np.argmin([_loss(means, delay, fits) for delay in may_be]))])
+
+
+def _loss_by_normal_equations(means: _Means, outputs: Floats, delay_s: float, fits: Flags) -> float:
+    """Return the same as ``_loss`` but for rounding; ``outputs`` (n, m) are 0 where they do not fit."""
+    columns, known, weight = _columns(means, delay_s)
+    if not known.all():
+        columns = np.where(known[:, None], columns, 0.0)
+    weighed = columns * weight[:, None]
+    right = outputs * weight[:, None]
+    good = (fits & known[:, None]).astype(np.float64)
+    number = good.sum(axis=0)
+    upper, lower = np.triu_indices(4)
+    gram = np.empty((len(number), 4, 4))
+    gram[:, upper, lower] = good.T @ (weighed[:, upper] * weighed[:, lower])
+    gram[:, lower, upper] = gram[:, upper, lower]
+    scale = _scales(np.diagonal(gram, axis1=1, axis2=2) / np.maximum(number, 1)[:, None])
+    values, vectors = np.linalg.eigh(gram / (scale[:, :, None] * scale[:, None, :]))
+    seen = values > _SEEN**2 * values[:, -1:]
+    along = (((right.T @ weighed) / scale)[:, None, :] @ vectors)[:, 0] / np.where(seen, values, np.inf)
+    rows = (vectors @ along[:, :, None])[:, :, 0].T / scale.T
+    rows[:, number < _FEWEST] = 0.0
+    sizes = np.minimum(np.abs(right - weighed @ rows), means.most_rps) * good
     squares = np.sum(sizes**2, axis=0) / np.maximum(number, 1)
     return float(np.sum(number * np.log(squares + _LEAST_NOISE_RPS**2)) / max(number.sum(), 1))
 

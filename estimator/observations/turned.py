@@ -116,10 +116,13 @@ class Turned:
     def means(self, first_s: Floats, last_s: Floats) -> Floats:
         """Return the mean rates (n, c) from each of some instants (n,) to another, NaN where they are not known."""
         begin, end = first_s - self.reach_s, last_s + self.reach_s
-        gaps = self._gaps(end, 1) - self._gaps(begin, -1)
-        known = (gaps == 0) & (begin >= self.t_s[0]) & (end <= self.t_s[-1])
-        mean = (self._at(last_s) - self._at(first_s)) / (last_s - first_s)[:, None]
-        return np.where(known[:, None], mean, np.nan)
+        known = (begin >= self.t_s[0]) & (end <= self.t_s[-1])
+        if self.gaps[-1]:
+            known &= self._gaps(end, 1) == self._gaps(begin, -1)
+        mean = self._at(last_s) - self._at(first_s)
+        mean /= (last_s - first_s)[:, None]
+        mean[~known] = np.nan
+        return mean
 
     def known(self, at_s: Floats) -> NDArray[np.bool_]:
         """Return at which instants (n,) it is known how the body turns."""
@@ -138,10 +141,12 @@ class Turned:
     def _at(self, at_s: Floats) -> Floats:
         if self.smooth is not None:
             start_s, step_s, values = self.smooth
-            place = np.clip((at_s - start_s) / step_s, 0, len(values) - 1.000001)
+            place = np.minimum(np.maximum((at_s - start_s) / step_s, 0), len(values) - 1.000001)
             before = place.astype(np.intp)
             share = (place - before)[:, None]
-            return np.asarray(values[before] * (1 - share) + values[before + 1] * share)
+            value = values.take(before, axis=0) * (1 - share)
+            value += values.take(before + 1, axis=0) * share
+            return value
         return np.column_stack([np.interp(at_s, self.t_s, column) for column in self.integral.T])
 
     def _gaps(self, at_s: Floats, side: int) -> Floats:

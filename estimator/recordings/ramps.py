@@ -372,13 +372,14 @@ def _weighed(p: Floats, readings: Readings, sd: Floats, tail: float) -> tuple[Fl
     t_s, angle_rad, rate_rps, half_width_s, window_s = readings
     angle, rate, slopes = modelled(p, t_s, window_s)
     off = np.concatenate([angle_rad - angle, rate_rps - p[-1] * rate])
-    # Angle and rate are asked for one after the other: the first may be off by half widths of both.
-    angles, rates = turned(p, t_s + np.array([[-2.0], [2.0]]) * half_width_s, window_s)
-    may = np.abs(np.hstack([angles - angle, p[-1] * (rates - rate)])).max(axis=0)
-    known = np.repeat(sd, len(t_s))
-    excess = np.minimum(np.abs(off), may)
-    share = min(float(np.sum(excess**2) / max(np.sum(may**2), 1e-30)), 1 / 3)
-    doubt = np.hypot(known, np.maximum(excess, may * np.sqrt(share)))
+    doubt = np.repeat(sd, len(t_s))
+    if half_width_s.any():
+        # Angle and rate are asked for one after the other: the first may be off by half widths of both.
+        angles, rates = turned(p, t_s + np.array([[-2.0], [2.0]]) * half_width_s, window_s)
+        may = np.abs(np.hstack([angles - angle, p[-1] * (rates - rate)])).max(axis=0)
+        excess = np.minimum(np.abs(off), may)
+        share = min(float(np.sum(excess**2) / max(np.sum(may**2), 1e-30)), 1 / 3)
+        doubt = np.hypot(doubt, np.maximum(excess, may * np.sqrt(share)))
     if np.isfinite(tail):
         doubt *= np.sqrt((tail + (off / doubt) ** 2) / (tail + 1))
     return off / doubt, slopes / doubt[:, None], doubt

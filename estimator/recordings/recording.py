@@ -38,7 +38,7 @@ def possible(rate_rps: Floats) -> tuple[Floats, int]:
     return np.where(none, np.nan, rate_rps), int(none.any(axis=1).sum())
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class ImuData:
     """Samples of one source: instants (n,), rates (n, m), and what else it gave; ``lost`` counts what it lost,
     and samples with rates that nothing can have.

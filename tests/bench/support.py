@@ -14,12 +14,13 @@ from typing import Any
 
 import forks
 import numpy as np
+from motions import simulate
 
 from estimator.geometry.array import SensorArray, tetrahedron
 from estimator.geometry.kinematics import Site
 from estimator.recordings.recording import Recording
 from sims.physics.hidden import Hidden
-from station.opening import DeviceTruth, simulate
+from station.opening import DeviceTruth
 from station.scripts.loop_scripts import exploration_script, verification_script
 from station.scripts.script import Script, paper_script
 

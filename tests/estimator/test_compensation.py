@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from motions import simulate
 from support import SITE
 
 from estimator.calibration.calibration_file import read_calibration, write_calibration
@@ -23,7 +24,7 @@ from estimator.geometry.kinematics import GRAVITY_MPS2
 from estimator.recordings.reference import BodyRates, TableReadings
 from estimator.recordings.writing import write_recording
 from sims.physics.hidden import Hidden
-from station.opening import DeviceTruth, simulate
+from station.opening import DeviceTruth
 from station.scripts.loop_scripts import exploration_script
 
 SIZES: dict[str, tuple[float, ...]] = {

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from motions import simulate
 from support import SITE, TABLE_1
 
 from estimator.estimation.calibrate import calibrate
@@ -17,7 +18,7 @@ from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import RateReadings
 from sims.physics.hidden import Hidden
 from station.bench.bench import load_bench
-from station.opening import DeviceTruth, simulate
+from station.opening import DeviceTruth
 from station.scripts.early_late import early_and_late
 from station.scripts.loop_scripts import between_rests, exploration_script, there_and_back, verification_script
 from station.scripts.script import Rest, Rotate, Step, paper_script

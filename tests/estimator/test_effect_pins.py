@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from motions import simulate
 
 from estimator.calibration.compensation import Compensation
 from estimator.calibration.error_model import ErrorModel
@@ -32,7 +33,7 @@ from estimator.tracing.candidates import candidates_of
 from estimator.tracing.residuals.dependence import Regressors
 from sims.physics.hidden import Hidden
 from station.cli import main
-from station.opening import DeviceTruth, simulate
+from station.opening import DeviceTruth
 from station.report.chapters.correction import Correction, snippet
 from station.scripts.script import Rest, Rotate, Script
 

@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 import pytest
 from known_effects import fit_known
+from motions import simulate
 from support import SITE, TABLE_1
 
 from estimator.calibration.calibration_file import read_calibration, write_calibration
@@ -27,7 +28,7 @@ from estimator.tracing.candidates import Candidate, candidates_of
 from estimator.tracing.investigation import Investigation
 from estimator.tracing.type_model import error_model_of
 from sims.physics.hidden import Hidden
-from station.opening import DeviceTruth, simulate
+from station.opening import DeviceTruth
 from station.scripts.loop_scripts import exploration_script
 from station.scripts.script import Script, paper_script
 

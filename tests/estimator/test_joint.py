@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from motions import simulate
 from support import SITE, TABLE_1, direct_recording
 
 from estimator.calibration.budget import UNSEEN
@@ -15,7 +16,7 @@ from estimator.geometry.array import tetrahedron, triad
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import RateReadings, TableReadings
 from sims.physics.hidden import Hidden
-from station.opening import DeviceTruth, simulate
+from station.opening import DeviceTruth
 from station.scripts.script import paper_script
 
 ASYMMETRY = {"scale_asymmetry": {"size": ["2000 ppm", "-1500 ppm", "1000 ppm", "2500 ppm"]}}

@@ -152,7 +152,7 @@ def test_recordings_that_do_not_belong_together_are_refused() -> None:
 
 
 def test_effects_that_the_recordings_cannot_show_are_left_out_by_name() -> None:
-    recordings = first_gyros(2, *recordings_of(Case((), 1.0, 1)))
+    recordings = first_gyros(1, *recordings_of(Case((), 1.0, 1)))
     cold = [changed(recording, temperature_c=None) for recording in recordings]
     found = investigate(cold[:2], cold[2:])
     assert found.finding == Finding.NOTHING

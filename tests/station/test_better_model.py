@@ -9,6 +9,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from motions import simulate
 from support import SITE, TABLE_1
 
 from drivers.types import ImuBlock
@@ -22,7 +23,7 @@ from estimator.recordings.writing import write_recording
 from sims.physics.hidden import Hidden
 from station.bench.bench import default_bench_text
 from station.cli import main
-from station.opening import DeviceTruth, simulate
+from station.opening import DeviceTruth
 from station.run.live import LiveEstimate
 from station.run.table_watch import TableRow
 from station.scripts.loop_scripts import exploration_script

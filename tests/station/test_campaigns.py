@@ -31,6 +31,7 @@ from station.cli import main
 from station.commands.calibrate import Estimated, estimate
 from station.errors import UsageError
 from station.render.printing import result_object
+from station.scripts.loop_scripts import between_rests, there_and_back
 
 
 def estimate_or_be_the_victim(victim: Path, name: str) -> Estimated:
@@ -322,10 +323,14 @@ def test_ctrl_c_stops_the_processes_and_what_they_started(tmp_path: Path) -> Non
 
 
 def test_a_folder_is_calibrated_alike_by_any_number_of_processes_and_the_damaged_file_is_listed(
-    tmp_path: Path, archive: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "archive"
-    shutil.copytree(archive, folder)
+    (folder / "older").mkdir(parents=True)
+    turns = [turn for axis in "xyz" for turn in there_and_back(axis, 40.0, 3.0)]
+    for seed, name in enumerate(("older/run-0.h5", "run-1.h5", "run-2.h5", "run-3.h5")):
+        recording = direct_recording(seed, script=between_rests("short", turns, 3.0), rate_hz=50.0)
+        write_recording(folder / name, recording)
     damaged = folder / "run-2.h5"
     damaged.write_bytes(damaged.read_bytes()[:50_000])
     words = ["calibrate", str(folder), "--json"]

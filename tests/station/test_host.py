@@ -48,7 +48,7 @@ def texts(path: Path) -> list[str]:
         return [text.decode() for text in file["events/text"][:]]
 
 
-@pytest.mark.parametrize("scale", [400, 3000])
+@pytest.mark.parametrize("scale", [pytest.param(400, marks=pytest.mark.full), 3000])
 def test_a_scale_that_no_computer_keeps_up_with_is_not_kept_and_that_is_told(tmp_path: Path, scale: int) -> None:
     options = written(tmp_path, 20.0, 40.0)
     done = subprocess.run(

@@ -463,7 +463,8 @@ def test_a_run_whose_terminal_is_closed_is_aborted_and_says_so_by_its_exit_code(
 ) -> None:
     near, far = pty.openpty()
     path = tmp_path / "r.h5"
-    words = command("run", *printed, "--scale", "3", "--bench", bench_file(tmp_path), "-o", path)
+    line = forked if printed else command  # a bar that is drawn meanwhile asks for a terminal of its own
+    words = line("run", *printed, "--scale", "3", "--bench", bench_file(tmp_path), "-o", path)
     run = subprocess.Popen(
         [sys.executable, "-c", WITH_TERMINAL, *words], stdin=far, stdout=far, stderr=far, start_new_session=True
     )

@@ -106,7 +106,7 @@ def test_what_the_model_lacks_is_named_and_its_size_is_right(traced_asymmetry: T
 def test_the_360_s_script_alone_does_not_show_an_asymmetry_and_the_script_that_it_asks_for_does(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    first, _, third = files(tmp_path, ASYMMETRY, gyros=2)
+    first, _, third = files(tmp_path, ASYMMETRY, gyros=1)
     script = tmp_path / "next.toml"
     code, text, _ = investigated(capsys, first, "--verify", third, "--next-script", script, "--json")
     found = json.loads(text)
@@ -117,7 +117,7 @@ def test_the_360_s_script_alone_does_not_show_an_asymmetry_and_the_script_that_i
     driven = load_script(script)
     check(driven, load_bench(None).table.limits)
     settling = tmp_path / "next.h5"
-    write_recording(settling, *first_gyros(2, simulated(driven, 77, ASYMMETRY, 1100.0)))
+    write_recording(settling, *first_gyros(1, simulated(driven, 77, ASYMMETRY, 1100.0)))
     code, text, _ = investigated(capsys, first, settling, "--verify", third)
     assert code == 0
     # A person reads the verdict first, then sizes in everyday units.
@@ -149,7 +149,7 @@ def test_without_a_bench_it_says_what_the_next_script_needs(
 
 
 def test_clean_recordings_need_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    first, second, third = files(tmp_path, seed=3, gyros=2)
+    first, second, third = files(tmp_path, seed=3, gyros=1)
     code, text, _ = investigated(capsys, first, second, "--verify", third)
     assert code == 0
     assert text.startswith("NOTHING TO ADD")

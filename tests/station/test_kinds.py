@@ -173,21 +173,26 @@ def ask(link: str, line: str) -> str:
 
 
 @contextmanager
-def under_way(place: Path) -> Iterator[tuple[subprocess.Popen[bytes], TwinProcess]]:
+def under_way(place: Path, twins: TwinProcess, name: str) -> Iterator[subprocess.Popen[bytes]]:
     """A run on twins in another process, in real time, whose script has begun: the chamber was sent to 27 degC."""
-    (place / "bench.toml").write_text(default_bench_text() + CHAMBER.replace("within = 2", "within = 5"))
-    with TwinProcess("--bench", place / "bench.toml") as twins:
-        links = twins.options("table", "array", "chamber")
-        words = ["run", "--bench", "bench.toml", *links, "--script", "long.toml", "-o", "run.h5"]
-        with (place / "said").open("wb") as said:
-            process = subprocess.Popen(command(*words), stdout=said, stderr=said, cwd=place, start_new_session=True)
-        try:
-            waited(lambda: b"x at 20 deg/s" in (place / "said").read_bytes() or process.poll() is not None)
-            assert process.poll() is None, (place / "said").read_text()
-            yield process, twins
-        finally:
-            process.kill()
-            process.wait()
+    links = twins.options("table", "array", "chamber")
+    words = ["run", "--bench", "bench.toml", *links, "--script", "long.toml", "-o", f"{name}.h5"]
+    said = place / name
+    with said.open("wb") as output:
+        process = subprocess.Popen(command(*words), stdout=output, stderr=output, cwd=place, start_new_session=True)
+    try:
+        waited(lambda: b"x at 20 deg/s" in said.read_bytes() or process.poll() is not None)
+        assert process.poll() is None, said.read_text()
+        assert set_point_of(twins) == "27.0"
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+def set_point_of(twins: TwinProcess) -> str:
+    """Return the temperature in degC that the chamber was told to go to."""
+    return ask(twins.links["chamber"], "TEMP?").split(", ")[1]
 
 
 def waited(done: Callable[[], bool]) -> None:
@@ -197,23 +202,24 @@ def waited(done: Callable[[], bool]) -> None:
         time.sleep(0.05)
 
 
-def test_after_kill_9_the_guard_stops_the_table_and_then_makes_the_chamber_safe(place: Path) -> None:
-    with under_way(place) as (process, twins):
-        os.kill(process.pid, signal.SIGKILL)
-        log = guard_log_of(place / "run.h5")
-        waited(lambda: log.exists() and "it goes to 25 degC" in log.read_text())
-        lines = log.read_text().splitlines()
-        assert "the table is at rest, its power off" in lines[1]
-        assert "it goes to 25 degC" in lines[2]
-        assert ask(twins.links["chamber"], "TEMP?").split(", ")[1] == "25.0"
-
-
-def test_after_ctrl_c_the_chamber_is_safe(place: Path) -> None:
-    with under_way(place) as (process, twins):
-        process.send_signal(signal.SIGINT)
-        assert process.wait(_WAIT_S) == 3
-        assert ask(twins.links["chamber"], "TEMP?").split(", ")[1] == "25.0"
-        assert not guard_log_of(place / "run.h5").exists()
+def test_after_ctrl_c_the_chamber_is_safe_and_after_kill_9_the_guard_makes_it_so_once_the_table_stands(
+    place: Path,
+) -> None:
+    (place / "bench.toml").write_text(default_bench_text() + CHAMBER.replace("within = 2", "within = 5"))
+    with TwinProcess("--bench", place / "bench.toml") as twins:
+        with under_way(place, twins, "stopped") as process:
+            process.send_signal(signal.SIGINT)
+            assert process.wait(_WAIT_S) == 3
+            assert set_point_of(twins) == "25.0"
+            assert not guard_log_of(place / "stopped.h5").exists()
+        with under_way(place, twins, "killed") as process:
+            os.kill(process.pid, signal.SIGKILL)
+            log = guard_log_of(place / "killed.h5")
+            waited(lambda: log.exists() and "it goes to 25 degC" in log.read_text())
+            lines = log.read_text().splitlines()
+            assert "the table is at rest, its power off" in lines[1]
+            assert "it goes to 25 degC" in lines[2]
+            assert set_point_of(twins) == "25.0"
 
 
 def test_the_guard_can_make_devices_of_a_file_that_the_script_brings_as_well(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ from station.run.closed_loop import CALIBRATION, EXPLORATION, VERIFICATION
 from station.scripts.loop_scripts import between_rests, there_and_back
 from station.scripts.script import Script, load_script
 
-SHORT = between_rests("short", [turn for axis in "xz" for turn in there_and_back(axis, 20.0, 3.0)], 3.0)
+SHORT = between_rests("short", there_and_back("z", 20.0, 3.0), 3.0)
 
 
 def bench_file(folder: Path, *changes: tuple[str, str], hidden: str = "", rate_hz: int = 50) -> Path:
@@ -112,7 +112,7 @@ def test_rivals_are_told_apart_by_another_run_that_joins_the_fitted(
     told = Told(Finding.CANNOT_TELL, Finding.ADDED)
     monkeypatch.setattr(station.commands.loop, "investigate", told)
     folder = tmp_path / "loop"
-    code = main(["loop", "--bench", str(bench_file(tmp_path)), "-o", str(folder), "--minutes", "3"])
+    code = main(["loop", "--bench", str(bench_file(tmp_path)), "-o", str(folder), "--minutes", "2.5"])
     text = capsys.readouterr().out
     assert code == 0
     assert told.given == [(2, 1), (3, 1)]
@@ -133,11 +133,11 @@ def test_table_time_bounds_the_loop(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(station.commands.loop, "investigate", Told(Finding.CANNOT_TELL))
-    code, found, _ = looped(capsys, "--bench", bench_file(tmp_path), "-o", tmp_path / "loop", "--minutes", "2")
+    code, found, _ = looped(capsys, "--bench", bench_file(tmp_path), "-o", tmp_path / "loop", "--minutes", "1.2")
     assert code == 1
     assert found["verdict"] == "cannot tell"
     assert len(found["runs"]) == 3
-    assert found["minutes_used"] < 2
+    assert found["minutes_used"] < 1.2
     assert "table time left" in found["ended"]
     assert found["next_script"] is None
 
@@ -160,7 +160,7 @@ def test_the_runs_of_one_loop_have_noise_of_their_own_and_the_seed_repeats_them(
 
 @pytest.mark.usefixtures("short_scripts")
 def test_a_fault_ends_the_loop_with_what_was_recorded(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    bench = bench_file(tmp_path, ("[twin.array]", '[twin.fault]\naxis = "y"\nat = "15 s"\n\n[twin.array]'))
+    bench = bench_file(tmp_path, ("[twin.array]", '[twin.fault]\naxis = "z"\nat = "6 s"\n\n[twin.array]'))
     folder = tmp_path / "loop"
     code, found, error = looped(capsys, "--bench", bench, "-o", folder)
     assert code == 4

@@ -22,11 +22,11 @@ from station.run.event_loop.loops import VirtualLoop
 from station.run.session import RunOptions, Session
 from station.scripts.script import Script, load_script
 
-REST = '[[step]]\nkind = "rest"\nduration = "6 s"\n'
-TURN = '[[step]]\nkind = "rotate"\naxis = "{}"\nrate = "20 deg/s"\nacceleration = "30 deg/s2"\nduration = "8 s"\n'
+REST = '[[step]]\nkind = "rest"\nduration = "3 s"\n'
+TURN = '[[step]]\nkind = "rotate"\naxis = "{}"\nrate = "40 deg/s"\nacceleration = "40 deg/s2"\nduration = "4 s"\n'
 LOOSE = (("100 ppm", "10000 ppm"), ('sd_bias = "5 deg/h"', 'sd_bias = "500 deg/h"'), ("100 urad", "10000 urad"))
 EXIT_CODES = {"PASS": 0, "ESTIMATED": 0, "MANUAL": 0, "FAIL": 1, "ABORTED": 3, "FAULT": 4}
-FAULT = '\n[twin.fault]\naxis = "y"\nat = "22 s"\nkind = "fault"\n'
+FAULT = '\n[twin.fault]\naxis = "y"\nat = "11 s"\nkind = "fault"\n'
 WANDER = ('bias_instability = "0.5 deg/h"', 'bias_instability = "25 deg/h"')
 
 
@@ -52,8 +52,8 @@ def session(folder: Path, path: Path, bench: str, script: Script, options: RunOp
             going = Session(opened, script, path, options)
             loop = asyncio.get_running_loop()
             if options.manual:
-                loop.call_later(20, lambda: going.drive("jog", {"axis": "z", "rate_rps": 0.2}))
-                loop.call_later(30, lambda: going.drive("end", {}))
+                loop.call_later(4, lambda: going.drive("jog", {"axis": "z", "rate_rps": 0.2}))
+                loop.call_later(10, lambda: going.drive("end", {}))
             elif stop_s:
                 loop.call_later(stop_s, going.stop)
             await going.run()
@@ -77,7 +77,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("FAIL", bench_text(small), 0.0),
         ("ESTIMATED", re.sub(r"(?ms)^\[limits\].*?(?=^\[)", "", bench_text()), 0.0),
         ("FAULT", bench_text(fault=FAULT), 0.0),
-        ("ABORTED", bench_text(), 28.0),
+        ("ABORTED", bench_text(), 14.5),
         ("ABORTED-early", bench_text(), 0.5),
     ):
         session(folder, folder / f"runs/{name}.h5", text, script, options, stop_s)

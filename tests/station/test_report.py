@@ -46,8 +46,8 @@ if TYPE_CHECKING:
 
 FERRARIS = Path(__file__).parents[1] / "data" / "ferraris"
 SCRIPT = "name = 'short'\n" + "".join(
-    f"[[step]]\nkind = 'rest'\nduration = '6 s'\n[[step]]\nkind = 'rotate'\naxis = '{axis}'\nrate = '40 deg/s'\n"
-    "acceleration = '20 deg/s2'\nduration = '11 s'\n"
+    f"[[step]]\nkind = 'rest'\nduration = '3 s'\n[[step]]\nkind = 'rotate'\naxis = '{axis}'\nrate = '40 deg/s'\n"
+    "acceleration = '40 deg/s2'\nduration = '6 s'\n"
     for axis in "xyz"
 )
 

@@ -7,6 +7,8 @@ import re
 import signal
 import subprocess
 import time
+from contextlib import redirect_stdout
+from io import StringIO
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -86,6 +88,17 @@ def bench_file(folder: Path, *changes: tuple[str, str], end: str = "") -> Path:
     return path
 
 
+@pytest.fixture(scope="module")
+def brief_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """A folder with a bench, a brief script and run.h5, which is to be read only; what the run printed."""
+    folder = tmp_path_factory.mktemp("brief")
+    (folder / "brief.toml").write_text(BRIEF_SCRIPT)
+    files = ["--bench", bench_file(folder), "--script", folder / "brief.toml", "-o", folder / "run.h5"]
+    with redirect_stdout(StringIO()) as printed:
+        assert main(["run", "--json", "--seed", "5", *map(str, files)]) == 0
+    return folder, json.loads(printed.getvalue())
+
+
 def run_json(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int, dict[str, Any]]:
     code = main(["run", "--json", *map(str, arguments)])
     return code, json.loads(capsys.readouterr().out)
@@ -146,21 +159,26 @@ def test_the_paper_script_passes_on_the_built_in_twins_and_finds_the_truth(
 
 
 def test_the_same_bench_and_seed_give_the_same_bytes_and_another_seed_others(
-    tmp_path: Path, brief: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, brief_run: tuple[Path, dict[str, Any]], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    bench = bench_file(tmp_path)
+    folder, _ = brief_run
 
-    def contents(name: str, seed: int) -> dict[str, bytes]:
-        main(["run", "--bench", str(bench), "--script", str(brief), "--seed", str(seed), "-o", str(tmp_path / name)])
+    def run(seed: int) -> Path:
+        path = tmp_path / f"{seed}.h5"
+        files = ["--bench", folder / "bench.toml", "--script", folder / "brief.toml", "-o", path]
+        main(["run", "--seed", str(seed), *map(str, files)])
+        return path
+
+    def contents(path: Path) -> dict[str, bytes]:
         found: dict[str, bytes] = {}
-        with h5py.File(tmp_path / name) as file:
+        with h5py.File(path) as file:
             file.visititems(lambda key, item: found.update({key: item[()].tobytes()} if hasattr(item, "shape") else {}))
         return found
 
-    first, second, other = contents("a.h5", 5), contents("b.h5", 5), contents("c.h5", 6)
-    assert first == second
-    assert (tmp_path / "a.h5").read_bytes() == (tmp_path / "b.h5").read_bytes()
-    assert first["imu/gyro1/rate_rps"] != other["imu/gyro1/rate_rps"]
+    again, other = run(5), run(6)
+    assert contents(again) == contents(folder / "run.h5")
+    assert again.read_bytes() == (folder / "run.h5").read_bytes()
+    assert contents(again)["imu/gyro1/rate_rps"] != contents(other)["imu/gyro1/rate_rps"]
     assert "PASS" in capsys.readouterr().out
 
 
@@ -179,11 +197,10 @@ def test_a_stim300_and_the_array_ride_on_one_table(
 
 
 def test_a_recording_calibrates_to_what_its_run_said(
-    tmp_path: Path, brief: Path, capsys: pytest.CaptureFixture[str]
+    brief_run: tuple[Path, dict[str, Any]], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = tmp_path / "r.h5"
-    _, result = run_json(capsys, "--bench", bench_file(tmp_path), "--script", brief, "-o", path)
-    assert main(["calibrate", str(path), "--json"]) == 0
+    folder, result = brief_run
+    assert main(["calibrate", str(folder / "run.h5"), "--json"]) == 0
     again = json.loads(capsys.readouterr().out)
     assert again["gyros"] == result["gyros"]
     assert again["samples"] == result["samples"]

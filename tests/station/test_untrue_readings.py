@@ -22,6 +22,8 @@ from station.scripts.script import Move, Rest, Rotate, Script, check
 
 DEG = math.pi / 180
 PROTOCOLS = ("acutrol_vectornav", "galil_j1939", "rtu_stim300", "two_triads")
+SHORT_OF_PROTOCOLS = [*PROTOCOLS[:-1], pytest.param(PROTOCOLS[-1], marks=pytest.mark.full)]
+"""The last has the driver of the one before."""
 KINDS = ("frozen", "frozen angle", "zeros", "zero angle", "zero rate")
 
 
@@ -79,7 +81,7 @@ def begun_s(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], float]:
     ],
 )
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("name", PROTOCOLS)
+@pytest.mark.parametrize("name", SHORT_OF_PROTOCOLS)
 def test_the_table_stands_soon_after_its_readings_do_not_change_any_more(
     tmp_path: Path, begun_s: Callable[[str], float], name: str, kind: str, after_s: float
 ) -> None:
@@ -95,9 +97,7 @@ def test_the_table_stands_soon_after_its_readings_do_not_change_any_more(
     assert f"axis {axis} report" in result.verdict.reason
 
 
-@pytest.mark.parametrize(
-    "name", [*PROTOCOLS[:-1], pytest.param(PROTOCOLS[-1], marks=pytest.mark.full)]
-)  # the last has the driver of the one before
+@pytest.mark.parametrize("name", SHORT_OF_PROTOCOLS)
 def test_what_is_slow_small_steep_or_late_is_no_fault(tmp_path: Path, name: str) -> None:
     fault = "[twin.fault]\nlatency = '20 ms'\njitter = '2 ms'" if name != "acutrol_vectornav" else ""
     bench = bench_with(tmp_path, name, fault)

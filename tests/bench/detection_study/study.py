@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from known_effects import fit_known
+from motions import simulate
 
 from drivers.packaged import packaged_toml
 from drivers.types import Floats
@@ -23,7 +24,7 @@ from estimator.tracing.augmented import Augmented
 from estimator.tracing.investigate import investigate
 from estimator.tracing.search import CERTAIN
 from station.campaigns.campaigns import Failure, run_all
-from station.opening import DeviceTruth, Hidden, simulate
+from station.opening import DeviceTruth, Hidden
 from station.scripts.loop_scripts import exploration_script, verification_script
 from station.scripts.script import Script, paper_script
 

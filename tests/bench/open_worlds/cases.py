@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from motions import simulate
 from numpy.typing import NDArray
 
 from estimator.geometry.array import SensorArray, tetrahedron
@@ -16,7 +17,7 @@ from open_worlds import effects, fresh, fresh_sealed, third, third_sealed
 from open_worlds.effects import Kind, Scene
 from open_worlds.motion import DEG, SCRIPTS, SITE, motion_of
 from sims.physics.hidden.temperature import Temperature
-from station.opening import DeviceTruth, Hidden, simulate
+from station.opening import DeviceTruth, Hidden
 
 Floats = NDArray[np.float64]
 

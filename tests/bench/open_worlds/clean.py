@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from motions import simulate
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -18,7 +19,7 @@ from estimator.tracing.investigate import investigate
 from open_worlds.answers import covered
 from open_worlds.cases import ARRAY, STATES
 from open_worlds.motion import DEG, SCRIPTS, SITE, motion_of
-from station.opening import DeviceTruth, simulate
+from station.opening import DeviceTruth
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
