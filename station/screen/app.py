@@ -36,11 +36,11 @@ from station.screen.sessions.link import SessionLink, sessions_on, sessions_ther
 from station.screen.sessions.live_run import LiveRun, Stage
 from station.screen.sessions.programs import SessionProcess
 from station.screen.sessions.tray import NO_RESULT, RUNNING, WAITING, Spot, Tray
-from station.screen.tabs.giving_out import offered
 from station.screen.tabs.history import HistoryScreen
 from station.screen.tabs.manual import begin_manual
 from station.screen.tabs.prepare import PrepareScreen
 from station.screen.tabs.prospects import Prospect
+from station.screen.tabs.recording_actions import offered
 from station.screen.tabs.result import ResultScreen
 from station.screen.tabs.run import RunScreen
 from station.screen.tabs.tray import MountDialog, TrayScreen
