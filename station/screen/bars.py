@@ -11,7 +11,7 @@ from textual.widgets import Static
 
 from station.errors import sentence
 from station.render.template import rendered
-from station.screen.seen_app import SeenApp
+from station.screen.app_protocol import SeenApp
 from station.screen.sessions.live_run import LiveRun
 from station.views.figures import OUTCOME_STYLES, clock_between, number
 

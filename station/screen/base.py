@@ -10,8 +10,8 @@ from textual.containers import VerticalScroll
 from textual.screen import Screen
 from textual.widgets import Footer, Input
 
+from station.screen.app_protocol import SeenApp
 from station.screen.bars import Small, StopBar, TopBar
-from station.screen.seen_app import SeenApp
 
 LEAST_WIDTH, LEAST_HEIGHT = 80, 24
 _TALL, _LARGE = 34, (200, 52)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, cast
 from textual.binding import Binding
 from textual.containers import Grid
 
+from station.screen.app_protocol import SeenApp
 from station.screen.drawings import Drawing
-from station.screen.seen_app import SeenApp
 
 if TYPE_CHECKING:
     from station.screen.chart import Chart
