@@ -113,7 +113,7 @@ def _print_result(recorded: "Recorded", verdict: "Verdict | None", *, details: b
     """Print what comes first: how the run ended or was judged, None for data of no run, and the states."""
     from station.bench.units import Units
     from station.render.printing import print_calibration, print_verdict
-    from station.report.standing import limits_of
+    from station.report.document_status import limits_of
     from station.run.outcome import Outcome, Verdict
 
     limits = limits_of(recorded)

@@ -15,10 +15,10 @@ from drivers.packaged import packaged_text, packaged_toml
 from station.errors import UsageError, sentence
 from station.render.template import rendered
 from station.report.document import Report
+from station.report.document_status import Kind
 from station.report.figures import COVERAGE
 from station.report.formal import Formal
 from station.report.recorded import Recorded
-from station.report.standing import Kind
 from station.views.seen import seen_by
 
 PROBABILITY = 0.95

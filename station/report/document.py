@@ -19,9 +19,9 @@ from station.render.plan_printed import combination
 from station.render.template import rendered
 from station.report import figures, pictures, traced as residual
 from station.report.chapters import correction, front, results, unseen
+from station.report.document_status import Standing, limits_of, number_of, standing_of
 from station.report.formal import Formal, logo_of
 from station.report.recorded import Recorded, laid_out, read_recorded
-from station.report.standing import Standing, limits_of, number_of, standing_of
 from station.report.traced import Traced
 from station.views.seen import seen_by
 

@@ -10,9 +10,9 @@ from drivers.packaged import packaged_toml
 from drivers.units import split_quantity
 from estimator.calibration.gyro import GyroCalibration
 from estimator.calibration.values import Calibration
+from station.report.document_status import Standing
 from station.report.figures import ONE, PERCENT, SYMBOLS, Unit, figure, plain, stated, typographic
 from station.report.recorded import Recorded
-from station.report.standing import Standing
 from station.report.traced import Traced
 from station.run.outcome import Outcome
 from station.views.limits import MEAN_NIS, SAMPLES_LOST, LimitLine
