@@ -30,8 +30,8 @@ def command_report(arguments: argparse.Namespace) -> int:
     from station.report.dcc import check_facts, make_dcc, read_key, sign
     from station.report.document import make_report
     from station.report.formal import read_formal
+    from station.report.investigation_chapter import read_traced
     from station.report.recorded import read_recorded
-    from station.report.traced import read_traced
     from station.run.outcome import ended_of
     from station.screen.archive.register import check_number, enter
 

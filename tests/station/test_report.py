@@ -37,9 +37,9 @@ from station.report.chapters.correction import Correction, snippet
 from station.report.chapters.front import links_of, local_links
 from station.report.document_status import Kind, standing_of
 from station.report.formal import Formal, read_formal
+from station.report.investigation_chapter import read_traced
 from station.report.pdf import print_pdf
 from station.report.recorded import read_recorded
-from station.report.traced import read_traced
 
 if TYPE_CHECKING:
     from shared import Traced

@@ -23,8 +23,8 @@ from estimator.geometry.array import SensorArray
 from estimator.geometry.kinematics import GRAVITY_MPS2
 from station.exports.terms import SPELLED, law_terms
 from station.render.template import rendered
+from station.report.investigation_chapter import ALL, Traced
 from station.report.recorded import Recorded
-from station.report.traced import ALL, Traced
 
 _STEPS = "np.maximum(np.diff(t_s, prepend=t_s[:1]), 0)"
 _NUMBERS = {"GRAVITY": str(GRAVITY_MPS2), "REFERENCE": f"{REFERENCE_C:g}", "SLOPE": f"{SLOPE_S:g}"}

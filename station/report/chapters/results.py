@@ -12,8 +12,8 @@ from estimator.calibration.gyro import GyroCalibration
 from estimator.calibration.values import Calibration
 from station.report.document_status import Standing
 from station.report.figures import ONE, PERCENT, SYMBOLS, Unit, figure, plain, stated, typographic
+from station.report.investigation_chapter import Traced
 from station.report.recorded import Recorded
-from station.report.traced import Traced
 from station.run.outcome import Outcome
 from station.views.limits import MEAN_NIS, SAMPLES_LOST, LimitLine
 
