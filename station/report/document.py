@@ -18,7 +18,7 @@ from station.render.investigation_printed import verdict_lines
 from station.render.plan_printed import combination
 from station.render.template import rendered
 from station.report import figures, investigation_chapter as residual, pictures
-from station.report.chapters import correction, front, results, unseen
+from station.report.chapters import correction, front, results, unobserved_effects
 from station.report.document_status import Standing, limits_of, number_of, standing_of
 from station.report.formal import Formal, logo_of
 from station.report.investigation_chapter import Traced
@@ -29,7 +29,7 @@ _PACKAGES = ("turntable-station", "numpy", "scipy", "h5py", "matplotlib")
 _MADE_OF = {
     "asked_for": packaged_toml("station.report", "certificate.toml")["not_stated"],
     "basename": basename,
-    "blind_spots": unseen,
+    "blind_spots": unobserved_effects,
     "combination": combination,
     "correction": correction,
     "figures": figures,
@@ -54,7 +54,7 @@ class Report:
     number: str
     hashes: dict[str, str]
     before: Recorded | None = None
-    not_seen: unseen.Unseen | None = None
+    not_seen: unobserved_effects.Unseen | None = None
 
 
 def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Report:
@@ -73,7 +73,7 @@ def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Re
     number = formal.certificate_number or number_of(recorded, tuple(hashes.values()), formal.certificate_replaces or "")
     device = formal.item_serial_number or recorded.text("device")
     versions = [f"{name} {importlib.metadata.version(name)}" for name in _PACKAGES]
-    not_seen = unseen.unseen_of(recorded)
+    not_seen = unobserved_effects.unseen_of(recorded)
     values: dict[str, Any] = {
         "recorded": recorded,
         "on_table": isinstance(recorded.recording.reference, TableReadings),

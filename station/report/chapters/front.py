@@ -10,7 +10,7 @@ from estimator.observations.rows import observations
 from estimator.recordings.recording import ImuData
 from estimator.recordings.reference import AttitudeReadings, RateReadings, TableReadings, Turns
 from station.opening.links import ends_here
-from station.report.chapters.unseen import driven_step
+from station.report.chapters.unobserved_effects import driven_step
 from station.report.pictures import Picture, rates_picture
 from station.report.recorded import Recorded, Step
 from station.scripts.steps.rotate import Rotate
