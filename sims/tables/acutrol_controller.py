@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 
 from drivers.packaged import packaged_toml
 from sims.tables.acutrol_axis import LIMITED_MODES, AclError, AcutrolAxisTwin
-from sims.wires.line_controller import LineController, Seat, number
+from sims.wires.line_controller import LineController, TableTwinSetup, number
 
 _VTRIP = 1.1
 _JERK_DPS3 = 100_000.0
@@ -25,17 +25,17 @@ class AcutrolController(LineController):
 
     def __init__(
         self,
-        seat: Seat,
+        setup: TableTwinSetup,
         write: Callable[[bytes], None],
         *,
         wrapped: bool = True,
         identity: str = "Acutronic,ACUTROL3000,{serial},2.4",
     ) -> None:
         """Axes have numbers as addresses; ``reply_prefix`` of the options is the length of what is before an answer."""
-        super().__init__(seat, write)
-        self._prefix_length = seat.options["reply_prefix"]
-        self._identity = identity.format(serial=3117 + seat.number)
-        self._axes = {number: AcutrolAxisTwin(seat.table, axis, wrapped) for axis, number in seat.addresses.items()}
+        super().__init__(setup, write)
+        self._prefix_length = setup.options["reply_prefix"]
+        self._identity = identity.format(serial=3117 + setup.number)
+        self._axes = {number: AcutrolAxisTwin(setup.table, axis, wrapped) for axis, number in setup.addresses.items()}
         self._answers = 0
 
     def _is_powered(self) -> bool:

@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Callable
 
-from sims.wires.line_controller import LineController, Seat
+from sims.wires.line_controller import LineController, TableTwinSetup
 
 STA_MOVING, STA_FAULT, STA_SERVO_OFF, STA_FORWARD_LIMIT, STA_REVERSE_LIMIT = 1, 2, 4, 8, 16
 
@@ -17,10 +17,10 @@ _COMMAND = re.compile(r"([A-Z]{3})([-+]?\d+(?:\.\d*)?)?")
 class AerosmithController(LineController):
     """One axis; a line ends with CR."""
 
-    def __init__(self, seat: Seat, write: Callable[[bytes], None]) -> None:
+    def __init__(self, setup: TableTwinSetup, write: Callable[[bytes], None]) -> None:
         """Start with the servo off."""
-        super().__init__(seat, write)
-        self._table, (self._axis,) = seat.table, seat.addresses
+        super().__init__(setup, write)
+        self._table, (self._axis,) = setup.table, setup.addresses
         self._servo_on = False
         self._faulty = False
         self._held_prompt = False

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from drivers.packaged import packaged_codes, packaged_toml
 from drivers.tables.galil.language import LONGEST_LINE, UNRECOGNIZED
 from sims.tables.galil_axis import GalilAxisTwin
-from sims.wires.line_controller import LineController, Refused, Seat, number
+from sims.wires.line_controller import LineController, Refused, TableTwinSetup, number
 
 _LETTERS = "ABCDEFGH"
 _SYNONYMS = str.maketrans("XYZW", "ABCD")
@@ -32,7 +32,7 @@ class GalilController(LineController):
 
     def __init__(
         self,
-        seat: Seat,
+        setup: TableTwinSetup,
         write: Callable[[bytes], None],
         *,
         echo: bool = False,
@@ -40,11 +40,11 @@ class GalilController(LineController):
         serial: int = 9046,
     ) -> None:
         """Axes have letters as addresses; velocities are means of the option ``velocity_window`` (s)."""
-        super().__init__(seat, write)
-        by_letter = sorted(seat.addresses.items(), key=lambda a: str(a[1]))
-        self._table, window_s = seat.table, seat.options["velocity_window"]
-        self._axes = {letter: GalilAxisTwin(seat.table, axis, window_s) for axis, letter in by_letter}
-        self._echo, self._revision, self._serial = echo, revision, serial + seat.number
+        super().__init__(setup, write)
+        by_letter = sorted(setup.addresses.items(), key=lambda a: str(a[1]))
+        self._table, window_s = setup.table, setup.options["velocity_window"]
+        self._axes = {letter: GalilAxisTwin(setup.table, axis, window_s) for axis, letter in by_letter}
+        self._echo, self._revision, self._serial = echo, revision, serial + setup.number
         self._error = 0
         self._leading_zeros = False
         self._own: dict[str, list[float]] = {word: list(values) for word, values in _KNOWN["setting"].items()}

@@ -21,7 +21,7 @@ from drivers.tables.modbus.order import READ, WRITE_MORE, WRITE_ONE
 from drivers.tables.modbus.registers import DriveProfile, Register
 from sims.tables.drive import Drive
 from sims.wires.faults import FaultyWay, WireFaults, damaged
-from sims.wires.line_controller import Refused, Seat
+from sims.wires.line_controller import Refused, TableTwinSetup
 from sims.wires.wires import ByteDevice, Write
 
 _BROADCAST = 0
@@ -212,20 +212,22 @@ class Connection(ServerRequestHandler):
             self.send(frame)
 
 
-def drives_by_unit(seat: Seat) -> dict[int, DriveRegisters]:
+def drives_by_unit(setup: TableTwinSetup) -> dict[int, DriveRegisters]:
     """Return a drive for each axis, by its unit id."""
-    table, profile = seat.table, seat.options["profile"]
+    table, profile = setup.table, setup.options["profile"]
     drives = {}
-    for axis, unit_id in seat.addresses.items():
-        drive = Drive(table, axis, profile, seat.watchdog_s, cycle_s=seat.cycle_s)
+    for axis, unit_id in setup.addresses.items():
+        drive = Drive(table, axis, profile, setup.watchdog_s, cycle_s=setup.cycle_s)
         drives[unit_id] = DriveRegisters(drive, profile, table.data[axis].counts_per_turn)
     return drives
 
 
-def modbus_server(seat: Seat, address: tuple[str, int], faults: FaultyModbus | None = None) -> ModbusTcpServer:
+def modbus_server(
+    setup: TableTwinSetup, address: tuple[str, int], faults: FaultyModbus | None = None
+) -> ModbusTcpServer:
     """Return a server, not yet listening, with one unit id an axis, at a host and port."""
     server = ModbusTcpServer(NOBODY, address=address, trace_packet=None if faults is None else faults.trace)
-    make = partial(ModbusTcp, drives_by_unit(seat))
+    make = partial(ModbusTcp, drives_by_unit(setup))
     server.callback_new_connection = partial(Connection, server, make)  # type: ignore[method-assign]
     if faults is not None:
         faults.server = server

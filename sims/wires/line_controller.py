@@ -85,7 +85,7 @@ class Watchdog:
 
 
 @dataclass(frozen=True, slots=True)
-class Seat:
+class TableTwinSetup:
     """A controller as it stands before the simulated table.
 
     ``addresses`` are those of its axes, outermost first, ``options`` the protocol's keys in the bench file.
@@ -106,10 +106,10 @@ class LineController(LineDevice):
 
     skipped = b"\n"
 
-    def __init__(self, seat: Seat, write: Callable[[bytes], None]) -> None:
+    def __init__(self, setup: TableTwinSetup, write: Callable[[bytes], None]) -> None:
         """Stand where the table is."""
         super().__init__(write)
-        self._watchdog = Watchdog(seat.table.clock, seat.watchdog_s, self._master_is_silent)
+        self._watchdog = Watchdog(setup.table.clock, setup.watchdog_s, self._master_is_silent)
 
     def received(self, data: bytes) -> None:
         """Take bytes from the host, cut anywhere."""

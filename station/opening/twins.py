@@ -29,7 +29,7 @@ from sims.physics.hidden import Hidden, HiddenError
 from sims.physics.hidden.table import TableFaults
 from sims.physics.table import AxisData, TableModel
 from sims.tables.modbus import FaultyModbus, modbus_server, pull_plug
-from sims.tables.registry import Seat, twin_of as twin_of_table
+from sims.tables.registry import TableTwinSetup, twin_of as twin_of_table
 from sims.wires.faults import Exchanged, FaultyFrames, faulty_device
 from sims.wires.frames import FrameSink, NodeFaults
 from sims.wires.wires import ByteDevice, Plug, Write, in_memory
@@ -83,7 +83,7 @@ class Twins:
         """Serve the controller of a driver that opens links itself at a host and port; return pymodbus's server."""
         faults = self._faults.wires["table"]
         wire = FaultyModbus(faults, self._seed("table")) if faults.any else None
-        server = modbus_server(self._seat(), address, wire)
+        server = modbus_server(self._table_setup(), address, wire)
         try:
             await server.serve_forever(background=True)
         except RuntimeError:
@@ -100,20 +100,22 @@ class Twins:
         plug.schedule(faults.unplug_s, faults.replug_s)
         return server
 
-    def _seat(self) -> Seat:
+    def _table_setup(self) -> TableTwinSetup:
         config = self.bench.table
         addresses = {name: axis.address for name, axis in config.axes.items()}
-        return Seat(self.table, addresses, config.options, self.watchdog_s, cycle_s=self.bench.twin.drive_cycle_s)
+        return TableTwinSetup(
+            self.table, addresses, config.options, self.watchdog_s, cycle_s=self.bench.twin.drive_cycle_s
+        )
 
     def table_device(self, write: Write) -> ByteDevice:
         """Return the controller, or the drives on a serial line."""
-        put_there, seat = twin_of_table(self.bench.table.spec), self._seat()
-        end = Exchanged(put_there(seat, write))
+        put_there, setup = twin_of_table(self.bench.table.spec), self._table_setup()
+        end = Exchanged(put_there(setup, write))
 
         def exchange() -> None:
             for axis in self.bench.table.axes:
                 self.table.stop(axis)  # its brakes close while there is no controller
-            end.device = put_there(replace(seat, number=1), write)
+            end.device = put_there(replace(setup, number=1), write)
 
         self._later(self._faults.wires["table"].another_s, exchange)
         return end
