@@ -10,7 +10,7 @@ from drivers.imus.can.imu import load_dbc
 from drivers.imus.signals import parameter_group
 from drivers.types import Floats
 from sims.physics.geometry import tilt_deg
-from sims.wires.frames import FrameSink, Ride
+from sims.wires.frames import FrameSink, ImuTwinSetup
 
 
 class AceinnaDevice:
@@ -21,7 +21,7 @@ class AceinnaDevice:
 
     def __init__(
         self,
-        ride: Ride,
+        setup: ImuTwinSetup,
         bus: FrameSink,
         *,
         axis_order: aceinna.AxisOrder | None = None,
@@ -29,8 +29,8 @@ class AceinnaDevice:
         name: aceinna.Name | None = None,
     ) -> None:
         """It sends at the rate of its three gyros until it is told otherwise."""
-        model, address = ride.options["model"], ride.options["address"]
-        self._ride, self._bus, self._address, self.faults = ride, bus, address, ride.faults
+        model, address = setup.options["model"], setup.options["address"]
+        self._setup, self._bus, self._address, self.faults = setup, bus, address, setup.faults
         self._columns = list(aceinna.COLUMNS[axis_order or aceinna.AXIS_ORDERS[model]])
         self._messages = {one.name.lower(): one for one in load_dbc("j1939 twin", aceinna.DBC).messages}
         self.saved = 0
@@ -38,9 +38,9 @@ class AceinnaDevice:
         self._held = {
             aceinna.SOFTWARE_VERSION: version,
             aceinna.ADDRESS_CLAIM: (
-                name or aceinna.Name(identity=305_001 + ride.number, manufacturer=823, function=131)
+                name or aceinna.Name(identity=305_001 + setup.number, manufacturer=823, function=131)
             ).encode(),
-            aceinna.RATE_DIVIDER: bytes([address, round(aceinna.INTERNAL_RATE_HZ / ride.rate_hz)]),
+            aceinna.RATE_DIVIDER: bytes([address, round(aceinna.INTERNAL_RATE_HZ / setup.rate_hz)]),
             aceinna.PACKET_TYPES: bytes([address, sum(aceinna.PACKETS.values()), 0]),
             aceinna.FILTERS: bytes([address, 25, 5]),
             aceinna.ORIENTATION: bytes([address, 0, 0]),
@@ -74,8 +74,8 @@ class AceinnaDevice:
             await asyncio.sleep(max(at - loop.time(), 0.0))
             if not divider:
                 continue  # told to be quiet
-            rates = self.faults.rates(self._ride.gyros.sample(np.array([at]))[0])
-            force = self._ride.force_mps2(np.array([at]))[0]
+            rates = self.faults.rates(self._setup.gyros.sample(np.array([at]))[0])
+            force = self._setup.force_mps2(np.array([at]))[0]
             for _ in range(self.faults.times_to_send()):
                 self._send_sample(np.degrees(rates), force)
 

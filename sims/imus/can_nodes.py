@@ -11,7 +11,7 @@ import numpy as np
 from drivers.imus.can.imu import ChannelSignals, load_dbc
 from drivers.imus.signals import SignalReader
 from drivers.types import Floats
-from sims.wires.frames import FrameSink, Ride
+from sims.wires.frames import FrameSink, ImuTwinSetup
 
 _BUILT = "can twin"
 _RANGE_RPS = math.radians(2000)
@@ -20,11 +20,11 @@ _RANGE_RPS = math.radians(2000)
 class CanNodes:
     """Sends each channel's messages regularly; those that carry nothing but a temperature, once a second."""
 
-    def __init__(self, ride: Ride, bus: FrameSink) -> None:
+    def __init__(self, setup: ImuTwinSetup, bus: FrameSink) -> None:
         """The signals are the driver's, in the order of the gyros; DeviceError for what the DBC does not have."""
-        dbc, channels = ride.signals.dbc, ride.signals.channels
-        database = ride.signals.database or load_dbc(_BUILT, dbc)
-        self._ride, self._bus, self._rate_hz, self.faults = ride, bus, ride.rate_hz, ride.faults
+        dbc, channels = setup.signals.dbc, setup.signals.channels
+        database = setup.signals.database or load_dbc(_BUILT, dbc)
+        self._setup, self._bus, self._rate_hz, self.faults = setup, bus, setup.rate_hz, setup.faults
         self._feels = any(channel.acceleration for channel in channels)
         self._nodes: list[_Node] = []
         first = 0
@@ -49,11 +49,11 @@ class CanNodes:
             device_s += step_s
             await asyncio.sleep(max(start - loop.time(), 0.0))
             at = np.array([start])
-            rates = self.faults.rates(self._ride.gyros.sample(at)[0]).clip(-_RANGE_RPS, _RANGE_RPS)
+            rates = self.faults.rates(self._setup.gyros.sample(at)[0]).clip(-_RANGE_RPS, _RANGE_RPS)
             rates = self.faults.spoilt(rates[None])[0]
-            force = self._ride.force_mps2(at)[0] if self._feels else np.zeros(3)
+            force = self._setup.force_mps2(at)[0] if self._feels else np.zeros(3)
             with_temperature = sample % every == 0 or not self._rarely
-            temperature_c = self._ride.gyros.temperature_c(start) if with_temperature else math.nan
+            temperature_c = self._setup.gyros.temperature_c(start) if with_temperature else math.nan
             told = _Told(sample, device_s, temperature_c, force)
             times = self.faults.times_to_send()
             for node in self._nodes:

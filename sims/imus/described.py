@@ -6,16 +6,16 @@ import can
 
 from drivers.imus.described.imu import Description
 from sims.imus.can_nodes import CanNodes
-from sims.wires.frames import Ride
+from sims.wires.frames import ImuTwinSetup
 
 
 class DescribedDevice(CanNodes):
     """Measures all the time; sends when it has heard all that starts it, until it has heard all that stops it."""
 
-    def __init__(self, ride: Ride, write: Callable[[bytes], None]) -> None:
+    def __init__(self, setup: ImuTwinSetup, write: Callable[[bytes], None]) -> None:
         """The signals of the ride are a ``Description``."""
-        description: Description = ride.signals
-        super().__init__(ride, self)
+        description: Description = setup.signals
+        super().__init__(setup, self)
         self._write, self._framing = write, description.framing
         self._start, self._stop = (
             b"".join(data for data, _ in phrases) for phrases in (description.start, description.stop)

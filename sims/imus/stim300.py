@@ -15,7 +15,7 @@ from sims.imus.stim300_output import GyroOutput
 from sims.imus.stim300_settings import Settings, utility_reply
 from sims.physics.geometry import upright
 from sims.wires.burst import burst_of, copies_sent
-from sims.wires.frames import Ride
+from sims.wires.frames import ImuTwinSetup
 from sims.wires.line_controller import LineDevice
 
 _START_UP_TICKS = stim300.INTERNAL_RATE_HZ // 2
@@ -33,7 +33,7 @@ class Stim300Device(LineDevice):
 
     def __init__(
         self,
-        ride: Ride,
+        setup: ImuTwinSetup,
         write: Callable[[bytes], None],
         *,
         identifier: int = 0x94,
@@ -51,21 +51,21 @@ class Stim300Device(LineDevice):
         """
         if identifier not in stim300.DATAGRAM_CODES.values():
             raise ValueError(f"{identifier:02X} is no datagram of today's firmware")
-        rate_hz = round(ride.rate_hz)
+        rate_hz = round(setup.rate_hz)
         self.settings = Settings(
             rate_hz=rate_hz,
             identifier=identifier,
             gyro_unit=next(code for code, name in UNITS.items() if name == gyro_unit),
             accel_range_g=accel_range_g,
             line_termination=line_termination,
-            serial=serial[:-4] + f"{int(serial[-4:]) + ride.number:04d}",
+            serial=serial[:-4] + f"{int(serial[-4:]) + setup.number:04d}",
         )
         super().__init__(write)
-        self.faults = ride.faults
+        self.faults = setup.faults
         self._base_hz = rate_hz
-        self._temperature_c = ride.gyros.temperature_c
-        self._force_g = ride.up or upright
-        self._output = GyroOutput(ride.gyros.sample, rate_hz)
+        self._temperature_c = setup.gyros.temperature_c
+        self._force_g = setup.up or upright
+        self._output = GyroOutput(setup.gyros.sample, rate_hz)
         self._period_s = 1 / (rate_hz * (1 + self.faults.clock_ppm * 1e-6))
         self._random = np.random.default_rng(seed)
         self._mode = "normal"
@@ -77,7 +77,7 @@ class Stim300Device(LineDevice):
         self.overload_gyro: int | None = None
         """Gyro that the status calls overloaded."""
         self.dropped = self.doubled = 0
-        if cold or ride.number:
+        if cold or setup.number:
             self.reset()
 
     def reset(self) -> None:

@@ -13,7 +13,7 @@ from drivers.packaged import packaged_codes, packaged_toml
 from drivers.types import Floats, Ints
 from sims.physics.geometry import tilt_deg, upright
 from sims.wires.burst import burst_of, copies_sent
-from sims.wires.frames import STANDARD_GRAVITY_MPS2, Ride
+from sims.wires.frames import STANDARD_GRAVITY_MPS2, ImuTwinSetup
 from sims.wires.line_controller import Refused
 
 BAUD_RATES = (9600, 19200, 38400, 57600, 115200, 128000, 230400, 460800, 921600)
@@ -50,26 +50,26 @@ class VectorNavDevice:
     """
 
     def __init__(
-        self, ride: Ride, write: Callable[[bytes], None], *, serial: str = "0100012345", baud: int = 921600
+        self, setup: ImuTwinSetup, write: Callable[[bytes], None], *, serial: str = "0100012345", baud: int = 921600
     ) -> None:
         """The three gyros were made for 800 Hz over a whole number; faster output repeats their last.
 
         ``baud`` is its rate as delivered, which limits what can be asked for. Where nobody tells what is up, it stands
         upright.
         """
-        rate_hz = ride.rate_hz
+        rate_hz = setup.rate_hz
         if vectornav.IMU_RATE_HZ % rate_hz:
             raise ValueError(
                 f"a VectorNav samples at {vectornav.IMU_RATE_HZ} Hz over a whole number, not at {rate_hz:g} Hz"
             )
-        self.faults = ride.faults
+        self.faults = setup.faults
         self.range_rps = float(_GYRO_RANGE_RPS)
-        self._gyros, self._write, self._up = ride.gyros, write, ride.up or upright
+        self._gyros, self._write, self._up = setup.gyros, write, setup.up or upright
         self._decoder = vectornav.VectorNavDecoder(binary=False)
         self._random = np.random.default_rng(list(serial.encode()))
         self._ticks_per_sample = vectornav.IMU_RATE_HZ // round(rate_hz)
         self._tick_s = 1 / (vectornav.IMU_RATE_HZ * (1 + self.faults.clock_ppm * 1e-6))
-        self._identity = {1: ("VN-100S-CR",), 2: ("7",), 3: (f"{int(serial) + ride.number:010d}",), 4: ("2.1.0.0",)}
+        self._identity = {1: ("VN-100S-CR",), 2: ("7",), 3: (f"{int(serial) + setup.number:010d}",), 4: ("2.1.0.0",)}
         off = ("0", "1", "01", "0001")
         self._factory = {5: (str(baud),), 6: ("14",), 7: ("40",), **dict.fromkeys(_BINARY, off)}
         self._factory |= {register: tuple(values.split(",")) for register, values in _MORE.items()}

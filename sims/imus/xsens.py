@@ -13,7 +13,7 @@ from drivers.packaged import packaged_codes
 from drivers.types import Flags, Floats, Ints
 from sims.physics.geometry import tilt_deg
 from sims.wires.burst import burst_of, copies_sent
-from sims.wires.frames import STANDARD_GRAVITY_MPS2, Ride
+from sims.wires.frames import STANDARD_GRAVITY_MPS2, ImuTwinSetup
 
 _TICKS_PER_S = round(1 / mtdata2.SAMPLE_TIME_TICK_S)
 _GYRO_RANGE_RPS = math.radians(2000)
@@ -42,7 +42,7 @@ class XsensDevice:
 
     def __init__(
         self,
-        ride: Ride,
+        setup: ImuTwinSetup,
         write: Callable[[bytes], None],
         *,
         serial: str = "03700715",
@@ -55,12 +55,12 @@ class XsensDevice:
         ``serial`` are eight hex digits. Where nobody tells what is up, it has no accelerometers. ``uptime_ticks`` of
         100 us is how long it has been on.
         """
-        self._gyros, self._write, self._force_g, self.faults = ride.gyros, write, ride.up, ride.faults
-        self._rate_hz = rate_hz = round(ride.rate_hz)
+        self._gyros, self._write, self._force_g, self.faults = setup.gyros, write, setup.up, setup.faults
+        self._rate_hz = rate_hz = round(setup.rate_hz)
         self._period_s = 1 / (rate_hz * (1 + self.faults.clock_ppm * 1e-6))
         self._random = np.random.default_rng(seed)
         self._decoder = XbusDecoder()
-        felt = [] if ride.up is None else [mtdata2.ACCELERATION]
+        felt = [] if setup.up is None else [mtdata2.ACCELERATION]
         self.outputs = (
             mtdata2.Output(mtdata2.PACKET_COUNTER, mtdata2.EVERY),
             mtdata2.Output(mtdata2.SAMPLE_TIME_FINE, mtdata2.EVERY),
@@ -68,7 +68,7 @@ class XsensDevice:
         )
         """Output configuration, which it keeps when it is switched off."""
         self.measuring = True
-        own, period = (int(serial, 16) + ride.number).to_bytes(4), _CLOCK_HZ // rate_hz
+        own, period = (int(serial, 16) + setup.number).to_bytes(4), _CLOCK_HZ // rate_hz
         self._answers: dict[int, bytes] = {
             **_MORE_ANSWERS,
             Mid.REQ_DEVICE_ID: own,

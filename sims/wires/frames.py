@@ -73,7 +73,7 @@ class NodeFaults:
 
 
 @dataclass(kw_only=True, frozen=True, slots=True)
-class Ride:
+class ImuTwinSetup:
     """A device under test as it stands on the simulated table.
 
     ``gyros`` were made for ``rate_hz``; ``up`` gives what its accelerometers sense (n, 3), in g, at instants (n,), if

@@ -21,7 +21,7 @@ from drivers.protocols import ByteLink, FrameLink
 from drivers.specs import DeviceSetup
 from drivers.types import Floats
 from estimator.strict_toml import not_one_of
-from sims.imus.registry import Ride, twin_of
+from sims.imus.registry import ImuTwinSetup, twin_of
 from sims.physics.body import Body
 from sims.physics.geometry import MOUNTS_DEG, Mounting, along, mounted
 from sims.physics.gyro import GyroArray, GyroTruth
@@ -136,7 +136,7 @@ class Twins:
         self._later(faults.until_s, partial(turn_knobs, knobs, faults, False))
 
         def put_there(number: int) -> tuple[Any, asyncio.Task[Any]]:
-            ride = Ride(
+            setup = ImuTwinSetup(
                 gyros=self.gyros(imu, number),
                 rate_hz=imu.rate_hz,
                 up=self._up(imu),
@@ -145,8 +145,8 @@ class Twins:
                 signals=imu.can,
                 number=number,
             )
-            ride.gyros.thermometer = not faults.no_temperature
-            device = twin_of(imu.spec)(ride, out)
+            setup.gyros.thermometer = not faults.no_temperature
+            device = twin_of(imu.spec)(setup, out)
             return device, self.run(device.serve())
 
         device, serving = put_there(0)
