@@ -35,7 +35,7 @@ from station.screen.memory import REMEMBERED, Remembered, load_remembered, save_
 from station.screen.sessions.link import SessionLink, sessions_on, sessions_there, stop_session
 from station.screen.sessions.live_run import LiveRun, Stage
 from station.screen.sessions.programs import SessionProcess
-from station.screen.sessions.tray import NO_RESULT, RUNNING, WAITING, Spot, Tray
+from station.screen.sessions.tray import NO_RESULT, RUNNING, WAITING, Tray, TrayItem
 from station.screen.tabs.history import HistoryScreen
 from station.screen.tabs.manual import begin_manual
 from station.screen.tabs.prepare import PrepareScreen
@@ -223,7 +223,7 @@ class StationApp(App[None]):
         recording = await asyncio.to_thread(lambda: choices.new_recording().absolute())
         scale = choices.scale or (twin_scale(load_by_processor()) if prospect.all_twins else None)
         if not prospect.manual:
-            spot = Spot(choices.serial, whole(choices.script))
+            spot = TrayItem(choices.serial, whole(choices.script))
             self.tray.change(spot, state=RUNNING, recording=str(recording.resolve()))
         try:
             process = SessionProcess(choices.run_arguments(recording, scale))
@@ -278,7 +278,7 @@ class StationApp(App[None]):
             question = templated("mount.rich", {"spot": spot, "scanned": scanned}).plain
             self.push_screen(MountDialog(question, begun=spot.serial), partial(self._mount, spot))
 
-    def _mount(self, spot: Spot, serial: str | None) -> None:
+    def _mount(self, spot: TrayItem, serial: str | None) -> None:
         """Prepare the run of a device that is mounted, which then starts by itself."""
         if serial == spot.serial:
             self.mounted = True

@@ -14,7 +14,7 @@ _FILE = "trays.json"
 
 
 @dataclass(frozen=True, slots=True)
-class Spot:
+class TrayItem:
     """A device and a script, empty for the 360 s script; ``recording`` is that of its last run. Paths are absolute."""
 
     serial: str
@@ -28,26 +28,26 @@ class Tray:
 
     def __init__(self, bench: str) -> None:
         """``bench`` is the absolute path of the bench file, empty for the built-in one; what the tray held is read."""
-        self.bench, self.spots = bench, list[Spot]()
+        self.bench, self.spots = bench, list[TrayItem]()
         with suppress(*MISSHAPEN):
             told = load_state(_FILE)[bench]
-            self.spots = [Spot(*(str(spot.get(key, "")) for key in Spot.__slots__)) for spot in told]
+            self.spots = [TrayItem(*(str(spot.get(key, "")) for key in TrayItem.__slots__)) for spot in told]
 
     @property
-    def next(self) -> Spot | None:
+    def next(self) -> TrayItem | None:
         """The first spot that waits."""
         return next((spot for spot in self.spots if spot.state == WAITING), None)
 
-    def keep(self, spots: Sequence[Spot]) -> str:
+    def keep(self, spots: Sequence[TrayItem]) -> str:
         """Take other spots, or another order; return why they cannot be kept, empty if they are."""
         self.spots = list(spots)
         return save_state(_FILE, {**load_state(_FILE), self.bench: [asdict(spot) for spot in spots]})
 
-    def change(self, spot: Spot, **new: str) -> None:
+    def change(self, spot: TrayItem, **new: str) -> None:
         """Change fields of a spot, if it is there."""
         self.keep([replace(old, **new) if old == spot else old for old in self.spots])
 
-    def end(self, recording: Path, state: str) -> Spot | None:
+    def end(self, recording: Path, state: str) -> TrayItem | None:
         """Note how a run ended, or that it never began and its spot waits; return the spot, None if there is none."""
         ran = next((spot for spot in self.spots if spot.recording == str(recording.resolve())), None)
         if ran is not None:

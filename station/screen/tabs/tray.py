@@ -14,7 +14,7 @@ from station.screen.dialogs import AskTextDialog
 from station.screen.figures import templated
 from station.screen.memory import whole
 from station.screen.sessions.link import sessions_there
-from station.screen.sessions.tray import NO_RESULT, RUNNING, SKIPPED, WAITING, Spot
+from station.screen.sessions.tray import NO_RESULT, RUNNING, SKIPPED, WAITING, TrayItem
 
 
 class ScanField(Field):
@@ -55,7 +55,7 @@ class TrayScreen(StationScreen):
         ("s", "skip", "Skip/again"),
         ("c", "clear", "Clear done"),
     ]
-    _shown: list[Spot] | None = None
+    _shown: list[TrayItem] | None = None
 
     def body(self) -> ComposeResult:
         with Horizontal(classes="field"):
@@ -87,7 +87,7 @@ class TrayScreen(StationScreen):
         scan, tray = self.query_one("#scan", Input), self.station.tray
         self.set_focus(scan)
         for script in self.query_one("#scripts", Input).value.split(",") if event.input is scan and event.value else ():
-            spot = Spot(event.value, whole(script.strip()))
+            spot = TrayItem(event.value, whole(script.strip()))
             if any((old.serial, old.script) == (spot.serial, spot.script) for old in tray.spots):
                 self.notify(
                     f"{spot.serial} is on the tray already", title="Not added", severity="warning", markup=False
@@ -100,7 +100,7 @@ class TrayScreen(StationScreen):
             if spot.recording:
                 self.station.open_recording(Path(spot.recording))
 
-    def _chosen(self) -> list[Spot]:
+    def _chosen(self) -> list[TrayItem]:
         row = self.query_one(OptionList).highlighted
         return [spot for n, spot in enumerate(self.station.tray.spots) if n == row and spot.state != RUNNING]
 
