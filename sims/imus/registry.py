@@ -13,6 +13,8 @@ from sims.imus.vectornav import VectorNavDevice
 from sims.imus.xsens import XsensDevice
 from sims.wires.frames import ImuTwinSetup as ImuTwinSetup
 
+Ride = ImuTwinSetup  # the name until 0.5.0, which plug-ins may import
+
 TWINS: dict[str, Callable[[ImuTwinSetup, Any], Any]] = {
     "can": CanNodes,
     "described": DescribedDevice,

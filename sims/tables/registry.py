@@ -12,6 +12,8 @@ from sims.tables.modbus import ModbusRtu, drives_by_unit
 from sims.wires.line_controller import TableTwinSetup as TableTwinSetup
 from sims.wires.wires import ByteDevice, Write
 
+Seat = TableTwinSetup  # the name until 0.5.0, which plug-ins may import
+
 TWINS: dict[str, Callable[[TableTwinSetup, Write], ByteDevice]] = {
     "modbus": lambda seat, write: ModbusRtu(drives_by_unit(seat), SerialPort("").silence_s, write),
     "galil": GalilController,
