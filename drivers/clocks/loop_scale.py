@@ -21,7 +21,7 @@ def call_from_thread(loop: asyncio.AbstractEventLoop, function: Callable[..., No
 
 
 def settle(future: asyncio.Future[Any], result: Any) -> None:
-    """Give a future that still waits its result, or its exception if that is one."""
+    """Set the result of a future, or its exception if ``result`` is one; do nothing if the future is done already."""
     if future.done():
         return
     if isinstance(result, Exception):
