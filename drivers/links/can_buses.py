@@ -27,7 +27,10 @@ Raw = tuple[int, bool, bytes]
 
 
 def open_bus(interface: str, channel: str, options: dict[str, Any]) -> can.BusABC:
-    """Open a bus in python-can's terms; raises whatever python-can raises where it cannot."""
+    """Open a CAN bus by python-can's names of interface and channel; python-can's own exceptions pass through.
+
+    slcan and socketcand use the faster readers below. OSError if a socketcan interface is down.
+    """
     if interface == "slcan":
         return SlcanBus(channel, **options)
     if interface == "socketcand":
@@ -42,7 +45,7 @@ def open_bus(interface: str, channel: str, options: dict[str, Any]) -> can.BusAB
 
 
 class SlcanBus(slcanBus):
-    """A Lawicel adapter on a serial port, read in chunks: all bytes that wait at once."""
+    """A Lawicel adapter on a serial port, read in chunks of all waiting bytes."""
 
     def __init__(self, channel: str, **options: Any) -> None:
         """Take python-can's options for slcan; the port itself never waits."""
@@ -59,7 +62,11 @@ class SlcanBus(slcanBus):
             self.serialPortOrig.close()
 
     def frames(self, timeout: float | None) -> list[Raw]:
-        """Return the data frames of all lines that have come; what else there is is dropped. Waits for the first."""
+        """Return the data frames received, waiting up to ``timeout`` for the first bytes; CanOperationError if the port
+        fails.
+
+        Other lines, such as remote frames and answers, are dropped. Damaged lines are counted in ``malformed``.
+        """
         if timeout != 0:
             self._wait(timeout)
         try:
@@ -96,7 +103,7 @@ class SocketcandBus(can.BusABC):
     """One bus of a socketcand server, in raw mode over TCP."""
 
     def __init__(self, channel: str, host: str, port: int = SOCKETCAND_PORT, **options: Any) -> None:
-        """Connect and open the server's bus ``channel``; OSError or CanError if it does not let us in."""
+        """Connect to the server and open its bus ``channel`` in raw mode; OSError or CanError if that fails."""
         self.malformed = 0
         """Frames that could not be read."""
         self._rest = b""
@@ -127,7 +134,11 @@ class SocketcandBus(can.BusABC):
         self._stream.close()
 
     def frames(self, timeout: float | None) -> list[Raw]:
-        """Return the data frames that have come, waiting for the first."""
+        """Return the data frames received, waiting up to ``timeout`` for the first; CanOperationError if the connection
+        ends.
+
+        Other elements are dropped. Damaged frames are counted in ``malformed``.
+        """
         found: list[Raw] = []
         early, self._early = self._early, []
         if not early and not select.select([self._stream], [], [], timeout)[0]:
@@ -145,7 +156,10 @@ class SocketcandBus(can.BusABC):
         return found
 
     def _elements(self) -> list[str]:
-        """Receive once; return the whole elements ``< ... >`` that have come, and keep the beginning of the next."""
+        """Receive once and return the complete elements ``< ... >``; keep the beginning of the next one.
+
+        CanOperationError if the connection fails or the server has closed it.
+        """
         try:
             data = self._stream.recv(_READ_LIMIT)
         except OSError as error:

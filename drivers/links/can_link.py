@@ -28,13 +28,13 @@ _MOST_WAITING = 100_000  # ten seconds of a full bus; what is older and nobody h
 
 
 class CanLink:
-    """Frames of one bus, stamped on arrival by a thread of its own, so that stamps do not wait for the loop.
+    """Frames of one CAN bus, stamped on arrival by a separate thread, so that stamps do not wait for the event loop.
 
-    Interface "memory" is the bus within this loop and has no thread.
+    Interface "memory" is a bus within this event loop and has no thread.
     """
 
     def __init__(self, device: str, interface: str, channel: str, options: dict[str, Any]) -> None:
-        """Name the bus in python-can's terms; it is opened by ``open``."""
+        """Store python-can's names and options of the bus; ``open`` opens it."""
         self._device, self._interface, self._channel = device, interface, channel
         self._options = options
         self._bus: can.BusABC | None = None
@@ -52,7 +52,7 @@ class CanLink:
         return int(getattr(self._bus, "malformed", 0))
 
     async def open(self) -> None:
-        """Open the bus; LinkLost if python-can cannot, or not within five seconds."""
+        """Open the bus in a thread that then reads it; LinkLost if that fails or takes more than five seconds."""
         self._closing.clear()
         self._ended = ""
         if self._interface == "memory":
@@ -79,7 +79,9 @@ class CanLink:
             raise LinkLost(self._device, sentence("link.no_can", channel=self._named, why=_plain(error))) from None
 
     async def receive(self) -> list[Frame]:
-        """Return the frames since the last call, waiting for the first; LinkLost when the bus is gone."""
+        """Return the frames since the last call, waiting for the first; LinkLost once the bus is gone and no frame is
+        left.
+        """
         while not self._frames:
             if self._ended:
                 raise LinkLost(self._device, self._ended)
@@ -90,7 +92,7 @@ class CanLink:
         return [self._frames.popleft() for _ in range(len(self._frames))]
 
     def send(self, frame: Frame) -> None:
-        """Send a frame; LinkLost if the bus does not take it within 0.1 s."""
+        """Send a frame; LinkLost if the bus is not open or does not accept the frame within 0.1 s."""
         if self._bus is None:
             raise LinkLost(self._device, f"{self._named} is not open")
         message = can.Message(arbitration_id=frame.identifier, is_extended_id=frame.extended, data=frame.data)
@@ -105,7 +107,7 @@ class CanLink:
         self._wake.set()
 
     def close(self) -> None:
-        """Leave the bus; twice is once."""
+        """Close the bus and wait a short time for its thread; harmless if it is closed already."""
         thread = self._give_up()
         if thread is not None and thread is not threading.current_thread():
             thread.join(2 * _WAIT_S + _SEND_LIMIT_S)
@@ -137,7 +139,11 @@ class CanLink:
     def _run(
         self, loop: asyncio.AbstractEventLoop, opened: asyncio.Future[can.BusABC], closing: threading.Event
     ) -> None:
-        """Open the bus, read it, leave it: all of it here, because opening may take seconds."""
+        """Open the bus, read it and shut it down, all in the thread, as opening may take seconds.
+
+        ``opened`` gets the bus or the exception. If reading fails later, the link ends with that reason, unless
+        closing.
+        """
         try:
             bus = open_bus(self._interface, self._channel, self._options)
         except Exception as error:
@@ -153,6 +159,11 @@ class CanLink:
                 bus.shutdown()
 
     def _read(self, loop: asyncio.AbstractEventLoop, bus: can.BusABC, closing: threading.Event) -> None:
+        """Read frames until ``closing`` is set, stamp them in loop time, and wake up ``receive``.
+
+        Frames of slcan and socketcand are read in batches, which have one stamp. Interfaces that the kernel stamps are
+        corrected for the age of the frame. Error frames and bus-off are counted for all other interfaces.
+        """
         scale = loop_scale(loop)
         by_kernel = self._interface in _STAMPED_BY_KERNEL
         if isinstance(bus, (SlcanBus, SocketcandBus)):

@@ -8,9 +8,10 @@ from drivers.types import ByteChunk
 
 
 class MemoryLink:
-    """One end of a wire in memory; bytes written at one end arrive at the other in the same instant.
+    """One end of a wire in memory; bytes written at one end arrive at the other at the same instant.
 
-    Bytes written to a wire that nobody holds at its other end are gone, as on a cable; ``receive`` tells.
+    Bytes are lost without an error while the wire is unplugged or either end is closed, as on a cable; ``receive`` then
+    raises LinkLost at that end.
     """
 
     def __init__(self, device: str, send: Callable[[bytes], None] | None = None) -> None:

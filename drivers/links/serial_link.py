@@ -37,10 +37,10 @@ class SerialLink:
     def __init__(
         self, device: str, url: str, baud: int, *, parity: str = "N", stop_bits: float = 1, gather_s: float = 0.0
     ) -> None:
-        """Name the port; it is opened by ``open``. Eight data bits; ``parity`` N, E, O, M or S.
+        """Store the settings of the port, eight data bits, ``parity`` N, E, O, M or S; ``open`` opens it.
 
-        With ``gather_s`` bytes of a stream are handed over so seldom, by the wall's clock, which saves most of its
-        cost; what comes after a pause of that length is handed over at once.
+        With ``gather_s`` received bytes are handed over at most once in that time (wall clock), which saves most of the
+        cost of a stream. What comes after a pause of that length is handed over at once.
         """
         self._device, self._url, self._gather_s = device, url, gather_s
         self._settings: dict[str, Any] = {"baudrate": baud, "parity": parity, "stopbits": stop_bits}
@@ -48,7 +48,9 @@ class SerialLink:
         self._reader: _Reader | None = None
 
     async def open(self) -> None:
-        """Open the port and start to read; LinkLost if it cannot be opened."""
+        """Open the port and start reading it in a thread; LinkLost if it cannot be opened or not in time. Reopens an
+        open one.
+        """
         self.close()
         self._inbox.begin()
         loop = asyncio.get_running_loop()
@@ -72,7 +74,10 @@ class SerialLink:
         return await self._inbox.get()
 
     def write(self, data: bytes) -> None:
-        """Send bytes; LinkLost if the port is gone or does not take them within 0.2 s."""
+        """Send bytes; LinkLost if the port is not open, has ended, is gone, or does not accept all bytes within 0.2 s.
+
+        After a failed write the link has ended.
+        """
         if self._reader is None or self._inbox.ended:
             raise LinkLost(self._device, self._inbox.ended or f"serial port {self._url} is not open")
         try:
@@ -91,15 +96,16 @@ class SerialLink:
 
 
 class _StuckError(OSError):
-    """A port has not taken all bytes in time."""
+    """The port did not accept all bytes in time."""
 
 
 class _Reader:
-    """One opening of a port: its thread, from opening to closing it."""
+    """One opening of a port: the thread that opens, reads and closes it."""
 
     def __init__(
         self, url: str, settings: dict[str, Any], gather_s: float, loop: asyncio.AbstractEventLoop, inbox: Inbox
     ) -> None:
+        """Start the thread; ``opened`` completes when the port is open or has failed to open."""
         self._url, self._settings, self._gather_s, self._loop = url, settings, gather_s, loop
         self._inbox = inbox
         self._port: Any = None
@@ -111,9 +117,10 @@ class _Reader:
         self._thread.start()
 
     def write(self, data: bytes) -> None:
-        """Send bytes; OSError, a _StuckError of it if some are left after 0.2 s.
+        """Send bytes; OSError if the port is gone, _StuckError if bytes are left after 0.2 s.
 
-        pyserial also raises for a host that stalled after all had been written.
+        pyserial itself raises even where all bytes were written before the host stalled; hence the loop on the
+        descriptor.
         """
         if not self._waits_on_descriptor:
             self._port.write(data)
@@ -130,7 +137,7 @@ class _Reader:
                 select.select([], [descriptor], [], max(ends_s - time.monotonic(), 0.0))
 
     def end(self) -> None:
-        """Let the thread close the port; a port of this machine is closed on return, others soon after."""
+        """Let the thread close the port; wait for that for a port of this machine, not for one behind a URL."""
         self._closing.set()
         with suppress(OSError):
             self._wakes.send(b"x")
@@ -142,6 +149,10 @@ class _Reader:
             self.opened.cancel()
 
     def _run(self) -> None:
+        """Open the port, report that or the error to ``opened``, read until the end, and close the port.
+
+        An error while reading ends the inbox.
+        """
         try:
             port = self._open()
         except Exception as error:  # handed over to whoever opens
@@ -158,6 +169,9 @@ class _Reader:
         self._wakes.close()
 
     def _open(self) -> Any:
+        """Open the port with pyserial, exclusively, and drop the backlog of a local one; pyserial's exceptions pass
+        through.
+        """
         import serial
 
         # Whoever has a descriptor waits on that; to change the time-out later would set up the line once more.
@@ -171,6 +185,9 @@ class _Reader:
         return port
 
     def _read(self, port: Any) -> None:
+        """Put received bytes into the inbox until closing, gathered for ``gather_s``; exceptions of the port pass
+        through.
+        """
         wait, take = self._ways(port)
         handed_over = time.monotonic()
         while not self._closing.is_set():
@@ -193,7 +210,9 @@ class _Reader:
         return scheme == "socket" or (scheme not in ("rfc2217", "loop") and os.name != "nt")
 
     def _ways(self, port: Any) -> tuple[Callable[[], bytes], Callable[[], bytes]]:
-        """Return how to wait for first bytes, and how to take what else has come, without waiting."""
+        """Return two functions: one waits for the first bytes, empty if woken up; one takes what else has come without
+        waiting.
+        """
         if not self._waits_on_descriptor:
             # A buffer that tells how much is in it; on sockets in_waiting only tells whether there is anything.
             return lambda: bytes(port.read(1)), lambda: bytes(port.read(min(port.in_waiting, _MOST_AT_ONCE)))
@@ -219,7 +238,11 @@ class _Reader:
 
 
 def _drop_backlog(port: Any) -> None:
-    """Drop what came before anybody listened: it has no time. A buffer behind the port's own may fill it again."""
+    """Discard bytes received before opening, as their time is unknown; look several times, as a second buffer may
+    refill.
+
+    Ends after three empty looks or ``_BACKLOG_S``.
+    """
     ends = time.monotonic() + _BACKLOG_S
     empty = 0
     while empty < 3 and time.monotonic() < ends:
@@ -243,7 +266,7 @@ def _is_url(url: str) -> bool:
 
 
 def _why_not(url: str, error: Exception) -> str:
-    """Say in plain words why a port could not be opened, and what to do."""
+    """Return in words why a port could not be opened, and what to do about it."""
     text = str(error)
     if isinstance(error, ValueError):
         return f"{text}; write a device such as /dev/ttyUSB0, socket://host:port or rfc2217://host:port"
