@@ -16,7 +16,7 @@ from drivers.types import Flags, Floats, ImuBlock, Stamps
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """A frame's data with its place in the order of arrival and its arrival in ns."""
+    """The data of a frame with its place in the order of arrival and its arrival time in ns."""
 
     order: int
     t_ns: int
@@ -24,7 +24,7 @@ class Piece:
 
 
 class Companion:
-    """Frames that go with the leading ones: at most one with each."""
+    """Frames that belong to the leading ones: at most one to each."""
 
     def __init__(self, *, follows: bool) -> None:
         """``follows`` tells whether it comes after the leading frame of its instant, or before it."""
@@ -40,9 +40,11 @@ class Companion:
         return bool(self._pieces) and self._pieces[-1].order > order
 
     def matched(self, before: int, lead: list[int], after: int) -> tuple[Flags, list[bytes]]:
-        """Return which leading frames (n,) have one, and the data of these.
+        """Return which leading frames (n,) have a companion, and the data of these companions.
 
-        ``before`` and ``after`` are the places of the leading frames before the first and after the last.
+        ``lead`` are the places of the leading frames in the order of arrival; ``before`` and ``after`` those of the
+        leading frames before the first and after the last. Of several candidates the one nearest in time is taken: the
+        first after its frame if the companion follows, else the last before it.
         """
         own = np.array([piece.order for piece in self._pieces], dtype=np.int64)
         edges = np.array([*lead, after] if self.follows else [before, *lead], dtype=np.int64)
@@ -65,7 +67,11 @@ class Companion:
 def regular_block(
     clock: RegularClock, rows: Iterable[tuple[int, Floats, bytes]], gyros: int, *, everything: bool = False
 ) -> ImuBlock | None:
-    """Give the clock rows as ``block_of`` takes them, and return those that can be timed, or None."""
+    """Add rows (arrival in ns, values, raw bytes) to the clock; return a block of the samples that can be timed, or
+    None.
+
+    Values are as ``block_of`` expects them. ``everything`` times the samples that the clock would hold back, too.
+    """
     for arrival_ns, values, raw in rows:
         clock.add(arrival_ns, values, raw)
     ready = clock.ready(everything=everything)
@@ -73,7 +79,7 @@ def regular_block(
 
 
 def block_of(t_ns: Stamps, arrival_ns: Stamps, values: Floats, gyros: int, counter: Stamps | None = None) -> ImuBlock:
-    """Return a block of rows: rates of the gyros, temperature, and three accelerations where there are such."""
+    """Return a block from rows of values (n, k): rates of the gyros, temperature, then three accelerations if present."""
     accel = values[:, gyros + 1 :] if values.shape[1] > gyros + 1 else None
     return ImuBlock(
         t_ns=t_ns,

@@ -14,10 +14,10 @@ from drivers.types import ByteChunk, Frame, SourceCounts
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Description(CanSource):
-    """How an IMU speaks on a byte link: the framing, and the one message of the ``database`` in each frame.
+    """How an IMU speaks on a byte link: its framing, and the single message of ``database`` in each frame.
 
-    ``dbc`` is the file that says so; the one of ``channels`` names the signals. ``start`` and ``stop`` are what is
-    sent to it, each with a pause in s behind it.
+    ``dbc`` is the description's file; the one of ``channels`` names the signals. ``start`` and ``stop`` are the bytes
+    to send, each with a pause in s after it.
     """
 
     framing: Frames | Lines
@@ -26,7 +26,7 @@ class Description(CanSource):
 
 
 class FramedLink:
-    """A byte link as a bus on which there is one message."""
+    """A byte link presented as a bus with a single message."""
 
     def __init__(self, link: ByteLink, description: Description) -> None:
         """Take the link, which is not open yet."""
@@ -44,7 +44,10 @@ class FramedLink:
             await asyncio.sleep(pause_s)
 
     async def receive(self) -> list[Frame]:
-        """Return the frames that have come since the last call, waiting for bytes; LinkLost if gone."""
+        """Return the frames since the last call, waiting for bytes; LinkLost if the link is gone.
+
+        The list may be empty if the bytes complete no frame. Losing the link while draining is left to the next call.
+        """
         frames = self._framed(await self._link.receive())
         with suppress(TimeoutError, LinkLost):  # what is here already is had without waiting
             async with asyncio.timeout(0):

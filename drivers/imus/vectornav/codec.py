@@ -53,7 +53,7 @@ _GROUPS = tuple((name, _fields(text)) for name, text in packaged_toml("drivers",
 
 @dataclass(frozen=True, slots=True)
 class Sentence:
-    """One ASCII sentence: ``header`` such as VNRRG, and what stands between the commas."""
+    """One ASCII sentence: its ``header``, such as VNRRG, and the fields between the commas."""
 
     header: str
     fields: tuple[str, ...] = ()
@@ -71,10 +71,10 @@ class Sentence:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Which fields a binary frame carries.
+    """The fields of a binary frame.
 
-    ``dtype`` is the whole frame as a structured type; its fields are named group.field, for instance
-    imu.uncomp_gyro. ``masks`` are the fields' bits of each group, without extension bits.
+    ``dtype`` is the complete frame as a structured type; its fields are named group.field, for instance
+    imu.uncomp_gyro. ``masks`` are the field bits of each group, without extension bits.
     """
 
     header: bytes
@@ -120,7 +120,7 @@ def layout_of_header(header: bytes) -> Layout:
 def error_code(field: str) -> int:
     """Return the code of a VNERR sentence, which is hex; older firmware writes 10 to 12 and 255 in decimal.
 
-    Both can be told apart, because 0x10 to 0x12 and 0x255 are no codes. -1 if it is no number.
+    The two can be told apart, as 0x10 to 0x12 and 0x255 are no codes. -1 if ``field`` is no number.
     """
     try:
         code = int(field, 16)
@@ -171,6 +171,9 @@ class VectorNavDecoder:
         return self._take(ended=True)
 
     def _take(self, *, ended: bool) -> list[Sentence | Frames]:
+        """Return the sentences and frames in the buffer, in order, and keep an unfinished one unless the stream has
+        ``ended``.
+        """
         found: list[Sentence | Frames] = []
         view, position = self._buffer, 0
         while (start := self._start.search(view, position)) is not None:
@@ -197,9 +200,10 @@ class VectorNavDecoder:
 
 
 def _frames_at(view: bytes, at: int) -> tuple[Frames | None, int]:
-    """Return the frames of one layout from here on and where they end.
+    """Return the frames of one layout that begin at ``at``, and where they end.
 
-    With None, the end is where the first would end, beyond the view if more is needed to tell; 0 if it is no frame.
+    Without a frame (None): the end it would have, beyond the view if more bytes are needed to tell; 0 if it is no
+    frame.
     """
     end, masks = _read_header(view, at)
     if masks is None:
@@ -218,10 +222,10 @@ def _frames_at(view: bytes, at: int) -> tuple[Frames | None, int]:
 
 
 def _read_header(view: bytes, at: int) -> tuple[int, tuple[tuple[int, int], ...] | None]:
-    """Return where a frame's header ends and its (group, fields) pairs.
+    """Return where a frame's header ends, and its (group, fields) pairs.
 
-    With None, the end is beyond the view if it is cut off, 0 if it is no header: no field, or unknown ones, of which
-    nobody knows the size. Each selector may go on in one more: 14 groups, 30 fields of each.
+    Without a header (None): an end beyond the view if it is cut off; 0 if it is invalid, that is without fields or with
+    unknown ones, whose size is unknown. Each selector may be extended once: 14 groups, 30 fields of each.
     """
     position = at + 2
     if position > len(view):
@@ -264,9 +268,10 @@ def _layout(header: bytes, masks: tuple[tuple[int, int], ...]) -> Layout:
 
 
 def _sentence_at(view: bytes, at: int) -> tuple[Sentence | None, int]:
-    """Return the sentence that begins here and where it ends.
+    """Return the sentence that begins at ``at``, and where it ends.
 
-    With None, the end is beyond the view if more is needed to tell, 0 if it never was one, otherwise where it stops.
+    Without a sentence (None): an end beyond the view if more bytes are needed to tell, 0 if the start is wrong,
+    otherwise the place where it stops being one.
     """
     if not b"$VN".startswith(view[at : at + 3]):
         return None, 0
