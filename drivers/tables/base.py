@@ -12,7 +12,7 @@ _HOMING_LIMIT_S = 60.0
 
 
 class Table:
-    """Axes with their limits, and the steps that every controller takes alike."""
+    """Axes with their limits, and the procedures that all controllers share."""
 
     def __init__(self, device: str, limits: Mapping[str, AxisLimits], timeout_s: float) -> None:
         """``limits`` are by axis; a request is tried twice, each for ``timeout_s``."""
@@ -25,7 +25,7 @@ class Table:
         raise NotImplementedError
 
     async def reset_fault(self) -> None:
-        """Clear the fault of every axis that has one; DeviceFault if one stays."""
+        """Clear the fault of every axis that has one; DeviceFault if an axis is still in fault afterwards."""
         for axis in self.limits:
             if not (await self.status(axis)).fault:
                 continue
@@ -51,7 +51,7 @@ class Table:
         return status.target_reached
 
     async def _wait_for_home(self, poll_s: float) -> None:
-        """Ask all axes until each is at home; after a minute ``_give_up_homing`` and DeviceRefused."""
+        """Poll all axes until each is at home; after a minute call ``_give_up_homing`` and raise DeviceRefused."""
         loop = asyncio.get_running_loop()
         deadline = loop.time() + _HOMING_LIMIT_S
         while self.homing:
@@ -73,6 +73,8 @@ class Table:
         read: Callable[[str], Awaitable[AxisState]],
         idle: Callable[[str], Awaitable[bool]] | None = None,
     ) -> str:
-        """Tell each axis to stop, the one that was moved last first, and return what was seen."""
+        """Stop all axes, the one moved last first, wait until they stand, and return what was seen; see
+        ``bring_to_rest``.
+        """
         axes = sorted(self.limits, key=lambda axis: axis != self._moved)
         return await bring_to_rest(self._device, axes, tell, read, self._timeout_s, idle)

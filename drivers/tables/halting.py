@@ -35,6 +35,7 @@ class _Axis:
     """What was seen of an axis since it was told to stop."""
 
     def __init__(self, name: str) -> None:
+        """Start without readings."""
         self.name = name
         self.stands = self.turns = False
         self.tells = self.astray = 0
@@ -50,7 +51,10 @@ class _Axis:
         return self.astray >= _LOOKS or (told and self._slowest_rps > min(_TURNS_RPS, _HEEDS * self._first_rps))
 
     def see(self, state: AxisState) -> bool:
-        """Take a reading in; return whether it tells that the axis slows down or stands."""
+        """Add a reading; return whether it shows that the axis slows down or stands.
+
+        Slowing down means several readings in a row clearly below the slowest rate so far: single ones may be noise.
+        """
         self.turns = self._last is not None and abs(state.angle_rad - self._last.angle_rad) > _STILL_RAD
         still = self._last is not None and not self.turns
         rate_rps = abs(state.rate_rps)
@@ -78,6 +82,7 @@ class _Axis:
         )
 
     def text(self, now_s: float) -> str:
+        """Return in words the last reading of the axis and its age, or that its rate and angle contradict each other."""
         if self._last is None:
             return f"axis {self.name} no longer reports its state"
         if self.contradicts_itself:
@@ -95,14 +100,15 @@ async def bring_to_rest(
     timeout_s: float,
     idle: Callable[[str], Awaitable[bool]] | None = None,
 ) -> str:
-    """Tell all axes to stop, in this order, watch until they stand, and return in words what was seen.
+    """Tell all axes to stop, in the given order, wait until they stand, and return in words what was seen.
 
-    ``tell`` sends the stop to one axis, over a link that it opens again if that is lost. What fails with one keeps
-    no other from being told: it is told again once the others have been, and so is what is not seen to slow down.
-    ``idle`` asks whether the controller carries out no motion of an axis: a stop does nothing if that turns.
-    It ends when an axis that answers does not slow down for about a second, however long the others take, or after
-    ten seconds (at a ``timeout_s`` of 0.2 s) in which nothing new is seen. LinkLost, BadReply if something else
-    answered, or DeviceRefused if an axis turns on; each with what was seen last of each axis that may still turn.
+    ``tell`` sends the stop to one axis and reopens its link if that is lost. A failure with one axis does not delay the
+    others: it is told again after them, and so is an axis that is not seen to slow down. ``idle`` asks whether the
+    controller carries out no motion of an axis; if that axis turns all the same, a stop is of no use.
+
+    Gives up when an axis that answers does not slow down for about a second, or after ten seconds (at a ``timeout_s``
+    of 0.2 s) without news. LinkLost, BadReply if something else answered, or DeviceRefused if an axis keeps turning;
+    the message has the last reading of each axis that may still turn.
     """
     loop = asyncio.get_running_loop()
     began_s = seen_s = loop.time()
@@ -145,7 +151,9 @@ async def bring_to_rest(
 
 
 def _not_at_rest(device: str, axes: Sequence[_Axis], failures: Sequence[DeviceError]) -> DeviceError:
-    """Return the error that says what was seen last of axes that may still turn, and what to do."""
+    """Return the error for axes that may still turn: the last readings and what to do. Its type follows the first
+    failure.
+    """
     now_s = asyncio.get_running_loop().time()
     said = "; ".join(axis.text(now_s) for axis in axes)
     if failures:
@@ -157,7 +165,10 @@ def _not_at_rest(device: str, axes: Sequence[_Axis], failures: Sequence[DeviceEr
 
 
 async def first_look(table: Turntable, *, take_over: bool) -> None:
-    """See at first contact that nobody else drives the table; DeviceRefused, or ``stop`` it to ``take_over``."""
+    """Check at first contact that nobody else drives the table: DeviceRefused if an enabled axis turns.
+
+    With ``take_over`` the table is stopped instead.
+    """
     for axis in table.limits:
         rate_rps = (await table.read(axis)).rate_rps
         if abs(rate_rps) <= _TURNS_RPS or not (await table.status(axis)).enabled:

@@ -14,7 +14,7 @@ from drivers.types import AxisState
 
 
 class LineTable(Table):
-    """A table whose controller speaks lines of text."""
+    """A table whose controller accepts lines of text."""
 
     _done = re.compile("")
     """What a command is answered with that is carried out."""
@@ -36,7 +36,7 @@ class LineTable(Table):
         read: Callable[[str], Awaitable[AxisState]],
         idle: Callable[[str], Awaitable[bool]] | None = None,
     ) -> str:
-        """Bring all axes to rest by the lines that stop one, and return what was seen (``bring_to_rest``)."""
+        """Stop all axes with the lines that ``lines(axis)`` returns, and return what was seen; see ``bring_to_rest``."""
         return await self._bring_to_rest(lambda axis: self._exchange.tell_all(lines(axis)), read, idle)
 
     async def _tell(self, line: str) -> None:

@@ -2,11 +2,11 @@
 
 
 class Unwrapper:
-    """Puts each reading on the turn where the axis must be by its rate.
+    """Continues angles over full turns, using the rate to find the right turn.
 
-    Right as long as readings are so close together that the mean of two rates tells the way between them to
-    less than half a turn. A table that once tells a turn or more does not tell angles within one turn; from
-    then on it is believed.
+    Right as long as readings are so close together that the mean of two rates predicts the angle between them to less
+    than half a turn. A table that once reports a turn or more counts turns itself: its angles are then used as they
+    are.
     """
 
     def __init__(self, turn: float) -> None:
@@ -25,7 +25,7 @@ class Unwrapper:
         self._last = None
 
     def place(self, t_s: float, told: float, rate: float) -> float:
-        """Return the angle counted on."""
+        """Return the continuous angle for a reading: time (s), reported angle and rate, both in the unit of the turn."""
         self._counts_turns |= abs(told) >= self._turn * 1.0001
         expected = 0.0
         if self._last is not None:

@@ -37,9 +37,9 @@ _SETTLE_SHARE = 0.15  # of a time-out, in which nothing may follow the answer to
 class AerosmithFraming:
     """Bytes of requests and answers.
 
-    The token is STA, whose whole number no other request of ours is answered with. It is not unmistakable: an
-    STA that was asked before is answered alike. So nothing may follow its answer for a while; an answer that comes
-    later still can be taken for a later one.
+    The token is STA, which no other request is answered like: with one integer. It is not unmistakable, as an earlier
+    STA is answered alike; hence nothing may follow its answer for a while. An answer that comes still later may be
+    mistaken.
     """
 
     idle = b"\r\n "
@@ -61,7 +61,7 @@ class AerosmithFraming:
         return Framed(text, "?" in text, found.end())
 
     def token(self) -> Token:
-        """Return STA, which asks for the status word."""
+        """Return STA, which asks for the status word; the last such answer counts."""
 
         def find(received: bytes) -> tuple[int, int] | None:
             found = list(_STATUS_ANSWER.finditer(received))
@@ -74,7 +74,11 @@ class AerosmithTable(LineTable):
     """Turntable driver over a byte link; one axis. Experimental, as its status says."""
 
     def __init__(self, setup: TableSetup, link: ByteLink) -> None:
-        """``fault_mask`` of the options: the bits of STA that mean a fault, by the table's own manual; 0: none seen."""
+        """Prepare for a single axis; the option ``fault_mask`` has the bits of STA that mean a fault (0: none is
+        recognised).
+
+        They are in the manual of the table.
+        """
         super().__init__(setup, link, AerosmithFraming(_SETTLE_SHARE * setup.timeout_s))
         (self._axis,) = setup.axes
         self._fault_mask = setup.options["fault_mask"]
@@ -119,7 +123,7 @@ class AerosmithTable(LineTable):
         self._target_deg, self._jog_dps = None, float(rate)
 
     async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
-        """Start a move to an angle from home, at a whole number of deg/s."""
+        """Start a move to an angle from home, at a whole number of deg/s; DeviceRefused for other rates."""
         rate = abs(self._whole_rate(rate_rps))
         await self._set_acceleration(acceleration_rps2)
         await self._tell(f"VEL{rate}")
@@ -134,7 +138,10 @@ class AerosmithTable(LineTable):
         return unwrapped(self._unwrapper, (position, _value(position, NUMBER)), (velocity, _value(velocity, NUMBER)))
 
     async def status(self, axis: str) -> AxisStatus:
-        """Get the status word; whether a target is reached is told by angle and rate."""
+        """Read the status word; whether a target is reached is judged by angle and rate.
+
+        Enabled means that this driver switched the servo on and no fault bit is set: other bits are unknown.
+        """
         word = int(_value(await self._ask("STA", INTEGER), INTEGER))
         state = await self.read(axis)
         angle, rate = math.degrees(state.angle_rad), math.degrees(state.rate_rps)

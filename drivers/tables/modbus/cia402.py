@@ -15,7 +15,7 @@ VOLTAGE_ENABLED = 1 << 4
 
 
 class DriveState(Enum):
-    """State of a drive, with the mask and value of its statusword bits."""
+    """State of a drive, with mask and value of the statusword bits that show it."""
 
     NOT_READY = (0x4F, 0x00)
     SWITCH_ON_DISABLED = (0x4F, 0x40)

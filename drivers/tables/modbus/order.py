@@ -31,7 +31,9 @@ _FIELDS = (
 
 @dataclass(kw_only=True, frozen=True, slots=True)
 class Request:
-    """Read ``count`` registers, or write ``words`` where there are some; ``axis`` and ``register`` are for messages."""
+    """A read of ``count`` registers, or a write of ``words`` if there are any; ``axis`` and ``register`` are for
+    messages.
+    """
 
     axis: str
     unit_id: int
@@ -95,13 +97,13 @@ class Pending:
 
 
 class RtuGate:
-    """Lets through the one frame that is awaited; a ``trace_packet`` hook of the client.
+    """A ``trace_packet`` hook of the client that lets only the awaited frame through.
 
-    The client shows all that it has received since it last sent, again with each new byte.
+    With each new byte, the client shows everything received since it last sent.
     """
 
     def __init__(self, counts: LinkCounts) -> None:
-        """Let nothing through; ``counts`` gets what is dropped."""
+        """Start by letting nothing through; dropped frames are counted in ``counts``."""
         self._counts = counts
         self._armed: tuple[bytes, ...] = ()
         self._expected: tuple[bytes, ...] = ()
@@ -122,7 +124,10 @@ class RtuGate:
         self._armed = heads
 
     def __call__(self, sending: bool, data: bytes) -> bytes:
-        """Return what the client may send or see of these bytes."""
+        """Return the bytes the client may send, or the awaited frame if it has come, else nothing.
+
+        Other frames count as late; bytes outside frames as corrupt, once the next request is sent.
+        """
         if sending:
             self._counts.corrupt += self._damaged
             self._expected, self._seen, self._damaged, self.heard = self._armed, 0, False, False
@@ -146,14 +151,14 @@ class RtuGate:
 
 
 class TcpGate:
-    """Lets through what answers the last request to the letter, and nothing else: the client chokes on the rest.
+    """A ``trace_packet`` hook that passes only the exact answer to the last request: the client fails on anything else.
 
-    Header, unit id, function code, and the byte count or what is echoed, are all known before the reply comes
-    (Modbus Messaging on TCP/IP V1.0b, 3.1.3; Application Protocol V1.1b3, 6).
+    Header, unit id, function code, and the byte count or echo, are all known before the reply comes (Modbus Messaging
+    on TCP/IP V1.0b, 3.1.3; Application Protocol V1.1b3, 6).
     """
 
     def __init__(self, counts: LinkCounts) -> None:
-        """Begin before the first request; ``counts`` gets what is dropped."""
+        """Start before the first request; dropped frames are counted in ``counts``."""
         self._counts = counts
         self._heads: tuple[bytes, ...] = ()
         self._seen = 0
@@ -164,7 +169,9 @@ class TcpGate:
         """What was wrong with what came last in its place."""
 
     def __call__(self, sending: bool, data: bytes) -> bytes:
-        """Return what the client may send or see of these bytes."""
+        """Return the bytes the client may send, or the complete answer if it has come, else nothing; count other
+        frames.
+        """
         if sending:
             if not self.answered:
                 self._unanswered.add(int.from_bytes(self._heads[0][:2]))
@@ -185,7 +192,7 @@ class TcpGate:
         return b""
 
     def _count(self, data: bytes) -> None:
-        """Count the frames that came in the answer's place, and keep what was wrong with the last."""
+        """Count complete frames that are not the answer, as late, foreign or corrupt; describe the last in ``wrong``."""
         while self._seen + _TCP_HEADER + 1 < len(data):
             frame = data[self._seen :]
             size = int.from_bytes(frame[4:6])
@@ -207,7 +214,7 @@ class TcpGate:
 
 
 def _tcp_heads(request: bytes) -> Iterator[bytes]:
-    """Yield what a reply to this request begins with: the answer as far as it is known, then refusals."""
+    """Yield the possible beginnings of the reply to a request: that of the answer, then those of refusals."""
     function = request[7]
     if function == READ:
         count = 2 * int.from_bytes(request[10:12])
@@ -219,7 +226,7 @@ def _tcp_heads(request: bytes) -> Iterator[bytes]:
 
 
 def _difference(frame: bytes, head: bytes) -> str:
-    """Return in words where a frame differs first from what was awaited, the cause before what follows from it."""
+    """Return in words the first difference between a frame and the awaited head."""
     if frame[:2] != head[:2]:
         return "transaction numbers that were not requested. Does a gateway change them?"
     for name, start, end in _FIELDS[: None if head[7] == READ else -1]:
@@ -229,7 +236,7 @@ def _difference(frame: bytes, head: bytes) -> str:
 
 
 def rtu_frames(data: bytes) -> Iterator[bytes]:
-    """Yield the replies with a right CRC in these bytes, one after the other, whatever lies between them."""
+    """Yield the frames in ``data`` that are replies with a valid CRC, skipping other bytes."""
     at = 0
     while at + 5 <= len(data):
         size = _reply_size(data, at)

@@ -29,10 +29,10 @@ _FAULTS = (cia402.DriveState.FAULT, cia402.DriveState.FAULT_REACTION)
 
 @dataclass(slots=True)
 class _HomingStart:
-    """What shows whether a drive took the start of its homing, or still reports the homing before it.
+    """Evidence of whether a drive accepted the start of its homing, or still reports the previous one.
 
-    CiA 402 lets bits 12 and 13 stand from the last homing until the drive takes the next start. ``before`` is the
-    statusword in homing mode just before the start, ``fallen`` has the bits that were seen clear since.
+    In CiA 402, bits 12 and 13 stay from the last homing until the drive accepts the next start. ``before`` is the
+    statusword in homing mode just before the start; ``fallen`` has the bits seen clear since.
     """
 
     before: int
@@ -57,7 +57,7 @@ class ModbusTable(Table):
     """Turntable driver over a stock pymodbus client."""
 
     def __init__(self, setup: TableSetup, address: Address) -> None:
-        """Take drives whose addresses are unit ids, at ``address`` where they have no ``link`` of their own."""
+        """Prepare for drives whose addresses are unit ids, at ``address`` unless an axis has its own ``link``."""
         super().__init__("table", {name: axis.limits for name, axis in setup.axes.items()}, setup.timeout_s)
         self._profile: DriveProfile = setup.options["profile"]
         self._axes = setup.axes
@@ -77,9 +77,9 @@ class ModbusTable(Table):
         return LinkCounts(*map(sum, zip(*each, strict=True)))
 
     async def open(self) -> None:
-        """Connect, read every drive's state and write what the profile says; LinkLost if one does not answer.
+        """Connect, read the state of every drive and write the profile's values; LinkLost if one does not answer.
 
-        A drive that is enabled may be driven by somebody else: it is not written to before the first command.
+        A drive that is enabled may be driven by another program: it is not written to before the first command.
         """
         self._ready.clear()
         for line in dict.fromkeys(self._lines.values()):
@@ -100,7 +100,9 @@ class ModbusTable(Table):
         return Identity(self._profile.name, await self._numbers("serial_number"), await self._numbers("firmware"))
 
     async def enable(self) -> None:
-        """Walk every drive to Operation enabled; DeviceFault if it is in fault, DeviceRefused if it stays."""
+        """Step every drive to Operation enabled; DeviceFault if it is in fault, DeviceRefused if it does not change
+        state.
+        """
         for axis in self._axes:
             await self._sound(axis)
             await self._leave_quick_stop(axis)
@@ -117,7 +119,7 @@ class ModbusTable(Table):
                 await self._hail(list(self._axes)[: list(self._axes).index(axis)])
 
     async def home(self) -> None:
-        """Run the drives' own homing on all axes at once; DeviceRefused if one does not end or is not begun."""
+        """Run the drives' homing on all axes at once and wait for it; DeviceRefused if one does not start or finish."""
         self.homing = set(self._axes)
         self._starts.clear()
         for axis in self._axes:
@@ -138,6 +140,10 @@ class ModbusTable(Table):
         await self._wait_for_home(_POLL_S)
 
     async def _at_home(self, axis: str) -> bool:
+        """Return whether an axis has finished homing; a start that the drive has not accepted in time is repeated.
+
+        DeviceFault for a fault, DeviceRefused for a homing error or a start that is never accepted.
+        """
         word = int(await self._read(axis, "statusword"))
         if cia402.state_of(word) in _FAULTS:
             raise DeviceFault(self._device, await self._fault_text(axis, word))
@@ -156,10 +162,10 @@ class ModbusTable(Table):
         return there
 
     async def _homed_unseen(self, axis: str, start: _HomingStart) -> bool:
-        """Return whether a drive was homed so fast that nobody saw its bits fall.
+        """Return whether a drive was homed so fast that its bits were never seen to fall.
 
-        That is so if it now reads zero and did not before. One that was at home already reads zero either way; it is
-        believed once it had its time to show that it moves.
+        That is so if it reads zero now and did not before. A drive that was at home already is believed after
+        ``_STATE_LIMIT_S``; DeviceRefused if it is not at home by then.
         """
         loop = asyncio.get_running_loop()
         state = await self.read(axis)
@@ -190,7 +196,7 @@ class ModbusTable(Table):
             await self._read(axis, "statusword")
 
     async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
-        """Turn an axis at a rate (profile-velocity mode) until told otherwise."""
+        """Turn an axis at a rate (profile velocity mode) until its next command."""
         self._moved = axis
         await self._write(axis, "mode", cia402.MODE_PROFILE_VELOCITY)
         await self._write_motion(axis, "acceleration", acceleration_rps2)
@@ -199,7 +205,7 @@ class ModbusTable(Table):
         await self._command(axis, "enable")
 
     async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
-        """Start a move to an angle from home (profile-position mode)."""
+        """Start a move to an angle from home (profile position mode), and wait until the drive has taken the set point."""
         self._moved = axis
         await self._write(axis, "mode", cia402.MODE_PROFILE_POSITION)
         await self._write_motion(axis, "profile_rate", abs(rate_rps))
@@ -212,10 +218,11 @@ class ModbusTable(Table):
         await self._wait_for_acknowledgement(axis, set_point_taken=True)
 
     async def _wait_for_acknowledgement(self, axis: str, *, set_point_taken: bool) -> None:
-        """Wait until bit 12 shows that a drive has seen bit 4 of the controlword fall or rise, for a cycle at most.
+        """Wait until bit 12 shows that a drive has seen bit 4 of the controlword fall or rise, for one cycle at most;
+        no error.
 
-        A drive acts on the rise of bit 4 and must have seen it low before; until it has, bit 10 is of the move before.
-        One that has its own way with bit 12 had its time for a cycle all the same.
+        A drive acts on the rise of bit 4 and must have seen it low before; until then, bit 10 belongs to the previous
+        move. A drive that handles bit 12 differently has had one cycle all the same.
         """
         loop = asyncio.get_running_loop()
         ends_s = loop.time() + _TAKEN_S
@@ -241,7 +248,7 @@ class ModbusTable(Table):
         return found
 
     async def status(self, axis: str) -> AxisStatus:
-        """Get state, target reached, and the fault in words."""
+        """Read the state and describe a fault in words; BadReply for a statusword that is no CiA 402 state."""
         word = int(await self._read(axis, "statusword"))
         state = cia402.state_of(word)
         if state is None:
@@ -276,7 +283,10 @@ class ModbusTable(Table):
         return await self._bring_to_rest(partial(self._tell, command), self.read)
 
     async def _tell(self, command: str, axis: str) -> None:
-        """Send a command at once, also to a drive that does not take what the profile says of a new connection."""
+        """Send a command once, without waiting for other replies; reopen a line that failed.
+
+        The profile's values are written first after a new connection, but their failure does not keep the command back.
+        """
         line = self._lines[axis]
         if not line.sound:
             self._ready -= {other for other in self._axes if self._lines[other] is line}
@@ -286,6 +296,7 @@ class ModbusTable(Table):
         await line.tell(self._writing(axis, "controlword", self._profile.commands[command]))
 
     async def _clear_fault(self, axis: str) -> None:
+        """Send a fault reset and wait for the drive to leave its fault; DeviceFault if it does not."""
         await self._write(axis, "controlword", 0)  # the reset acts on a rising edge
         await self._command(axis, "fault_reset")
         try:
@@ -296,9 +307,9 @@ class ModbusTable(Table):
             ) from None
 
     async def disable(self) -> None:
-        """Take power off every drive, and see that it is off; DeviceRefused if one stays energised.
+        """Switch the power of every drive off and check that it is off; DeviceRefused if one stays energised.
 
-        The first failure is raised once all have been tried.
+        The first failure is raised after all have been tried.
         """
         failures: list[DeviceError] = []
         for axis in self._axes:
@@ -334,6 +345,7 @@ class ModbusTable(Table):
             await asyncio.sleep(_POLL_S)
 
     async def _fault_text(self, axis: str, statusword: int) -> str:
+        """Return state and statusword in words, with the drive's error code if it has that register."""
         state = cia402.state_of(statusword)
         text = f"axis {axis} is in {state.text if state else 'no known state'} (statusword 0x{statusword:04X}"
         text += ", internal limit active)" if statusword & cia402.INTERNAL_LIMIT else ")"
@@ -367,6 +379,7 @@ class ModbusTable(Table):
         return self._profile[name].decode(reply.words, self._axes[axis].counts_per_turn)
 
     def _reading(self, axis: str, name: str) -> Request:
+        """Return the request that reads the profile's register ``name`` of an axis."""
         register = self._profile[name]
         return Request(
             axis=axis,
@@ -377,6 +390,9 @@ class ModbusTable(Table):
         )
 
     def _writing(self, axis: str, name: str, value: float) -> Request:
+        """Return the request that writes ``value`` to the profile's register ``name``; DeviceRefused if it does not
+        fit.
+        """
         drive, register = self._axes[axis], self._profile[name]
         try:
             words = register.encode(value, drive.counts_per_turn)
