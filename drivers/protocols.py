@@ -19,7 +19,7 @@ from drivers.types import (
 
 
 class Openable(Protocol):
-    """A link, a source, a table: what can be closed and opened again."""
+    """A link, source or table that can be closed and opened again."""
 
     async def open(self) -> None:
         """Open; LinkLost if it is not there."""
@@ -29,7 +29,7 @@ class Openable(Protocol):
 
 
 class Device(Openable, Protocol):
-    """A driver of any kind: what can be opened again, and says what it is."""
+    """A driver of any kind: it can be reopened and identifies itself."""
 
     async def identify(self) -> Identity:
         """Ask what it is, after ``open``; empty where it cannot be asked."""
@@ -37,7 +37,7 @@ class Device(Openable, Protocol):
 
 @runtime_checkable
 class MadeSafe(Openable, Protocol):
-    """A device that has to be left in a safe state."""
+    """A device that must be left in a safe state."""
 
     async def make_safe(self) -> None:
         """Bring it to its safe state and see that it is there, whatever has become of the link; else DeviceError.
@@ -48,7 +48,7 @@ class MadeSafe(Openable, Protocol):
 
 @runtime_checkable
 class ChecksSetPoint(Protocol):
-    """A device that can tell, without acting, whether it could take a set point."""
+    """A device that can tell, without acting, whether it would accept a set point."""
 
     async def refused(self, set_point: float) -> str:
         """Return why it would not take this set point (SI, temperatures in degC), empty if it would."""
@@ -56,7 +56,7 @@ class ChecksSetPoint(Protocol):
 
 @runtime_checkable
 class AppendsSeries(Protocol):
-    """A device that measures something by itself, for columns of its own in the recording."""
+    """A device that measures something itself and appends columns to the recording."""
 
     @property
     def columns(self) -> Mapping[str, str]:
@@ -139,7 +139,7 @@ class Turntable(Openable, Protocol):
 
 
 class ImuSource(Openable, Protocol):
-    """A device under test, or a part of one, that gives samples by itself."""
+    """A device under test, or a part of one, that sends samples without being asked."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -163,7 +163,7 @@ class ImuSource(Openable, Protocol):
 
 @runtime_checkable
 class EarlySource(Protocol):
-    """An IMU source that holds samples back until it can time them, and tells before what has arrived."""
+    """An IMU source that holds samples back until it can time them, and reports arrivals before that."""
 
     def arrived(self) -> list[tuple[str, Stamps, Floats]]:
         """Return source name, arrivals (n,) in ns and rates (n, m) of samples that came since the last call.
@@ -174,7 +174,7 @@ class EarlySource(Protocol):
 
 @runtime_checkable
 class TellsOrders(Protocol):
-    """A table whose drives can be asked what they were told last, whoever that was."""
+    """A table whose drives report the last command they were given, by whatever program."""
 
     async def orders(self, axis: str) -> Mapping[str, float]:
         """Return the registers, by name, in which a drive keeps what it was told."""
