@@ -79,7 +79,9 @@ def regular_block(
 
 
 def block_of(t_ns: Stamps, arrival_ns: Stamps, values: Floats, gyros: int, counter: Stamps | None = None) -> ImuBlock:
-    """Return a block from rows of values (n, k): rates of the gyros, temperature, then three accelerations if present."""
+    """Return a block from rows of values (n, k): rates of the gyros, temperature, then three accelerations if
+    present.
+    """
     accel = values[:, gyros + 1 :] if values.shape[1] > gyros + 1 else None
     return ImuBlock(
         t_ns=t_ns,

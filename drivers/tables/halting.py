@@ -82,7 +82,9 @@ class _Axis:
         )
 
     def text(self, now_s: float) -> str:
-        """Return in words the last reading of the axis and its age, or that its rate and angle contradict each other."""
+        """Return in words the last reading of the axis and its age, or that its rate and angle contradict each
+        other.
+        """
         if self._last is None:
             return f"axis {self.name} no longer reports its state"
         if self.contradicts_itself:

@@ -25,7 +25,9 @@ class Unwrapper:
         self._last = None
 
     def place(self, t_s: float, told: float, rate: float) -> float:
-        """Return the continuous angle for a reading: time (s), reported angle and rate, both in the unit of the turn."""
+        """Return the continuous angle for a reading: time (s), reported angle and rate, both in the unit of the
+        turn.
+        """
         self._counts_turns |= abs(told) >= self._turn * 1.0001
         expected = 0.0
         if self._last is not None:

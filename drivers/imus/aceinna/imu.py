@@ -20,7 +20,9 @@ _OWN_ADDRESS = 0  # of the station on J1939
 
 
 class AceinnaImu(CanImu):
-    """One source of three gyros and accelerometers. Its messages carry no counter: samples are timed by their rhythm."""
+    """One source of three gyros and accelerometers. Its messages carry no counter: samples are timed by their
+    rhythm.
+    """
 
     def __init__(self, setup: ImuSetup, link: FrameLink) -> None:
         """Expect messages from the J1939 address of the option ``address``.

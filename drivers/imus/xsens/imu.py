@@ -241,7 +241,9 @@ class XsensImu(XbusDevice):
 
 
 class _Timing:
-    """Sample times from a count in the messages; since the checksum has only 8 bits, implausible counts are rejected."""
+    """Sample times from a count in the messages; since the checksum has only 8 bits, implausible counts are
+    rejected.
+    """
 
     def __init__(self, kind: int, clock: CounterClock) -> None:
         """Start without a count; ``kind`` is the kind of packet that carries it."""

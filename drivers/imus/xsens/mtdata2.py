@@ -163,7 +163,9 @@ def parse_mtdata2(data: Bytes) -> tuple[list[Samples], int]:
 
 
 def _layout(data: bytes) -> tuple[Packet, ...] | None:
-    """Return the packets of a message, or None if they do not fill it exactly or a known kind has an impossible size."""
+    """Return the packets of a message, or None if they do not fill it exactly or a known kind has an impossible
+    size.
+    """
     packets: list[Packet] = []
     position = 0
     while position < len(data):

@@ -128,7 +128,9 @@ def _header(view: bytes, position: int) -> tuple[int, int]:
 
 
 def _valid_run(view: bytes, position: int, head: int, size: int) -> int:
-    """Return how many complete messages with the same header and a valid checksum follow each other from ``position``."""
+    """Return how many complete messages with the same header and a valid checksum follow each other from
+    ``position``.
+    """
     header = view[position : position + head]
     count = 0
     while position + size <= len(view) and view.startswith(header, position):

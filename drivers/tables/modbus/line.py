@@ -207,7 +207,9 @@ class ModbusLine:
                 pause_s *= 2
 
     def _unanswered(self, request: Request, within_s: float, once: bool) -> DeviceError:
-        """Return the error for a request without an answer: what came instead, if anything. ``once``: it was sent once."""
+        """Return the error for a request without an answer: what came instead, if anything. ``once``: it was
+        sent once.
+        """
         if self._tcp.wrong:
             said = f"sent an answer for {request.register} that violates Modbus: {self._tcp.wrong}"
             return BadReply(self._device, f"{_who(request)} {said}")

@@ -192,7 +192,9 @@ class TcpGate:
         return b""
 
     def _count(self, data: bytes) -> None:
-        """Count complete frames that are not the answer, as late, foreign or corrupt; describe the last in ``wrong``."""
+        """Count complete frames that are not the answer, as late, foreign or corrupt; describe the last in
+        ``wrong``.
+        """
         while self._seen + _TCP_HEADER + 1 < len(data):
             frame = data[self._seen :]
             size = int.from_bytes(frame[4:6])

@@ -205,7 +205,9 @@ class ModbusTable(Table):
         await self._command(axis, "enable")
 
     async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
-        """Start a move to an angle from home (profile position mode), and wait until the drive has taken the set point."""
+        """Start a move to an angle from home (profile position mode), and wait until the drive has taken the
+        set point.
+        """
         self._moved = axis
         await self._write(axis, "mode", cia402.MODE_PROFILE_POSITION)
         await self._write_motion(axis, "profile_rate", abs(rate_rps))
