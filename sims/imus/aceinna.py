@@ -14,9 +14,9 @@ from sims.wires.frames import FrameSink, ImuTwinSetup
 
 
 class AceinnaDevice:
-    """Sends a sample as SSI2, ACCS, ARI every n-th 10 ms; takes set and get requests.
+    """Sends SSI2, ACCS and ARI for each sample, every n-th 10 ms; answers set and get requests.
 
-    It does not turn its axes by the orientation that is set, and does not filter: it only keeps what is told.
+    Orientation and filter settings are stored, but have no effect on its outputs.
     """
 
     def __init__(
@@ -28,7 +28,9 @@ class AceinnaDevice:
         version: bytes = bytes([19, 1, 51, 2, 1]),
         name: aceinna.Name | None = None,
     ) -> None:
-        """It sends at the rate of its three gyros until it is told otherwise."""
+        """Start with the rate of the three gyros and all packets on; ``axis_order`` defaults to that of the option
+        ``model``.
+        """
         model, address = setup.options["model"], setup.options["address"]
         self._setup, self._bus, self._address, self.faults = setup, bus, address, setup.faults
         self._columns = list(aceinna.COLUMNS[axis_order or aceinna.AXIS_ORDERS[model]])
@@ -47,7 +49,10 @@ class AceinnaDevice:
         }
 
     def received(self, msg: can.Message) -> None:
-        """Take a frame from the bus."""
+        """Handle a frame from the bus: requests, save and reset commands, settings, and claims of its own address.
+
+        Remote, error and 11-bit frames are ignored.
+        """
         if not msg.is_extended_id or msg.is_remote_frame or msg.is_error_frame:
             return
         group, data = parameter_group(msg.arbitration_id), bytes(msg.data)
@@ -65,7 +70,7 @@ class AceinnaDevice:
             self._set(group, data[1:])
 
     async def serve(self) -> None:
-        """Send until cancelled."""
+        """Send samples until cancelled; nothing while the rate divider is 0."""
         loop = asyncio.get_running_loop()
         at = loop.time()
         while True:
@@ -80,7 +85,7 @@ class AceinnaDevice:
                 self._send_sample(np.degrees(rates), force)
 
     def _send_sample(self, rates_dps: Floats, force_mps2: Floats) -> None:
-        """Send what is switched on, in the order of a real device's trace."""
+        """Send the packets that are switched on, clipped to their ranges, in the order of a real device's trace."""
         roll, pitch, _ = tilt_deg(force_mps2[None] / max(float(np.linalg.norm(force_mps2)), 1e-9))[0]
         values = {"ssi2": np.array([pitch, roll]), "accs": force_mps2[self._columns], "ari": rates_dps[self._columns]}
         for name, fields in values.items():
@@ -93,7 +98,8 @@ class AceinnaDevice:
     def _answer(self, wanted: bytes, destination: int, host: int) -> None:
         """Answer a request, written by the standard (low byte first) or in Aceinna's way, or refuse it.
 
-        Nobody refuses what everybody was asked (SAE J1939-21, 5.4.4); data messages come by themselves.
+        No answer if the twin is silent. A request to everybody is never refused (SAE J1939-21, 5.4.4), nor is one for
+        the data messages, which are sent without a request.
         """
         groups = int.from_bytes(wanted, "little"), int.from_bytes(wanted)
         if self.faults.silent:
@@ -106,7 +112,7 @@ class AceinnaDevice:
             self._send(aceinna.ACKNOWLEDGEMENT, bytes([1, 0xFF, 0xFF, 0xFF, host]) + wanted)
 
     def _set(self, group: int, values: bytes) -> None:
-        """Take a setting if it is one that the device has."""
+        """Store a setting if the device has it and the values are valid; ignore it otherwise."""
         if group == aceinna.RATE_DIVIDER:
             good = len(values) == 1 and values[0] in aceinna.DIVIDERS
         elif group == aceinna.PACKET_TYPES:

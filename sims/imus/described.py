@@ -10,10 +10,12 @@ from sims.wires.frames import ImuTwinSetup
 
 
 class DescribedDevice(CanNodes):
-    """Measures all the time; sends when it has heard all that starts it, until it has heard all that stops it."""
+    """Measures all the time; sends from when it has received the complete start phrase until it receives the stop
+    phrase.
+    """
 
     def __init__(self, setup: ImuTwinSetup, write: Callable[[bytes], None]) -> None:
-        """The signals of the ride are a ``Description``."""
+        """Prepare for the ``Description`` in ``setup.signals``; it sends at once if that has no start phrase."""
         description: Description = setup.signals
         super().__init__(setup, self)
         self._write, self._framing = write, description.framing

@@ -18,7 +18,7 @@ _MARGIN = 1.1
 
 @dataclass(kw_only=True, slots=True)
 class Settings:
-    """What a STIM300 keeps about itself."""
+    """The settings that a STIM300 stores."""
 
     rate_hz: int
     identifier: int
@@ -38,7 +38,7 @@ class Settings:
     gyro_filter: int = 4
 
     def configuration(self) -> Configuration:
-        """Return what the configuration datagram says."""
+        """Return the configuration datagram of these settings."""
         layout = LAYOUTS[self.identifier]
         told = Configuration.of(
             rate_hz=self.rate_hz,
@@ -94,7 +94,10 @@ class Settings:
 
 
 def utility_reply(own: Settings, line: bytes) -> UtilityMessage | None:
-    """Return the reply to one line, which may be damaged; None if it is none of utility mode's."""
+    """Return the reply to one line in utility mode: an error code for a damaged, unknown or refused command, else "0".
+
+    None only for an empty line. Settings are changed in ``own``.
+    """
     if not line.startswith(b"$"):
         return UtilityMessage(True, ("", "1")) if line else None
     command = parse_message(line + b"\r")

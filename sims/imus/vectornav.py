@@ -45,17 +45,17 @@ _CHECKSUM, _COMMAND, _TOO_FEW, _TOO_MANY, _PARAMETER, _REGISTER, _NOT_ALLOWED, _
 class VectorNavDevice:
     """A VN-100 with its link at serial port 1, as delivered: VNYMR at 40 Hz, no binary output.
 
-    The knobs of ``faults`` may be turned at any time; where one gyro is saturated, the range of all is little.
-    ``range_rps`` is where the output of every gyro ends else.
+    The knobs of ``faults`` may be turned at any time; if one gyro is saturated, the range of all is small. Otherwise it
+    is ``range_rps``.
     """
 
     def __init__(
         self, setup: ImuTwinSetup, write: Callable[[bytes], None], *, serial: str = "0100012345", baud: int = 921600
     ) -> None:
-        """The three gyros were made for 800 Hz over a whole number; faster output repeats their last.
+        """Prepare a device whose gyros sample at 800 Hz over a whole number, else ValueError; faster output repeats
+        samples.
 
-        ``baud`` is its rate as delivered, which limits what can be asked for. Where nobody tells what is up, it stands
-        upright.
+        ``baud`` is the rate as delivered, which limits the outputs that can be set. Upright by default.
         """
         rate_hz = setup.rate_hz
         if vectornav.IMU_RATE_HZ % rate_hz:
@@ -79,7 +79,9 @@ class VectorNavDevice:
         self._wake_up()
 
     async def serve(self) -> None:
-        """Send until cancelled, in bursts of about 10 ms, as an operating system hands them over."""
+        """Send outputs until cancelled, in bursts of about 10 ms, as an operating system hands them over; none while
+        paused.
+        """
         loop = asyncio.get_running_loop()
         start = loop.time()
         burst = burst_of(vectornav.IMU_RATE_HZ / self._ticks_per_sample)
@@ -93,7 +95,7 @@ class VectorNavDevice:
             self._tick, self._last = int(ticks[-1]), rows[-1]
 
     def received(self, data: bytes) -> None:
-        """Take bytes from the host and reply to the commands that they complete."""
+        """Reply to each command completed by ``data``, and with a checksum error to each damaged one."""
         damaged = self._decoder.bad_sentences
         for command in self._decoder.feed(data):
             if isinstance(command, vectornav.Sentence):
@@ -113,7 +115,7 @@ class VectorNavDevice:
         self._wake_up()
 
     def _measured(self, at: Floats) -> Floats:
-        """Return what is measured at these instants, (n, 17)."""
+        """Return all measured values (n, 17) at instants ``at`` (n,), with the faults of the gyros."""
         rows = np.empty((len(at), len(_FORMATS)))
         up = self._up(at)
         rows[:, _YPR] = tilt_deg(-up)[:, ::-1]  # from north, east, down
@@ -131,7 +133,11 @@ class VectorNavDevice:
         return rows
 
     def _outputs(self, rows: Floats, after: int, last: int) -> bytes:
-        """Return what is sent in the ticks after one up to another; the first row was measured at the former."""
+        """Return the bytes sent after tick ``after`` up to tick ``last``, in order, some dropped or doubled by
+        ``faults``.
+
+        ``rows`` are measured values, the first of them at ``after``; outputs faster than the gyros repeat rows.
+        """
         sent: list[tuple[int, bytes]] = []
         for period, encode in self._periodic():
             ticks = np.arange(after - after % period + period, last + 1, period)
@@ -143,7 +149,9 @@ class VectorNavDevice:
         return b"".join(data * times for (_, data), times in zip(sent, copies.tolist(), strict=True))
 
     def _periodic(self) -> list[tuple[int, Callable[[Floats, Ints], list[bytes]]]]:
-        """Return what is set to be sent by itself: its period in ticks, and how measured rows become bytes."""
+        """Return the active outputs: the period of each in ticks, and the function that encodes measured rows at given
+        times.
+        """
         outputs: list[tuple[int, Callable[[Floats, Ints], list[bytes]]]] = []
         for register, layout in self._layouts.items():
             mode, divisor = map(int, self._registers[register][:2])
@@ -160,6 +168,9 @@ class VectorNavDevice:
         return outputs
 
     def _reply(self, command: vectornav.Sentence) -> vectornav.Sentence | bytes:
+        """Carry out a command and return the reply: a sentence, or bytes for a polled frame; a VNERR sentence for a
+        refusal.
+        """
         try:
             if command.header == "VNRRG":
                 return self._read(command)
@@ -196,6 +207,7 @@ class VectorNavDevice:
         return _frames(layout, self._last[None], np.array([self._tick * _TICK_NS - self._zero_ns]))[0]
 
     def _read(self, command: vectornav.Sentence) -> vectornav.Sentence:
+        """Return the reply to a read of a register; Refused if there is none."""
         register = _number(_exactly(1, command.fields)[0])
         if register in _COLUMNS:
             values = _printed(self._last, register)
@@ -206,6 +218,9 @@ class VectorNavDevice:
         return vectornav.Sentence("VNRRG", (f"{register:02d}", *values))
 
     def _store(self, command: vectornav.Sentence) -> vectornav.Sentence:
+        """Write a register and return the reply; Refused for a bad register or values, or if the baud rate would not
+        suffice.
+        """
         if not command.fields:
             raise Refused(_TOO_FEW)
         register, values = _number(command.fields[0]), command.fields[1:]
@@ -263,7 +278,10 @@ def _fit(register: int, values: tuple[str, ...]) -> bool:
 
 
 def _layout(values: tuple[str, ...]) -> vectornav.Layout | None:
-    """Return the frame that registers 75 to 77 set: after mode and divisor groups and fields, in hex; None is off."""
+    """Return the frame layout that the values of registers 75 to 77 select (mode, divisor, groups, fields in hex).
+
+    None if no group is selected; Refused if the fields do not fit the groups or are not simulated.
+    """
     try:
         words = [int(text, 16) for text in values[2:]]
         groups, fields = words[0], words[1:]
@@ -289,7 +307,7 @@ def _frames(layout: vectornav.Layout, rows: Floats, time_ns: Ints) -> list[bytes
 
 
 def _values(layout: vectornav.Layout, rows: Floats, time_ns: Ints) -> NDArray[np.void]:
-    """Return frames (n,) of what is measured; what the twin does not simulate is 0."""
+    """Return frames (n,) filled with measured rows and times; fields that the twin does not simulate are 0."""
     values: NDArray[np.void] = np.zeros(len(rows), dtype=layout.dtype)
     for name in layout.dtype.names or ():
         field = name.partition(".")[2]

@@ -35,7 +35,8 @@ _HARDWARE = bytes([2, 0])
 
 
 class XsensDevice:
-    """An MTi that measures since it was switched on, in bursts of about 10 ms as an operating system hands them over.
+    """An MTi that measures since it was switched on; sends in bursts of about 10 ms, as an operating system hands them
+    over.
 
     The knobs of ``faults`` may be turned at any time.
     """
@@ -50,10 +51,10 @@ class XsensDevice:
         uptime_ticks: int = 0,
         seed: int = 0,
     ) -> None:
-        """Each output has the rate of the three gyros or this over a whole number.
+        """Prepare a device that measures; outputs have the rate of the three gyros or that over a whole number.
 
-        ``serial`` are eight hex digits. Where nobody tells what is up, it has no accelerometers. ``uptime_ticks`` of
-        100 us is how long it has been on.
+        ``serial`` is eight hex digits; ``uptime_ticks`` of 100 us is the time since power-on. Without ``setup.up`` it
+        has no accelerometers.
         """
         self._gyros, self._write, self._force_g, self.faults = setup.gyros, write, setup.up, setup.faults
         self._rate_hz = rate_hz = round(setup.rate_hz)
@@ -91,7 +92,7 @@ class XsensDevice:
                 self._answer(messages.mid, request)
 
     async def serve(self) -> None:
-        """Send until cancelled."""
+        """Send until cancelled; the gyros keep sampling while nothing is sent."""
         loop = asyncio.get_running_loop()
         start, burst, sent = loop.time(), burst_of(self._rate_hz), 0
         while True:
@@ -116,6 +117,9 @@ class XsensDevice:
         self._write(encode(Mid.ERROR, bytes([error])))
 
     def _answer(self, mid: int, data: bytes) -> None:
+        """Answer a message; while measuring only Reset and GoToConfig, anything else with an Error. Answers are
+        ignored.
+        """
         if mid % 2:
             return  # an answer itself
         if mid == Mid.RESET:
@@ -143,7 +147,11 @@ class XsensDevice:
             self.report(_INVALID_MESSAGE)
 
     def _configure(self, data: bytes) -> None:
-        """Take over what it has of an output configuration, if it knows any of it; without data, say what it is."""
+        """Adopt the known part of an output configuration and answer with the granted one; an Error if no part is
+        known.
+
+        Without data the present configuration is the answer.
+        """
         wanted = mtdata2.decode_outputs(data)
         known = [o for o in wanted or () if mtdata2.kind_of(o.data_id) in _COUNTS_AND_STATUS + _VALUES]
         if wanted is None or (wanted and not known):
@@ -173,7 +181,7 @@ class XsensDevice:
         return self.faults.spoilt(rate, float(np.finfo(np.float32).max))
 
     def _stream(self, at: Floats, index: Ints, rate: Floats) -> bytes:
-        """Return the messages of these samples (n,)."""
+        """Return the messages of these samples (n,), some dropped or doubled by ``faults``."""
         due = self._due(index)
         rows = np.flatnonzero(due.any(axis=1))
         numbers = self._messages + np.arange(len(rows))
@@ -194,7 +202,9 @@ class XsensDevice:
         return b"".join(parts)
 
     def _due(self, index: Ints) -> Flags:
-        """Return which outputs are in the messages of these samples (n, outputs); none at all where all is False."""
+        """Return as flags (n, outputs) which outputs the messages of these samples contain; no message where all are
+        False.
+        """
         steps = np.array([1 if o.rate_hz == mtdata2.EVERY else self._divider(o) for o in self.outputs])
         timed = [o.rate_hz != mtdata2.EVERY for o in self.outputs]
         due = index[:, None] % steps == 0
@@ -203,7 +213,7 @@ class XsensDevice:
         return np.asarray(due, dtype=np.bool_)
 
     def _values(self, at: Floats, index: Ints, rate: Floats, numbers: Ints) -> Callable[[int], Floats | Ints]:
-        """Return what gives the values (n, fields) of a kind at these samples."""
+        """Return a function that gives the values (n, fields) of a kind of packet at these samples."""
         ticks = self._uptime_ticks + index * _TICKS_PER_S // self._rate_hz
         force_g = self._force_g(at) if self._force_g is not None else np.full((len(at), 3), np.nan)
         made: dict[int, Callable[[], Floats | Ints]] = {
