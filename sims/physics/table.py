@@ -16,7 +16,7 @@ SAFE_TORQUE_OFF = "safe torque off"  # of one by an open interlock
 
 @dataclass(frozen=True, slots=True)
 class AxisData:
-    """What the maker's plate says of an axis, and where it happens to stand at power-on."""
+    """The rated values of an axis, and its angle at power-on."""
 
     max_rate_rps: float
     max_acceleration_rps2: float
@@ -25,9 +25,9 @@ class AxisData:
 
 
 class TableModel:
-    """Axes x, y, z as far as the table has them; angles are true angles from the mechanical home position.
+    """The axes x, y, z that the table has; angles are true angles from the mechanical home position.
 
-    With ``faults`` an axis moves as its encoder sees it, and only ``angles`` are true.
+    With ``faults`` an axis moves by what its encoder indicates; then only ``angles`` are true.
     """
 
     def __init__(
@@ -37,7 +37,9 @@ class TableModel:
         faults: TableFaults | None = None,
         started_s: float = 0.0,
     ) -> None:
-        """Start at rest, each axis where it stands; ``clock`` gives seconds, ``started_s`` is the bench clock at 0."""
+        """Start at rest, each axis at its start angle; ``clock`` gives seconds, ``started_s`` is the bench clock
+        at 0.
+        """
         faults = faults or TableFaults()
         self.clock = clock
         self.data = dict(axes)
@@ -73,7 +75,10 @@ class TableModel:
         return self.read[axis](self.clock())[1]
 
     def freeze_readings(self, axis: str, *, angle: bool = True, rate: bool = True, zero: bool = False) -> None:
-        """Have an axis read from now on as it reads now, or as at home and at rest; it moves on unaffected."""
+        """Freeze the readings of an axis, its angle, its rate or both; the axis itself moves on.
+
+        They stay at the present values, or with ``zero`` at those of home and standstill.
+        """
         read, home_rad = self.read[axis], self._zero[axis]
         held_rad, held_rps = (home_rad, 0.0) if zero else read(self.clock())
 

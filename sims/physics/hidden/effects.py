@@ -17,9 +17,9 @@ KINDS = OUTPUTS | TIMING | CONVERTER | TABLE
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hidden:
-    """What is wrong, in SI: effects, the temperature (of the devices' own truth if None).
+    """The hidden errors, in SI: effects, and the temperature (None: that of the devices' truth).
 
-    ``devices`` are those whose gyros have the effects; all if None. The table's effects are there for all.
+    ``devices`` are those whose gyros have the effects, None for all. Effects of the table apply to all.
     """
 
     effects: tuple[object, ...] = ()
@@ -27,7 +27,7 @@ class Hidden:
     devices: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what is no effect."""
+        """Check effects and temperature; HiddenError for an invalid one."""
         for effect in self.effects:
             if type(effect) not in KINDS.values():
                 raise HiddenError(f"{effect!r} is no hidden effect")
@@ -37,9 +37,10 @@ class Hidden:
 
     @classmethod
     def of(cls, tables: Mapping[str, object]) -> Self:
-        """Return what tables of texts with units say; HiddenError for what is wrong, which begins with table and key.
+        """Return the effects described by tables of texts with units; HiddenError, which begins with table and key, if
+        invalid.
 
-        An effect that is there more than once is a list of tables, named in errors by its place: "tone.1".
+        An effect that occurs several times is a list of tables, named in errors by its index: "tone.1".
         """
         refuse_unknown(tables, dict.fromkeys(("devices", Temperature.name, *KINDS)), "hidden effects")
         effects: list[object] = []

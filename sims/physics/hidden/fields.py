@@ -29,12 +29,14 @@ _SUFFIX = re.compile(r"_(rps|rps2|rad|s|c|hz|rps_rts)$")
 
 
 class HiddenError(ValueError):
-    """A hidden effect that cannot be what it says; the message names file, table and key where there are such."""
+    """An invalid hidden effect; the message names file, table and key where known."""
 
 
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(field,))
 def hidden(kinds: dict[str, type[Any]], name: str) -> Callable[[type[T]], type[T]]:
-    """Return a decorator that makes an effect of a class and enters it among its kind by its name in the file."""
+    """Return a decorator that makes a class a frozen dataclass and enters it in ``kinds`` under its name in the
+    file.
+    """
 
     def entered(described: type[T]) -> type[T]:
         kinds[name] = dataclass(frozen=True, slots=True, eq=False)(described)
@@ -65,7 +67,10 @@ def key_of(what: Field[Any]) -> str:
 
 
 def read(kind: type[T], table: object, name: str) -> T:
-    """Return the effect that a table of texts describes; HiddenError with table and key for what is wrong."""
+    """Return the effect of type ``kind`` that a table of texts describes; HiddenError with ``name`` and key if invalid.
+
+    Keys that are unknown or missing without a default are errors, too.
+    """
     if not isinstance(table, Mapping):
         raise HiddenError(f"{name}: must be a table")
     declared = {key_of(f): f for f in fields(kind) if f.metadata}  # type: ignore[arg-type]
@@ -92,9 +97,9 @@ def refuse_unknown(table: Mapping[str, object], known: Mapping[str, object], whe
 
 
 def for_gyros(effect: T, count: int) -> T:
-    """Return the effect with every number that each gyro has to itself as an array (count,).
+    """Return the effect with every number that may differ between gyros as an array (count,).
 
-    HiddenError if there are not as many numbers as gyros.
+    HiddenError if there are neither one nor ``count`` numbers.
     """
     arrays = {}
     for what in fields(effect):  # type: ignore[arg-type]
@@ -108,7 +113,7 @@ def for_gyros(effect: T, count: int) -> T:
 
 
 def check(effect: object) -> None:
-    """Refuse what is no number, or less than it may be."""
+    """Check every number of an effect; HiddenError if one is not finite, other than by default, or out of its range."""
     for what in fields(effect):  # type: ignore[arg-type]
         if "like" not in what.metadata:
             continue
@@ -122,6 +127,9 @@ def check(effect: object) -> None:
 
 
 def _value(raw: object, what: Field[Any]) -> Any:
+    """Return a value of the file in SI, checked by the kind of its field: quantity, flag, integer or choice; else
+    HiddenError.
+    """
     if "like" in what.metadata:
         if what.metadata.get("each") and isinstance(raw, list | tuple):
             return np.array([quantity(r, what.metadata["like"]) for r in raw])
