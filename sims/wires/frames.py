@@ -14,7 +14,7 @@ STANDARD_GRAVITY_MPS2 = 9.80665
 
 
 class FrameSink(Protocol):
-    """A bus as its nodes see it: a python-can bus, an slcan adapter, a socketcand server."""
+    """A bus as seen by its nodes: a python-can bus, an slcan adapter or a socketcand server."""
 
     def send(self, msg: can.Message) -> None:
         """Send a frame."""
@@ -22,11 +22,11 @@ class FrameSink(Protocol):
 
 @dataclass(slots=True)
 class NodeFaults:
-    """Knobs of a twin; they may be turned while it runs.
+    """Knobs of a twin, which may be turned while it runs.
 
-    ``dropped`` and ``doubled`` are the shares of samples that are left out and sent twice; ``stuck`` gyros keep
-    their last rate, ``saturated`` ones show the end of their range; ``silent`` sends nothing. ``huge`` is the share of
-    samples with impossible rates; ``clock_ppm`` is how much too fast the device's clock runs.
+    ``dropped`` and ``doubled`` are the shares of samples left out and sent twice; ``stuck`` gyros keep their last rate,
+    ``saturated`` ones show the end of their range; ``silent`` sends nothing. ``huge`` is the share of samples with
+    impossible rates; ``clock_ppm`` is by how much the device's clock is too fast.
     """
 
     dropped: float = 0.0
@@ -41,7 +41,7 @@ class NodeFaults:
     _last: Floats | None = None
 
     def times_to_send(self) -> int:
-        """Return how often the sample at hand goes out: 0, 1 or 2 times."""
+        """Return how often to send the present sample: 0, 1 or 2 times."""
         if self.silent:
             return 0
         if not self.dropped and not self.doubled:
@@ -59,7 +59,7 @@ class NodeFaults:
         return np.where(self._random.random((len(rates_rps), 1)) < self.huge, most_rps, rates_rps)
 
     def rates(self, rates_rps: Floats) -> Floats:
-        """Return what the gyros (m,) put out instead of these rates; infinite is the end of the range."""
+        """Return the rates (m,) with stuck and saturated gyros; infinite stands for the end of the range."""
         if not self.stuck and not self.saturated:
             self._last = rates_rps
             return rates_rps
@@ -74,11 +74,11 @@ class NodeFaults:
 
 @dataclass(kw_only=True, frozen=True, slots=True)
 class ImuTwinSetup:
-    """A device under test as it stands on the simulated table.
+    """A device under test on the simulated table.
 
-    ``gyros`` were made for ``rate_hz``; ``up`` gives what its accelerometers sense (n, 3), in g, at instants (n,), if
-    the table tells. ``options`` are the protocol's keys in the bench file, ``signals`` those of a DBC or a description;
-    the knobs of ``faults`` may be turned at any time. ``number`` is which of several of its kind it is.
+    ``gyros`` sample at ``rate_hz``; ``up`` gives the specific force (n, 3) in g at instants (n,), None if the table
+    does not provide it. ``options`` are the protocol's keys in the bench file, ``signals`` those of a DBC or a
+    description; the knobs of ``faults`` may be turned at any time. ``number`` counts devices of the same kind from 0.
     """
 
     gyros: GyroArray
