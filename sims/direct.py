@@ -21,7 +21,7 @@ _OF_TEMPERATURE = 84  # a seed of its own, so that the gyros' noise does not dep
 
 @dataclass(frozen=True, slots=True)
 class TimedMove:
-    """Go to an angle from home, beginning at an instant."""
+    """A move to an angle from home that starts at a given instant."""
 
     start_s: float
     axis: str
@@ -32,7 +32,7 @@ class TimedMove:
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class DirectRun:
-    """Readings of the table (k, gimbals), outputs (n, m) and temperature readings (n,) of the gyros."""
+    """Readings of the table (k, gimbals), and outputs (n, m) and temperature readings (n,) of the gyros."""
 
     table_t_ns: Stamps
     angle_rad: Floats
@@ -59,10 +59,11 @@ def direct_run(
     hidden: Hidden | None = None,
     started_s: float = 0.0,
 ) -> DirectRun:
-    """Return what a table that carries out these moves, and gyros on it, would report.
+    """Return the readings of a table that carries out ``moves``, and of the gyros on it, computed without wires or
+    drivers.
 
-    Angles are whole encoder counts; rates are exact, as a drive's own set-point is. The clock that temperature and
-    ``hidden`` effects follow stands at ``started_s`` when the run begins.
+    Angles are rounded to encoder counts; rates are exact, as a drive's set point is. The bench clock, which temperature
+    and ``hidden`` effects follow, is at ``started_s`` when the run begins.
     """
     table = hidden.table if hidden is not None else TableFaults()
     motions = {axis: AxisMotion(0.0, _NO_LIMIT, _NO_LIMIT) for axis in gimbals}
