@@ -36,7 +36,7 @@ RAW_RULE = sentence("export.raw_rule")
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Exported:
-    """Gyros of a recording with their calibration. ``identity`` says what they are and where the figures come from."""
+    """Gyros of a recording with their calibration. ``identity`` describes them and the origin of the figures."""
 
     path: Path
     identity: Mapping[str, str]
@@ -81,10 +81,10 @@ class Exported:
 
 
 def exported_of(path: Path, devices: Sequence[str] = (), instance: int = 0) -> Exported:
-    """Return what is exported of a recording: of these devices under test, or all.
+    """Return what is exported from a recording: the gyros of ``devices``, or of all devices under test.
 
-    Raises RecordingError if there is no calibration, ModelError and CompensationError for effects of another version,
-    UsageError for a device that the recording does not have.
+    RecordingError if there is no calibration, ModelError or CompensationError for effects of another version,
+    UsageError for a device that the recording does not have, or for the file of an error model.
     """
     recording = _read(path)
     calibration = read_calibration(path, trusted=True)
@@ -115,6 +115,7 @@ def _units_of(recording: Recording) -> Units:
 
 
 def _read(path: Path) -> Recording:
+    """Return the recording; UsageError if the file is an error model of a type instead."""
     try:
         return read_recording(path)
     except RecordingError:
@@ -125,6 +126,7 @@ def _read(path: Path) -> Recording:
 
 
 def _identity(path: Path, recording: Recording, gyros: Sequence[GyroCalibration]) -> dict[str, str]:
+    """Return the identity of the gyros as texts of one line each, by name; empty ones are left out."""
     told = recording.attributes
     with h5py.File(path, "r") as file:
         kinds = [_kind(file[f"imu/{gyro.source}"].attrs) for gyro in gyros]
@@ -166,7 +168,7 @@ def file_sha256(path: Path) -> str:
 
 
 def raw_sha256(path: Path) -> str:
-    """Return the hash of what was measured, as ``RAW_RULE`` says: estimates and attributes do not change it."""
+    """Return the hash of the measured data, by ``RAW_RULE``: estimates and attributes do not change it."""
     found = hashlib.sha256()
     with h5py.File(path, "r") as file:
         names: list[str] = []

@@ -33,7 +33,7 @@ _PLACES = {"lag": 1, "play": 1, "last": 2}
 class Term:
     """One effect: the name of its table, the table (n,) or (n, p), its unit, and the expression for gyro ``i``.
 
-    In the expression "{table}" stands for what the table is called. ``acts``: where it comes in.
+    "{table}" in the expression stands for the table's name. ``acts`` is the point in the chain where it acts.
     """
 
     effect: str
@@ -53,7 +53,7 @@ class Term:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Terms:
-    """All of them, in the order in which they are undone; ``places``: numbers that are kept for each gyro."""
+    """All terms in the order of correction; ``places`` is the count of state variables kept for each gyro."""
 
     all: tuple[Term, ...]
     places: int
@@ -89,7 +89,7 @@ class Terms:
 
 
 def terms_of(compensation: Compensation) -> Terms:
-    """Return the terms of a compensation."""
+    """Return the terms of a compensation; effects of the same name get numbered tables."""
     terms, places = [], 0
     for place, held in enumerate(compensation.effects):
         twice = any(other.name == held.name for other in compensation.effects[:place])
@@ -115,7 +115,10 @@ def terms_of(compensation: Compensation) -> Terms:
 
 
 def _of_law(law: str, places: int) -> tuple[str, int]:
-    """Return what a law adds to the output of gyro ``i``, and how many numbers are kept by now."""
+    """Return the expression of a law's contribution to gyro ``i``, and the count of state variables used up to now.
+
+    Functions with memory (lag, play, decays) take state variables, counted from ``places``.
+    """
 
     def call(name: str, inner: str, constant: str) -> str:
         nonlocal places
@@ -133,9 +136,9 @@ def _of_law(law: str, places: int) -> tuple[str, int]:
 
 
 def law_terms(law: str, names: Mapping[str, str], call: Callable[[str, str, str], str]) -> list[str]:
-    """Return each term of a law, every operation in brackets; ``names`` are those of its variables.
+    """Return each term of a law as text, every operation in brackets; ``names`` translates its variables.
 
-    ``call`` writes a function from its name, its argument, and its constant: that of a power, too; "" if it has none.
+    ``call(name, argument, constant)`` writes a function; a power is "pow", and the constant is "" if there is none.
     """
 
     def written(node: ast.expr) -> str:

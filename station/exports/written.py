@@ -22,14 +22,16 @@ _NOT_FINITE = "the calibration holds a number that is not finite. Estimate it ag
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """Text or bytes of a file; ``not_held``: a line each, what of the calibration it lacks, what is left to do."""
+    """Text or bytes of a file; ``not_held`` has one line for each part of the calibration that it lacks."""
 
     text: str | bytes
     not_held: tuple[str, ...] = ()
 
 
 def number(value: float, digits: int = 17) -> str:
-    """Return a number for C and Python alike; 17 significant digits give the same double back, 9 the same float."""
+    """Return a number as C and Python read it; 17 significant digits restore a double, 9 a float. UsageError if not
+    finite.
+    """
     if not np.isfinite(value):
         raise UsageError(_NOT_FINITE)
     text = format(float(value), f".{digits}g")
@@ -92,9 +94,10 @@ def from_template(form: str, exported: Exported, dropped: Mapping[str, str], **v
 
 
 def as_triad(exported: Exported, form: str, keep: Collection[str] = ()) -> tuple[Compensation, dict[str, str]]:
-    """Return what is left for a form that holds three gyros and only some effects, and why each other is not in it.
+    """Return the compensation reduced to the effects ``keep``, for a format of three gyros, and why others are left
+    out.
 
-    UsageError that says what to do if there are not three.
+    UsageError, with what to do, if there are not three gyros.
     """
     count = len(exported.gyros)
     if count != 3:

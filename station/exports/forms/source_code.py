@@ -40,6 +40,7 @@ def write_c_float(exported: Exported) -> Written:
 
 
 def _header(exported: Exported, real: str, prefix: str) -> Written:
+    """Return the C99 header, in type ``real`` and with names that begin with ``prefix``, and what it leaves out."""
     terms = terms_of(exported.compensation)
     not_held = _cautions(exported, terms)
     what = f"{prefix}_correct: outputs of {len(exported.gyros)} gyros (rad/s) to the rate of their body (rad/s). C99."
@@ -67,10 +68,10 @@ def _header(exported: Exported, real: str, prefix: str) -> Written:
 
 
 def _macros(exported: Exported) -> list[tuple[str, str, str]]:
-    """Return what a program may check: name of each macro behind the prefix, its value, what it says.
+    """Return (name behind the prefix, value, meaning) of the macros that a program may check.
 
-    Identity first, then validity: the conditions under which the calibration was measured. A figure that nobody knows
-    is left out, so that a check of it does not compile.
+    Identity first, then validity: the conditions of the calibration. Unknown figures are left out, so that a check of
+    them does not compile.
     """
     texts = {
         "DEVICE": ("device", "device under test"),
@@ -106,9 +107,10 @@ def _single(found: re.Match[str]) -> str:
 
 
 def _vectors(exported: Exported, terms: Terms) -> tuple[Floats, Floats]:
-    """Return samples (8, n + 5) over the conditions of the calibration, and what the Python module makes of them.
+    """Return test inputs (8, n + 5) over the conditions of the calibration, and the Python module's results (8, 3) in
+    rad/s.
 
-    Outputs in rad/s, specific force in m/s2, temperature in degC, time step in s; rates (8, 3) in rad/s, NaN for none.
+    Inputs: outputs in rad/s, specific force in m/s2, temperature in degC, time step in s, as far as they are arguments.
     """
     made: dict[str, Any] = {}
     exec(write_python(exported).text, made)  # no text of the recording's stands in it but in comments and quotes
@@ -123,7 +125,7 @@ def _vectors(exported: Exported, terms: Terms) -> tuple[Floats, Floats]:
 
 
 def write_python(exported: Exported) -> Written:
-    """Return the module; CompensationError for gyros that do not span space."""
+    """Return the Python module; CompensationError for gyros that do not span space."""
     terms = terms_of(exported.compensation)
     not_held = _cautions(exported, terms)
     call = "Correction().correct" if terms.keeps_state else "correct"
@@ -167,7 +169,7 @@ def _argument_names(terms: Terms) -> list[str]:
 
 
 def _arguments_said(exported: Exported, terms: Terms) -> list[str]:
-    """Return a line for each argument of the function, and what holds of them."""
+    """Return one line about each argument of the function, and the conditions for all."""
     used = {name: terms.uses(name) for name in ("slope", "wdot")} | {"rate": bool(terms.of(Acts.RATE))}
     given = {
         "names": _argument_names(terms),
@@ -179,7 +181,9 @@ def _arguments_said(exported: Exported, terms: Terms) -> list[str]:
 
 
 def _cautions(exported: Exported, terms: Terms) -> list[str]:
-    """Return what of the calibration the function does not undo, and what undoing costs."""
+    """Return the effects that the function does not correct, and the noise that correcting a lag adds, one line
+    each.
+    """
     lines = [*lines_of(exported.compensation.left_out), *delay_line(exported)]
     if terms.lag is not None and np.isfinite(exported.seen.rate_hz):
         share = float(terms.lag.values.max()) * exported.seen.rate_hz
@@ -196,8 +200,10 @@ def _function_text(
     helpers: Mapping[str, str],
     **values: object,
 ) -> str:
-    """Return the source code of a template; ``name_of`` names the table of a term, ``helpers`` are how the language
-    writes what stands in braces in its expression. ``values`` are more names that the template uses.
+    """Return the source code from a template, with ``values`` as further names in it.
+
+    ``name_of`` names the table of a term; ``helpers`` are the target language's texts for the placeholders in braces in
+    a term's expression.
     """
 
     def written(acts: Acts) -> list[str]:
