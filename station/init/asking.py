@@ -32,9 +32,10 @@ def ask_key(
     proposed: str | None = None,
     checked: Callable[[Data], object] = lambda data: None,
 ) -> Data:
-    """Return a table with the answer for one of its keys, without it if that is empty.
+    """Return the table ``data`` with the answer for one key, without the key if the answer is empty.
 
-    Its own value is proposed if nothing else is. ``checked`` raises UsageError for a table that cannot be.
+    The present value is proposed unless ``proposed`` is given. ``checked`` raises UsageError for an invalid table, and
+    the question is then repeated.
     """
 
     def made(text: str) -> Data:
@@ -52,7 +53,7 @@ def ask_key(
 
 
 def _value(key: Key, text: str) -> Any:
-    """Return an answer as TOML has it."""
+    """Return an answer as a TOML value: a list for several, a number where possible, else the text."""
     if key.kind == "texts" or key.each:
         return [part for part in re.split(r"\s*,\s*" if key.each else r"[\s,]+", text.strip()) if part]
     if key.kind in ("integer", "number"):

@@ -30,7 +30,10 @@ def built_in_channels(count: int) -> list[Data]:
 
 
 def ask_gyros(dialogue: Dialogue, imu: Data, folder: Path, checked: Callable[[Data], object]) -> Data:
-    """Return the device with its geometry and its signals; ``checked`` raises UsageError for what cannot be."""
+    """Return the device with its array and its signals: a mapping, a DBC with channels, or the built-in DBC.
+
+    ``checked`` raises UsageError for an invalid device; the question is then repeated.
+    """
     dialogue.say("  How are its gyros arranged?")
     bare = {key: value for key, value in imu.items() if key not in ("array", "channels")}
     geometry, count = _ask_geometry(dialogue, dialogue.choose("array", _ARRAYS, "tetrahedron"))
@@ -54,7 +57,7 @@ def ask_gyros(dialogue: Dialogue, imu: Data, folder: Path, checked: Callable[[Da
 
 
 def ask_description(dialogue: Dialogue, imu: Data, folder: Path) -> Data:
-    """Return the device with its description and, if that does not have three gyros, with its geometry."""
+    """Return the device with its description and, if that does not have three gyros, the array."""
     shipped = ", ".join(sorted(path.stem for path in DESCRIPTIONS.glob("*.toml")))
     question = f"its description: {shipped}, or the path of a .toml"
     chosen = dialogue.ask(question, "csv", lambda text: load_description(text, folder))
@@ -68,7 +71,9 @@ def ask_description(dialogue: Dialogue, imu: Data, folder: Path) -> Data:
 
 
 def _ask_geometry(dialogue: Dialogue, kind: str, count: int = 0) -> tuple[Data, int]:
-    """Return the keys of an array, and how many gyros it has; ``count`` if that is known."""
+    """Return the keys of an array of this kind, and its number of gyros, which is asked for unless ``count`` is
+    given.
+    """
     if kind in GYROS:
         return {"array": kind}, GYROS[kind]
     made: Data = ask_key(dialogue, {}, _COUNT, "number of gyros", "3") if not count else {"gyros": count}
@@ -83,7 +88,7 @@ def _ask_geometry(dialogue: Dialogue, kind: str, count: int = 0) -> tuple[Data, 
 
 
 def _direction(text: str) -> list[float]:
-    """Return a direction as a vector of length one; UsageError if it is none."""
+    """Return three numbers as a unit vector; UsageError if they are none, or all zero."""
     try:
         x, y, z = (float(part) for part in re.split(r"[\s,]+", text.strip()))
     except ValueError:
@@ -107,6 +112,7 @@ def _signals(path: Path) -> list[str]:
 
 
 def _ask_channels(dialogue: Dialogue, path: Path, count: int) -> list[Data]:
+    """Return a channel for each of ``count`` gyros: a rate and possibly a temperature, of the DBC's signals."""
     signals = _signals(path)
     dialogue.say("  signals: " + ", ".join(signals))
 

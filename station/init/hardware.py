@@ -9,7 +9,7 @@ _ARPHRD_CAN = "280"  # linux/if_arp.h
 
 @dataclass(frozen=True, slots=True)
 class SerialFound:
-    """A serial port: the link to it, what it says of itself, and whether it is an adapter that was plugged in."""
+    """A serial port: its link, its description, and whether it is a plugged-in adapter."""
 
     link: str
     description: str
@@ -17,7 +17,7 @@ class SerialFound:
 
 
 def serial_ports() -> list[SerialFound]:
-    """Return the serial ports of this machine, those that were plugged in first."""
+    """Return the serial ports of this machine, plugged-in adapters first."""
     from serial.tools import list_ports
 
     found = []

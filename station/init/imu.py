@@ -19,7 +19,9 @@ _KEYS = {key.name: key for section in ("bench.prior", "bench.imu", "bench.noise"
 
 
 def ask_imu(dialogue: Dialogue, links: Links, folder: Path, protocol: str, link: str, names: Sequence[str]) -> Data:
-    """Return a device under test whose name is not among ``names``; ``protocol``, ``link`` are proposed, if given."""
+    """Return a device under test with a name that is not in ``names``; ``protocol`` and ``link`` are proposed if not
+    empty.
+    """
 
     def checked(made: Data) -> None:
         read_data({"imu": [made]}, lambda top: read_imu(top.tables("imu")[0], folder))

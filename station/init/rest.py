@@ -16,9 +16,9 @@ _KNOWN = packaged_toml("station.init", "devices.toml")
 
 
 def ask_rest(dialogue: Dialogue, bench: Data, others: Sequence[str] = ()) -> Data:
-    """Return the bench with its place, its site and its limits, and what its twins are.
+    """Return the complete bench: place, site, limits and twins in addition to the devices in ``bench``.
 
-    ``others`` are sections of devices of other kinds.
+    ``others`` are the sections of devices of other kinds.
     """
     dialogue.say("\nThe lab. Its latitude is needed to remove Earth rate (15 deg/h); - leaves it in the bias.")
     latitude, heading = keys_of("bench.site")
