@@ -21,7 +21,7 @@ FINDING_STYLES: dict[str, str] = _STYLES["findings"]
 
 @dataclass(frozen=True, slots=True)
 class StateUnit:
-    """How a state is shown: its name, its unit, the factor from SI, digits after the point, room for its digits."""
+    """How a state is shown: its name, unit, factor from SI, decimals, and width."""
 
     name: str
     unit: str
@@ -66,7 +66,9 @@ _EFFECTS = _effect_units()
 
 @cache
 def state_figures(units: Units) -> tuple[StateUnit, ...]:
-    """Return the four states in order, in the units that a bench file chose, for values, sigmas and limits alike."""
+    """Return how each of the four states is shown, in the units of the bench file, for values, sigmas and limits
+    alike.
+    """
     found = []
     for state, key in _TABLES["states"].items():
         unit = getattr(units, key)
@@ -141,7 +143,11 @@ def percent(share: float | None) -> str:
 
 
 def human(value: float | None, sd: float | None, unit: str) -> str:
-    """Return a value and its standard deviation, in SI, in a unit for people, to two digits of the latter."""
+    """Return a value with its standard deviation, both in SI, as text in a readable unit, rounded to two digits of the
+    latter.
+
+    "unknown" for None; four digits if there is no standard deviation.
+    """
     if value is None:
         return UNKNOWN
     # Delays are milliseconds, time constants of a warm-up are not.

@@ -27,7 +27,7 @@ _SPECTRUM = ("frequency_hz", "density", "noise")
 
 
 class ErrorsView(TypedDict):
-    """Error of the compensated rate: rms and largest, rad/s; the share of its 95 % intervals that hold."""
+    """Error of the compensated rate: rms and largest in rad/s, and the share of its 95 % intervals that hold."""
 
     rms_rps: float | None
     max_rps: float | None
@@ -35,7 +35,7 @@ class ErrorsView(TypedDict):
 
 
 class ResidualView(TypedDict):
-    """What is left of the output errors: of each gyro its NIS and what it depends on; whose it is (``split``)."""
+    """The remaining output errors: by gyro its NIS and what it depends on; to what they belong (``split``)."""
 
     gyros: dict[str, dict[str, Any]]
     split: dict[str, Any] | None
@@ -43,9 +43,9 @@ class ResidualView(TypedDict):
 
 
 class InvestigationView(TypedDict):
-    """What --json says. ``parameters`` of what was added are (value, standard deviation, unit).
+    """The result as --json prints it. ``parameters`` of added effects are (value, standard deviation, unit).
 
-    ``residual`` has "before" and "after" of the recordings fitted and, or None, both of the "verification" run.
+    ``residual`` has "before" and "after" for the fitted recordings and, or None, both for the "verification" run.
     """
 
     verdict: str
@@ -74,7 +74,7 @@ class InvestigationView(TypedDict):
 def investigation_view(
     found: Investigation, next_script: Path | None, recordings: Sequence[str] = (), verification: Sequence[str] = ()
 ) -> InvestigationView:
-    """Return what is shown of an investigation of these recordings, judged by those that verify."""
+    """Return the view of an investigation of ``recordings``, judged by those in ``verification``."""
     models = [{"effects": m.effects, "log_evidence": m.log_evidence, **asdict(m.errors)} for m in found.models]
     fitted = _both(found.residual_before, found.residual_after)
     whole = {
@@ -95,7 +95,10 @@ def investigation_view(
 
 
 def what_shows(found: Investigation) -> list[str]:
-    """Return what a recording must hold that tells apart what this one cannot: by effect what shows it."""
+    """Return, for each candidate that the data could not separate, "effect: what a recording must hold to show it".
+
+    Empty if nothing was found or the effects were added.
+    """
     if found.finding in (Finding.NOTHING, Finding.ADDED):
         return []
     known = {record.name: record for record in records()}
@@ -137,7 +140,7 @@ def _gyro_residual(gyro: GyroResidual) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spectra:
-    """One-sided densities (f,) of the residual of a gyro before and after, and of its noise, (rad/s)^2/Hz."""
+    """One-sided densities (f,) of a gyro's residual before and after, and of its noise, (rad/s)^2/Hz."""
 
     frequency_hz: Floats
     before: Floats
@@ -146,7 +149,7 @@ class Spectra:
 
 
 def spectra_of(before: Residual | None, after: Residual | None) -> dict[str, Spectra]:
-    """Return the spectra by gyro, none if the residual was not looked at."""
+    """Return the spectra by gyro; empty if a residual was not analysed."""
     if before is None or after is None:
         return {}
     pairs = zip(before.gyros, after.gyros, strict=True)

@@ -12,7 +12,9 @@ from estimator.observations.allan.terms import Term
 
 
 def json_object(value: Any) -> Any:
-    """Return dataclasses, dicts, sequences, arrays and numbers as what JSON can hold: null for what is not finite."""
+    """Return a value with dataclasses, sequences, arrays and numbers converted to JSON's types; null for non-finite
+    numbers.
+    """
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, dict):
@@ -42,9 +44,8 @@ def term_object(term: Term) -> dict[str, Any]:
 
 
 def budget_and_noise(gyro: GyroCalibration) -> dict[str, Any]:
-    """Return of a gyro the uncertainty budget by source and state, the noise found, and that at rest alone, in SI.
-
-    Both noises are None if there is none.
+    """Return a gyro's uncertainty budget by source and state, its noise, and its noise at rest, in SI; None where
+    unknown.
     """
     noise = gyro.noise and {
         "arw_rps_rthz": gyro.noise.mean.arw,

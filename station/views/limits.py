@@ -15,11 +15,11 @@ from station.views.figures import StateUnit, state_figures
 
 @dataclass(kw_only=True, frozen=True, slots=True)
 class LimitLine:
-    """One limit: what it is of, the value found, the bounds, SI.
+    """One limit: its subject, the value found, the bounds, in SI.
 
-    Of a gyro (``row`` in the calibration) it is of ``state`` 0 to 3 or, ``of_u``, of that state's standard
-    uncertainty, shown in ``unit``. ``written`` is the bound as the bench file has it, empty where that is not known.
-    ``note`` says why a gyro has no estimate. What is accepted ends a ``guard`` band before the limits.
+    For a gyro (``row`` in the calibration) the subject is ``state`` 0 to 3 or, with ``of_u``, that state's standard
+    uncertainty, shown in ``unit``. ``written`` is the bound as in the bench file, empty if not known. ``note`` says why
+    a gyro has no estimate. Acceptance ends a ``guard`` band before the limits.
     """
 
     gyro: str
@@ -47,7 +47,7 @@ class LimitLine:
 
     @property
     def broken(self) -> str:
-        """How the limit is broken, in words."""
+        """The text for a broken limit. Call it only if the limit is broken."""
         if self.note:
             return f"{self.gyro} is not estimated: {self.note}"
         if self.unit is not None:
@@ -61,7 +61,10 @@ class LimitLine:
 
     @property
     def cells(self) -> tuple[str, str, str, str]:
-        """What it is of, the value found, the bound and by how much that is missed, in units of the states' table."""
+        """Subject, value, bound and the excess as a factor or percentage, as texts in the units of the states' table.
+
+        If there is no estimate, the value is the reason and the others are empty.
+        """
         if self.note or not math.isfinite(self.value):
             return f"{self.gyro} {self.what}", self.note or "not known", "", ""
         unit, factor, what = "", 1.0, self.what
@@ -77,9 +80,10 @@ class LimitLine:
         return what, found, most, by if math.isfinite(ratio) else ""
 
     def _shown(self, bound: float, unit: str, factor: float) -> tuple[str, str]:
-        """Return the value in a unit, and a bound as it was written, in that unit too where it was in another.
+        """Return the value in a unit and the bound as it was written, with the bound in that unit too if it was in
+        another.
 
-        Both have as many digits as it takes to tell them apart.
+        Both have enough digits to differ.
         """
         found, most = (f"{text} {unit}".rstrip() for text in _apart(abs(self.value) * factor, bound * factor))
         if not self.written:
@@ -94,7 +98,7 @@ class LimitLine:
 
     @property
     def remedy(self) -> str:
-        """What usually helps where it is broken."""
+        """What usually helps where this limit is broken."""
         if self.of_u:
             return "Uncertainty too large. Use a longer or better script: `station plan --improve` finds one."
         if self.what == MEAN_NIS:
@@ -122,9 +126,9 @@ MEAN_NIS, SAMPLES_LOST = "mean NIS", "samples lost"
 
 
 def limit_lines(found: Calibration, limits: Limits, labels: Sequence[str] | None = None) -> list[LimitLine]:
-    """Return each limit that is stated beside what was found; ``labels`` are what to call the gyros, else their names.
+    """Return every stated limit with the value found; ``labels`` name the gyros, by default their own names.
 
-    A gyro that is not estimated breaks a limit.
+    A gyro without an estimate is a broken limit.
     """
     lines = [
         LimitLine(gyro=e.name, what="estimate", value=math.nan, low=0.0, high=1.0, note=e.reason)
