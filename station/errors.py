@@ -16,7 +16,7 @@ class UsageError(Exception):
 
 
 class BenchError(UsageError):
-    """A bench file that says something impossible; the message names file, line and key."""
+    """An invalid bench file; the message names file, line and key."""
 
 
 class ScriptError(UsageError):
