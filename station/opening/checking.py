@@ -31,7 +31,7 @@ _LOOK_AT_IMU = "Do protocol, link, baud rate or channel match the device?"
 
 @dataclass(kw_only=True, frozen=True, slots=True)
 class AxisCheck:
-    """One axis as it answered: ``text`` is its condition in words, limits are the bench file's."""
+    """The state of one axis: ``text`` is its condition in words; limits are those of the bench file."""
 
     name: str
     angle_rad: float
@@ -45,7 +45,7 @@ class AxisCheck:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SourceCheck:
-    """Two seconds of one source; ``jitter_s`` is the standard deviation of arrivals against sample times."""
+    """Two seconds of one source; ``jitter_s`` is the standard deviation of arrivals relative to sample times."""
 
     name: str
     rate_hz: float
@@ -61,9 +61,9 @@ class SourceCheck:
 
 @dataclass(slots=True)
 class DeviceCheck:
-    """What one device answered. ``wrong`` says what is wrong and what to do, empty if nothing is.
+    """The answers of one device. ``wrong`` says what is wrong and what to do, empty if nothing is.
 
-    Its protocol is ``experimental`` where driver and twin have met nothing that others made.
+    ``experimental``: neither driver nor twin was tested with anything made by others.
     """
 
     device: str
@@ -84,7 +84,7 @@ class DeviceCheck:
 
 @dataclass(slots=True)
 class OtherCheck(DeviceCheck):
-    """What a device of another kind answered: ``values`` of its series, by column, with their units."""
+    """The answers of a device of another kind: ``values`` of its series, by column, with their units."""
 
     values: dict[str, float] = field(default_factory=dict)
     units: dict[str, str] = field(default_factory=dict)
@@ -98,7 +98,12 @@ class OtherCheck(DeviceCheck):
 async def check_bench(
     opened: OpenBench, *, time_scale: float = 1.0, tell: Callable[[str], None] = lambda device: None
 ) -> list[DeviceCheck]:
-    """Return what each device of an open bench answers, the table first. Nothing moves; every link is closed."""
+    """Return the answers of each device of an open bench, the table first. Nothing moves; every driver is closed at the
+    end.
+
+    ``tell`` gets the name of each device before it is asked. If several send nothing intelligible, swapped links are
+    suggested.
+    """
     found = []
     for device in opened.devices.values():
         tell(device.name)
@@ -119,7 +124,9 @@ async def check_bench(
 
 @contextmanager
 def _heard(check: DeviceCheck, look_at: str) -> Iterator[None]:
-    """Keep what a device does not answer, and what to look at."""
+    """Context that turns the errors of a device into entries of ``check.wrong``; ``look_at`` is what to check for a
+    dead one.
+    """
     try:
         yield
     except TimeoutError:
@@ -133,6 +140,10 @@ def _heard(check: DeviceCheck, look_at: str) -> Iterator[None]:
 
 
 async def _check_table(opened: OpenBench, device: OpenDevice, time_scale: float) -> DeviceCheck:
+    """Ask the table for identity, status and readings of each axis, and whether another master commands it.
+
+    Also notes if reading all axes takes longer than the poll rate allows.
+    """
     bench, table = opened.bench, opened.table
     check = DeviceCheck(device.name, bench.table.protocol, ", ".join(bench.table.links))
     check.experimental = not bench.table.spec.checked_against
@@ -184,7 +195,9 @@ async def _check_table(opened: OpenBench, device: OpenDevice, time_scale: float)
 
 
 async def _check_other(opened: OpenBench, device: OpenDevice, time_scale: float) -> DeviceCheck:
-    """Ask a device who it is and for one row of its series; it is told nothing."""
+    """Ask a device for its identity, one row of its series, and whether it would accept its set point; it is not
+    commanded.
+    """
     config, driver = device.config, device.driver
     check = OtherCheck(device.name, config.spec.name, ", ".join(config.links))
     check.experimental = not config.spec.checked_against
@@ -210,9 +223,9 @@ async def _orders(table: Turntable, axes: Sequence[str]) -> dict[str, Mapping[st
 async def _others(
     table: Turntable, axes: Sequence[str], told: Mapping[str, Mapping[str, float]], time_scale: float
 ) -> list[str]:
-    """Return in words what drives were told while this station told them nothing, at the first look that shows any.
+    """Return sentences about commands that drives got from another master; empty if there were none.
 
-    The looks are unevenly apart: a master that commands to and fro may have come back to the same order by one of them.
+    The drives are looked at several times, at uneven intervals: a master that moves to and fro may repeat a command.
     """
     for part in _LOOKS:
         await asyncio.sleep(part * _OTHERS_S * max(time_scale, 1.0))
@@ -222,7 +235,7 @@ async def _others(
 
 
 def _told_by_others(before: Mapping[str, Mapping[str, float]], now: Mapping[str, Mapping[str, float]]) -> list[str]:
-    """Return in words which axes were told something meanwhile: nothing was by this station."""
+    """Return a sentence for each axis whose last commands changed between ``before`` and ``now``."""
     found = []
     for axis, orders in now.items():
         changed = [name for name, value in orders.items() if value != before[axis].get(name, value)]
@@ -232,6 +245,7 @@ def _told_by_others(before: Mapping[str, Mapping[str, float]], now: Mapping[str,
 
 
 async def _check_imu(opened: OpenBench, device: OpenDevice, time_scale: float) -> DeviceCheck:
+    """Listen to a device for two seconds; return its identity, its sources, and what is wrong with them."""
     imu = next(imu for imu in opened.imus if imu.config.name == device.name)
     config, source = imu.config, imu.source
     check = DeviceCheck(config.name, config.protocol, config.link, experimental=not config.spec.checked_against)
@@ -265,6 +279,7 @@ _OF_KIND: Mapping[str, Callable[[OpenBench, OpenDevice, float], Awaitable[Device
 
 
 async def _listen(source: ImuSource, duration_s: float) -> dict[str, list[ImuBlock]]:
+    """Return the blocks of each source received within ``duration_s``, held ones included."""
     blocks: dict[str, list[ImuBlock]] = {}
     try:
         async with asyncio.timeout(duration_s):
@@ -278,6 +293,7 @@ async def _listen(source: ImuSource, duration_s: float) -> dict[str, list[ImuBlo
 
 
 def _source(source: ImuSource, name: str, blocks: Sequence[ImuBlock], time_scale: float) -> SourceCheck:
+    """Return rate, losses, jitter, temperature and mean rates of one source; NaN for a gyro without a valid rate."""
     t_ns = np.concatenate([block.t_ns for block in blocks])
     arrival_ns = np.concatenate([block.arrival_ns for block in blocks])
     temperature = np.concatenate([block.temperature_c for block in blocks])
@@ -303,10 +319,10 @@ def _counted(blocks: Sequence[ImuBlock]) -> bool:
 
 
 def _sent_hz(t_ns: Stamps, arrival_ns: Stamps, counts: SourceCounts, counted: bool) -> float:
-    """Return how many samples a second a device sends.
+    """Return the number of samples per second that a device sends; 0 for fewer than two.
 
-    Stamps from its own count or clock tell it once that is placed, after the first of them. Without one, stamps,
-    losses and repeats go by the rate of the bench file: only arrivals can deny that.
+    Times from the device's own count or clock show it once they have settled, in their second half. Without a count,
+    times follow the rate of the bench file: only arrivals can contradict it.
     """
     n = len(t_ns)
     if n < 2:
@@ -321,7 +337,9 @@ def _sent_hz(t_ns: Stamps, arrival_ns: Stamps, counts: SourceCounts, counted: bo
 
 
 def _complaints(config: ImuConfig, check: SourceCheck, counted: bool) -> Iterator[str]:
-    """Yield what is wrong with a source that does send."""
+    """Yield what is wrong with a source that sends: its rate, losses, invalid rates, or rates that are too large at
+    rest.
+    """
     who, prefix = ("it", "") if check.name == config.name else (check.name, f"{check.name}: ")
     whole = check.samples + check.lost
     lost = f"{check.lost} of {whole} samples"

@@ -13,7 +13,7 @@ from station.schema.tables import Table
 
 @dataclass(frozen=True, slots=True)
 class BenchFaults:
-    """Faults of the table, of devices by name, of wires by device or "table"."""
+    """Faults of the table, of devices by name, and of wires by device or "table"."""
 
     table: TableFault | None
     devices: Mapping[str, DeviceFaults]
@@ -21,7 +21,7 @@ class BenchFaults:
 
 
 def read_faults(of_table: Any, truths: Table, bench: Bench) -> BenchFaults:
-    """Read them; BenchError for what cannot be."""
+    """Return the faults from [twin.fault] and [twin.NAME.fault]; BenchError if one is invalid."""
     try:
         fault, wire = table_faults(of_table, bench.table.gimbals, "twin.fault")
         devices, wires = {}, {"table": wire}

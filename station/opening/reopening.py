@@ -16,10 +16,10 @@ _LOOK_S = 0.02
 
 
 class Reopening:
-    """Opens again what is lost, for one run."""
+    """Reopens lost links, for one run."""
 
     def __init__(self, moving: Callable[[], bool], tell: Callable[[str], None], time_scale: float) -> None:
-        """``moving`` says whether the table turns or is about to; ``tell`` keeps what happened in the record."""
+        """``moving`` returns whether the table turns or is about to; ``tell`` notes an event in the recording."""
         self._moving, self._tell, self._scale = moving, tell, time_scale
         self._known: dict[str, Identity] = {}
         self.under_way: set[str] = set()
@@ -28,9 +28,9 @@ class Reopening:
         """How often each device's link was opened again."""
 
     async def identify(self, name: str, device: Device) -> Identity:
-        """Ask an open device of this name what it is: the same from now on. DeviceFault if it is another by now.
+        """Return the identity of an open device, remembered on the first call and compared on later ones.
 
-        LinkLost if it does not say any more what it has said before.
+        DeviceFault if it differs or the device now refuses to answer, LinkLost if a part of it is missing.
         """
         known = self._known.get(name)
         try:
@@ -52,9 +52,10 @@ class Reopening:
         return now
 
     async def restore(self, name: str, lost: Device, error: LinkLost) -> None:
-        """Open again; LinkLost if the table turns, begins to turn before it is open, or a minute is over.
+        """Reopen a lost link and check that the same device is there; note that in the recording.
 
-        DeviceFault if another device is there.
+        Raises ``error`` at once if the table moves; LinkLost if it has to move before the link is open, or after a
+        minute; DeviceFault if another device answers.
         """
         if self._moving():
             raise error
@@ -84,7 +85,10 @@ class Reopening:
             self._tell(doubt)
 
     async def ask_at_end(self, name: str, device: Device) -> None:
-        """Open a closed device, see that it is the same, and close it; what cannot be asked any more is told."""
+        """Reopen a closed device, check its identity, and close it; a link that fails is only noted.
+
+        Nothing is done for a device that has no identity. DeviceFault if it is another device.
+        """
         if self._known[name] == Identity():
             return
         try:

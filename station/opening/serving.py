@@ -29,9 +29,9 @@ _BUS = "can0"
 async def serve_twins(
     bench: Bench, *, time_scale: float, host: str, port: int, announce: Callable[[str], None]
 ) -> None:
-    """Serve every twin of the bench on real ports until cancelled; announce each address as a line of JSON.
+    """Serve every twin of the bench on real ports until cancelled; ``announce`` gets a line of JSON for each.
 
-    ``port`` is that of the table, 0 for any. What each is served on is said by [twin.wires] of the bench file.
+    ``port`` is that of the table, 0 for any. [twin.wires] of the bench file says what each is served on.
     """
     async with AsyncExitStack() as stack:
         serving = Serving(Twins(bench, stack, time_scale), stack, host)
@@ -46,13 +46,13 @@ async def serve_twins(
 
 
 class Serving:
-    """Puts the twins of one bench on wires."""
+    """Serves the twins of one bench."""
 
     def __init__(self, twins: Twins, stack: AsyncExitStack, host: str) -> None:
         self._twins, self._stack, self._host = twins, stack, host
 
     async def serve(self, device: AnyDevice, port: int) -> dict[str, Any]:
-        """Serve the twin of a device; return what is announced of it, its link first. ``port`` is that of the table."""
+        """Serve the twin of a device; return its announcement, the link first. ``port`` is that of the table."""
         of_kind: dict[str, Callable[[Any], Awaitable[dict[str, Any]]]] = {
             TABLE.name: lambda _: self.table(port),
             IMU.name: self.imu,
@@ -61,7 +61,9 @@ class Serving:
         return await (self.other(device) if serve is None else serve(device))
 
     async def table(self, port: int) -> dict[str, Any]:
-        """Return what is announced of the table."""
+        """Serve the twin of the table on a pseudo-terminal, Modbus TCP or TCP; return its announcement, the link
+        first.
+        """
         config, wire = self._twins.bench.table, self._twins.wire("table")
         addresses = {name: axis.address for name, axis in config.axes.items()}
         said = {"protocol": config.protocol, "watchdog_s": self._twins.watchdog_s}
@@ -93,7 +95,7 @@ class Serving:
         return await (self._tcp(device, make, 0) if self._twins.wire(device) == "tcp" else self._pty(device, make))
 
     async def _bus(self, imu: ImuConfig) -> str:
-        """Serve a device on a CAN bus of its own; return its link."""
+        """Serve a device on its own CAN bus; return its link. DeviceError if the bus cannot be opened."""
         wire = self._twins.wire(imu.name)
         if wire == "slcan":
             return await self._slcan(imu)
@@ -132,6 +134,7 @@ class Serving:
         return f"serial://{name}"
 
     async def _tcp(self, device: str, make: Callable[[Write], ByteDevice], port: int) -> str:
+        """Serve a device on TCP; return its link. DeviceError if the port is taken."""
         plug = Plug()
         try:
             wire = on_tcp(self._twins.faulty(device, make, plug), self._host, port, plug)
@@ -142,7 +145,7 @@ class Serving:
 
 
 class _Node:
-    """One end of a bus that may be down for a while: what cannot be sent meanwhile is lost."""
+    """One end of a bus that may be down for a while; frames that cannot be sent are lost."""
 
     def __init__(self, bus: can.BusABC, hear: Callable[[can.Message], None]) -> None:
         self._bus, self._hear = bus, hear

@@ -47,9 +47,13 @@ _APART = 0.005  # scale factors of two devices of a kind
 
 
 class Twins:
-    """The twins of a bench: one table model, gyros that ride on it, and the tasks that serve them."""
+    """The twins of a bench: one table model, the gyros on it, and the tasks that serve them."""
 
     def __init__(self, bench: Bench, stack: AsyncExitStack, time_scale: float) -> None:
+        """Build the table model and read all truths and faults of the bench file; BenchError if one is invalid.
+
+        Tasks and timers end with ``stack``.
+        """
         self.bench, self._stack = bench, stack
         self.watchdog_s = bench.twin.watchdog_s * max(time_scale, 1.0)  # it waits for a host
         loop = asyncio.get_running_loop()
@@ -80,7 +84,9 @@ class Twins:
             self._later(fault.at_s, partial(fault.strike, self.table, limits_trip=bench.table.spec.limits_trip))
 
     async def serve_table(self, address: tuple[str, int]) -> Any:
-        """Serve the controller of a driver that opens links itself at a host and port; return pymodbus's server."""
+        """Serve the table's controller on Modbus TCP at a host and port; return pymodbus's server. DeviceError if it is
+        taken.
+        """
         faults = self._faults.wires["table"]
         wire = FaultyModbus(faults, self._seed("table")) if faults.any else None
         server = modbus_server(self._table_setup(), address, wire)
@@ -108,7 +114,10 @@ class Twins:
         )
 
     def table_device(self, write: Write) -> ByteDevice:
-        """Return the controller, or the drives on a serial line."""
+        """Return the table's controller, or the drives on a serial line, which writes with ``write``.
+
+        A fault may replace it later by another one; the axes are then stopped.
+        """
         put_there, setup = twin_of_table(self.bench.table.spec), self._table_setup()
         end = Exchanged(put_there(setup, write))
 
@@ -129,7 +138,9 @@ class Twins:
         return address
 
     def imu_device(self, imu: ImuConfig, out: Write | FrameSink) -> Any:
-        """Put a device on a wire, where it sends from now on; return it."""
+        """Return the twin of an IMU, which sends to ``out`` from now on; a fault may replace it later by another
+        one.
+        """
         faults = self._faults.devices[imu.name]
         knobs = NodeFaults(clock_ppm=faults.clock_ppm, seed=self.bench.twin.seed)
         self._later(faults.from_s, partial(turn_knobs, knobs, faults, True))
@@ -177,7 +188,7 @@ class Twins:
         return CanLink(imu.name, "memory", channel, {})
 
     def other_device(self, config: DeviceConfig, write: Write) -> ByteDevice:
-        """Return the twin of a device of another kind; PluginError if its record brings none."""
+        """Return the twin of a device of another kind; PluginError if its record has none."""
         if config.spec.twin is None:
             raise PluginError(f"{config.spec.name} has no twin: its SPEC needs one, or the bench file a link")
         setup = DeviceSetup(
@@ -191,7 +202,10 @@ class Twins:
         return self._in_memory(config.name, partial(self.other_device, config))
 
     def gyros(self, imu: ImuConfig, number: int = 0) -> GyroArray:
-        """Return the gyros of a device, on the table; each ``number`` of its kind has its own scale factors."""
+        """Return the gyros of a device on the table; each ``number`` of its kind has different scale factors and noise.
+
+        BenchError if the hidden effects do not fit them.
+        """
         index = [other.name for other in self.bench.imus].index(imu.name)
         twin, truth = self.bench.twin, self._truths[imu.name]
         try:
@@ -208,7 +222,7 @@ class Twins:
             raise BenchError(f"{twin.hidden}: {imu.name}: {error}") from None
 
     def run(self, twin: Coroutine[Any, Any, Any]) -> asyncio.Task[Any]:
-        """Let a twin work until the bench is closed, or its task is cancelled."""
+        """Start a task for a twin, which is cancelled when the bench is closed; an error in it is then logged."""
         task = asyncio.get_running_loop().create_task(twin)
 
         async def end() -> None:
@@ -225,6 +239,9 @@ class Twins:
         return self._wires[device]
 
     def _read_wires(self, table: Table) -> dict[str, str]:
+        """Return the kind of link to serve each device on, by [twin.wires] or by default; the table's error if
+        unknown.
+        """
         wires = {"table": table.string("table", "tcp", one_of=("tcp", "serial"))}
         for imu in self.bench.imus:
             known = ("udp_multicast", "slcan", "socketcand") if imu.spec.on_can else ("serial", "tcp")
@@ -261,7 +278,9 @@ class Twins:
 
 
 def hidden_of(bench: Bench) -> Hidden | None:
-    """Return what is wrong with the twins of a bench; BenchError for a file that cannot be right."""
+    """Return the hidden effects of a bench, None if it has none; BenchError for an invalid file or an unknown
+    device.
+    """
     if bench.twin.hidden is None:
         return None
     top = Table.load(bench.twin.hidden, BenchError)
