@@ -28,7 +28,9 @@ _LONGEST_NAME = len("4194304.sock.new")
 
 
 def socket_folder() -> Path:
-    """Return the folder for sockets of this user, made if it is not there; UsageError if none can be had."""
+    """Return this user's folder for sockets, created if missing; UsageError, with the reasons, if no place is
+    suitable.
+    """
     refused = []
     for folder in _places():
         try:
@@ -52,7 +54,9 @@ def _places() -> list[Path]:
 
 
 def _objection(folder: Path) -> str:
-    """Return why a folder is not to be used: in one of somebody else a stranger could pose as a session."""
+    """Return why a folder must not be used, "" if it may: in one of another user, a stranger could pose as a
+    session.
+    """
     found = folder.lstat()
     if not stat.S_ISDIR(found.st_mode):
         return f"{folder} is no folder"
@@ -68,7 +72,7 @@ def _objection(folder: Path) -> str:
 
 
 def of_this_user(connection: socket.socket) -> bool:
-    """Return whether the process at the other end of a Unix socket is this user's or root's, as far as can be told."""
+    """Return whether this user or root is at the other end of a Unix socket; True where the system does not tell."""
     if not hasattr(socket, "SO_PEERCRED"):
         return True
     _, user, _ = struct.unpack(
@@ -78,7 +82,7 @@ def of_this_user(connection: socket.socket) -> bool:
 
 
 def running_sessions() -> list[Path]:
-    """Return the sockets of this user's running sessions, the newest first; those of dead ones are removed."""
+    """Return the sockets of this user's running sessions, newest first; sockets of ended ones are removed."""
     found = []
     for folder in _places():
         if not os.path.isdir(folder) or _objection(folder):
@@ -93,7 +97,7 @@ def running_sessions() -> list[Path]:
 
 
 def _answers(path: Path) -> bool:
-    """Return whether a process is at the other end; a busy one is one."""
+    """Return whether a process listens at a socket; one that is busy counts."""
     with socket.socket(socket.AF_UNIX) as probe:
         probe.settimeout(_PROBE_S)
         try:
@@ -106,7 +110,7 @@ def _answers(path: Path) -> bool:
 
 
 class RemoteSession:
-    """A session in another process. What is said to it takes effect there; refusals come as messages."""
+    """A session in another process. Requests take effect there; refusals come as messages."""
 
     def __init__(self, transport: asyncio.Transport, inbox: "_Inbox", hello: Mapping[str, Any]) -> None:
         """``connect`` makes one."""
@@ -116,7 +120,10 @@ class RemoteSession:
 
     @classmethod
     async def connect(cls, path: Path) -> Self:
-        """Connect to a session's socket; UsageError if none is there, or one that speaks another language."""
+        """Connect to a session's socket and read its greeting.
+
+        UsageError if nothing answers, or the session is another user's or of another version.
+        """
         loop = asyncio.get_running_loop()
         try:
             async with asyncio.timeout(_CONNECT_S):
@@ -145,9 +152,9 @@ class RemoteSession:
             yield message
 
     def stop(self) -> bool:
-        """Bring the table to rest and end the run; return whether the system took the word.
+        """Bring the table to rest and end the run; return whether the request was sent.
 
-        From any thread, past the event loop: whatever that is at, or waits for, does not hold it up.
+        May be called from any thread: it bypasses the event loop, which may be busy.
         """
         try:
             with self._transport.get_extra_info("socket").dup() as line:
@@ -183,7 +190,7 @@ class RemoteSession:
 
 
 class _Inbox(asyncio.Protocol):
-    """Messages as they come, stale snapshots left out."""
+    """Received messages in order; an outdated snapshot is dropped when a newer one comes."""
 
     def __init__(self) -> None:
         self._messages: deque[dict[str, Any]] = deque()
@@ -192,7 +199,7 @@ class _Inbox(asyncio.Protocol):
         self._ended = False
 
     async def next(self) -> dict[str, Any] | None:
-        """Return the next message, None when there will be no more."""
+        """Return the next message, waiting for it; None once the connection has ended and none is left."""
         while not self._messages:
             if self._ended:
                 return None
