@@ -15,10 +15,10 @@ _MOST_MOVES = 2  # named
 
 
 def recordings_shown(recordings: Sequence[Mapping[str, Any]], console: Console) -> list[Shown]:
-    """Return the table of recordings and the lines that say what moved, for rows as ``station history --json`` has.
+    """Return the table of recordings and a line for each that moved; ``recordings`` are rows of ``station history
+    --json``.
 
-    Script and bench have a column where they differ. A bench has none where that would be too wide: a date or a name
-    that is broken costs more than a bench that --csv tells.
+    Script and bench get a column if they differ. The bench is left out if the table would be too wide.
     """
     columns = ["when", "device", "outcome"]
     read = [row for row in recordings if not row["wrong"]]

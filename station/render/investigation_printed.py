@@ -49,7 +49,10 @@ def print_loop(loop: "Loop") -> None:
 
 
 def investigation_shown(what: InvestigationView, how: str, drive: str = "") -> list[Shown]:
-    """Return lines and tables of an investigation; ``how`` its next script is driven, ``drive`` what that is."""
+    """Return the lines and tables of an investigation.
+
+    ``how`` is how its next script was found to help, ``drive`` the command that runs it.
+    """
     left_out: dict[str, list[str]] = {}
     for effect, reason in what["left_out"].items():
         left_out.setdefault(reason, []).append(words(effect))
@@ -77,7 +80,7 @@ def verdict_lines(what: InvestigationView) -> list[str]:
 
 
 def loop_object(loop: "Loop") -> dict[str, Any]:
-    """Return what --json prints: the last investigation, and how it came to that."""
+    """Return the result of a loop for --json: the last investigation, and the rounds and runs that led to it."""
     last = loop.rounds[-1]
     fitted, judging = ([str(path) for path in loop.recordings(judging=j)] for j in (False, True))
     return {
@@ -92,7 +95,7 @@ def loop_object(loop: "Loop") -> dict[str, Any]:
 
 
 def runs_object(loop: "Loop") -> list[dict[str, Any]]:
-    """Return the runs as what --json prints."""
+    """Return the runs of a loop for --json."""
     return [
         {
             **named(run, ("purpose", "table_s")),
@@ -106,6 +109,7 @@ def runs_object(loop: "Loop") -> list[dict[str, Any]]:
 
 
 def _round_object(turn: "Round") -> dict[str, Any]:
+    """Return one round of a loop for --json."""
     whole = dict(investigation_view(turn.found, turn.script_file))
     kept = ("verdict", "reason", "added", "rivals", "unexplained", "before", "after", "models", "next_script")
     following = turn.following

@@ -18,7 +18,7 @@ def _green_bar() -> BarColumn:
 
 
 class Bar(Progress):
-    """A bar of one task; without a terminal lines, when quiet nothing."""
+    """A progress bar of one task; prints lines if there is no terminal, and nothing if quiet."""
 
     _EVERY = 0.1
     """Without a terminal: one line each tenth of the work."""
@@ -33,9 +33,9 @@ class Bar(Progress):
         transient: bool = False,
         **fields: Any,
     ) -> None:
-        """``begins`` describes the task at first, ``fields`` are what its columns show beside that.
+        """``begins`` is the first description of the task, ``fields`` are further values for its columns.
 
-        A ``transient`` bar is taken away at the end.
+        A ``transient`` bar is removed at the end.
         """
         console = HarmlessConsole(stderr=True)
         self._quiet, self._at_once = quiet, not auto_refresh
@@ -64,7 +64,7 @@ class RunProgress(Bar):
         self._shown_share = -1.0
 
     def show(self, look: Callable[[], Snapshot]) -> None:
-        """Show where the run is, not more often than a person can read; ``look`` is asked only then."""
+        """Show the progress of a run, at most a few times per second; ``look`` is called only then."""
         now = time.monotonic()
         if self._quiet or now - self._shown_at < _REFRESH_S:
             return
