@@ -21,7 +21,7 @@ from station.views.json_values import json_object
 
 
 def print_computer(findings: Sequence[Finding]) -> None:
-    """Print what was found about the computer, with the command that helps below each line."""
+    """Print the findings on the computer, each with the command that helps below it."""
     for finding in findings:
         mark = "[red]" if finding.wrong else "[yellow]"
         line = f"{mark}{escape(finding.about)}[/] {escape(finding.text)}"
@@ -31,7 +31,7 @@ def print_computer(findings: Sequence[Finding]) -> None:
 
 
 def command_check(arguments: argparse.Namespace) -> int:
-    """Look at every device of a bench; 0 if all is well, 4 if not."""
+    """Check every device of a bench, and this computer; return 0 if nothing is wrong, else 4."""
 
     def tell(device: str) -> None:
         if not arguments.json:

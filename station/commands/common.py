@@ -47,6 +47,11 @@ def command_run(arguments: argparse.Namespace) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    """Run a script on a bench into a recording and print the result; return its exit code.
+
+    Wrong usage and devices that cannot be opened are reported with an empty result. Afterwards the bench's
+    ``after_run`` program gets the result.
+    """
     try:
         bench = chosen_bench(arguments)
         operator = bench.checked_operator(arguments.operator) if arguments.operator is not None else ""
@@ -116,7 +121,10 @@ def _run_object(result: Result) -> Mapping[str, Any]:
 
 
 def _model_of(arguments: argparse.Namespace, bench: Bench) -> ErrorModel | None:
-    """Return the error model that is to be begun with, seen to fit the bench before anything moves."""
+    """Return the error model of --model, checked against the bench before anything moves; None without it.
+
+    UsageError if it needs a temperature that a device does not have, or with --end-early.
+    """
     if arguments.model is None:
         return None
     model = ErrorModel.read(Path(arguments.model))
@@ -131,7 +139,7 @@ def _model_of(arguments: argparse.Namespace, bench: Bench) -> ErrorModel | None:
 
 
 def command_twin(arguments: argparse.Namespace) -> int:
-    """Serve the twins of a bench until a signal."""
+    """Serve the twins of a bench until SIGINT or SIGTERM; return 0, or 4 if a port cannot be had."""
     bench = _seeded(load_bench(Path(arguments.bench) if arguments.bench else None), arguments.seed)
 
     async def serve() -> None:
@@ -174,7 +182,9 @@ async def drive(
     host: Host | None = None,
     bench_file: str | None = None,
 ) -> Result:
-    """Run a script on a bench into a recording, with its progress on stderr, and for whom a host lets look on."""
+    """Run a script on a bench into a recording; return the result. Progress goes to stderr, and to the clients of
+    ``host``.
+    """
     async with AsyncExitStack() as stack:
         stack.enter_context(patient_streams())
         if host is not None:
@@ -194,7 +204,7 @@ async def drive(
 
 
 def chosen_bench(arguments: argparse.Namespace) -> Bench:
-    """Return the bench that the options name, with their links, devices and seed."""
+    """Return the bench of the options --bench, --link, --device and --seed; UsageError for a malformed link."""
     bench = load_bench(Path(arguments.bench) if arguments.bench else None)
     links = {}
     for text in arguments.link:

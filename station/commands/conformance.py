@@ -46,9 +46,9 @@ _ROWS = 3  # of a series
 
 @dataclass(slots=True)
 class Heard:
-    """What an IMU sent, by source, while its table rested and then turned about z.
+    """The samples of an IMU, by source, while its table rested and then turned about z.
 
-    ``angles`` are readings of the table, time in s and angle in rad; ``error`` is what ended the stream.
+    ``angles`` are readings of the table, time (s) and angle (rad); ``error`` is what ended the stream, if anything.
     """
 
     imu: ImuConfig
@@ -66,7 +66,9 @@ class Heard:
 
 
 async def heard_on(opened: OpenBench) -> Heard:
-    """Return what the IMU of a bench sends in nine seconds."""
+    """Return the samples of the bench's IMU over nine seconds: at rest, then turning. Its exceptions are stored, not
+    raised.
+    """
     table, source = opened.table, opened.imus[0].source
     heard = Heard(opened.imus[0].config)
 
@@ -97,6 +99,7 @@ async def heard_on(opened: OpenBench) -> Heard:
 
 
 def _units(heard: Heard) -> str:
+    """Return what is wrong with rates while turning: unit, scale, sign or order of axes; "" if they are right."""
     for _, t_s, rate_rps, along in heard.sources():
         off_rps = np.nanmean(rate_rps[t_s > t_s[-1] - 2.0], axis=0) - along * _RATE_RPS
         worst = int(np.argmax(np.abs(off_rps)))
@@ -108,6 +111,9 @@ def _units(heard: Heard) -> str:
 
 
 def _clock(heard: Heard) -> str:
+    """Return what is wrong with sample times: not increasing, wrong rate, or more than 20 ms off the motion; "" if
+    right.
+    """
     for _, t_s, rate_rps, along in heard.sources():
         step_s = np.diff(t_s)
         if not (step_s > 0).all():
@@ -140,6 +146,9 @@ def _counted(heard: Heard) -> str:
 
 
 def _undamaged(heard: Heard) -> str:
+    """Return whether damaged samples were accepted, or too few samples came, on a wire that damages bytes; "" if
+    neither.
+    """
     for counts, t_s, rate_rps, along in heard.sources():
         middle_rps = along * _RATE_RPS / 2  # of what the table does
         wild = int((np.abs(rate_rps - middle_rps) > np.abs(middle_rps) + 5 * _LITTLE_RPS).any(axis=1).sum())
@@ -158,6 +167,7 @@ def _unplugged(heard: Heard) -> str:
 
 
 async def _motion(opened: OpenBench) -> str:
+    """Return what is wrong with jogs and moves of each axis: rate, angle, or arrival; "" if they are right."""
     table, loop = opened.table, asyncio.get_running_loop()
     for axis in opened.bench.table.gimbals:
         await table.jog(axis, _RATE_RPS, _RAMP_RPS2)
@@ -183,6 +193,9 @@ async def _motion(opened: OpenBench) -> str:
 
 
 async def _late(opened: OpenBench) -> str:
+    """Return whether angles belong to another time, or a stop returned too early, on a wire that delays; "" if
+    neither.
+    """
     axis, seen = opened.bench.table.gimbals[-1], list[AxisState]()
     for _ in range(3):
         with suppress(DeviceError):  # which a command may meet with where much is lost
@@ -201,6 +214,10 @@ async def _late(opened: OpenBench) -> str:
 
 
 async def _stopped(opened: OpenBench, how: str, at_s: float = 0.0) -> str:
+    """Call the table's method ``how`` ("stop" or the like) while all axes turn and a reading was cancelled.
+
+    Return what is wrong if an axis still turns afterwards, else "". ``at_s`` is when to call it (loop time).
+    """
     table, loop = opened.table, asyncio.get_running_loop()
     for axis in opened.bench.table.gimbals:
         await table.jog(axis, _RATE_RPS, _RAMP_RPS2)
@@ -215,7 +232,7 @@ async def _stopped(opened: OpenBench, how: str, at_s: float = 0.0) -> str:
 
 
 async def _ready(opened: OpenBench) -> str:
-    """Bring the device of another kind to where a run needs it, and listen to what it appends."""
+    """Open, identify and ready the device of another kind, and read its series; return what is wrong, "" if nothing."""
     (device,) = opened.others
     config, driver = device.config, device.driver
     await driver.open()
@@ -240,7 +257,9 @@ async def _ready(opened: OpenBench) -> str:
 
 
 async def _left_safe(opened: OpenBench, at_s: float = 2.0) -> str:
-    """Cancel the device of another kind on its way to where a run needs it, and make it safe."""
+    """Cancel the readying of the device of another kind at ``at_s``, make it safe, and return the trouble, "" if
+    none.
+    """
     (device,) = opened.others
     config = device.config
     await device.driver.open()
@@ -283,7 +302,9 @@ def suites_of(spec: DeviceSpec) -> _Suites:
 
 
 def _bench_of(spec: DeviceSpec, faults: Mapping[str, Any], plugins: Sequence[Path], description: Path | None) -> Bench:
-    """Return a bench of the device's twin, whose wire has these faults, and of the other twins that it needs."""
+    """Return a bench with the device's twin, whose wire has ``faults``, and the usual twins of the other kinds it
+    needs.
+    """
     table = spec if isinstance(spec, TableSpec) else TABLES[USUAL_TABLE]
     imu = spec if isinstance(spec, ImuSpec) else IMUS[USUAL_IMU]
     axes = "zyx"[: spec.most_axes if isinstance(spec, TableSpec) else 1]
@@ -320,10 +341,11 @@ def complaint(
     description: Path | None = None,
     within_s: float = 60.0,
 ) -> str:
-    """Return in words what is wrong with a device by one suite, nothing if it passes; ``plugins`` have its record.
+    """Run one conformance suite on a device's twin in virtual time; return what is wrong in words, "" if it passes.
 
-    ``description`` is the file of a described IMU, by default one that ships. ``within_s`` is how much of the host's
-    time the suite may take.
+    ``plugins`` are files with its record. ``description`` is the file of a described IMU, by default one of the
+    package. A suite that takes more than ``within_s`` of real time is interrupted, and that is the result; so is any
+    exception of the driver, missing methods, or a task that still runs at the end.
     """
     faults, judge = suites_of(spec)[suite]
     bench = _bench_of(spec, faults, plugins, description)
@@ -383,7 +405,7 @@ def _driver_of(spec: DeviceSpec, opened: OpenBench) -> tuple[Any, type]:
 
 
 def _axes_of(description: Path | None) -> list[list[float]]:
-    """Return axes for the gyros of a described IMU that are no triad: along z, y and x in turn; else none."""
+    """Return sense axes along z, y and x in turn for the gyros of a description; empty for none, or a triad."""
     if description is None:
         return []
     gyros = len(load_description(str(description)).channels[0].rates)
@@ -400,7 +422,11 @@ def _told(error: BaseException) -> str:
 
 
 def command_conformance(arguments: argparse.Namespace) -> int:
-    """Try the devices of a Python file, the IMU that a file describes, or one by protocol; 0 if all pass, 1 if not."""
+    """Test the devices of a Python file, the IMU of a description, or those of a protocol; return 0 if all pass, else
+    1.
+
+    UsageError if the argument is none of these. Suites that need correct rates are skipped if those are wrong.
+    """
     name, plugins = arguments.module, [Path(arguments.module)] if arguments.module.endswith(".py") else []
     described = Path(name).absolute() if name.endswith(".toml") else None
     modules = [load_file(path) for path in plugins]

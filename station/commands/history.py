@@ -38,9 +38,9 @@ _TEXTS = {"device_serial": "serial", "station": "bench"} | {
 
 
 def command_history(arguments: argparse.Namespace) -> int:
-    """List the recordings of a folder, the newest first, and charts of a device, or a gauge study.
+    """List the recordings of a folder, newest first, with charts of a device, or print a gauge study.
 
-    Return 0; with --valid-on 1 if no calibration was valid on that day.
+    Return 0; with --valid-on 1 if no calibration was valid on that day. UsageError for wrong options.
     """
     folder, data, since = Path(arguments.folder), arguments.json or arguments.csv, arguments.since or ""
     outcome = arguments.outcome and arguments.outcome.upper()
@@ -92,7 +92,7 @@ def command_history(arguments: argparse.Namespace) -> int:
 
 
 def calibration_valid_on(serial: str, day: date, folder: Path | str = "recordings") -> Calibration:
-    """Return the calibration of a device that was valid on a day, from the recordings of a folder and its index.
+    """Return the calibration of a device that was valid on ``day``, from the recordings of a folder.
 
     UsageError with the reason if there was none. The rule is that of ``archive.validity``.
     """
@@ -125,7 +125,7 @@ def _print_valid(arguments: argparse.Namespace, folder: Path) -> int:
 
 
 async def _listed(folder: Path, quiet: bool) -> list[Entry]:
-    """Return the recordings of a folder, the newest first; with progress while some are read."""
+    """Return the recordings of a folder, newest first; progress is shown while new ones are read, unless ``quiet``."""
     archive, found, bar = Archive(), [], None
     with ExitStack() as stack:
         async for entry in archive.entries(folder):
@@ -148,7 +148,9 @@ def _chart(runs: Sequence[Entry]) -> dict[str, Any]:
 
 
 def _study(runs: Sequence[Entry]) -> dict[str, Any]:
-    """Return a gauge study of runs, its figures by state in SI; None in place of them if there are too few."""
+    """Return a gauge study of comparable runs, by state in SI; "study" is None unless two devices were measured
+    repeatedly.
+    """
     from estimator.estimation.repeatability import gauge_study  # takes longer than ten thousand recordings to list
 
     conditions = [(run.texts.get("operator", ""), run.texts.get("station", "")) for run in runs]

@@ -37,14 +37,18 @@ _MOST_RIVALS = 4  # of what stays unexplained, so many suspects are told apart
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a table can do, and where that is stated."""
+    """The limits of a table, and where they are stated."""
 
     axes: Mapping[str, AxisLimits]
     stated_in: str
 
 
 def command_investigate(arguments: argparse.Namespace) -> int:
-    """Trace what the model lacks; 0 if nothing or known, 1 if it cannot be told or explained, 2 for bad input."""
+    """Look for errors that the model misses, and write picture, results and next script as asked for.
+
+    Return 0 if nothing was found or the effects were added, 1 if causes cannot be separated or explained, 2 for bad
+    input.
+    """
     picture, model, script_file = _outputs(arguments)
     arguments.recordings, arguments.verify = recordings_of(arguments.recordings), recordings_of(arguments.verify)
     fitted, judging = arguments.recordings, arguments.verify
@@ -84,7 +88,7 @@ def refused(reason: str, arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _outputs(arguments: argparse.Namespace) -> tuple[Path | None, Path | None, Path | None]:
-    """Return picture, results and script to write, checked before the long work."""
+    """Return the paths of picture, results and script, checked before the long work; UsageError if one exists."""
     picture, model, script = (
         Path(name) if name else None for name in (arguments.plot, arguments.output, arguments.next_script)
     )
@@ -103,7 +107,9 @@ def _check_apart(fitted: Sequence[str], judging: Sequence[str]) -> None:
 
 
 def limits_of(recordings: Sequence[Recording], bench: Path | None) -> Limits | None:
-    """Return the limits of the table: of a bench file, or of the one that a recording carries; None if neither."""
+    """Return the limits of the table from a bench file, else from the first recording that carries a bench; None if
+    neither.
+    """
     if bench is not None:
         return Limits(load_bench(bench).table.limits, str(bench))
     for recording in recordings:
@@ -124,9 +130,9 @@ def following_script(
     limits: Limits | None,
     most_s: float = math.inf,
 ) -> NextScript | None:
-    """Return what to drive next within a time, None if all is settled or no table is known.
+    """Return the script to drive next, of at most ``most_s``; None if the finding is settled or no table is known.
 
-    Raises UsageError if the limits are those of another table.
+    UsageError if the limits are those of another table.
     """
     fitted, judging = ([r for r in own if isinstance(r.reference, TableReadings)] for own in (recordings, verification))
     if limits is None or not fitted or found.finding in (Finding.NOTHING, Finding.ADDED):
@@ -161,7 +167,7 @@ def _why_none(recordings: Sequence[Recording], limits: Limits | None) -> str:
 
 
 def _suspects(found: Investigation) -> tuple[str, ...]:
-    """Return what may lie behind something unexplained: effects of its kind, else those that would explain most."""
+    """Return effects that may explain an unexplained residual: those of its kind, else those with the most evidence."""
     variable = "" if found.unexplained is None else found.unexplained.depends_on
     of_its_kind = [record for record in records() if variable in record.suspected_of]
     if of_its_kind:  # those that mainly depend on it first

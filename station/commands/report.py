@@ -21,7 +21,10 @@ if TYPE_CHECKING:
 
 
 def command_report(arguments: argparse.Namespace) -> int:
-    """Write the report of a recording; 0 if it is written, whatever it says."""
+    """Write the report of a recording as HTML and, if asked for, PDF and digital certificate; print the result.
+
+    Return 0 if all is written, whatever the report says; 2 if only the HTML could be. UsageError before that.
+    """
     html, pdf, dcc = _outputs(arguments)
     keys = [Path(name) for name in (arguments.sign, arguments.certificate) if name]
     # numpy, h5py and matplotlib are slow to import: what is wrong with the arguments was said before.
@@ -83,7 +86,7 @@ def command_report(arguments: argparse.Namespace) -> int:
 
 
 def _said(report: "Report", formal: "Formal", verdict: "Verdict | None") -> dict[str, Any]:
-    """Return what a report says of itself, for other programs."""
+    """Return the report's own statements for --json: title, number, outcome, hashes."""
     return {
         "title": report.standing.title,
         "number": report.number,
@@ -97,7 +100,7 @@ def _said(report: "Report", formal: "Formal", verdict: "Verdict | None") -> dict
 
 
 def _document(recorded: "Recorded", formal: "Formal", report: "Report") -> "Document":
-    """Return what the register of documents keeps of a report."""
+    """Return the entry of a report for the register of documents."""
     from station.screen.archive.register import Document
 
     return Document(
@@ -110,7 +113,7 @@ def _document(recorded: "Recorded", formal: "Formal", report: "Report") -> "Docu
 
 
 def _print_result(recorded: "Recorded", verdict: "Verdict | None", *, details: bool) -> None:
-    """Print what comes first: how the run ended or was judged, None for data of no run, and the states."""
+    """Print the verdict of the recording, None for imported data, and the states."""
     from station.bench.units import Units
     from station.render.printing import print_calibration, print_verdict
     from station.report.document_status import limits_of
@@ -126,7 +129,9 @@ def _print_result(recorded: "Recorded", verdict: "Verdict | None", *, details: b
 
 
 def _print_documents(report: "Report", html: Path, made: Sequence[str | None], steps: Sequence[str]) -> None:
-    """Print what was written, what it is not, and what to do next; ``made`` are PDF and digital certificate."""
+    """Print what was written, warnings, and the next steps; ``made`` are PDF and digital certificate, None where
+    missing.
+    """
     standing = report.standing
     tell(harmless(f"{standing.title} No. {report.number}"))
     if standing.warning:
@@ -145,7 +150,9 @@ def refused(reason: str, arguments: argparse.Namespace) -> dict[str, str | None]
 
 
 def _outputs(arguments: argparse.Namespace) -> tuple[Path, Path | None, Path | None]:
-    """Return the files to write, HTML and, where they are wanted, PDF and XML, seen to be free before any long work."""
+    """Return the paths of HTML and, where wanted, PDF and XML, checked to be free; UsageError if not, or for wrong
+    options.
+    """
     if bool(arguments.sign) != bool(arguments.certificate) or (arguments.sign and not arguments.dcc):
         raise UsageError("--sign KEY.pem goes with --certificate CERTIFICATE.pem and --dcc")
     if arguments.output is None:
