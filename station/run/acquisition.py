@@ -46,7 +46,7 @@ _TIMED_S, _SIGMAS = 0.0005, 4.0  # an offset that is told lies beyond both
 
 @dataclass(frozen=True, slots=True)
 class SourceReport:
-    """Counts of one source; its clock against the station's, and its samples against the table, where known."""
+    """Counts of one source, and, where known, its clock against the station's and its samples against the table."""
 
     name: str
     counts: SourceCounts
@@ -54,7 +54,7 @@ class SourceReport:
     offset: TimeOffset | None = None
 
     def attributes(self) -> dict[str, float | int]:
-        """Return what the recording keeps beside the samples."""
+        """Return the attributes of the source in the recording: counts, clock and time offset, as far as known."""
         found: dict[str, float | int] = named(self.counts, ("lost", "repeated", "late", "corrupt"))
         if self.clock is not None:
             found |= {
@@ -84,7 +84,7 @@ class SourceReport:
 
 
 class Acquisition:
-    """The recording of one run and all that is written into it until it is closed."""
+    """The recording of one run, and all that is written into it until it is closed."""
 
     def __init__(
         self,
@@ -96,7 +96,10 @@ class Acquisition:
         reopening: Reopening,
         on_event: Callable[[float, EventKind, str], None] | None,
     ) -> None:
-        """Describe table and sources in the recording; ``time_scale`` is how fast the loop's clock runs."""
+        """Prepare the live estimate and describe table and sources in the recording; no device is opened.
+
+        ``time_scale`` is how fast the loop's clock runs. ``on_event(t_s, kind, text)`` gets every event.
+        """
         self._imus, self._others, self._bench = opened.imus, opened.others, opened.bench
         self._devices = tuple(opened.devices.values())
         self._restoring: defaultdict[str, asyncio.Lock] = defaultdict(asyncio.Lock)
@@ -121,6 +124,7 @@ class Acquisition:
             self._add_sources(imu)
 
     def _add_sources(self, imu: OpenImu) -> None:
+        """Add the sources of a device to the recording and to the live estimate."""
         config, table = imu.config, self._bench.table
         noise_rps = float(config.noise.arw * np.sqrt(config.rate_hz))
         timing_s = table.uncertainty.timing_s if table.uncertainty else 0.0
@@ -148,7 +152,10 @@ class Acquisition:
         return identity
 
     async def open_others(self) -> None:
-        """Open the devices of other kinds, and record what each is; DeviceRefused if one would refuse its set point."""
+        """Open and identify the devices of other kinds, and describe them in the recording.
+
+        DeviceRefused if one would refuse its set point.
+        """
         for device in self._others:
             config, driver = device.config, device.driver
             await driver.open()
@@ -168,9 +175,10 @@ class Acquisition:
         return found
 
     async def prepare_others(self) -> bool:
-        """Bring devices of other kinds to where the run needs them, one by one; return whether there are any.
+        """Ready the devices of other kinds, one after the other; return whether there are any.
 
-        One whose link is lost on the way there is told anew once that is open again, a few times.
+        If a link is lost meanwhile, it is reopened and the device readied again, a limited number of times; then
+        LinkLost.
         """
         for device in self._others:
             self.monitor.phase = Phase.PREPARING
@@ -192,9 +200,10 @@ class Acquisition:
                 await self._reopening.restore(device.name, device.driver, error)
 
     async def follow(self, device: OpenDevice) -> None:
-        """Take in the series of a device until cancelled; a lost link is opened again while nothing turns.
+        """Record the series of a device until cancelled; a lost link is reopened while nothing turns.
 
-        That of a device under test or of the table is opened again by whoever takes in its samples or readings.
+        The link of a table or a device under test is reopened elsewhere; this only waits for it. DeviceFault if a row
+        is incomplete, the series ends, or the driver raises an unexpected exception.
         """
         driver = device.driver
         assert isinstance(driver, AppendsSeries)
@@ -221,7 +230,7 @@ class Acquisition:
                 raise DeviceFault(device.name, what) from error
 
     async def acquire(self, imu: OpenImu) -> None:
-        """Take in samples until cancelled; a lost link is opened again while nothing turns."""
+        """Record the samples of a device until cancelled; a lost link is reopened while nothing turns."""
         while True:
             try:
                 async for name, block in imu.source.blocks():
@@ -232,6 +241,9 @@ class Acquisition:
                 self._last_seen_s |= {name: now_s for name in imu.source.names if name in self._last_seen_s}
 
     def _take_block(self, name: str, block: ImuBlock) -> None:
+        """Record a block and pass it to the live estimate and the monitor; the axes of accelerometers are added with
+        the first.
+        """
         self._last_seen_s[name] = asyncio.get_running_loop().time()
         self.beside.attempt("the monitor", lambda: self.monitor.take_block(name, block), None)
         keys = ("t_ns", "arrival_ns", "rate_rps", "temperature_c", "counter", "accel_mps2")
@@ -243,6 +255,7 @@ class Acquisition:
         self.live.sources[name].add(block)
 
     def take_row(self, row: TableRow) -> None:
+        """Record a row of table readings and pass it to the live estimate and the monitor."""
         columns = row._asdict()
         if columns.pop("rate_window_ns") != self._rate_window_ns:
             table, self._rate_window_ns = self._bench.table, row.rate_window_ns
@@ -273,7 +286,7 @@ class Acquisition:
             self.beside.attempt("telling of events", lambda: on_event(now_ns * 1e-9, kind, text), None)
 
     async def first_samples(self) -> None:
-        """Wait for samples of every source; LinkLost if one has none."""
+        """Wait until every source has sent samples; LinkLost, naming those that have not, after a time limit."""
         limit_s = _FIRST_SAMPLE_S * self._scale
         names = {name for imu in self._imus for name in imu.source.names}
         deadline = asyncio.get_running_loop().time() + limit_s
@@ -285,7 +298,11 @@ class Acquisition:
             await asyncio.sleep(0.05)
 
     async def watch_silence(self) -> None:
-        """Look until cancelled whether samples come; LinkLost if those of a source do not."""
+        """Check until cancelled that samples keep coming; LinkLost if a source is silent and its link is not being
+        reopened.
+
+        Nothing is concluded after a sleep that took too long, as arrived samples may still be unread.
+        """
         limit_s = _SILENCE_S * self._scale
         while True:
             if await self._slept_late(limit_s / 4):
@@ -315,11 +332,11 @@ class Acquisition:
         return self.host.blame(error, served_here=device is not None and any(map(ends_here, device.links)))
 
     async def keep_flushing(self) -> None:
-        """Write what has come into the journal, some 150 times a second, and now and then into the recording, too.
+        """Write new data to the journal some 150 times a second, and less often to the recording, until cancelled.
 
-        By the host's time, however fast the loop's clock runs: it is the host that may die. The disk keeps the journal
-        as soon as it can; nothing waits for that. A simulated run, whose seconds last milliseconds, needs no protection
-        from a power cut, and both are written together.
+        Intervals are in the host's time, whatever the loop's clock, as it is the host that may fail. The journal is
+        synced to disk in a thread; nothing waits for that. In virtual time, where a power cut needs no protection, both
+        are written together and not synced.
         """
         loop = asyncio.get_running_loop()
         virtual, journal = is_virtual(loop), self.writer.journal
@@ -375,10 +392,10 @@ class Acquisition:
         }
 
     async def close(self, attributes: Mapping[str, str], *, whole: bool) -> None:
-        """Close the links of all devices under test and, with these attributes, the recording.
+        """Close all sources and other devices, write ``attributes``, and close the recording.
 
-        Of a run that is ``whole`` the devices are first seen to be the same still (DeviceFault for another, and nothing
-        is closed), and the live estimate is finished.
+        For a ``whole`` run, one without a verdict so far, identities are checked first, and the live estimate is
+        finished. DeviceFault if another device is there; the recording then stays open.
         """
         self.monitor.end()
         for imu in self._imus:
@@ -416,7 +433,9 @@ class Acquisition:
                 self.writer.append_rows(f"{group}/{name}", columns)
 
     def causes(self) -> list[str]:
-        """Return what may have made a run fail beside its gyros: samples at other instants, a late computer."""
+        """Return possible causes of a failure besides the gyros: mistimed samples, a slow table, a computer that fell
+        behind.
+        """
         took_s = 2e-9 * self._half_width_ns
         took_ms = f"{2e-6 * self._half_width_ns:.0f} ms"
         slow = f"the table answered up to {took_ms} late, so the time of each angle is only known to {took_ms}"

@@ -19,13 +19,14 @@ _HELD_NS = 60_000_000_000  # of body rates, for samples that come late
 
 
 class LiveEstimate:
-    """All sources of a run on one table.
+    """The live estimate of all sources of a run on one table.
 
-    ``advance`` may work in a thread: fitting a ramp takes a quarter of a second, and whoever reads the table, keeps the
-    journal or stops a run does not wait for it.
+    ``advance`` may run in a thread: fitting a ramp takes a quarter of a second, which must not delay readings, the
+    journal or a stop.
     """
 
     def __init__(self, gimbals: tuple[str, ...], site: Site | None) -> None:
+        """Start without sources or readings."""
         self.rates = BodyRates(gimbals, site)
         self.sources: dict[str, LiveSource] = {}
         self._rows: deque[TableRow] = deque()
@@ -43,7 +44,7 @@ class LiveEstimate:
             source.keep_blocks()
 
     def readings(self, uncertainty: TableUncertainty | None) -> TableReadings:
-        """Return the readings of the table that have been kept."""
+        """Return the readings of the table kept so far; ``keep_blocks`` must have been called before."""
         assert self._kept_rows is not None
         with self._keeping:
             kept = [self._kept_rows[name] for name in ("t_ns", "angle", "rate", "half_ns")]
@@ -84,6 +85,7 @@ class LiveEstimate:
                 source.advance(self.rates, everything=True)
 
     def _take_rows(self) -> None:
+        """Move the rows that have arrived into the body rates and the kept readings."""
         rows = [self._rows.popleft() for _ in range(len(self._rows))]
         if not rows:
             return
@@ -123,9 +125,9 @@ class LiveEstimate:
 
     @property
     def whiteness(self) -> float:
-        """Correlation of normalised innovations with those of the block before, over the last half minute.
+        """Correlation of normalised innovations with those of the previous block, over the last half minute.
 
-        0 for a filter that is right, within 1 / sqrt(pairs of blocks); NaN before there are enough.
+        0 for a correct filter, within 1 / sqrt(pairs of blocks); NaN while there are too few.
         """
         recent = [source.recent()[0] for source in self.sources.values()]
         squares = sum(float((x[1:] ** 2).sum() + (x[:-1] ** 2).sum()) / 2 for x in recent)

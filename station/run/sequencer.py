@@ -23,7 +23,7 @@ _PAUSE = "pause"
 
 
 class Sequencer:
-    """Runs steps in order, as their stage; tells when each begins and ends. The table must be enabled and homed."""
+    """Carries out the steps of a script in order, and reports their beginnings and ends. The table must be homed."""
 
     def __init__(
         self,
@@ -33,9 +33,9 @@ class Sequencer:
         tell: Callable[[str], None] = lambda text: None,
         newest: Callable[[str], Mapping[str, float]] = lambda quantity: {},
     ) -> None:
-        """``on_step(label, start_ns, end_ns)`` is called after each step and pause; ``tell`` keeps what happened.
+        """``on_step(label, start_ns, end_ns)`` is called after each step and pause, ``tell`` for each event.
 
-        ``newest`` gives the newest value of a quantity by source.
+        ``newest`` returns the newest value of a quantity by source.
         """
         self._table, self._script, self._on_step, self._tell = table, script, on_step, tell
         self._newest = newest
@@ -68,7 +68,7 @@ class Sequencer:
         return _PAUSE if self.paused == PAUSED else self._script.steps[self._index].label
 
     def pause(self) -> None:
-        """Hold once the step under way has ended, until ``resume``; UsageError in the last step."""
+        """Pause after the present step until ``resume``; UsageError in the last step. Ignored if paused already."""
         if self.paused:
             return
         if self._index == len(self._spans) - 1:
@@ -98,7 +98,7 @@ class Sequencer:
         return Commanded(low, high, abs(turn.rate_rps), self._turn_began_s, self._course(turn, self._sent_s))
 
     def _course(self, turn: Turn, from_s: float) -> Course:
-        """Return the rate of a turn over time, if it begins at an instant of the loop's clock."""
+        """Return the planned rate of a turn over time if it begins at ``from_s`` (loop time)."""
         return Course(
             sent_s=from_s,
             duration_s=turn.duration_s,
@@ -125,7 +125,7 @@ class Sequencer:
         return self._turn.to_rad if self._turn is not None and self._turn.axis == axis else math.nan
 
     def wanted_hz(self, now_s: float) -> float:
-        """Return how often the table should be read now, beyond what is usual: 0 but on ramps."""
+        """Return how often the table should be read now beyond its usual rate: more on ramps, otherwise 0."""
         turn = self._turn
         if turn is None:
             return 0.0
@@ -134,7 +134,7 @@ class Sequencer:
         return wanted_hz(turn.ramp_s) if near else 0.0
 
     def times(self, now_s: float) -> tuple[float, Span]:
-        """Return the time done, in s, and the time that remains, by plan."""
+        """Return the planned time of the steps done (s), and the planned time that remains."""
         done_s, ahead = sum(self._done_s), self._spans[len(self._done_s) :]
         if len(self._done_s) > self._index:  # the step has ended
             return done_s, total(ahead)
@@ -149,7 +149,7 @@ class Sequencer:
         return f"after {done_s:.1f} s of {planned}, in step {self.label!r}"
 
     async def run(self) -> None:
-        """Run the script to its end; DeviceRefused if an axis does not get where it was sent."""
+        """Carry out the script; DeviceRefused if an axis does not reach its target."""
         loop = asyncio.get_running_loop()
         for index, (step, span) in enumerate(zip(self._script.steps, self._spans, strict=True)):
             self._index, self._step_began_s = index, loop.time()
@@ -200,7 +200,7 @@ class Sequencer:
         self._record(_PAUSE, began_s)
 
     def _overdue(self, turn: Turn, angle_rad: float) -> Overdue:
-        """Return the error of a step whose axis has not told in time that it has arrived."""
+        """Return the error for an axis that did not report its arrival in time: it is not there, or does not say so."""
         at, to = math.degrees(angle_rad), math.degrees(turn.to_rad)
         if abs(at - to) < math.degrees(ON_TARGET_RAD):
             text = sentence("run.never_arrived", axis=turn.axis, step=self.label, at_deg=at, to_deg=to)
@@ -209,10 +209,10 @@ class Sequencer:
         return Overdue("table", text)
 
     async def turn(self, turn: Turn) -> None:
-        """Turn an axis and see it arrive.
+        """Turn an axis and wait for its arrival; the turn is recorded if the step has several parts.
 
-        DeviceRefused if it does not get where it was sent, or is to do what it cannot: a step may turn it otherwise
-        than it planned.
+        DeviceRefused if the turn is beyond a limit, as a step may differ from its plan, or the axis stops elsewhere;
+        Overdue if it does not arrive in time.
         """
         loop = asyncio.get_running_loop()
         axis = turn.axis

@@ -32,7 +32,7 @@ _COUNTS = 2  # that a difference of two readings may be off
 
 
 class Course(NamedTuple):
-    """A trapezoid of rate that an axis was told to follow from ``sent_s`` on, by the loop's clock."""
+    """A trapezoid of rate that an axis was commanded to follow from ``sent_s`` on (loop time)."""
 
     sent_s: float
     duration_s: float
@@ -57,9 +57,9 @@ class Course(NamedTuple):
 
 
 class Commanded(NamedTuple):
-    """What an axis was told: to be between two angles, no faster than a rate, since an instant of the loop's clock.
+    """The command of an axis: to be between two angles, no faster than a rate, since an instant (loop time).
 
-    ``course`` is how it is to turn, None where the station has no plan of that.
+    ``course`` is the planned motion, None where there is no plan.
     """
 
     low_rad: float
@@ -74,11 +74,11 @@ class Commanded(NamedTuple):
 
 
 class UntrueReadings(DeviceFault):
-    """The readings of an axis contradict what it was told, or each other: whether it turns they do not tell."""
+    """The readings of an axis contradict its command or each other, so that they do not show whether it turns."""
 
 
 class MotionGuard:
-    """Looks at readings; one that cannot be is taken again before it is believed."""
+    """Checks readings against commands; a suspicious one is repeated before it is believed."""
 
     def __init__(self, table: Turntable, commanded: Callable[[str], Commanded]) -> None:
         """``commanded`` says what an axis was told last."""
@@ -87,7 +87,11 @@ class MotionGuard:
         self._readings: dict[str, deque[AxisState]] = {axis: deque() for axis in table.limits}
 
     async def look(self, axis: str, first: AxisState) -> None:
-        """Look at a reading; DeviceFault if the axis does what it was not told, UntrueReadings if it seems to stand."""
+        """Check a reading of an axis, repeating it while it is suspicious.
+
+        DeviceFault if the axis has tripped or does something it was not commanded to do; UntrueReadings if its readings
+        contradict its command or each other.
+        """
         state = first
         for _ in range(_LOOKS - 1):
             if not self._off(axis, state) and not self._untrue(axis, state):
@@ -113,7 +117,9 @@ class MotionGuard:
         raise DeviceFault("table", f"axis {axis} {does}; {_was_told(told)}")
 
     def _off(self, axis: str, state: AxisState) -> bool:
-        """Return whether a reading is none of an axis that does what it was told."""
+        """Return whether a reading is outside the commanded angles or rate; its noise and the time since the command
+        count.
+        """
         told = self._commanded(axis)
         # A mean rate says something of this command only if all that it is the mean of came after it.
         if state.rate_t_ns - state.rate_window_ns // 2 >= told.since_s * 1e9:
@@ -126,7 +132,11 @@ class MotionGuard:
         return judged and abs(told.off_rad(state.angle_rad)) > _ANGLE_RAD + _LATE_S * told.rate_rps
 
     def _untrue(self, axis: str, state: AxisState) -> str:
-        """Return in words how the readings of an axis contradict its course or each other, empty if they do not."""
+        """Add a reading, and return in words how those of the last moments contradict the course or each other, "" if
+        not.
+
+        "", too, while the readings do not yet span the time needed to decide.
+        """
         told, limits = self._commanded(axis), self._table.limits[axis]
         readings = self._readings[axis]
         if not readings or state.angle_t_ns > readings[-1].angle_t_ns:
@@ -149,7 +159,11 @@ class MotionGuard:
         return ""
 
     def _stands(self, axis: str, told: Commanded, late_s: float, way: "_Way") -> str:
-        """Return in words that an axis reads as if it stood, where it turns by its course even if it is so late."""
+        """Return in words that an axis reads as if it stood, or its rate is wrong, although its course turns it, even
+        if late.
+
+        "" if that is not so, or the course may be over.
+        """
         course = told.course
         if course is None or (course.may_be_over(way.until_s) and abs(way.angle_rad - course.target_rad) < _ANGLE_RAD):
             return ""
@@ -168,7 +182,7 @@ class MotionGuard:
         return ""
 
     def _rate_is_off(self, axis: str, course: Course, way: "_Way", least_rps: float) -> bool:
-        """Return whether an axis turns steadily and reports rates of which none is that of its position."""
+        """Return whether an axis turns at its full rate and none of its reported rates agrees with its position."""
         if least_rps < abs(course.rate_rps) or not way.rates_rps:
             return False
         mean_rps = way.turned_rad / way.took_s
@@ -177,7 +191,9 @@ class MotionGuard:
         return nearest_rps > _RATE_OFF * least_rps + _RATE_RPS + doubt_rps
 
     def _contradicts(self, axis: str, way: "_Way") -> str:
-        """Return in words that an axis reports a rate, and a position that stands; rates must all be of one sign."""
+        """Return in words that an axis reports a rate while its position stands, "" if not; rates must all have one
+        sign.
+        """
         least_rps = min(map(abs, way.rates_rps), default=0.0) - _SIGMAS * math.sqrt(self._noise_rps2[axis])
         if least_rps < _RATE_RPS or min(way.rates_rps) < 0.0 < max(way.rates_rps):
             return ""
@@ -187,9 +203,10 @@ class MotionGuard:
 
 
 class _Way:
-    """What the readings of one window tell, oldest first: there are at least two."""
+    """What the readings of one time window show; there are at least two, oldest first."""
 
     def __init__(self, readings: tuple[AxisState, ...], resolution_rad: float) -> None:
+        """Compute times, angle turned, length of the path, and the rates averaged entirely within the window."""
         first, last = readings[0], readings[-1]
         self._resolution_rad = resolution_rad
         self.from_s, self.until_s = first.angle_t_ns * 1e-9, last.angle_t_ns * 1e-9
@@ -223,10 +240,9 @@ class _Way:
 
 
 def _patience_s(told: Commanded, limits: AxisLimits) -> tuple[float, float]:
-    """Return how late an axis may begin to turn, and for how long it may then read as if it stood.
+    """Return how late (s) an axis may start to turn, and for how long (s) it may then read as if it stood.
 
-    Both together are as long as it still comes to rest in time: on a gentle ramp it takes longer to turn so fast that
-    it matters.
+    Together they leave enough time to bring it to rest: on a gentle ramp it takes longer until the rate matters.
     """
     to_see_s = AT_REST_S - _SEEN_S
     at_rate_s = to_see_s - told.rate_rps / limits.acceleration_rps2
@@ -243,7 +259,7 @@ def _was_told(told: Commanded) -> str:
 
 
 async def check_axes(table: Turntable, axes: tuple[str, ...]) -> None:
-    """See that every axis is in operation; DeviceFault if one is not."""
+    """Check that every axis is in operation; DeviceFault if one has a fault or is not enabled."""
     for axis in axes:
         status = await table.status(axis)
         if status.trouble:
@@ -253,7 +269,9 @@ async def check_axes(table: Turntable, axes: tuple[str, ...]) -> None:
 
 
 async def watch_homing(table: Turntable) -> None:
-    """Look at all axes until cancelled; DeviceFault if one turns that is not, or not any more, on its way home."""
+    """Check the readings of all axes until cancelled; DeviceFault if one turns that is not homing, or has
+    finished it.
+    """
     loop = asyncio.get_running_loop()
     homed_s = dict.fromkeys(table.limits, loop.time())
 

@@ -18,11 +18,11 @@ _HELP = "close other programs or lower --scale"
 
 
 class Overdue(DeviceRefused):
-    """An axis has not arrived in time, as far as this computer has seen."""
+    """As far as this computer has seen, an axis has not arrived in time."""
 
 
 class HostWatch:
-    """Keeps by how much a loop was late, and how crowded the processors were."""
+    """Records by how much the loop was late, and how busy the processors were."""
 
     def __init__(self, scale: float) -> None:
         """``scale`` is how fast the loop's clock runs."""
@@ -35,7 +35,7 @@ class HostWatch:
         """The longest delay so far, in seconds of the wall; 0 if none was worth telling."""
 
     def woke(self, due_s: float) -> bool:
-        """Take in that a sleep which was due at an instant of the loop's clock is over; return whether it was late."""
+        """Record that a sleep due at ``due_s`` (loop time) has ended; return whether it ended late."""
         now_s = asyncio.get_running_loop().time()
         late_s = (now_s - due_s) / self._scale
         if late_s <= _LATE_S:
@@ -54,9 +54,10 @@ class HostWatch:
             self._forget(self._pressure, now_s)
 
     def slowed(self) -> str:
-        """Return, once, what is to be told of a clock of twins that has gone slower than it was to since asked first.
+        """Return a message, once, if the clock of twins has become clearly slower than its scale; else "".
 
-        To be asked for as long as a script goes on: what comes before it, as imports, takes a computer longer.
+        Call it only while a script runs, from its beginning: imports before that take longer. Time counts from the
+        first call.
         """
         now_s, so_far_s = asyncio.get_running_loop().time(), self._waited_s
         self._began = self._began or (now_s, so_far_s)
@@ -77,9 +78,10 @@ class HostWatch:
         return loop.waited_s if isinstance(loop, PacedLoop) else 0.0
 
     def blame(self, error: DeviceError, *, served_here: bool) -> DeviceError:
-        """Return the error that names this computer if a device was late because of it, else the error itself.
+        """Return an error that blames this computer if it fell behind or is overloaded, else ``error`` itself.
 
-        ``served_here``: what answers for the device is a program on this computer.
+        Only lost links and late arrivals may be its fault. ``served_here``: a program on this computer answers for the
+        device.
         """
         if not isinstance(error, LinkLost | Overdue):
             return error

@@ -12,9 +12,10 @@ _HANG_UP = getattr(signal, "SIGHUP", None)
 
 @contextmanager
 def heeded_signals(stop: Callable[[str], None], hang_up: Callable[[], None] | None = None) -> Iterator[None]:
-    """Call ``stop(name)`` on the event loop for Ctrl-C, SIGTERM and SIGHUP; for SIGHUP ``hang_up()`` if given.
+    r"""Call ``stop(name)`` on the event loop for Ctrl-C, SIGTERM, SIGHUP, Ctrl-\ and Ctrl-Z, within this context.
 
-    For Ctrl-\\ and Ctrl-Z, too: a process that is dead or frozen leaves the table turning.
+    For SIGHUP call ``hang_up()`` instead if given. Ctrl-Z counts, as a frozen process would leave the table turning.
+    Nothing is installed outside the main thread.
     """
     loop = asyncio.get_running_loop()
     terminals = [stream for stream in (0, 1, 2) if os.isatty(stream)]
