@@ -27,9 +27,9 @@ _MOST_ROWS = 72_000  # an hour of them; longer scripts are looked at in coarser 
 class Plan:
     """A script on a bench, its motion and its forecast.
 
-    ``table_sd`` (gyros, 4) is what the table's own stated uncertainty adds to the sigmas of the states, ``required``
-    (4,) the sigmas that the bench asks for, infinite where it asks for none. ``temperature_rise_k`` is assumed.
-    ``rounded`` tells, in words, accelerations that the controller makes less of.
+    ``table_sd`` (gyros, 4) is the contribution of the table's stated uncertainty to the sigmas of the states,
+    ``required`` (4,) the sigmas that the bench requires, infinite where none. ``temperature_rise_k`` is assumed.
+    ``rounded`` has a sentence on accelerations that the controller rounds down.
     """
 
     script: Script
@@ -69,9 +69,9 @@ def make_plan(
     temperature_rise_k: float = TEMPERATURE_RISE_K,
     effects: tuple[Effect, ...] | None = None,
 ) -> Plan:
-    """Return the plan for the used devices of a bench; by default of all effects of the catalogue.
+    """Return the plan for the used devices of a bench, with ``effects``, by default all of the catalogue.
 
-    Raises ScriptError if the table cannot do the script.
+    ScriptError if the table cannot do the script.
     """
     asked, script = script, check(script, bench.table.limits)
     motion = planned_motion(script, bench.table.gimbals, max(_PERIOD_S, script.least_s / _MOST_ROWS))
@@ -93,6 +93,7 @@ def make_plan(
 
 
 def _table_sd(motion: PlannedMotion, bench: Bench, devices: list[PlannedDevice]) -> Floats:
+    """Return the sigmas of the states (gyros, 4) that come from the table's stated uncertainty."""
     readings = motion.readings(bench.table.uncertainty)
     variances = [
         np.sum([np.diag(part.covariance) for part in parts], axis=0) if parts else np.zeros(4)

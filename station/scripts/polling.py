@@ -15,7 +15,7 @@ def wanted_hz(length_s: float) -> float:
 
 
 def too_steep(script: Script, read_s: float) -> list[str]:
-    """Return, in words, the ramps that are over before a table that takes so long to read has been read enough."""
+    """Return a sentence for each step with a ramp that is too short for a table that takes ``read_s`` to read."""
     steep: dict[str, float] = {}
     for timed in script.timeline():
         for _, turn in timed.turns():

@@ -31,7 +31,7 @@ LABEL = Key(name="label", kind="text", doc="text shown to the operator; default:
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """How long something takes: at least and at most, in s. Both are the same where that is known in advance.
+    """Least and most duration, in s; equal where it is known in advance.
 
     ``most_s`` is infinite where there is no limit.
     """
@@ -70,9 +70,9 @@ def total(spans: Sequence[Span]) -> Span:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Turn:
-    """A motion of one axis from standstill to standstill: two ramps, and a steady rate in between if it is reached.
+    """A motion of one axis from standstill to standstill: two ramps, and a constant rate in between if it is reached.
 
-    Angles are from home. ``rate_rps`` is as the step states it, and may be negative of a turn backwards.
+    Angles are from home. ``rate_rps`` is that of the step, possibly negative for a turn backwards.
     """
 
     axis: str
@@ -96,7 +96,7 @@ class Turn:
 
 
 def turn_to(axis: str, from_rad: float, to_rad: float, rate_rps: float, acceleration_rps2: float) -> Turn:
-    """Return the turn of an axis from one angle to another."""
+    """Return the turn of an axis between two angles; its duration is 0 if they are equal."""
     way_rad = abs(to_rad - from_rad)
     peak_rps = min(abs(rate_rps), math.sqrt(way_rad * acceleration_rps2))
     duration_s = way_rad / peak_rps + peak_rps / acceleration_rps2 if peak_rps > 0 else 0.0
@@ -112,9 +112,9 @@ def turn_to(axis: str, from_rad: float, to_rad: float, rate_rps: float, accelera
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A part of the plan of a step: a turn, or standstill where there is none.
+    """A part of the plan of a step: a turn, or standstill if it has none.
 
-    Where a step has several parts, they are recorded one by one; ``label`` says what a standstill is for.
+    The parts of a step with several are recorded singly; ``label`` is the purpose of a standstill.
     """
 
     span: Span
@@ -134,7 +134,7 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Demand:
-    """The largest rate and the acceleration that a step asks of an axis, to be compared with its limits."""
+    """The largest rate and the acceleration that a step demands of an axis, for comparison with its limits."""
 
     axis: str
     rate_rps: float
@@ -142,7 +142,7 @@ class Demand:
 
 
 class Stage(Protocol):
-    """What a step is carried out on: a table that is enabled and homed, and what is seen of the devices."""
+    """The interface on which a step is carried out: a homed table, and values of the devices."""
 
     async def turn(self, turn: Turn) -> None:
         """Turn an axis and see it arrive; DeviceRefused if it does not."""
@@ -161,7 +161,7 @@ class Stage(Protocol):
 
 
 class Step(ABC):
-    """A step of a script. A class of steps is a frozen dataclass with a ``label`` beside the fields of its keys."""
+    """A step of a script. Subclasses are frozen dataclasses with a ``label`` and the fields of their keys."""
 
     __slots__ = ()
 
@@ -233,8 +233,8 @@ class Step(ABC):
 class StepKind:
     """A kind of steps.
 
-    ``what`` says in a few words what it does. ``keys`` are those of a script file, beside ``kind`` and ``label``;
-    ``make`` is given their values by their fields, and a ``label``, and returns the step: most often it is the class.
+    ``what`` describes it in a few words. ``keys`` are those in a script file besides ``kind`` and ``label``; ``make``
+    gets their values by field and a ``label``, and returns the step: usually it is the class.
     """
 
     name: str
@@ -249,7 +249,10 @@ def with_comment(text: str, comment: str) -> str:
 
 
 def driven_acceleration(acceleration_rps2: float, axis: str, limit: AxisLimits) -> float:
-    """Return the acceleration that the controller makes of one; ScriptError if it has none so small."""
+    """Return the acceleration rounded down to the controller's step, at least one step; unchanged without one.
+
+    ScriptError if the step is larger than the limit of the axis.
+    """
     quantum = limit.acceleration_step_rps2
     if not quantum:
         return acceleration_rps2

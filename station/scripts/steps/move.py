@@ -21,7 +21,7 @@ from station.scripts.steps.kind import (
 
 @dataclass(frozen=True, slots=True)
 class Move(Step):
-    """Go to an angle from home and stop there. The sign of the rate means nothing."""
+    """Go to an angle from home and stop there. The sign of the rate is ignored."""
 
     axis: str
     angle_rad: float
