@@ -36,9 +36,9 @@ def check_facts(formal: Formal) -> None:
 
 
 def make_dcc(recorded: Recorded, formal: Formal, report: Report, pdf: bytes | None = None) -> bytes:
-    """Return the certificate, with the one of paper inside if there is one; valid by the schema.
+    """Return the digital calibration certificate, valid by the schema, with the PDF embedded if given.
 
-    Raises UsageError if the report is no certificate (nor specimen of one), or if mandatory facts are not stated.
+    UsageError if the report is neither a certificate nor a specimen, or if mandatory facts are missing.
     """
     check_facts(formal)
     if report.standing.kind not in (Kind.CERTIFICATE, Kind.SPECIMEN):
@@ -69,7 +69,9 @@ def validate(xml: bytes) -> None:
 
 
 def sign(xml: bytes, key: Path, certificate: Path) -> bytes:
-    """Return a valid certificate with an enveloped signature of XAdES; UsageError as ``read_key``."""
+    """Return the certificate with an enveloped XAdES signature, still valid by the schema; UsageError as
+    ``read_key``.
+    """
     from signxml.xades.xades import XAdESDataObjectFormat, XAdESSigner
 
     private, pem, method = read_key(key, certificate)
@@ -87,7 +89,10 @@ def sign(xml: bytes, key: Path, certificate: Path) -> bytes:
 
 
 def read_key(key: Path, certificate: Path) -> tuple[Any, str, Any]:
-    """Return a private key, its certificate (PEM) and the method to sign with; UsageError where they are not such."""
+    """Return a private key, its certificate (PEM) and the signature method (RSA or ECDSA with SHA-256).
+
+    UsageError if they cannot be read, do not belong together, are of another kind, or packages are missing.
+    """
     try:
         from cryptography import x509
         from cryptography.hazmat.primitives import serialization

@@ -60,8 +60,8 @@ class Report:
 def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Report:
     """Return the report of a recording with its formal facts, and with an investigation if there is one.
 
-    Raises BenchError if the bench text in the recording cannot be read, EstimatorError for an error model that is of
-    another version.
+    BenchError if the bench text in the recording cannot be read, EstimatorError for an error model of another version,
+    UsageError if the recording as found does not match.
     """
     hashes = {"file": file_sha256(recorded.path), "data": raw_sha256(recorded.path)}
     if traced is not None and traced.path != recorded.path:
@@ -102,7 +102,7 @@ def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Re
 
 
 def _as_found(recorded: Recorded, path: Path) -> Recorded:
-    """Return the recording of the device as found; UsageError if that holds nothing to set beside this one."""
+    """Return the recording of the device as found; UsageError unless it is an earlier calibration of the same gyros."""
     before = read_recorded(path)
     serials = {before.text("device_serial"), recorded.text("device_serial"), ""}
     later = recorded.begun_utc and not (before.begun_utc and before.begun_utc <= recorded.begun_utc)

@@ -29,7 +29,7 @@ def typographic(text: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """What a figure in SI is shown in."""
+    """The unit in which a figure in SI is shown."""
 
     name: str
     factor: float
@@ -60,10 +60,10 @@ def states_in(units: Units) -> tuple[tuple[Markup, Unit], ...]:
 
 
 def figure(value: float, unit: Unit, text: str, source: str | None = None, times: float | None = None) -> Markup:
-    """Return a figure whose value in SI stands in full beside the text.
+    """Return a figure as HTML that also carries its full SI value.
 
-    ``source`` says where the recording has it: "group/dataset[row,column]" or "group@attribute"; ``times`` by what that
-    was multiplied.
+    ``source`` is its place in the recording: "group/dataset[row,column]" or "group@attribute"; ``times`` the factor by
+    which that was multiplied.
     """
     beside = {
         "value": repr(float(value)),
@@ -81,7 +81,7 @@ def plain(value: float, unit: Unit, digits: int = 3, source: str | None = None) 
 
 
 def interval(value: float, low: float, high: float, unit: Unit, place: str) -> Markup:
-    """Return a term of the noise at rest with its interval, "at most" its upper end where the lower one is 0.
+    """Return a term of the noise at rest with its interval; "at most" and the upper end if the lower one is 0.
 
     ``place`` is the index in the datasets of the calibration.
     """
@@ -109,7 +109,9 @@ def known(value: float | None, unit: Unit) -> Markup:
 
 
 def with_uncertainty(value: float, sd: float, unit: Unit, source: str, source_of_sd: str) -> list[Markup]:
-    """Return a value, its standard and its expanded uncertainty, to two digits of each of these (GUM 7.2.6)."""
+    """Return a value, its standard and its expanded uncertainty, rounded to two digits of the uncertainty (GUM
+    7.2.6).
+    """
     expanded = COVERAGE * sd
     shown = [rounded(x * unit.factor, expanded * unit.factor) for x in (value, expanded)]
     standard = rounded(sd * unit.factor, sd * unit.factor)
@@ -132,7 +134,9 @@ def parameters(sizes: Iterable[Size], values: Iterable[float]) -> Markup:
 
 
 def rounded(value: float, uncertainty: float) -> str:
-    """Return a value to the place at which its uncertainty has its second digit, at most nine decimals."""
+    """Return a value rounded to the second digit of its uncertainty, at most nine decimals; six digits without
+    uncertainty.
+    """
     if not math.isfinite(value):
         return UNKNOWN
     if not math.isfinite(uncertainty) or uncertainty <= 0:
@@ -147,7 +151,7 @@ def stated(value: float, unit: Unit) -> Markup:
 
 
 def significant(value: float, digits: int) -> str:
-    """Return so many significant digits."""
+    """Return a value with ``digits`` significant digits, in exponential form if very large or small."""
     if not math.isfinite(value):
         return UNKNOWN
     if value == 0:

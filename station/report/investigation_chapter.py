@@ -29,10 +29,10 @@ ALL = "all gyros"  # under this name an error model keeps what was found of a sh
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Traced:
-    """Group /investigation: ``what`` is what `station investigate --json` printed.
+    """Group /investigation: ``what`` is the output of `station investigate --json`.
 
-    ``states`` (n, 4) are those of the gyros ``names`` with the effects of ``model`` in place. ``residuals`` are of one
-    run, that which verifies if there is one; ``spectra`` by gyro.
+    ``states`` (n, 4) are those of the gyros ``names`` with the effects of ``model``. ``residuals`` are of one run, the
+    verification run if there is one; ``spectra`` by gyro.
     """
 
     path: Path
@@ -50,9 +50,9 @@ class Traced:
 
 
 def read_traced(path: Path | None, recorded: Recorded) -> Traced | None:
-    """Return the investigation in a file, or by default the one in the recording itself, None if it has none.
+    """Return the investigation in a file, or by default in the recording itself; None if the recording has none.
 
-    Raises RecordingError for a file without one, and for one of other gyros than the recording's.
+    RecordingError for a file without one, or with gyros that the recording does not have.
     """
     import h5py
 
@@ -74,6 +74,7 @@ def read_traced(path: Path | None, recorded: Recorded) -> Traced | None:
 
 
 def _read(path: Path, group: "Group") -> Traced:
+    """Return the investigation in an open group; ValueError if its states have a wrong shape."""
     names = tuple(str(plain(name)) for name in group["name"][()])
     states = np.asarray(group["states_after"][()], dtype=np.float64)
     if states.shape != (len(names), 4):

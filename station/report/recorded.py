@@ -29,7 +29,9 @@ _MAY_LACK_ESTIMATE = (Outcome.MANUAL, Outcome.FAIL, Outcome.ABORTED, Outcome.FAU
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Course:
-    """How a live filter went: states and sigmas (b, m, 4) at ``t_ns`` (b,); NIS and its degrees of freedom by block."""
+    """The course of a live filter: states and sigmas (b, m, 4) at ``t_ns`` (b,); NIS and its degrees of freedom per
+    block.
+    """
 
     t_ns: Stamps
     states: Floats
@@ -70,8 +72,8 @@ class Event:
 class RestNoise:
     """Noise of the gyros at rest: Allan deviations (n, t) at averaging times (n, t), NaN beyond the last.
 
-    ``low`` and ``high`` (n, t) are the ends of their intervals of 95 %, ``terms_low`` and ``terms_high`` (n, 3) those
-    of N, B and K, the lower end 0 of what was not seen. None of these in files of before.
+    ``low`` and ``high`` (n, t) are the ends of their 95 % intervals, ``terms_low`` and ``terms_high`` (n, 3) those of
+    N, B and K, with 0 as the lower end of a term that was not seen. None for files of older versions.
     """
 
     tau_s: Floats
@@ -85,10 +87,10 @@ class RestNoise:
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Recorded:
-    """A recording and what was kept beside its samples.
+    """A recording with the results stored in it.
 
-    ``calibration`` is None of a run that came to no estimate. ``rest`` is the noise at rest, None if it is not
-    kept. ``courses`` and ``source_attributes`` are by source.
+    ``calibration`` is None for a run without an estimate. ``rest`` is the noise at rest, None if not stored.
+    ``courses`` and ``source_attributes`` are by source.
     """
 
     path: Path
@@ -141,10 +143,10 @@ class Recorded:
 
 
 def read_recorded(path: Path) -> Recorded:
-    """Read a recording with its results.
+    """Return a recording with its results.
 
-    Raises RecordingError for a file that cannot be read, is damaged, or holds neither a calibration nor the reason why
-    its run came to none.
+    RecordingError for a file that cannot be read, is damaged or has no samples, or has neither a calibration nor the
+    reason why there is none.
     """
     import h5py
 
@@ -180,7 +182,10 @@ def labels_of(recording: Recording) -> dict[tuple[str, str], str]:
 
 @contextmanager
 def laid_out(path: Path, message: str) -> Iterator[None]:
-    """Turn what a group made by hand, or cut short, can raise into a RecordingError; ``message`` has {} for it."""
+    """Context that turns any error of a malformed group into a RecordingError; ``message`` has {} for the error's text.
+
+    Errors of the estimator and UsageError pass through.
+    """
     try:
         yield
     except (EstimatorError, UsageError):
@@ -190,6 +195,9 @@ def laid_out(path: Path, message: str) -> Iterator[None]:
 
 
 def _rest_noise(group: "Group") -> RestNoise | None:
+    """Return the noise at rest of a calibration, None if it is not stored; ValueError if its arrays do not fit the
+    gyros.
+    """
     if "allan_tau_s" not in group:
         return None
 
@@ -219,6 +227,7 @@ def _rest_noise(group: "Group") -> RestNoise | None:
 
 
 def _course(estimate: "Group", innovation: "Group") -> Course:
+    """Return the course of a live filter; ValueError if its arrays do not fit each other."""
     states, sd, nis, dof = (
         np.asarray(group[name][()], dtype=np.float64)
         for group, name in ((estimate, "states"), (estimate, "sd"), (innovation, "nis"), (innovation, "dof"))

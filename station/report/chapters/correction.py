@@ -39,9 +39,9 @@ _ACTS = (Acts.LAG, Acts.ADDED, Acts.RATE, Acts.MOTION)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Correction:
-    """The correction of one device. ``axes_only``: its gyros do not tell a body rate, only rates about their own axes.
+    """The correction of one device. ``axes_only``: its gyros give only rates about their own axes, no body rate.
 
-    ``not_applied``: effects that are not undone, with the reason.
+    ``not_applied``: effects that are not corrected, with the reason.
     """
 
     device: str
@@ -56,7 +56,10 @@ class Correction:
 
 
 def corrections_of(recorded: Recorded, traced: Traced | None = None) -> list[Correction]:
-    """Return one correction a device: of the calibration, or with the states and effects of an investigation."""
+    """Return one correction per device: of the calibration, or with states and effects of an investigation.
+
+    The recording must have a calibration.
+    """
     assert recorded.calibration is not None
     gyros, model = list(recorded.calibration.gyros), recorded.calibration.model
     if traced is not None:
@@ -76,6 +79,7 @@ def _by_device(gyros: Sequence[GyroCalibration]) -> dict[str, list[GyroCalibrati
 
 
 def _augmented(gyro: GyroCalibration, label: str, traced: Traced) -> GyroCalibration:
+    """Return the gyro with the states and effects of the investigation."""
     assert traced.model is not None
     model, none = traced.model.effects, (0.0, 0.0)
     found = {k.called: k.found.get(ALL if k.shared else label, [none] * len(k.sizes)) for k in model}
@@ -96,6 +100,7 @@ def _augmented(gyro: GyroCalibration, label: str, traced: Traced) -> GyroCalibra
 
 
 def _correction(device: str, gyros: list[GyroCalibration], arrays: Mapping[str, SensorArray], model: str) -> Correction:
+    """Return the correction of one device; with ``axes_only`` effects that need the body rate are not applied."""
     compensation = Compensation.of(gyros, arrays, model)
     try:
         axes_only = not compensation.solution.size
@@ -109,7 +114,7 @@ def _correction(device: str, gyros: list[GyroCalibration], arrays: Mapping[str, 
 
 
 def formula_of(effect: HeldEffect) -> Markup:
-    """Return what an effect adds to the outputs, with a factor a for each of its terms."""
+    """Return what an effect adds to the outputs as HTML, with a factor a for each of its terms."""
     known = effect.known
     shown = "<code>{}</code>" if known.record is CONSTRUCTED else "{}"
     terms = [term.strip() for term in (known.law or str(escape(known.record.formula))).split(";")]
@@ -156,7 +161,9 @@ def variables_of_laws(effects: Sequence[HeldEffect]) -> list[str]:
 
 
 def snippet(correction: Correction, origin: str) -> str:
-    """Return Python that turns outputs (N, n) into body rates (N, 3), rad/s; ``origin`` becomes its first comment."""
+    """Return Python code that turns outputs (N, n) into body rates (N, 3), rad/s; ``origin`` becomes its first
+    comment.
+    """
     lag, added, of_the_rate, of_motion = (list(_of(correction, acts)) for acts in _ACTS)
     code = "\n".join([*lag, *added, *of_the_rate, *of_motion])
     values = {
@@ -189,7 +196,7 @@ def _of(correction: Correction, acts: Acts) -> Iterator[str]:
 
 
 def _called(name: str, inner: str, constant: str) -> str:
-    """Return the call of a function of laws, on arrays."""
+    """Return the call of a law's function in the code, on arrays."""
     if name == "pow":
         return f"({inner} ** {constant})"
     if name == "lag":
@@ -200,7 +207,7 @@ def _called(name: str, inner: str, constant: str) -> str:
 
 
 def _tables(correction: Correction, code: str) -> dict[str, Floats]:
-    """Return the numbers by the names that they have in the code."""
+    """Return the arrays that ``code`` needs, by their names in it."""
     compensation = correction.compensation
     tables = {"BIAS_RPS": compensation.bias_rps}
     if correction.axes_only:

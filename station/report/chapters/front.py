@@ -44,7 +44,9 @@ def turns(recorded: Recorded) -> int:
 
 
 def motion_picture(recorded: Recorded) -> Picture | None:
-    """Return the rates of the axes, or of the body where there was no table."""
+    """Return a picture of the rates of the table axes, or of the body if there was no table; None if they are not
+    known.
+    """
     reference = recorded.recording.reference
     if isinstance(reference, TableReadings):
         order = sorted(range(len(reference.gimbals)), key=lambda column: reference.gimbals[column])

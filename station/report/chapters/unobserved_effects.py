@@ -36,9 +36,9 @@ _SHORTEST_RAMP_S = 0.05
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Unseen:
-    """What the motion shows, as it was driven, of the gyros and of the effects of the catalogue.
+    """What the motion of a run shows of the gyros and of the effects of the catalogue.
 
-    ``budgeted`` are effects of the table that the uncertainty budget holds, at the size that is stated of the table.
+    ``budgeted`` are effects of the table that the uncertainty budget covers, at the size stated for the table.
     ``site_known``: Earth rate is in the model, so that only an error of it can be hidden.
     """
 
@@ -59,7 +59,7 @@ class Unseen:
 
 
 def unseen_of(recorded: Recorded) -> Unseen | None:
-    """Return what a run on a table could not see; None where no steps are known."""
+    """Return what a run on a table could not see; None without table readings, steps, a calibration, or any turn."""
     reference, found = recorded.recording.reference, recorded.calibration
     if not isinstance(reference, TableReadings) or not recorded.steps or found is None:
         return None
@@ -83,7 +83,7 @@ def unseen_of(recorded: Recorded) -> Unseen | None:
 
 @dataclass(frozen=True, slots=True)
 class Driven:
-    """What was driven in one step of a run: a turn and the rest after it, or either of them."""
+    """The motion in one step of a run: a turn, a rest after it, or both."""
 
     turn: Rotate | None = None
     rest: Rest | None = None
@@ -95,9 +95,9 @@ class Driven:
 
 
 def driven_step(table: TableReadings, step: Step) -> Driven:
-    """Return what was driven in one step; nothing if it took no time.
+    """Return the motion in one step, reconstructed from the readings; nothing if it took no time.
 
-    Rates and turns are told to 0.01 deg: finer differences are those of the readings.
+    Rates and turns are rounded to 0.01 deg. A motion that the readings do not resolve counts as rest.
     """
     duration_s = (step.end_ns - step.start_ns) * 1e-9
     inside = (table.t_ns >= step.start_ns) & (table.t_ns <= step.end_ns)
@@ -130,7 +130,7 @@ def _rounded(angle_rad: float) -> float:
 
 
 def _temperature(recorded: Recorded, t_s: Floats) -> Floats | None:
-    """Return the mean temperature of the sources at times since the start; None if one of them has none."""
+    """Return the mean temperature of the sources at ``t_s`` since the start; None if one of them has none."""
     courses = []
     for data in recorded.recording.sources.values():
         if data.temperature_c is None or not np.isfinite(data.temperature_c).any():
@@ -142,7 +142,10 @@ def _temperature(recorded: Recorded, t_s: Floats) -> Floats | None:
 
 
 def _noise(found: Calibration, source: str, data: ImuData) -> NoiseModel:
-    """Return the mean noise of the gyros of a source as found, else what the data sheet says."""
+    """Return the noise of a source: the mean of its gyros' estimated noise, else that of the data sheet.
+
+    Without either, white noise is derived from the noise of a sample; without gyros it has a usual size.
+    """
     own = [gyro for gyro in found.gyros if gyro.source == source]
     models = [gyro.noise.mean for gyro in own if gyro.noise is not None]
     if models:
