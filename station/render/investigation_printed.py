@@ -51,7 +51,7 @@ def print_loop(loop: "Loop") -> None:
 def investigation_shown(what: InvestigationView, how: str, drive: str = "") -> list[Shown]:
     """Return the lines and tables of an investigation.
 
-    ``how`` is how its next script was found to help, ``drive`` the command that runs it.
+    ``how`` is the command that runs its next script, ``drive`` a line on that script, empty if there is none.
     """
     left_out: dict[str, list[str]] = {}
     for effect, reason in what["left_out"].items():
