@@ -146,7 +146,7 @@ def human(value: float | None, sd: float | None, unit: str) -> str:
     """Return a value with its standard deviation, both in SI, as text in a readable unit, rounded to two digits of the
     latter.
 
-    "unknown" for None; four digits if there is no standard deviation.
+    "-" for None; four digits if there is no standard deviation.
     """
     if value is None:
         return UNKNOWN
