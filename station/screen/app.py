@@ -54,7 +54,7 @@ _STOP_KEYS = (STOP_KEY, "ctrl+c")
 
 
 class _StopFirst(Driver):
-    """Tells STOP where keys are read, in a thread of its own: the app may be waiting, for a terminal or a disk."""
+    """A driver that sends STOP in the thread that reads keys, as the app may be waiting for a terminal or a disk."""
 
     def process_message(self, message: Message) -> None:
         if isinstance(message, events.Key) and message.key in _STOP_KEYS:
@@ -77,7 +77,7 @@ class StationApp(App[None]):
     ]
 
     def __init__(self, choices: Choices, *, attach: bool = False) -> None:
-        """``attach``: begin with a session that runs."""
+        """Load what was entered last and combine it with ``choices``; ``attach``: begin with a running session."""
         if attach:
             self.DEFAULT_MODE = "run"
         super().__init__()
@@ -134,9 +134,9 @@ class StationApp(App[None]):
         await self.archive.close()
 
     def action_stop(self) -> None:
-        """Bring the table to rest, now: nothing is asked and nothing is waited for.
+        """Bring the table to rest at once, without any question.
 
-        The session that is shown; a session that is about to be started; if none is shown, all that run.
+        Stops the session that is shown, or one about to be started; if none is shown, all running sessions.
         """
         told, self._told_by_key = self._told_by_key, False
         mounted, self.mounted = self.mounted, False
@@ -156,6 +156,7 @@ class StationApp(App[None]):
             self._told_by_key = link.stop()
 
     async def _stop_all(self) -> None:
+        """Stop all running sessions, and show the first."""
         sockets = await asyncio.to_thread(running_sessions)
         if sockets:
             run = LiveRun()
@@ -165,7 +166,7 @@ class StationApp(App[None]):
             self.notify(f"{len(sockets)} told to stop", title="STOP", severity="warning")
 
     def action_help(self) -> None:
-        """Show all keys of the screen, in groups, from the tables of keys."""
+        """Show all keys of the screen, in groups; nothing if a dialog is on top."""
         screen = self.screen
         if not isinstance(screen, StationScreen):
             return
@@ -180,7 +181,9 @@ class StationApp(App[None]):
         self.push_screen(HelpDialog(groups))
 
     def get_system_commands(self, screen: Screen[Any]) -> Iterable[SystemCommand]:
-        """Offer what can be made of the recording on the screen, and what textual offers; keys are told by F1."""
+        """Yield the commands of the palette: actions on the recording shown, manual mode, and those of textual except
+        "Keys".
+        """
         if isinstance(screen, StationScreen) and screen.recording is not None:
             yield from offered(self, screen.recording)
         if isinstance(screen, StationScreen):
@@ -190,7 +193,7 @@ class StationApp(App[None]):
         yield from (command for command in super().get_system_commands(screen) if command.title != "Keys")
 
     async def action_quit(self) -> None:
-        """Leave; if a session runs, ask what is to become of it. A question is left first, also a form."""
+        """Leave the screen; if a session runs, ask what to do with it. An open dialog is closed instead."""
         if isinstance(self.screen, StationDialog):
             self.screen.dismiss(None)
             return
@@ -214,6 +217,9 @@ class StationApp(App[None]):
         self.work(partial(self._start, prospect), "start")
 
     async def _start(self, prospect: Prospect) -> None:
+        """Start a session for the prepared run and follow it; if one already runs on this bench, or it fails, say
+        so.
+        """
         others = await sessions_on(prospect.bench, self.choices.bench)
         if self.busy or others:
             said = f"process {others[0]}" if others else "it is on F3"
@@ -263,7 +269,7 @@ class StationApp(App[None]):
         save_remembered(self.remembered)
 
     def prepare(self, script: str | None) -> None:
-        """Show the preparation, with another script if one is given."""
+        """Show the preparation, with another script unless ``script`` is None."""
         if script is not None:
             self.choices = replace(self.choices, script=script)
         if self.current_mode == "prepare":
@@ -279,7 +285,7 @@ class StationApp(App[None]):
             self.push_screen(MountDialog(question, begun=spot.serial), partial(self._mount, spot))
 
     def _mount(self, spot: TrayItem, serial: str | None) -> None:
-        """Prepare the run of a device that is mounted, which then starts by itself."""
+        """Prepare the run of a mounted device, which then starts by itself; None cancels, another number asks again."""
         if serial == spot.serial:
             self.mounted = True
             self.choices = replace(self.choices, serial=serial)
@@ -295,6 +301,7 @@ class StationApp(App[None]):
         self.work(self._choose, "sessions")
 
     async def _find_sessions(self) -> None:
+        """Offer running sessions at the start; with --attach show the only one, or the preparation if there is none."""
         if not self._begins_attached:
             if not self._is_small:
                 await self._choose(quiet=True)
@@ -309,6 +316,7 @@ class StationApp(App[None]):
             self.switch_mode("prepare")
 
     async def _choose(self, *, quiet: bool = False) -> None:
+        """Offer a list of running sessions; ``quiet``: only if there are any and none is shown."""
         found = await sessions_there()
         self.others = len(found)
         if found and not (quiet and self.busy):
@@ -335,9 +343,9 @@ class StationApp(App[None]):
             self._follow(LiveRun(), socket=Path(socket))
 
     def work(self, what: Callable[[], Coroutine[Any, Any, None]], group: str) -> None:
-        """Do something beside the screens, instead of what its group was at.
+        """Run ``what`` in the background, cancelling earlier work of the same group.
 
-        A defect in it must not take STOP away, so it is only told.
+        An exception in it is only reported, so that STOP stays available.
         """
 
         async def guarded() -> None:
@@ -351,6 +359,7 @@ class StationApp(App[None]):
         self.run_worker(worker, group=group, exclusive=True)
 
     def _follow(self, run: LiveRun, *, process: SessionProcess | None = None, socket: Path | None = None) -> None:
+        """Show a session, by its process or its socket, and follow its messages; an earlier one is let go."""
         if self._link is not None:
             self._link.close()
         self.shown = run
@@ -361,6 +370,7 @@ class StationApp(App[None]):
         self.work(partial(self._link.follow, self._changed), "session")
 
     def _changed(self) -> None:
+        """React to a change of the session's stage: when it has ended, update the tray, show the result, or leave."""
         run = self.shown
         self._tick()
         if run is None or run.stage is not Stage.ENDED:
@@ -392,6 +402,7 @@ class StationApp(App[None]):
         return found
 
     def _tick(self) -> None:
+        """Update STOP, report refusals of the session, and update the screens, also those below a dialog."""
         self.show_stop()
         while self.shown is not None and self.shown.refusals:
             self.clear_notifications()  # a key that is held is refused again and again
@@ -402,7 +413,7 @@ class StationApp(App[None]):
                     screen.tick()
 
     def show_stop(self) -> None:
-        """Show at the bottom what the run does; if it is settled, what belongs to the recording on the screen."""
+        """Show the run's state in the bars; if the run is settled, a line on the recording that is shown."""
         with suppress(ScreenStackError):
             below = next((screen for screen in self.screen_stack if isinstance(screen, StationScreen)), None)
             run, said = self.shown, ""
@@ -430,6 +441,7 @@ def _session_words(path: Path, hello: Mapping[str, object]) -> str:
 
 
 def _hung_up(stream: TextIO | None) -> bool:
+    """Return whether the far end of a stream is gone, or the stream is closed."""
     poll = select.poll()
     try:
         if stream is not None:

@@ -12,7 +12,9 @@ from station.screen.tabs.prospects import Prospect
 
 
 class SeenApp(Protocol):
-    """The session that is shown, what the operator has chosen, and what can be asked for; ``StationApp`` is one."""
+    """What screens need of the app: the session shown, the operator's choices, and requests; ``StationApp`` provides
+    it.
+    """
 
     shown: LiveRun | None
     others: int

@@ -24,7 +24,7 @@ SCREENS = tuple((name.lower(), key, name) for key, name in _NAMES.items())
 
 
 class Lines(Static):
-    """Text of a fixed height whose updates cost no layout, and nothing at all if nothing changed."""
+    """Text of a fixed height; updates cost no layout, and nothing if the text is the same."""
 
     def __init__(self, *, id: str | None = None, classes: str | None = None) -> None:
         """Begin empty; text is shown as it is, brackets too."""
@@ -33,7 +33,7 @@ class Lines(Static):
         self._height = 0
 
     def show(self, text: object, lines: int) -> None:
-        """Show a text (str or rich Text) of so many lines."""
+        """Show a text (str or rich Text) of ``lines`` lines; nothing is done if it is shown already."""
         if text == self._shown:
             return
         self._shown = text
@@ -43,7 +43,7 @@ class Lines(Static):
 
 
 class TopBar(Static):
-    """The screens by name, the one that is shown marked; a click changes to another."""
+    """The names of the screens, the present one marked; a click changes to another."""
 
     def __init__(self, mode: str) -> None:
         """``mode`` is the screen's own."""
@@ -55,7 +55,7 @@ class TopBar(Static):
 
 
 class StopBar(Widget):
-    """STOP, with its key, and what the run is doing: red while a table may move. The whole bar is the button."""
+    """STOP with its key, and the state of the run; red while a table may move. The whole bar is the button."""
 
     def __init__(self) -> None:
         super().__init__(id="stop-bar")
@@ -66,7 +66,7 @@ class StopBar(Widget):
         cast(SeenApp, self.app).show_stop()
 
     def show(self, run: LiveRun | None, others: int, said: str = "") -> None:
-        """Show a run's state; if none is shown, how many ``others`` there are, or what is ``said`` of a recording."""
+        """Show the state of a run; without one the number of ``others``, or the text ``said`` about a recording."""
         values = {"run": run, "others": others, "said": said, "stop": STOP_WORDS, "silence_s": SILENCE_S}
         line = rendered("station.screen", "stop.txt", {**values, "clock_between": clock_between})
         kind, _, text = line.strip("\n").partition(" ")
@@ -87,7 +87,7 @@ class StopBar(Widget):
 
 
 class Small(Lines):
-    """The run in a few lines, for a telephone or a small terminal: verdict, step, time left; in place of the rest."""
+    """The run in a few lines, shown instead of the rest on a telephone or small terminal: verdict, step, time left."""
 
     def __init__(self, least: tuple[int, int]) -> None:
         """``least`` are the columns and rows that the screens need."""
@@ -101,7 +101,7 @@ class Small(Lines):
 
 
 def _lines(run: LiveRun | None, said: str) -> list[Text]:
-    """Return what is most wanted to be known of a run, most of all first."""
+    """Return lines about a run, the most important first; one line on the outcome once it has ended."""
     if run is None:
         return [Text(said or "no session runs", style="bold")]
     if run.outcome:

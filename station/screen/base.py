@@ -27,7 +27,7 @@ def keys_of(kind: type) -> list[Binding]:
 
 
 class StationScreen(Screen[None]):
-    """One of the screens: a row of names, what it has to say, keys, STOP."""
+    """One of the screens: a row of names, its content, keys, STOP."""
 
     MODE: ClassVar[str] = ""
     WIDE: ClassVar[int] = 120
@@ -40,7 +40,7 @@ class StationScreen(Screen[None]):
     """The recording that is shown, or chosen."""
 
     def compose(self) -> ComposeResult:
-        """Lay out the frame; ``body`` is the screen's own."""
+        """Lay out the frame around the screen's own ``body``."""
         yield TopBar(self.MODE)
         with VerticalScroll(id="body"):
             yield from self.body()
@@ -73,7 +73,7 @@ class StationScreen(Screen[None]):
         return self.recording is None or (recording is not None and self.recording.absolute() == recording.absolute())
 
     def keys(self) -> list[Binding]:
-        """Return the keys of this screen that do something now."""
+        """Return the keys of this screen that have an effect now."""
         found = []
         for key in keys_of(type(self)):
             name, _, _ = key.action.partition("(")
@@ -115,7 +115,7 @@ class StationScreen(Screen[None]):
 
 
 class Field(Input):
-    """A line of input, one row high, whose cursor stands still: nothing but news is to move on these screens."""
+    """A one-line input field whose cursor does not blink: only news should move on these screens."""
 
     def __init__(self, **options: Any) -> None:
         """``options`` are those of ``Input``."""

@@ -21,7 +21,7 @@ _TICKS = 3
 
 
 class Charts(Grid):
-    """Charts by name, drawn by a function that returns what each is to show; None while there is nothing."""
+    """Charts by name. A function returns the drawing of each, None while there is nothing to show."""
 
     BINDINGS = [Binding("0", "show_all", "All of the time", show=False)]  # noqa: RUF012
 
@@ -47,6 +47,7 @@ class Charts(Grid):
             self.call_after_refresh(lambda: cast(SeenApp, self.app).work(self._mount_missing, f"more {id(self)}"))
 
     async def _mount_missing(self) -> None:
+        """Create the charts that have a name but no widget yet; their library is loaded in a thread."""
         kind = (await asyncio.to_thread(import_module, "station.screen.chart")).Chart
         missing = range(len(self._charts), len(self._names))
         if not self.is_attached or not missing:
@@ -58,7 +59,9 @@ class Charts(Grid):
         self.draw()
 
     def on_resize(self) -> None:
-        """Choose the columns that leave each chart the most room; if that is too little for all, show one."""
+        """Choose the number of columns that gives each chart the most room; if they do not all fit, show one at a
+        time.
+        """
         count, size = sum(chart.display for chart in self._charts) or len(self._names), self.size
         room = {n: min(size.width / n / _WIDE_TO_HIGH, size.height / -(-count // n)) for n in range(1, count + 1)}
         across = max(room, key=room.__getitem__)
@@ -67,7 +70,7 @@ class Charts(Grid):
         self.styles.grid_rows = "1fr" if fits else "100%"
 
     def draw(self, only: int | None = None) -> None:
-        """Draw all charts, or one of them."""
+        """Draw all charts, or number ``only``; charts out of sight are skipped, those without a drawing hidden."""
         for at, chart in enumerate(self._charts):
             if only not in (None, at):
                 continue

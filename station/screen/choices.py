@@ -26,9 +26,9 @@ def load_by_processor() -> float:
 
 @dataclass(frozen=True, slots=True)
 class Choices:
-    """What a run is started with. Empty texts are the built-in bench and the 360 s script.
+    """The options a run is started with. Empty texts stand for the built-in bench and the 360 s script.
 
-    ``device_options`` go to every command that opens or plans for devices, ``run_options`` to the run only.
+    ``device_options`` are for every command that opens or plans for devices, ``run_options`` for the run only.
     """
 
     bench: str = ""
@@ -52,7 +52,7 @@ class Choices:
         return ["plan", "--json", *_given(self.script), *bench, *self.device_options]
 
     def run_arguments(self, recording: Path, scale: float | None) -> list[str]:
-        """Return the arguments of the run that is to be watched."""
+        """Return the command line of a hosted run into ``recording``; ``scale`` None leaves it out."""
         given = {
             "--bench": self.bench,
             "--script": self.script,

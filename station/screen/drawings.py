@@ -25,7 +25,7 @@ _ARC_PARTS, _GIMBALS_APART = 24, 0.3
 
 
 class Curve(NamedTuple):
-    """Values over time, in a style of the charts; with ``sds`` they are points with bars."""
+    """Values over time in one of the charts' styles; with ``sds`` points with error bars."""
 
     times: Sequence[float]
     values: Sequence[float]
@@ -34,7 +34,7 @@ class Curve(NamedTuple):
 
 
 class StateLimit(NamedTuple):
-    """The largest size of a state, SI, infinite for none; ``written`` is it as the bench file has it, if known."""
+    """The largest size of a state in SI, infinite for none; ``written`` is the text in the bench file, if known."""
 
     size: float = math.inf
     written: str = ""
@@ -46,9 +46,10 @@ class StateLimit(NamedTuple):
 
 
 class Drawing(NamedTuple):
-    """One chart: words of its title with their styles, curves, the range of values (None: that of the curves).
+    """One chart: title words with styles, curves, the range of values (None: that of the curves).
 
-    ``span`` is the range of times in the unit ``over``, ``marks`` are instants. A ``dial`` is round, to a radius of 1.
+    ``span`` is the range of times in the unit ``over``, ``marks`` are instants. A ``dial`` is round, with a radius of
+    1.
     """
 
     words: Sequence[tuple[str, str]]
@@ -65,7 +66,7 @@ class Drawing(NamedTuple):
 def run_drawing(name: str, run: LiveRun, gyro: GyroSnapshot) -> Drawing | None:
     """Return a chart of a run, one of ``RUN_CHARTS`` or ``series_charts``, with its steps marked.
 
-    None for the series of a device that this run does not have.
+    None for a series of a device that this run does not have. The run must have been seen.
     """
     if name == "axes" and run.snapshot is not None:
         return _axes_drawing(run, run.snapshot)
@@ -98,7 +99,9 @@ def _series_drawing(at: int, seen: Sequence[Snapshot]) -> Drawing:
 
 
 def _seen(name: str, run: LiveRun, gyro: GyroSnapshot, nis_limits: Sequence[float]) -> Drawing:
-    """Return a chart of what was seen of a run: rate of a gyro beside what it should measure, residual, and so on."""
+    """Return a chart of the run's snapshots: NIS, temperature, residual, or else the rate of a gyro beside the expected
+    one.
+    """
     times, last = [s.elapsed_s for s in run.seen], run.seen[-1]
     if name == "NIS":
         reach = [_SIGMAS * math.sqrt(2 / s.recent) if s.recent else math.nan for s in run.seen]
@@ -132,7 +135,9 @@ def _told_limit(limits: Mapping[str, Any], key: str) -> StateLimit:
 
 
 def _axes_drawing(run: LiveRun, snapshot: Snapshot) -> Drawing:
-    """Return the gimbals, the outermost outside, each with a hand at its angle, zero on top, and the way to go."""
+    """Return a dial of the gimbals, outermost outside, each with a hand at its angle, zero on top, and an arc to its
+    target.
+    """
     styles, curves = dict(zip(sorted(a.name for a in snapshot.axes), _AXIS_STYLES, strict=False)), []
     words: list[tuple[str, str]] = []
     for place, axis in enumerate(snapshot.axes):
@@ -162,13 +167,12 @@ def state_drawing(
     figures: Sequence[StateUnit] = STATE_FIGURES,
     began_utc_s: float | None = None,
 ) -> Drawing:
-    """Return how a state of a gyro narrowed, between one sigma below and above it.
+    """Return a chart of a state's estimate over time, as a band of one sigma.
 
-    ``figures`` are the states in the units of the bench.
-
-    Over days it is that of one calibration after the other, points with bars. Before the motion that shows the state
-    it is as wide as the prior, and said to be that. The range of values is that of the last fifth of the time, so that
-    a band which narrows is seen to; a limit is drawn where it is near, and else said.
+    ``figures`` are the states in the units of the bench. If ``over`` is not "s", points with error bars show successive
+    calibrations instead. Before the motion that shows the state, the band is as wide as the prior, and the title says
+    so. The values' range is that of the last fifth of the time, so that the narrowing can be seen; a limit is drawn if
+    it is near, and otherwise only named.
     """
     state, days = figures[index], over != "s"
     words = [(f"{state.name} ({state.unit})", "")]

@@ -22,7 +22,7 @@ REMEMBERED = ("operator", "bench", "script")
 
 @dataclass(frozen=True, slots=True)
 class Remembered:
-    """What was entered last; ``operator_utc_s`` is when the operator was, in seconds since 1970."""
+    """The values entered last; ``operator_utc_s`` is when the operator was entered, in seconds since 1970."""
 
     operator: str = ""
     bench: str = ""

@@ -32,7 +32,10 @@ _POLICY = (
 
 
 def _guard(key: str, port: int) -> Any:
-    """Return what refuses pages of other sites: they reach the loopback by names of theirs, and open websockets."""
+    """Return a middleware that refuses other hosts and origins (403), and addresses without the key (404).
+
+    Pages of other sites reach the loopback by their own names and can open websockets.
+    """
     from aiohttp import web
 
     own = [f"{name}:{port}" for name in (_HOST, "localhost")]
@@ -49,9 +52,11 @@ def _guard(key: str, port: int) -> Any:
 
 
 def serve(port: int, words: Sequence[str]) -> int:
-    """Serve the screen until Ctrl-C; ``words`` are the options of `station ui`, port 0 is any free one.
+    """Serve the screen on the loopback until Ctrl-C; return 0. ``words`` are options of `station ui`; port 0 is any
+    free one.
 
-    Every page is a process of its own, which ends with its page; sessions go on. UsageError if the port is taken.
+    Every page has its own process, which ends with the page; sessions continue. UsageError if the port is taken or a
+    package is missing.
     """
     try:
         from aiohttp import web

@@ -33,7 +33,9 @@ def index_file(folder: Path) -> Path:
 
 
 def load(folder: Path) -> dict[File, Entry]:
-    """Return what the index of a folder holds; nothing if there is none, or none that can be read."""
+    """Return the entries in the index of a folder; nothing if there is none or it is damaged. Damaged rows are
+    skipped.
+    """
     found, top = {}, os.path.join(folder, "")
     texts = "IFNULL(CAST(entry AS TEXT), ''), IFNULL(CAST(figures AS TEXT), '')"  # also where harm made them other
     rows = _done(folder, f"SELECT path, mtime_ns, size, {texts}, checksum FROM recordings") or ()
@@ -51,7 +53,7 @@ def load(folder: Path) -> dict[File, Entry]:
 
 
 def keep(folder: Path, entries: Mapping[File, Entry]) -> bool:
-    """Add recordings to the index of a folder; return whether it could be written."""
+    """Add entries to the index of a folder; return whether that succeeded."""
     rows = []
     for file, entry in entries.items():
         told = json.dumps({name: getattr(entry, name) for name in _TOLD})
@@ -65,7 +67,10 @@ def _checksum(row: Sequence[Any]) -> int:
 
 
 def _done(folder: Path, sql: str, rows: Sequence[Sequence[Any]] | None = None) -> list[Any] | None:
-    """Return what a statement gives, None if it fails; then an index that is not just busy goes."""
+    """Run a statement on the index of a folder; return its rows, None if it failed.
+
+    An index that failed, except for being busy, is deleted.
+    """
     path = index_file(folder)
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)

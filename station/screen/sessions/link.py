@@ -14,7 +14,7 @@ _AGAIN_S = 1.0
 
 
 class SessionLink:
-    """Follows one session: one that this screen started, or one that runs already."""
+    """Follows one session, started by this screen or running already."""
 
     def __init__(self, run: LiveRun, *, process: SessionProcess | None = None, socket: Path | None = None) -> None:
         """Give the process that was started, or the socket of a session."""
@@ -23,7 +23,9 @@ class SessionLink:
         self._remote: RemoteSession | None = None
 
     async def follow(self, changed: Callable[[], None]) -> None:
-        """Take in what the session says until it has ended; ``changed`` is called when its stage changes."""
+        """Receive the session's messages until it has ended, reconnecting if necessary; ``changed`` is called at each
+        new stage.
+        """
         try:
             while self.run.stage is not Stage.ENDED:
                 socket = await self._find()
@@ -36,9 +38,9 @@ class SessionLink:
             self.close()
 
     def stop(self) -> bool:
-        """Stop the run, at once and from any thread; return whether there was a way to tell it.
+        """Stop the run at once; may be called from any thread. Return whether the request could be sent.
 
-        It is told again by every connection that comes after: a word that a break has swallowed is not lost.
+        It is repeated on every new connection, so that a lost request takes effect.
         """
         self.run.ask_to_stop()
         remote = self._remote
@@ -80,7 +82,7 @@ class SessionLink:
             self._remote = None
 
     async def _find(self) -> Path | None:
-        """Return the session's socket, None if the session is gone."""
+        """Return the session's socket, waiting for that of a new process; None if the session is gone."""
         while True:
             sockets = await asyncio.to_thread(running_sessions)
             if self._socket is not None:
@@ -93,6 +95,11 @@ class SessionLink:
                 await asyncio.sleep(_LOOK_S)
 
     async def _listen(self, socket: Path, changed: Callable[[], None]) -> None:
+        """Connect to the session and receive its messages until the connection ends; then wait a little before the next
+        attempt.
+
+        A STOP that was asked for is sent again, or the process is interrupted if the session does not answer.
+        """
         why = "the connection to the session broke"
         try:
             remote = self._remote = await RemoteSession.connect(socket)
@@ -113,7 +120,7 @@ class SessionLink:
             await asyncio.sleep(_AGAIN_S)
 
     async def _take(self, remote: RemoteSession) -> None:
-        """Take in what a session says, and first of all how its estimates went before this screen was there."""
+        """Pass on the session's messages; after the first snapshot ask for the earlier course of its estimates."""
         asked = bool(self.run.trends)
         async for message in remote.messages():
             self.run.take(message)
@@ -129,9 +136,9 @@ class SessionLink:
 
 
 async def sessions_on(bench: str, bench_file: str) -> list[str]:
-    """Return the numbers of the processes that run sessions on a bench, known by its name or its file.
+    """Return the process numbers of the sessions on a bench, known by its name or file.
 
-    A session that does not say what it is counts: it may hold the same devices.
+    A session that does not say its bench is included, as it may hold the same devices.
     """
     file = await asyncio.to_thread(lambda: str(Path(bench_file).resolve())) if bench_file else None
     return [
@@ -157,6 +164,7 @@ async def _hello(path: Path) -> dict[str, object]:
 
 
 async def stop_session(path: Path) -> None:
+    """Stop a session by its socket, or interrupt its process if it does not answer."""
     try:
         remote = await RemoteSession.connect(path)
     except UsageError:

@@ -24,7 +24,7 @@ class TrayItem:
 
 
 class Tray:
-    """The spots of one bench in their order; every change is kept at once."""
+    """The items of one bench in order; every change is stored at once."""
 
     def __init__(self, bench: str) -> None:
         """``bench`` is the absolute path of the bench file, empty for the built-in one; what the tray held is read."""

@@ -36,11 +36,14 @@ _LEAVE = "Your entries are not saved yet.", [("back", "Back to the form"), ("dro
 
 
 class FactsDialog(ChooseDialog):
-    """All facts, one a line, as large as the terminal is."""
+    """All facts, one a line, as large as the terminal."""
 
 
 async def fill_in(app: Any, whole: Whole) -> None:
-    """Ask for facts, by names as "customer.name" and "equipment.0.due", until they are kept or given up."""
+    """Let the operator edit facts, named as "customer.name" or "equipment.0.due", until they are stored or given up.
+
+    Facts that cannot be read or stored are reported.
+    """
     try:
         recorded, files, sources = await asyncio.to_thread(_stated, whole)
     except (UsageError, *MISSHAPEN) as error:
@@ -87,7 +90,10 @@ async def fill_in(app: Any, whole: Whole) -> None:
 
 
 def _stated(whole: Whole) -> tuple["Recorded", tuple[Path, Path], Mapping[str, Mapping[str, str]]]:
-    """Return a recording without samples, the files to keep facts in, and those that are stated already, by where."""
+    """Return the recording without samples, the two files for facts, and the facts stated so far, by their origin.
+
+    The files are that of this recording and that of the last form of this bench.
+    """
     from estimator.recordings.recording import Recording
     from station.report.formal import kept_facts
     from station.report.recorded import Recorded, Step
@@ -118,7 +124,7 @@ def _stated(whole: Whole) -> tuple["Recorded", tuple[Path, Path], Mapping[str, M
 
 
 def _texts(toml: str) -> dict[str, str]:
-    """Return the facts in a file as they are entered."""
+    """Return the facts in a TOML text, by names such as "equipment.0.due", as they are entered."""
     found = {}
     for name, facts in tomllib.loads(toml).items():
         for number, table in enumerate(facts if isinstance(facts, list) else [facts]):

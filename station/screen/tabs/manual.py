@@ -21,7 +21,11 @@ _STALE_S = 0.25
 
 
 def begin_manual(screen: StationScreen) -> None:
-    """Ask, and begin manual mode on the bench that is chosen: its table is homed first."""
+    """Ask for confirmation, then start manual mode on the chosen bench, which homes the table; refuse if something is
+    wrong.
+
+    Real hardware that is only remembered from the last run must be opened first.
+    """
     station = screen.station
 
     async def begin() -> None:
@@ -82,7 +86,9 @@ class ManualScreen(StationScreen):
         begin_manual(self)
 
     def action_drive(self, word: str) -> None:
-        """Choose, or say a word to the session with what is chosen."""
+        """Change the chosen axis or rate, ask for an angle, or send the command ``word`` with axis and rate to the
+        session.
+        """
         axis = self.manual_values()["chosen"]
         rate_dps, drive = _RATES_DPS[self._rate], self.station.drive
         if word == "axis":

@@ -40,7 +40,7 @@ _SCAN_LEAST = 4
 
 
 class PrepareScreen(StationScreen):
-    """What a run needs before it may start."""
+    """Everything that must be entered and checked before a run."""
 
     MODE = "prepare"
     BINDINGS: ClassVar = [
@@ -54,6 +54,7 @@ class PrepareScreen(StationScreen):
     ]
 
     def __init__(self) -> None:
+        """Start without answers."""
         super().__init__()
         self._prospect: Prospect | None = None
         self._check: Answer | None = None
@@ -69,6 +70,7 @@ class PrepareScreen(StationScreen):
         self._before_burst: tuple[Input | None, str] = None, ""  # the field it went to, and what stood there
 
     def body(self) -> ComposeResult:
+        """Yield the entries, the blocks of answers, and the chart of the motion."""
         with Container(id="columns"):
             with Vertical(id="entries"):
                 for name, words, placeholder in _FIELDS:
@@ -96,7 +98,7 @@ class PrepareScreen(StationScreen):
         self.set_focus(self.query_one("#operator" if not choices.operator else "#serial", Input))
 
     def on_input_changed(self, event: Input.Changed) -> None:
-        """Take over what was typed; bench and script are looked at when they are complete."""
+        """Take over the text; bench and script are read only when they are complete."""
         self.station.mounted = False
         if event.input.id == "operator":
             self.station.operator_utc_s = time.time()
@@ -106,7 +108,7 @@ class PrepareScreen(StationScreen):
         self.redraw()
 
     def action_enter(self) -> None:
-        """Go to the next field, or press what has the focus; bench and script are then looked at."""
+        """Go to the next field or press the focused button; a scanned serial number is put into its field instead."""
         at = self.focused
         if self._take_scan():
             return
@@ -119,7 +121,9 @@ class PrepareScreen(StationScreen):
             self.redraw()
 
     def note_key(self, event: events.Key) -> None:
-        """Keep what a scanner types, wherever the focus is; called before anything else sees the key."""
+        """Collect characters that come as fast as a scanner's, wherever the focus is; called before any other handling
+        of the key.
+        """
         gap_s = event.time - self._burst_at_s
         self._burst_at_s = event.time
         if gap_s > _SCAN_GAP_S:
@@ -135,7 +139,7 @@ class PrepareScreen(StationScreen):
         self._burst += event.character
 
     def _take_scan(self) -> bool:
-        """Put a serial number that was scanned elsewhere into its field; return whether there was one."""
+        """Move a serial number that was scanned into another field to its own; return whether there was one."""
         text, self._burst = self._burst.strip(), ""
         field, before = self._before_burst
         serial = self.query_one("#serial", Input)
@@ -156,7 +160,10 @@ class PrepareScreen(StationScreen):
         return True
 
     def _is_serial(self, text: str, field: Input | None, before: str) -> bool:
-        """Return whether a text that was typed in one go into a field, or into none, can be a serial number."""
+        """Return whether a text typed at once, into ``field`` or none, can be a serial number.
+
+        It must match the pattern. In an empty operator field it is a badge; in other fields it must not be a file.
+        """
         pattern = self._burst_pattern
         if pattern and not matches(pattern, text):
             return False
@@ -172,7 +179,7 @@ class PrepareScreen(StationScreen):
             self.action_look_again()
 
     def on_screen_resume(self) -> None:
-        """Ask bench and script once the first picture is out; again when others were chosen, or a session has ended."""
+        """Read bench and script after the first picture; again if others were chosen or a session has ended."""
         ended = self.station.shown is not self._run_before and not self.station.busy
         if self.station.choices is not self._chosen:
             self.on_mount()
@@ -191,7 +198,7 @@ class PrepareScreen(StationScreen):
         self._look_at_both()
 
     def _look_at_both(self) -> None:
-        """Read bench and script, ask the devices, plan; what was asked before is given up."""
+        """Read bench and script, check the devices, and plan, in the background; earlier answers are dropped."""
         self._take_over()
         self._looked_for = self._files()
         self._prospect = self._check = self._plan = None
@@ -201,7 +208,7 @@ class PrepareScreen(StationScreen):
         self.station.work(partial(self._look, self.station.choices), "look")
 
     def action_start(self) -> None:
-        """Start the run, if nothing stands against it."""
+        """Start the run, or report what prevents it; nothing if the screen is too small to be seen."""
         if self.small:  # nobody starts what cannot be seen
             return
         self._take_over()
@@ -213,6 +220,7 @@ class PrepareScreen(StationScreen):
             self.station.start_run(self._prospect)
 
     async def _look(self, choices: Choices) -> None:
+        """Read bench and script, then check the devices and plan at the same time; stops if the bench is invalid."""
         found = await asyncio.to_thread(look_ahead, choices)
         self._prospect = found
         for field in ("#bench", "#script"):
@@ -223,6 +231,9 @@ class PrepareScreen(StationScreen):
         await asyncio.gather(self._look_at_devices(choices, found), self._look_at_plan(choices, found))
 
     async def _look_at_devices(self, choices: Choices, found: Prospect) -> None:
+        """Run `station check`, unless a session uses the bench or it is hardware that is only remembered from the last
+        run.
+        """
         if self.station.bench_recalled and not found.all_twins:
             self._checking = f"bench {found.bench} was used in the last run and is real hardware: F6 opens it"
             self.redraw()
@@ -259,7 +270,9 @@ class PrepareScreen(StationScreen):
             field.select_all()  # what is scanned next, at whatever moment, takes its place
 
     def action_confirm_serial(self) -> None:
-        """Ask why a device that says another number is the right one all the same; it goes onto the record."""
+        """Ask why a device that reports another number is the right one; the reason is recorded. Nothing if they
+        agree.
+        """
         entered, told = self.station.choices.serial, self._told_serial()
         if told and entered and entered != told:
             question = (
@@ -285,7 +298,7 @@ class PrepareScreen(StationScreen):
         self._chosen = self.station.choices = replace(self.station.choices, **entered)
 
     def _obstacles(self) -> list[tuple[str, str]]:
-        """Return what stands against a start: WRONG or WAIT, and what to do."""
+        """Return what prevents a start, as ("WRONG" or "WAIT", what to do)."""
         found: list[tuple[str, str]] = []
         prospect, choices = self._prospect, self.station.choices
         if self.station.busy:
@@ -327,6 +340,7 @@ class PrepareScreen(StationScreen):
         return [("WRONG", f"{d['device']}: {wrong}") for d in devices for wrong in d["wrong"]]
 
     def redraw(self) -> None:
+        """Show all answers; start a mounted device's run if nothing prevents it, or report what does."""
         if not self.query(Charts):
             return
         obstacles = self._obstacles()

@@ -25,6 +25,11 @@ def offered(app: Any, recording: Path) -> Iterator[SystemCommand]:
 
 
 async def _make(app: Any, recording: Path, suffix: str) -> None:
+    """Write a report or export of a recording in the format ``suffix``, and report the result; HTML is opened in a
+    browser.
+
+    The browser is opened on a desktop only: a browser in this terminal would hide STOP.
+    """
     named = recording.with_suffix(".pdf" if suffix == "xml" else f".{suffix}")
     file = await asyncio.to_thread(free_path, named, beside=[".html", ".xml"] if suffix in _PAPER else [])
     how = ["report"] if suffix in _PAPER else ["export", "--format", "c" if suffix == "h" else suffix]

@@ -39,7 +39,7 @@ _BUTTONS = (
 
 
 class ResultScreen(StationScreen):
-    """One recording and what it says."""
+    """One recording and its results."""
 
     MODE = "result"
     BINDINGS: ClassVar = [
@@ -50,6 +50,7 @@ class ResultScreen(StationScreen):
     ]
 
     def __init__(self) -> None:
+        """Start without a recording."""
         super().__init__()
         self._whole: Whole | None = None
         self._same: list[Entry] = []
@@ -87,6 +88,7 @@ class ResultScreen(StationScreen):
         self.station.work(partial(self._read, path, fresh), "open")
 
     async def _read(self, path: Path, fresh: bool) -> None:
+        """Read a recording and others of the same device; for a ``fresh`` one that failed, start an investigation."""
         whole = await self.station.archive.read(path)
         self._whole, self._busy = whole, ""
         await self._take_investigation(whole.investigation)
@@ -103,7 +105,9 @@ class ResultScreen(StationScreen):
         self.redraw()
 
     def action_investigate(self) -> None:
-        """Look for what the model lacks; ask by which run that is to be judged, if there are others of the device."""
+        """Look for errors that the model misses, after asking which runs should verify them if there are others of the
+        device.
+        """
         if not self._may("investigate"):
             return
         if not self._same:
@@ -131,6 +135,9 @@ class ResultScreen(StationScreen):
             )
 
     async def _investigate(self, path: Path, judging: Sequence[Path]) -> None:
+        """Run `station investigate` on a recording, verified by ``judging``, and show its result if it is still on the
+        screen.
+        """
         kept = await asyncio.to_thread(free_path, path.with_name(f"{path.stem}{INVESTIGATION}.h5"))
         script = await asyncio.to_thread(free_path, path.with_name(f"{path.stem}-next.toml"))
         verify = ["--verify", *map(str, judging)] if judging else []
@@ -148,7 +155,7 @@ class ResultScreen(StationScreen):
         self.redraw()
 
     def action_accept(self) -> None:
-        """Ask whether to accept, then record who did and write the certificate."""
+        """Ask whether to accept the calibration; if so, record who did and write the certificate."""
         if not self._may("accept") or self._whole is None:
             return
         operator = self.station.choices.operator
@@ -162,6 +169,7 @@ class ResultScreen(StationScreen):
             self.station.work(partial(self._certify, self.recording), "accept")
 
     async def _certify(self, path: Path) -> None:
+        """Record the acceptance, write the certificate, and show what succeeded."""
         now = datetime.now(UTC).isoformat(timespec="seconds")
         wrong = await self.station.archive.accept(
             path, {"accepted_by": self.station.choices.operator, "accepted_utc": now}
@@ -200,7 +208,7 @@ class ResultScreen(StationScreen):
         return not obstacle
 
     def _obstacle(self, what: str) -> str:
-        """Return why something cannot be done, empty if it can."""
+        """Return why the action ``what`` is not possible, "" if it is."""
         entry = self._whole.entry if self._whole is not None else None
         if entry is None or entry.wrong:
             return "no recording is open"
@@ -230,6 +238,7 @@ class ResultScreen(StationScreen):
         self.redraw()
 
     def redraw(self) -> None:
+        """Show the recording in all blocks, and enable the buttons whose action is possible."""
         if not self.query(Charts):
             return
         for name, _ in _BUTTONS:
@@ -258,6 +267,7 @@ class ResultScreen(StationScreen):
         block.update("" if shown is None else shown)
 
     def _drawing(self, name: str) -> Drawing | None:
+        """Return the chart of a state, with the calibration's figure; None without curves."""
         whole = self._whole
         if whole is None or not whole.curves:
             return None
@@ -275,9 +285,10 @@ class ResultScreen(StationScreen):
 
 
 def _investigation(found: Mapping[str, Any]) -> list[RenderableType]:
-    """Return what `station investigate` prints, from its JSON.
+    """Return the lines and tables of `station investigate` from its JSON; a hint if it is damaged or of another
+    version.
 
-    Loads what renders it, which takes a moment: not for the thread that paints.
+    Call it in a thread: it loads a library first.
     """
     from station.render.investigation_printed import investigation_shown
     from station.views.investigation import InvestigationView, is_investigation

@@ -41,6 +41,7 @@ class RunScreen(ManualScreen):
     ]
 
     def body(self) -> ComposeResult:
+        """Yield progress, figures, sources, charts, events and details."""
         yield Lines(id="progress")
         with Container(id="columns"):
             yield Lines(id="figures")
@@ -59,7 +60,7 @@ class RunScreen(ManualScreen):
     on_screen_resume = redraw
 
     def tick(self) -> None:
-        """Show figures at each tick, one of the charts, too; what has not changed costs nothing."""
+        """Update all figures, and one chart per call; unchanged parts cost nothing."""
         run = self.station.shown
         width = self.size.width - 4
         wrapped = partial(textwrap.wrap, width=max(width, 1), max_lines=_REASON_ROWS, placeholder=" ...")
@@ -106,7 +107,7 @@ class RunScreen(ManualScreen):
 
 
 def _values(run: LiveRun, snapshot: Snapshot, large: bool) -> dict[str, Any]:
-    """Return what is shown of axes, sources, innovations, states; of a run that has gone the last that is known."""
+    """Return the template values for axes, sources, innovations and states; after the run, the last known ones."""
     judged, style = _judgement(snapshot)
     return {
         "snapshot": snapshot,
@@ -121,7 +122,7 @@ def _values(run: LiveRun, snapshot: Snapshot, large: bool) -> dict[str, Any]:
 
 
 def _judgement(snapshot: Snapshot) -> tuple[str, str]:
-    """Return how the innovations of the live filter look, in words and their style."""
+    """Return a text on the innovations of the live filter, and its style."""
     if not (math.isfinite(snapshot.nis_recent) and math.isfinite(snapshot.whiteness)):  # too few blocks for either
         return "not known yet", "dim"
     by_chance = _MANY_SIGMAS / math.sqrt(max(snapshot.recent, 1))
