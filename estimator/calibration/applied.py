@@ -19,7 +19,7 @@ def applied(
     temperature_c: Floats | None,
     accel_mps2: Floats | None,
 ) -> Any:
-    """Return the rate of the body; arguments, answer and errors are those of ``Calibration.apply``."""
+    """Return the body rate; arguments, result and errors are those of ``Calibration.apply``."""
     names = compensation.array.names
     is_frame = hasattr(outputs_rps, "columns")
     if is_frame:

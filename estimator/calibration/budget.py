@@ -28,7 +28,7 @@ UNMEASURED = "unmeasured_conditions"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contribution:
-    """One line of the budget of a gyro: its covariance (4, 4) in the states [k, b, s_j, s_k]."""
+    """One line of a gyro's budget: its covariance (4, 4) in the states [k, b, s_j, s_k]."""
 
     name: str
     covariance: Floats
@@ -50,9 +50,10 @@ def merged(lines: Sequence[Contribution]) -> tuple[Contribution, ...]:
 def table_budget(
     readings: TableReadings, site: Site | None, array: SensorArray, prior: Prior, arw_rps_rthz: Floats
 ) -> list[tuple[Contribution, ...]]:
-    """Return the contributions of the table for each gyro; none if the table states no uncertainty.
+    """Return the contributions of the table for each gyro; none if the table states no uncertainty or has too few
+    readings.
 
-    ``arw_rps_rthz`` (m,) only decides what the prior weighs against the data, as in the estimate itself.
+    ``arw_rps_rthz`` (m,) only determines the weight of the prior relative to the data, as in the estimate itself.
     """
     if readings.uncertainty is None or len(readings.t_ns) < 8:
         return [() for _ in array.names]
@@ -76,7 +77,9 @@ def table_budget(
 
 
 def _changes(readings: TableReadings, t_s: Floats, w: Floats) -> Iterator[tuple[str, Floats]]:
-    """Yield each imperfection's kind and what it changes in the body rate (rows, 3)."""
+    """Yield (kind, change) of each imperfection of the table: the change (rows, 3) of the body rate ``w`` by one
+    sigma.
+    """
     u, gimbals = readings.uncertainty, readings.gimbals
     if u is None:
         return
