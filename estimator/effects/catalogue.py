@@ -23,9 +23,9 @@ def record_of(name: str) -> Record | None:
 
 
 def register(*effects: Record, origin: str = "") -> None:
-    """Make effects known to everything that the station does, in the place of others of their names from outside.
+    """Add effects to the catalogue, replacing others of the same name that came from outside.
 
-    ``origin`` says where they come from. Raises EffectError for one that is damaged, or has the name of a built-in one.
+    ``origin`` is the file or package. EffectError for an invalid record, or one with the name of a built-in effect.
     """
     for record in effects:
         record.check()
