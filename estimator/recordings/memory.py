@@ -16,7 +16,10 @@ _GROUP = Path("/sys/fs/cgroup")
 
 
 def check_memory(name: object, columns_bytes: int, times: int) -> None:
-    """Raise RecordingError, with what would be needed, if there is not ``times`` as much memory as columns take."""
+    """Raise RecordingError if there is not ``times`` as much free memory as columns of ``columns_bytes`` take.
+
+    ``name`` is for the message. Small columns are not checked.
+    """
     needed_bytes = times * columns_bytes
     if columns_bytes < _SMALL_BYTES or needed_bytes < (free_bytes := _free_bytes()):
         return

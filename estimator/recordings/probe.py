@@ -21,7 +21,9 @@ _ROWS = 65536  # read at once
 
 
 def read_hdf5(path: Path) -> str | None:
-    """Return why the file cannot be read, or None."""
+    """Read a whole HDF5 file; return why it is unreadable, None if it is fine. ValueError as ``objects``, OSError of
+    HDF5.
+    """
     if path.stat().st_size == 0:
         return "it is empty"
     if not h5py.is_hdf5(path):
@@ -34,9 +36,9 @@ def read_hdf5(path: Path) -> str | None:
 
 
 def objects(path: Path, file: Any, names: Callable[[Any], Sequence[str]] | None = None) -> Iterator[Any]:
-    """Yield the datasets of a file, each once; ValueError for what is kept in other files, or claims too much.
+    """Yield the datasets of an open file, each once; ValueError for data in other files, or sizes that cannot be true.
 
-    With ``names`` only the objects that it names of the file: a reader of no others is 15 times faster.
+    With ``names`` only the objects that it returns for the file are checked, which is 15 times faster.
     """
     disk = path.stat()
     left = _FREE_BYTES + _MOST_TIMES * getattr(disk, "st_blocks", disk.st_size // 512 + 1) * 512  # a hole is no data
@@ -64,7 +66,7 @@ def objects(path: Path, file: Any, names: Callable[[Any], Sequence[str]] | None 
 
 
 def read_mat(path: Path) -> str | None:
-    """Likewise, of a MATLAB file."""
+    """Read a whole MATLAB file; return why it is unreadable, None if it is fine."""
     from scipy.io import loadmat
 
     try:

@@ -61,10 +61,10 @@ Readings = tuple[Floats, Floats, Floats, Floats, float]
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Ramp:
-    """Corners at ``t_s`` (k,) with angles and rates there, and what the rates of the readings (n,) are by them.
+    """A ramp: corners at ``t_s`` (k,) with angles and rates there, and the modelled rates of the readings (n,).
 
-    Rates are in the scale of the rate readings, ``scale`` times what the angles say. ``sd_s`` is the largest standard
-    deviation of a corner's instant, of those where the slope changes most.
+    Rates are in the scale of the rate readings, ``scale`` times that of the angles. ``sd_s`` is the largest standard
+    deviation of a corner's instant, of corners where the slope changes noticeably.
     """
 
     t_s: Floats
@@ -101,7 +101,7 @@ def ends(changes: Flags) -> tuple[int, bool]:
 def piece_of(t_s: Floats, angle_rad: Floats) -> int:
     """Return after how many of these readings (n,) to cut a change of rate: within its longest straight part.
 
-    Only the second half of them is looked at, so that pieces do not become ever shorter.
+    Only the second half is searched, so that pieces do not become ever shorter.
     """
     found = list(corners_of(*between_readings(t_s, angle_rad), MOST_CORNERS))
     corners = np.array(found[-1][0] if found else [0, len(t_s) - 1])
@@ -117,12 +117,11 @@ def is_ramp(rate_rps: Floats) -> bool:
 
 
 def fitted(readings: Readings, first: int, last: int) -> Ramp | None:
-    """Return the ramp between the readings ``first`` and ``last``, None if that is not what it is.
+    """Fit a ramp between the readings ``first`` and ``last``; return None if the change is not a ramp.
 
-    Beyond them the rate is steady. Where fewer than three readings are beyond them, the rate goes on changing as it did
-    there; that is taken for a ramp only if rates are means: others are right between corners as they are.
-    Readings count by their half widths, and by how far they lie off. If even the best fit is bad the instants of its
-    corners are as good as unknown (``sd_s``).
+    Beyond them the rate is constant. With fewer than three readings beyond, the change is cut off there; that is fitted
+    only if rates are means, since other rates are interpolated well enough. Readings are weighted by their half widths
+    and by their deviation. If even the best fit is bad, the instants of its corners count as unknown (large ``sd_s``).
     """
     t_s, angle_rad, rate_rps, _, window_s = readings
     cut = first + 1 < _FEWEST, len(t_s) - last < _FEWEST
@@ -153,9 +152,9 @@ def fitted(readings: Readings, first: int, last: int) -> Ramp | None:
 
 
 def _scatter_sd(t_s: Floats, angle_rad: Floats) -> Floats:
-    """Return the standard deviations (2,) of angles and rates, those of angles as they scatter about short parabolas.
+    """Return the standard deviations (2,) of angles and rates; that of angles from their scatter about short parabolas.
 
-    Most of these hold no corner. They are no larger than what is taken before anything is known.
+    Most of these contain no corner. Values are limited to the prior ones.
     """
     most = np.array([_ANGLE_SD_RAD, _RATE_SD_RPS])
     if len(t_s) < _SHORT:
@@ -183,10 +182,10 @@ def _misfit(ramp: Ramp, readings: Readings, first: int, last: int, sd: Floats) -
 def with_corners(
     known_ns: Stamps, angles: Floats, rates: Floats, ramps: Sequence[tuple[int, Stamps, Ramp]]
 ) -> tuple[Stamps, Floats, Floats, Floats]:
-    """Return readings with the corners of ramps between them: instants (m,), angles, rates, doubts of corners in s.
+    """Return readings with the corners of ramps inserted: instants (m,), angles, rates, doubts of corners in s.
 
-    ``known_ns`` (n + 1,), ``angles`` and ``rates`` (n + 1, gimbals) are the readings and the row before them. A ramp
-    comes with its column and the instants of its corners. Doubts (m, gimbals) are NaN where a gimbal has no ramp.
+    ``known_ns`` (n + 1,), ``angles`` and ``rates`` (n + 1, gimbals) are the readings and the row before them. Each ramp
+    is (column, instants of its corners, ramp). Doubts (m, gimbals) are NaN where a gimbal has no ramp.
     """
     inside = [corners[(corners > known_ns[0]) & (corners < known_ns[-1])] for _, corners, _ in ramps]
     t_ns = np.unique(np.concatenate([known_ns[1:], *inside]))
@@ -207,9 +206,10 @@ def with_corners(
 
 
 def corners_of(t_s: Floats, rate_rps: Floats, most: int) -> Iterator[tuple[list[int], float]]:
-    """Yield more and more readings that straight lines between them come nearest to all, and how far they are off.
+    """Yield growing selections of readings that are connected by straight lines, and the largest deviation of the
+    others.
 
-    The first and the last reading are always among them, ``most`` at last.
+    The first and the last reading are always selected; the selection ends at ``most``, or when nothing deviates.
     """
     corners = [0, len(t_s) - 1]
     while len(corners) < min(most, len(t_s) // 2):
@@ -226,9 +226,10 @@ def between_readings(t_s: Floats, angle_rad: Floats) -> tuple[Floats, Floats]:
 
 
 def _through_rest(readings: Readings, first: int, last: int) -> Iterator[tuple[Floats, Flags]]:
-    """Yield a start with four corners for an axis that brakes, stands, and speeds up again, its rate held at zero.
+    """Yield at most one start, with four corners, for an axis that brakes, stands, and accelerates again.
 
-    The lines of both ramps are drawn through what lies well between rest and the steady rate, where no corner is.
+    The rate in the middle is held at zero. The lines of both ramps are fitted well between rest and the steady rate,
+    where there is no corner.
     """
     t_s, angle_rad, rate_rps, _, _ = readings
     at_s, rates = between_readings(t_s[max(first - 1, 0) : last + 2], angle_rad[max(first - 1, 0) : last + 2])
@@ -259,10 +260,10 @@ def _through_rest(readings: Readings, first: int, last: int) -> Iterator[tuple[F
 def _polylines(
     readings: Readings, first: int, last: int, cut: tuple[bool, bool], least: int
 ) -> Iterator[tuple[Floats, Flags]]:
-    """Yield what a change of rate with more than ``least`` corners may start from, the fewest first.
+    """Yield starts for a change of rate with more than ``least`` corners, those with the fewest first; none for noise.
 
-    With each come flags of the parameters that are held: the ends of a change that is ``cut`` off there, and the rates
-    of corners that may be at zero, which are taken for that of an axis that stands at first.
+    With each come flags of parameters to hold: the ends of a change that is ``cut`` off, and the rates of corners that
+    may be zero, for an axis that stands in between.
     """
     t_s, angle_rad, rate_rps, _, window_s = readings
     # What angles say between two readings is of a shorter time than a rate that is a mean.
@@ -302,7 +303,8 @@ def _polylines(
 
 
 def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, last: int) -> Ramp | None:
-    """Return the ramp with as many corners as ``start``, found from there; None if it does not fit.
+    """Return the ramp fitted from ``start``, with its number of corners; None if it does not fit or cannot be
+    determined.
 
     ``held`` flags the parameters that are known.
     """
@@ -364,10 +366,11 @@ def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, las
 
 
 def _weighed(p: Floats, readings: Readings, sd: Floats, tail: float) -> tuple[Floats, Floats, Floats]:
-    """Return what readings are off a ramp by, in sigmas (2 n,), its slopes, the sigmas (2 n,).
+    """Return the deviations of readings from a ramp in sigmas (2 n,), their derivatives, and the sigmas (2 n,).
 
-    A reading counts by its half width, as much as all are off by theirs; if it is off by more, by that. ``sd`` (2,) are
-    of angles and rates whose instants are known; ``tail`` degrees of freedom their distribution has (Student's t).
+    A sigma includes the half width of the reading, as far as readings deviate by theirs. ``sd`` (2,) is that of angles
+    and rates with known instants; ``tail`` are the degrees of freedom of their distribution (Student's t), infinite for
+    normal.
     """
     t_s, angle_rad, rate_rps, half_width_s, window_s = readings
     angle, rate, slopes = modelled(p, t_s, window_s)
@@ -385,7 +388,10 @@ def _weighed(p: Floats, readings: Readings, sd: Floats, tail: float) -> tuple[Fl
 
 
 def _start(t_s: Floats, angle_rad: Floats, rate_rps: Floats, first: int, last: int) -> Floats | None:
-    """Return corners, rates there, angle before, and the scale of the rates, as readings suggest them."""
+    """Return start parameters (corners, rates, angle, scale) suggested by the readings; None if there is no change.
+
+    A change that goes up and down again has three corners, any other two.
+    """
     before, after = float(np.median(rate_rps[: first + 1])), float(np.median(rate_rps[last:]))
     inner = rate_rps[first : last + 1]
     slope = np.diff(inner) / np.diff(t_s[first : last + 1])

@@ -8,7 +8,7 @@ _PIECE_BYTES = 1 << 16
 
 
 class Ballast:
-    """Bytes held on the disk of a folder by a file without a name, which goes with the process that made it."""
+    """Disk space reserved by a nameless file in a folder; it is released when the process ends."""
 
     def __init__(self, folder: Path, size_bytes: int) -> None:
         """Take hold of nothing yet; OSError if nothing can be made in the folder."""

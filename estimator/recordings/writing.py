@@ -40,17 +40,17 @@ TEXT_BYTES = 240
 
 
 class RecordingWriter:
-    """Writes a recording as the run goes.
+    """Writes a recording during the run.
 
-    Rows are kept until ``flush``, then appended in blocks. With a journal beside it nothing is lost but what has not
-    been written into that: only a file that is closed whole can do without.
+    Rows are collected until ``flush`` and appended in blocks. With a journal beside it, only data that have not been
+    written there can be lost; a file that was closed completely needs none.
     """
 
     def __init__(self, path: Path, attributes: Mapping[str, Any], *, journal: bool = False) -> None:
-        """Create the file; RecordingError if it exists or cannot be created.
+        """Create the file and reserve space for closing it; RecordingError if it exists or cannot be created.
 
-        With a journal both carry the same number, so that no other journal is taken for its own: the ``IDENTITY`` in
-        the attributes, or a random one.
+        With a journal both carry the same identity, so that no other journal is used for it: the ``IDENTITY`` in the
+        attributes, or a random one.
         """
         self.path = path
         self.whole = False
@@ -97,7 +97,7 @@ class RecordingWriter:
     def add_table(
         self, gimbals: tuple[str, ...], uncertainty: TableUncertainty | None = None, rate_window_ns: int = 0
     ) -> None:
-        """Declare the table: its columns are its gimbals, outermost first, its rates means over the window."""
+        """Declare the table: gimbals outermost first, uncertainty, and the window over which its rates are means."""
         stated = asdict(uncertainty) if uncertainty is not None else {}
         attributes = {f"u_{key}": value for key, value in stated.items()}
         named = {"axes": gimbals, "gimbals": gimbals, "rate_window_ns": rate_window_ns}
@@ -114,9 +114,9 @@ class RecordingWriter:
         self.set_source(name, {"accel_axes": axes})
 
     def add_device(self, name: str, columns: Mapping[str, str], attributes: Mapping[str, Any]) -> None:
-        """Declare the group ``device/NAME``: its attributes, and the columns of its series, each with its unit.
+        """Declare the group ``device/NAME``: its attributes, and the columns of its series with their units.
 
-        RecordingError for a column that cannot hold a number a row.
+        RecordingError for a column name that cannot hold one number per row.
         """
         for column in columns:
             known = LAYOUT.get(column, {})
@@ -169,7 +169,9 @@ class RecordingWriter:
         self.append_rows(group, {**stamps, field_name: np.array([raw], dtype=f"S{TEXT_BYTES}"), **more})
 
     def write_journal(self) -> None:
-        """Hand to the operating system what the journal lacks, in whatever thread; RecordingError if that fails."""
+        """Write all new entries to the journal, from any thread; RecordingError if that fails. Nothing without a
+        journal.
+        """
         with self._noting:
             entries, self._unwritten = self._unwritten, []
         if self.journal is None or not entries:
@@ -189,11 +191,11 @@ class RecordingWriter:
             pass
 
     def flushing(self) -> Iterator[None]:
-        """Do what ``flush`` does in parts, one a group: rows may be appended between them, and wait if they are late.
+        """Flush in parts, one per group; rows may be appended between them, and are then written later.
 
-        Raises RecordingError when the disk is full. A write that fails within HDF5 leaves a file that cannot be read,
-        or ends the process; so what is pending goes into room that was kept back, which then cannot be had again, and
-        what does not fit in there is given up.
+        A write that fails within HDF5 leaves an unreadable file or ends the process. If the disk is nearly full,
+        pending rows are therefore written into the reserved space, which may not be available again; rows that do not
+        fit are dropped. RecordingError in both cases, and at the limit of the file size.
         """
         wanted = self._pending_bytes()
         if self._allowed_bytes() < wanted + _RESERVE_BYTES:
@@ -216,7 +218,9 @@ class RecordingWriter:
         return _disk_full(self.path, f"{kept}). Free some space, or choose another disk with --output")
 
     def _allowed_bytes(self) -> float:
-        """Return by how much the file may still grow, whatever room there is on the disk."""
+        """Return by how much the process may still let the file grow, regardless of the disk; infinite without a
+        limit.
+        """
         if sys.platform == "win32":
             return math.inf
         import resource
@@ -232,6 +236,9 @@ class RecordingWriter:
             pass
 
     def _writing(self) -> Iterator[None]:
+        """Write the pending rows of one group after the other, then flush the file; an interrupted write is repeated
+        next time.
+        """
         for group in tuple(self._pending):
             with _told_of(self.path):
                 blocks, lengths = self._pending[group], {}
@@ -255,7 +262,9 @@ class RecordingWriter:
         return dataset
 
     def close(self) -> None:
-        """Flush and close; twice is once. What cannot be written any more shows when the file is read."""
+        """Flush if there is room, and close; harmless if closed already. No error is raised: ``whole`` says whether all
+        is written.
+        """
         if self._file:
             self._ballast.close()
             with suppress(RecordingError):
@@ -267,7 +276,11 @@ class RecordingWriter:
                 self.whole = not self._pending
 
     def finish(self, *, synced: bool = True) -> None:
-        """Remove the journal of a file that is whole, once the disk has that; RecordingError if it does not take it."""
+        """Remove the journal of a complete file, after syncing that unless ``synced`` is false; RecordingError if
+        syncing fails.
+
+        The journal of an incomplete file stays.
+        """
         if self.journal is not None:
             try:
                 with _told_of(self.path):
@@ -287,7 +300,7 @@ def _joined(blocks: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[A
 
 
 def write_recording(path: Path | str, recording: Recording) -> None:
-    """Write a whole recording, for instance an imported one; RecordingError if the file exists."""
+    """Write a complete recording, such as an imported one; RecordingError if the file exists or cannot be written."""
     writer = RecordingWriter(Path(path), recording.attributes)
     try:
         if recording.site is not None:
@@ -319,7 +332,7 @@ def columns_of(readings: ImuData | Reference) -> dict[str, Any]:
 
 
 def write_results(path: Path, group: str, datasets: Mapping[str, NDArray[Any]], attributes: Mapping[str, Any]) -> None:
-    """Write a group of results into an existing recording, in place of what stood there; RecordingError if not."""
+    """Write a group of results into an existing recording, replacing an earlier one; RecordingError if that fails."""
     wanted = sum(np.asarray(values).nbytes for values in datasets.values())
     with _changing(path, wanted + _CLOSING_BYTES) as file:
         if group in file:
@@ -354,7 +367,7 @@ def _changing(path: Path, wanted_bytes: int) -> Iterator[Any]:
 
 @contextmanager
 def _told_of(path: Path) -> Iterator[None]:
-    """Let what HDF5 could not write be a RecordingError."""
+    """Context that turns write errors of HDF5 into RecordingError."""
     try:
         yield
     except (OSError, RuntimeError) as error:  # HDF5 has both
@@ -364,7 +377,9 @@ def _told_of(path: Path) -> Iterator[None]:
 
 
 def _extend(dataset: Any, length: int, rows: NDArray[Any]) -> int:
-    """Append rows to a dataset of known length by HDF5's own calls: h5py's indexing costs ten times as much."""
+    """Append rows to a dataset of known length; return the new length. Uses HDF5 directly, ten times as fast as h5py's
+    indexing.
+    """
     rows = np.ascontiguousarray(rows)
     total = length + len(rows)
     dataset.id.set_extent((total, *rows.shape[1:]))
@@ -375,6 +390,7 @@ def _extend(dataset: Any, length: int, rows: NDArray[Any]) -> int:
 
 
 def _create(file: Any, path: str, rows: NDArray[Any], *, growing: bool) -> Any:
+    """Create a dataset with its unit; ``growing`` makes it chunked and extensible."""
     row_bytes = max(rows.dtype.itemsize * int(np.prod(rows.shape[1:])), 1)
     chunk = max(min(32768 // row_bytes, 4096), 16)
     extra = {"maxshape": (None, *rows.shape[1:]), "chunks": (chunk, *rows.shape[1:])} if growing else {}
