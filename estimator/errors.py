@@ -15,7 +15,7 @@ MISSHAPEN = (OSError, AttributeError, TypeError, ValueError, LookupError, Arithm
 
 
 class GeometryError(EstimatorError):
-    """A sensor array that is no array: singular, not of unit axes, or with skewed triads."""
+    """An impossible sensor array: singular, axes that are not unit vectors, or skewed triads."""
 
 
 class RecordingError(EstimatorError):
