@@ -38,6 +38,7 @@ def read_json(text: str) -> Any:
 
 
 def _cleaned(value: Any) -> Any:
+    """Return a JSON value with all texts and keys made harmless."""
     if isinstance(value, str):
         return harmless(value)
     if isinstance(value, list):
@@ -50,10 +51,10 @@ def _cleaned(value: Any) -> Any:
 def read_bytes(
     path: Path, error: type[Exception], most_bytes: int = MOST_DATA_BYTES, name: str = "", wanted: str = ""
 ) -> bytes:
-    """Return a file's content; the error given if it is none, cannot be read, or is larger than anybody would make.
+    """Return a file's content; ``error`` if it is not a regular file, cannot be read, or has more than ``most_bytes``.
 
-    ``name`` is what errors call it; by default its path. ``wanted`` says which file a person should give in place of a
-    recording, for instance "a bench file (.toml)"; without it a recording is read like any other file.
+    ``name`` stands for the path in messages. ``wanted`` names the expected file, for instance "a bench file (.toml)": a
+    recording (HDF5) is then refused.
     """
     name = name or str(path)
     try:
@@ -71,7 +72,10 @@ def read_bytes(
 
 
 def read_text(path: Path, error: type[Exception], wanted: str = "a text file") -> str:
-    """Return a text file in UTF-8, with or without byte order mark; lines end with a line feed. As ``read_bytes``."""
+    """Return a UTF-8 text file, with or without byte order mark; line ends become line feeds.
+
+    ``error`` for other encodings and as ``read_bytes``; ``wanted`` names the expected file there.
+    """
     content = read_bytes(path, error, MOST_TEXT_BYTES, wanted=wanted)
     try:
         text = content.decode("utf-8-sig")
