@@ -38,9 +38,10 @@ _LEAST_NOISE_RPS = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Following:
-    """Outputs as a line of the body rate: ``y = [1, w(t - delay_s)] @ rows``, rows (4, m).
+    """Outputs as a linear function of the body rate: ``y = [1, w(t - delay_s)] @ rows``, rows (4, m).
 
-    ``scatter_rps`` (m,) is the usual distance of a mean from it, as a standard deviation; ``turned`` is the body.
+    ``scatter_rps`` (m,) is the usual deviation of a mean from it, as a standard deviation; ``turned`` is the body's
+    motion.
     """
 
     delay_s: float
@@ -50,9 +51,9 @@ class Following:
     means: "_Means"
 
     def follows(self) -> Floats:
-        """Return the share (m,) of the square of each output about its mean that the line explains.
+        """Return the share (m,) of each output's variance that the line explains.
 
-        Intervals that are off by far more than nearly all others are those of a reference that jumps.
+        Intervals that deviate far more than nearly all others are left out: there the reference jumps.
         """
         left = np.abs(self.means.outputs - self.rows[0] - self.means.rates(self.delay_s) @ self.rows[1:])
         shares = np.zeros(left.shape[1])
@@ -73,10 +74,10 @@ class Following:
         return np.asarray(np.cov(known.T, bias=True))
 
     def slow_rows(self) -> Floats:
-        """Return rows (3, m) for motion so slow that neither side's filter matters: beside its first two derivatives.
+        """Return rows (3, m) for slow motion, where filters on either side do not matter: fitted with the rate's
+        derivatives.
 
-        Means of the one side, or a controller that smooths its rates, make the other look more or less sensitive to
-        what is fast.
+        Means, or a controller that smooths its rates, make outputs look more or less sensitive to fast motion.
         """
         means = self.means.longer(max(_SLOW_S, self.means.length_s)) or self.means
         step_s = means.length_s
@@ -101,8 +102,8 @@ class Following:
 class _Means:
     """Mean outputs (n, m) over intervals of ``length_s`` from ``first_s`` (n,) on.
 
-    ``most_rps`` (m,) is how much an interval may be off and count for it.
-    ``gyros`` are the outputs number ``used`` (u,), ``body`` is what turned, both smoothed over the same periods.
+    ``most_rps`` (m,) limits the deviation of an interval that counts. ``gyros`` are the outputs with the indices
+    ``used`` (u,), ``body`` is the body's motion, both smoothed over the same periods.
     """
 
     length_s: float
@@ -117,7 +118,10 @@ class _Means:
     def over(
         cls, length_s: float, gyros: Turned, body: Turned, used: NDArray[np.intp], channels: int
     ) -> "_Means | None":
-        """Return means of outputs, a few thousand intervals of a long recording; None if there are too few."""
+        """Return the means, of a few thousand intervals for a long recording; None if there are too few.
+
+        ``channels`` is the number of gyros; outputs that are not ``used`` are NaN.
+        """
         edges = np.arange(max(gyros.t_s[0], body.t_s[0]), min(gyros.t_s[-1], body.t_s[-1]), length_s)
         if len(edges) <= _FEWEST:
             return None
@@ -150,9 +154,9 @@ class _Means:
 
 
 def _least(columns: Floats, output: Floats, step_s: float) -> Floats:
-    """Return the factors (10,) of [1, rate, first, second differences] (n, 10) that leave least of an output (n,).
+    """Return the least-squares factors (10,) of [1, rate, first, second differences] (n, 10) for an output (n,).
 
-    The second derivative of one swing is the swing itself: what does not tell the two apart counts for the rate.
+    The second derivative of a single swing resembles the swing: what cannot be separated is attributed to the rate.
     """
     size = np.sqrt(np.mean(columns**2, axis=0))
     of_axes = np.max(size[1:].reshape(3, 3), axis=1)  # of the rate, its first and its second differences
@@ -167,7 +171,10 @@ def _least(columns: Floats, output: Floats, step_s: float) -> Floats:
 
 
 def following(data: ImuData, reference: Reference, site: Site | None) -> Following | None:
-    """Return how the outputs of a source follow a reference; None where that tells no rates, or hardly turns."""
+    """Return how the outputs of a source follow a reference; None if the reference gives no rates or hardly turns.
+
+    The delay is searched for on a grid and refined; intervals near the ends of the range, or far off, are left out.
+    """
     body = body_turned(reference, site)
     means = None if body is None else _means(data, body)
     if body is None or means is None:
@@ -195,7 +202,7 @@ def following(data: ImuData, reference: Reference, site: Site | None) -> Followi
 
 
 def body_turned(reference: Reference, site: Site | None) -> Turned | None:
-    """Return by how much a body has turned; None where a reference does not tell that of all instants."""
+    """Return the integrated motion of a body; None if a reference does not give it at all instants."""
     if isinstance(reference, (Turns, Poses)) or len(reference.t_ns) < 2:
         return None
     if by_turns(reference):
@@ -208,6 +215,9 @@ def body_turned(reference: Reference, site: Site | None) -> Turned | None:
 
 
 def _means(data: ImuData, body: Turned) -> _Means | None:
+    """Return the mean outputs of a source and the motion of the body; None if there are too few valid samples or
+    intervals.
+    """
     finite = np.isfinite(data.rate_rps)
     used = np.flatnonzero(finite.mean(axis=0) > 0.5)
     whole = finite[:, used].all(axis=1)
@@ -220,7 +230,7 @@ def _means(data: ImuData, body: Turned) -> _Means | None:
 
 
 def _near_ends(outputs: Floats) -> Flags:
-    """Return which outputs (n, m) are near the ends of their range."""
+    """Return as flags (n, m) which outputs are near the ends of their range."""
     near = np.zeros(outputs.shape, dtype=np.bool_)
     for gyro, own in enumerate(outputs.T):
         known = own[np.isfinite(own)]
@@ -231,9 +241,9 @@ def _near_ends(outputs: Floats) -> Flags:
 
 
 def _line(means: _Means, delay_s: float, fits: Flags) -> tuple[Floats, Floats, Floats]:
-    """Return rows (4, m) by least squares of the intervals that fit, what they leave of all (n, m), and weights (n,).
+    """Return rows (4, m) by least squares over the intervals ``fits``, the residuals of all (n, m), and weights (n,).
 
-    An interval that turns faster than nearly all others counts as those: a reference that jumps has no more weight.
+    Intervals that turn faster than nearly all others get less weight, so that a reference that jumps has no more.
     """
     w = means.rates(delay_s)
     known = np.isfinite(w).all(axis=1)
@@ -257,7 +267,9 @@ def _line(means: _Means, delay_s: float, fits: Flags) -> tuple[Floats, Floats, F
 
 
 def _loss(means: _Means, delay_s: float, fits: Flags) -> float:
-    """Return what a delay leaves: the logarithm of the mean square, no more than ``most`` each, the mean over gyros."""
+    """Return the loss of a delay: the log of the mean square residual, each limited to ``most_rps``, averaged over
+    gyros.
+    """
     _, left, weight = _line(means, delay_s, fits)
     counts = fits & np.isfinite(left)
     sizes = np.minimum(np.where(counts, np.abs(left) * weight[:, None], 0.0), means.most_rps)
@@ -267,6 +279,7 @@ def _loss(means: _Means, delay_s: float, fits: Flags) -> float:
 
 
 def _refined(means: _Means, delay_s: float, fits: Flags) -> float:
+    """Return the delay of least loss near ``delay_s``."""
     from scipy.optimize import minimize_scalar
 
     found = minimize_scalar(
@@ -279,7 +292,9 @@ def _refined(means: _Means, delay_s: float, fits: Flags) -> float:
 
 
 def _quantile(left: Floats, inner: Flags, share: float) -> Floats:
-    """Return the distance (m,) from the line within which such a share of the intervals is."""
+    """Return the distance (m,) from the line within which the ``share`` of the intervals lies; infinite without
+    intervals.
+    """
     found = np.full(left.shape[1], np.inf)
     for gyro, own in enumerate(left.T):
         known = own[inner[:, gyro] & np.isfinite(own)]
@@ -289,9 +304,9 @@ def _quantile(left: Floats, inner: Flags, share: float) -> Floats:
 
 
 def _nearer(means: _Means, delay_s: float, left: Floats, inner: Flags, distance: Floats) -> Flags:
-    """Return which intervals (n, m) are no farther from the line than a distance (m,), or a share of their rate.
+    """Return as flags (n, m) which intervals are within ``distance`` (m,) of the line, or within a share of their rate.
 
-    Without that share a body that rests most of the time, and turns for moments, would be judged by its rests alone.
+    The share is for a body that mostly rests and turns briefly: otherwise its rests alone would decide.
     """
     speed = np.linalg.norm(means.rates(delay_s), axis=1)
     allowed = np.maximum(distance, _ALLOWED * np.nan_to_num(speed)[:, None])

@@ -11,7 +11,7 @@ _STILL_DPS = 0.5
 
 
 def holds_for(recording: Recording) -> str:
-    """Return rates and directions that were gone through, temperatures, and times since the start."""
+    """Return a text on the rates, directions, temperatures and times after the start that a recording covers."""
     ranges = [_limits(np.degrees(rate)) for rate in _rates_rps(recording)]
     if max(max(-low, high) for low, high in ranges) < _STILL_DPS:
         said = ["rest"]
@@ -28,7 +28,7 @@ def holds_for(recording: Recording) -> str:
 
 
 def _rates_rps(recording: Recording) -> list[Floats]:
-    """Return the rates (k,) about x, y, z: of a table about its own axes."""
+    """Return the rates (k,) about x, y, z; for a table those of its axes."""
     reference = recording.reference
     if isinstance(reference, TableReadings):
         of_axis = dict(zip(reference.gimbals, reference.rate_rps.T, strict=True))

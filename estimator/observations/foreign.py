@@ -32,7 +32,7 @@ def at_rest(reference: Reference) -> TypeGuard[RateReadings]:
 
 
 def foreign_motion_notes(recording: Recording) -> list[str]:
-    """Return what the motion that a rate or an attitude shows leaves unseen, in words."""
+    """Return sentences on what the motion measured by a rate or attitude reference leaves unobserved."""
     reference = recording.reference
     if at_rest(reference):
         return [sentence("observations.rests_only")]
@@ -51,9 +51,9 @@ def foreign_motion_notes(recording: Recording) -> list[str]:
 
 
 def sparse_doubts(recording: Recording) -> list[str]:
-    """Return, in words, that a rate is read too seldom to say how the body turned between its readings.
+    """Return a sentence if a rate reference is read too seldom to give the motion between its readings.
 
-    The gyros themselves, read at its instants only, are compared with all that they put out.
+    The gyros' own data, sampled at its instants only, are compared with all of them.
     """
     reference = recording.reference
     if not isinstance(reference, RateReadings) or at_rest(reference):

@@ -16,7 +16,7 @@ _UNSTATED_S = 0.02
 
 @dataclass(frozen=True, slots=True)
 class TimeOffset:
-    """By how much samples lie later than the readings of the table, in s, with its standard uncertainty.
+    """By how much samples are later than the readings of the table, in s, with its standard uncertainty.
 
     A delay within the gyros is part of it.
     """

@@ -25,12 +25,11 @@ _CHANGED = 8.0  # the same, by which outputs should have changed while one stuck
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Beside:
-    """Mean outputs (n, m) of a source at instants (n,) in s, and what they should be (n, m), NaN where unknown.
+    """Mean outputs (n, m) of a source at instants (n,) in s, and their expected values (n, m), NaN where unknown.
 
-    ``scatter_rps`` (m,) is how much they differ from that, one sigma; ``turned_rps`` (m,) the rms of the rate about
-    each sense axis as far as it is known. ``slopes`` (m,) are those of all outputs over that rate. ``line`` is how the
-    outputs follow where nothing is wrong, None beside turns and rests.
-    ``table``: the reference is one.
+    ``scatter_rps`` (m,) is their deviation, one sigma; ``turned_rps`` (m,) the rms of the rate about each sense axis as
+    far as it is known. ``slopes`` (m,) are those of all outputs over that rate. ``line`` is how the outputs follow the
+    reference, None for turns and rests. ``table``: the reference is a table.
     """
 
     t_s: Floats
@@ -45,7 +44,7 @@ class Beside:
 
     @classmethod
     def of(cls, data: ImuData, reference: Reference, site: Site | None, line: Following | None) -> "Beside":
-        """Return that of a source in order of time; ``line`` is how it follows the reference."""
+        """Return the comparison for a source in order of time; ``line`` is how it follows the reference."""
         t_s, outputs = _thinned(data)
         m = len(data.array)
         limits: Sequence[Sequence[Limit]]
@@ -80,7 +79,9 @@ class Beside:
         return bool(self.turned_rps[gyro] > 0)
 
     def dead(self, gyro: int) -> bool:
-        """Return whether an output has nothing to do with the rate while those of other gyros follow it."""
+        """Return whether an output is independent of the rate while those of other gyros follow it; False without a
+        line.
+        """
         if self.line is None:
             return False
         size = np.linalg.norm(self.line.rows[1:], axis=0)
@@ -109,7 +110,7 @@ class Beside:
 
 
 def _slopes(outputs: Floats, turned: Floats) -> Floats:
-    """Return the slope (m,) of each output (n, m) over the rate about its sense axis (n, m); 0 where that rests."""
+    """Return the slope (m,) of each output (n, m) over the rate about its sense axis (n, m); 0 without rotation."""
     slopes = np.zeros(outputs.shape[1])
     for gyro, (output, rate) in enumerate(zip(outputs.T, turned.T, strict=True)):
         known = np.isfinite(output) & np.isfinite(rate)
@@ -128,7 +129,7 @@ def _median(values: Floats) -> float:
 
 
 def _thinned(data: ImuData) -> tuple[Floats, Floats]:
-    """Return instants (n,) in s and outputs (n, m) as means of so many neighbours that there are not too many."""
+    """Return instants (n,) in s and outputs (n, m), averaged over neighbours to a limited number of rows."""
     t_s = np.asarray(data.t_ns * 1e-9, dtype=np.float64)
     width = -(-len(t_s) // _MOST)
     if width <= 1:
@@ -141,7 +142,9 @@ def _thinned(data: ImuData) -> tuple[Floats, Floats]:
 
 
 def _turned(data: ImuData, reference: Reference) -> Floats:
-    """Return the rms (m,) of the rate about each sense axis where only turns or other gyros tell it; 0 if unknown."""
+    """Return the rms (m,) of the rate about each sense axis, for turns and for rests with turns by hand; 0 if
+    unknown.
+    """
     if isinstance(reference, Turns):
         seconds = np.maximum((reference.t_end_ns - reference.t_start_ns) * 1e-9, 1e-9)[:, None]
         return np.asarray(np.sqrt(np.mean((reference.turn_rad / seconds @ data.array.p.T) ** 2, axis=0)))

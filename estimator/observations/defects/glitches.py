@@ -25,7 +25,10 @@ _USUAL, _SIGMAS = 0.9, 1.645  # quantile of the differences that tells what is u
 
 
 def without_glitches(recording: Recording, data: ImuData, line: Following) -> tuple[Recording, list[str]]:
-    """Return a recording without the readings of its reference that are wrong for moments, and what is to be told."""
+    """Return a recording without the reference readings that are wrong for moments, and notes on them.
+
+    The recording is unchanged if the reference does not allow this, if there are none, or if too many differ.
+    """
     reference = recording.reference
     if not by_turns(reference) or len(line.turned.t_s) < 3 or not np.isfinite(data.rate_rps).any():
         return recording, []
@@ -63,9 +66,9 @@ def _times(count: int) -> str:
 
 
 def _differences(data: ImuData, line: Following) -> tuple[Floats, Floats]:
-    """Return by how much the reference turns more than the gyros say in each interval (k - 1, 3), and the rate there.
+    """Return the excess turn (k - 1, 3) of the reference over the gyros in each interval, and the rate there.
 
-    NaN where one of them is not known.
+    NaN where either is unknown.
     """
     turned = line.turned
     gains = line.rows[1:]
@@ -83,7 +86,9 @@ def _differences(data: ImuData, line: Following) -> tuple[Floats, Floats]:
 
 
 def _far(off_rad: Floats, speed_rps: Floats) -> Flags:
-    """Return which differences (n, 3) are far beyond those usual at such a rate: at rest, and what grows with it."""
+    """Return as flags which differences (n, 3) far exceed those usual at their rate: at rest, and in proportion to the
+    rate.
+    """
     size = np.linalg.norm(off_rad, axis=1)
     known: Flags = np.isfinite(size)
     if not known.any():
@@ -97,7 +102,7 @@ def _far(off_rad: Floats, speed_rps: Floats) -> Flags:
 
 
 def _places(far: Flags, t_s: Floats) -> list[tuple[int, int]]:
-    """Return where readings are wrong, as first and one past the last interval; near ones are one place."""
+    """Return the places of wrong readings as (first interval, one past the last); neighbouring ones are one place."""
     places: list[tuple[int, int]] = []
     for start, stop in runs_of(far):
         if places and t_s[start] - t_s[places[-1][1]] < _TOGETHER_S:

@@ -26,7 +26,7 @@ _TOP = 0.05  # share of the range within which a limit lies of the largest outpu
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """A level in rad/s, on which side (+1, -1) outputs do not pass it, and by how much they vary there."""
+    """A level in rad/s that outputs do not exceed on one side (+1, -1), and their variation there."""
 
     level_rps: float
     side: float
@@ -40,7 +40,7 @@ class Limit:
 
 
 def limits_of(output: Floats, expected: Floats, scatter_rps: float) -> list[Limit]:
-    """Return the limits of outputs (n,) that should be as ``expected`` (n,) to ``scatter_rps``, one sigma."""
+    """Return the limits of outputs (n,) whose expected values (n,) are known to ``scatter_rps``, one sigma."""
     known = np.isfinite(output) & np.isfinite(expected)
     output, expected = output[known], expected[known]
     if len(output) < _WITHOUT_SPIKES:
@@ -64,7 +64,7 @@ def _without_spikes(values: Floats) -> Floats:
 
 
 def _upper(output: Floats, expected: Floats, scatter: float) -> tuple[float, float] | None:
-    """Return the upper limit of outputs (n,) about their median, and its width; None if there is none."""
+    """Return the upper limit of outputs (n,) relative to their median, and its width; None if there is none."""
     top = float(output.max())
     beyond = expected > top + _BEYOND * scatter
     if beyond.sum() < _FEWEST:

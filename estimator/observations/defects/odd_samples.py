@@ -19,7 +19,11 @@ _MORE_OFTEN, _SHARE = 10, 0.2  # than with the one before the last, and of all r
 def without_odd(
     what: str, t_s: Floats, values: Floats, names: tuple[str, ...] = ()
 ) -> tuple[NDArray[np.intp], list[str]]:
-    """Return the rows (k,) of values (n, c) at ``t_s`` (n,) that are samples, and what is to be told of the others."""
+    """Return the rows (k,) of values (n, c) at ``t_s`` (n,) that are neither spikes nor repetitions, and notes on the
+    others.
+
+    ``what`` and ``names`` of the columns are for the notes.
+    """
     far = np.column_stack([spikes(column) for column in values.T]) if values.size else np.zeros(values.shape, bool)
     spiked, again = np.asarray(far.any(axis=1)), repeats(values)
     own = ", ".join(name for name, column in zip(names, far.T, strict=False) if column.any())
@@ -34,11 +38,11 @@ def without_odd(
 
 
 def spikes(column: Floats) -> Flags:
-    """Return which values (n,) are far from neighbours that agree.
+    """Return as flags (n,) which values are far from neighbours that agree with each other.
 
-    Values that stand for several rows count as one. What is usual is the median of the distances on the side where they
-    are larger, so that a motion that begins is none; and spikes stand apart: a tail of noise or of shaking has
-    more values half as far.
+    Values that stand for several rows count once. The usual distance is the median on the side where it is larger, so
+    that the beginning of a motion is not a spike. If many values are half as far, as in a tail of noise or shaking,
+    none is.
     """
     flags = np.zeros(len(column), dtype=np.bool_)
     steps = np.abs(np.diff(column))

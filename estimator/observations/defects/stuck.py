@@ -13,7 +13,10 @@ _OTHERWISE_RPS = float(np.radians(1.0))
 
 
 def stuck_doubts(recording: Recording) -> list[str]:
-    """Return, in words, which sources of a recording against a table were stuck, and when."""
+    """Return sentences on the sources that repeated old samples while the table turned differently, and when.
+
+    Empty without a table.
+    """
     if not isinstance(recording.reference, TableReadings):
         return []
     doubts, rates = [], None
@@ -33,7 +36,9 @@ def stuck_doubts(recording: Recording) -> list[str]:
 
 
 def _seen_before(data: ImuData) -> Flags:
-    """Return which samples (n,) of all gyros are, to the bit, those of a moment before; not those all at a limit."""
+    """Return as flags (n,) which samples equal, bit by bit, those of a moment before; samples all at a limit do not
+    count.
+    """
     values = np.ascontiguousarray(data.rate_rps, dtype=np.float64)
     bits = values.view(np.int64)
     key = (bits * np.arange(0x9E3779B97F4A7C1, 0x9E3779B97F4A7C1 + 2 * bits.shape[1], 2)).sum(axis=1)
