@@ -41,13 +41,16 @@ def calibrate(
     model: ErrorModel | None = None,
     excluded: frozenset[str] | None = None,
 ) -> Calibration:
-    """Return the batch estimate of every gyro under its data sheet's prior, the noise taken from the data.
+    """Return the batch estimate of the states of every gyro under its data sheet's prior, with the noise taken from the
+    data.
 
-    The noise may be coloured (``estimator.estimation.noise_evidence``). The offset in time of each source
-    is estimated too; against another instrument sigmas hold errors that hang together. ``innovations`` also gives the
-    mean NIS, else that is NaN. With a ``model`` its effects are estimated with the states, and what the recording does
-    not show of them is in the sigmas. Without one ``excluded`` names the effects of the catalogue that device and table
-    do not have: what the others could do to the states unseen is in the sigmas then; None leaves that out.
+    The noise may be coloured (``estimator.estimation.noise_evidence``). The time offset of each source against the
+    reference is estimated too, unless the body is at rest, the reference is turns or poses, or the model holds a delay.
+    Where the reference is another instrument, the sigmas allow for errors that are correlated. ``innovations`` also
+    computes the mean NIS, which is NaN otherwise. With a ``model`` its effects are estimated together with the states,
+    and the sigmas hold what the recording does not show of them. Without a model, ``excluded`` names the effects of the
+    catalogue that device and table do not have: the sigmas then hold what the other effects could do to the states
+    unseen. With None the sigmas leave that out.
 
     Raises RecordingError if a source has no samples that the reference covers, no gyro can be estimated, or memory does
     not suffice; ModelError if the recording lacks what the model needs.
@@ -106,9 +109,11 @@ def _gyro_notes(recording: Recording, gyros: Sequence[tuple[SourceEstimate, Gyro
 
 
 def _usable(recording: Recording) -> tuple[Recording, Sources, list[str], tuple[Excluded, ...]]:
-    """Return a recording without what its reference says wrong, its sources with what can be used of each, notes.
+    """Return (recording, sources, notes, excluded gyros) after the examination of the data.
 
-    Notes are on these and their motion; beside come the gyros that were left out.
+    The recording comes without the readings that its reference has wrong. The sources are pairs of name and usable
+    data: a source may give several parts. The notes cover what was left out, the motion, and the motion that another
+    instrument reports. Raises RecordingError with the reasons if no gyro is left, and if memory does not suffice.
     """
     check_estimating(recording)
     seen = examined(recording)
@@ -132,7 +137,8 @@ def _devices(
 ) -> list[DeviceEstimate]:
     """Return the estimates of all devices, in the order of their sources.
 
-    RecordingError where there is none, with the ``defective`` gyros that were left out: they may be why.
+    Raises RecordingError where a device cannot be estimated; except for TooShort the message then also names the
+    ``defective`` gyros that were left out, because they may be the reason.
     """
     found = []
     for device in dict.fromkeys(data.device for _, data in sources):
@@ -150,7 +156,11 @@ def _devices(
 def _device(
     recording: Recording, sources: Sources, model: ErrorModel | None, excluded: frozenset[str] | None
 ) -> DeviceEstimate:
-    """Return the estimate of the sources of one device, under white noise where there is too little for more."""
+    """Return the estimate of the sources of one device, by the method that the reference allows.
+
+    Poses are estimated from gravity, turns without a model under white noise, all others under coloured noise. Where
+    there is too little data for coloured noise, white noise is used instead; with a model TooShort is raised.
+    """
     if isinstance(recording.reference, Poses):
         return estimate_laid(recording.reference, sources)
     if not isinstance(recording.reference, Turns) or model is not None:
@@ -163,7 +173,11 @@ def _device(
 
 
 def _gyros(recording: Recording, found: SourceEstimate) -> list[GyroCalibration]:
-    """Return the gyros of a source, the table's own uncertainty and the noise of its rests beside what was found."""
+    """Return the calibration of each gyro of a source, with the table's own uncertainty and the noise at rest added.
+
+    The uncertainty of the table is added only for table readings. A line that the estimate holds already (the time
+    offset) replaces the line of that name which the table states.
+    """
     reference, data, m = recording.reference, found.data, len(found.data.array)
     table: list[tuple[Contribution, ...]] = [()] * m
     rests: list[SensorNoise | None] = [None] * m
@@ -196,7 +210,7 @@ def _gyros(recording: Recording, found: SourceEstimate) -> list[GyroCalibration]
 
 
 def _parity(estimates: Sequence[SourceEstimate], gyros: Sequence[GyroCalibration]) -> list[GyroParity]:
-    """Return the parity check of the gyros of a device, none where there are no blocks to check."""
+    """Return the parity check of the gyros of a device; an empty list if a source has no block means to check."""
     blocks = [one.blocks for one in estimates if one.blocks is not None]
     if len(blocks) < len(estimates):
         return []
@@ -207,9 +221,10 @@ def _parity(estimates: Sequence[SourceEstimate], gyros: Sequence[GyroCalibration
 
 
 def _mean_nis(recording: Recording, model: ErrorModel | None, estimates: Sequence[SourceEstimate]) -> float:
-    """Return the mean NIS, see ``filter_nis``; where no filter can be run, that of block means about the estimate.
+    """Return the mean NIS of the live filter (``filter_nis``), or that of the block means where no filter can be run.
 
-    These have the scatter of single samples for a sigma. NaN where there are no blocks either.
+    The latter is the mean square of the block means about the estimate, over the scatter of single samples as their
+    sigma. NaN where there are no blocks either.
     """
     nis = filter_nis(recording, model)
     if nis is not None:
@@ -224,7 +239,7 @@ def _block_squares(estimates: Sequence[SourceEstimate]) -> tuple[float, int]:
 
 
 def _scatter_doubts(estimates: Sequence[SourceEstimate]) -> list[str]:
-    """Return, in words, that block means scatter otherwise than the noise found makes them, if they do."""
+    """Return a sentence if the block means scatter otherwise than the estimated noise predicts, else an empty list."""
     squares, dof = _block_squares(estimates)
     if not dof or not np.isfinite(squares):
         return []
@@ -239,6 +254,10 @@ def _scatter_doubts(estimates: Sequence[SourceEstimate]) -> list[str]:
 
 
 def _parity_notes(checks: list[GyroParity]) -> list[str]:
+    """Return one sentence on gyros that disagree, an empty list if none is suspect.
+
+    It names the worst gyro if the check can tell it apart from the others, else all suspects.
+    """
     suspects = [check for check in checks if check.suspect]
     if not suspects:
         return []

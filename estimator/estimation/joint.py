@@ -54,7 +54,11 @@ _BLOCK_ROWS = 4  # fewer samples do not tell their scatter
 
 
 def check_model(model: ErrorModel, recording: Recording) -> None:
-    """See that a recording can show the effects of a model at all; ModelError if not."""
+    """Check that the reference of a recording can show effects at all.
+
+    Raises ModelError for poses, and for turns with an effect that acts within turns or fewer than ``FEWEST_TURNS``
+    turns. For all other references it does nothing.
+    """
     if isinstance(recording.reference, Poses):
         raise ModelError(f"{recording.name}: effects cannot be estimated from gravity between rests. Leave out --model")
     if not isinstance(recording.reference, Turns):
@@ -78,12 +82,12 @@ def is_external(recording: Recording) -> bool:
 def estimate_device(
     recording: Recording, sources: Sources, model: ErrorModel | None, excluded: frozenset[str] | None
 ) -> DeviceEstimate:
-    """Return the estimate of the sources of one device.
+    """Return the estimate of the sources of one device under coloured noise.
 
-    ``model`` holds effects that are estimated beside the states. ``excluded`` are effects of the catalogue that the
-    device and its table do not have; None for all. The offset in time between the reference and each source is
-    estimated with the states, but for a body at rest, and for a model that holds a delay. Errors of another
-    instrument's reference may hang together over 5 s, which the covariances hold.
+    ``model`` holds effects that are estimated with the states. ``excluded`` are effects of the catalogue that device
+    and table do not have; the others then widen the sigmas. None, or a model, leaves this out. The time offset between
+    the reference and each source is estimated with the states, except at rest, for turns, and with a model that holds a
+    delay. For the reference of another instrument the covariances allow for errors correlated over 5 s.
 
     Raises ModelError for a model that needs what the recording lacks, TooShort for too little data.
     """
@@ -132,9 +136,10 @@ def _by_another(runs: Sequence[Run]) -> bool:
 
 
 def _further(joint: Joint, whole: Joint, found: Undeclared) -> list[tuple[Contribution, ...]]:
-    """Return by gyro the lines of undeclared effects that move no state of an estimate: they only widen it.
+    """Return by gyro the budget lines of undeclared effects that only widen the estimate and move none of its states.
 
-    ``whole`` is the estimate with those of them that the recording holds.
+    ``whole`` is the estimate with all undeclared laws that the recording can show; where it is ``joint`` itself, it
+    gives no lines. The laws that are merely assumed add the line ``UNMEASURED``.
     """
     lines: list[tuple[Contribution, ...]] = [()] * len(joint.means)
     if whole is not joint:
@@ -147,9 +152,10 @@ def _further(joint: Joint, whole: Joint, found: Undeclared) -> list[tuple[Contri
 
 
 def _beside_earth(joint: Joint, stated: NoiseModel | None) -> Joint:
-    """Return an estimate that knows of Earth rate on a table of no stated site: turning the body changes what is seen.
+    """Return an estimate in which Earth rate is fitted too, for a table whose site is not stated: it appears as the
+    body turns.
 
-    It is that of the recording itself where a site is stated.
+    Returns ``joint`` itself where a site is stated, there is no table, or Earth rate is fitted already.
     """
     grid = joint.runs[0].grid
     if grid.site is not None or not grid.gimbals or any(law.effect.record is EARTH_RATE for law in joint.laws):
@@ -161,10 +167,11 @@ def _beside_earth(joint: Joint, stated: NoiseModel | None) -> Joint:
 def _aligned(
     recording: Recording, sources: Sources, model: ErrorModel | None
 ) -> tuple[Sources, dict[str, float], list[Law], Joint, list[str]]:
-    """Return sources with their stamps moved to those of the reference, by how much, the laws, the estimate, and notes.
+    """Return (sources with stamps moved to the reference's, seconds moved by source, laws, estimate, notes).
 
-    Gauss-Newton, from where the motion of both is most alike: the offsets that are found are taken off the stamps, and
-    estimated again until they settle.
+    Gauss-Newton iteration from the offset at which the motions of both match best: each offset found is subtracted from
+    the stamps and estimated again until it changes no more. A note names each source that has not settled after
+    ``_MOST_STEPS``. At rest, for turns and with a model that holds a delay nothing is moved.
     """
     # A model that holds a delay tells it itself.
     timed = not at_rest(recording.reference) and not isinstance(recording.reference, Turns)
@@ -211,7 +218,11 @@ def _shifted(sources: Sources, delays_s: Mapping[str, float]) -> Sources:
 
 
 def effect_notes(gyros: Sequence[GyroCalibration]) -> list[str]:
-    """Return which effects of the model a recording did not show, in words."""
+    """Return, in sentences, which effects of the model the recording did not show, by the gyros concerned.
+
+    An effect that all gyros share is never named. An effect counts as not shown if the sigma of a parameter is hardly
+    below the expected one.
+    """
     unseen: dict[str, list[str]] = {}
     for gyro in gyros:
         for name in dict.fromkeys(value.effect for value in gyro.effects if not value.shared):
@@ -227,6 +238,12 @@ def effect_notes(gyros: Sequence[GyroCalibration]) -> list[str]:
 
 
 def _run(recording: Recording, number: int, source: str, data: ImuData) -> Run:
+    """Return a source as a run, its gyros prefixed with the source's number because two sources may have the same
+    names.
+
+    At rest the body rate is set to zero: Earth rate is too slow to tell k from other effects. Raises TooShort if there
+    are too few blocks.
+    """
     # Two sources may have gyros of the same names.
     named = replace(data, array=replace(data.array, names=tuple(f"{number} {name}" for name in data.array.names)))
     run = run_of(recording, source, named)
@@ -238,6 +255,10 @@ def _run(recording: Recording, number: int, source: str, data: ImuData) -> Run:
 
 
 def _model_laws(model: ErrorModel | None, recording: Recording, runs: Sequence[Run]) -> list[Law]:
+    """Return the effects of a model as laws for the axes and quantities that all runs offer; none without a model.
+
+    Raises ModelError, with the name of the recording, if the runs lack what an effect needs.
+    """
     if model is None:
         return []
     try:
@@ -255,7 +276,11 @@ def _hz(known: KnownEffect) -> float | None:
 
 
 def _delay_law(recording: Recording, source: str, taken_off_s: float) -> Law:
-    """Return the offset of a source from where it is expected, of which so much is taken off already."""
+    """Return the law of the time offset of a source, of which ``taken_off_s`` beyond the expected offset was
+    subtracted.
+
+    For a table with stated uncertainty its sigma and budget line are those of the table's timing.
+    """
     reference, sd_s, line = recording.reference, expected_sd_s(), ""
     if isinstance(reference, TableReadings):
         stated = reference.uncertainty
@@ -272,7 +297,9 @@ def _delay_law(recording: Recording, source: str, taken_off_s: float) -> Law:
 
 
 def _delays(joint: Joint, covariances: Sequence[Floats]) -> dict[str, tuple[float, float]]:
-    """Return by source the delay that is left, and its standard deviation; it is the same for every gyro."""
+    """Return by source the delay that is left in s and its standard deviation; it is the same for every gyro of the
+    source.
+    """
     found = {}
     for number, law in enumerate(joint.laws):
         if law.called == _DELAY:
@@ -284,7 +311,10 @@ def _delays(joint: Joint, covariances: Sequence[Floats]) -> dict[str, tuple[floa
 
 
 def _offset_notes(recording: Recording, offsets: dict[str, TimeOffset], external: bool) -> list[str]:
-    """Return offsets that are beyond chance and, of a table, beyond what is stated of its timing, in words."""
+    """Return, in sentences, the time offsets that are beyond chance and, of a table, beyond its stated timing.
+
+    Table readings without a stated uncertainty give no note. Equal sentences are given once.
+    """
     stated = recording.reference.uncertainty if isinstance(recording.reference, TableReadings) else None
     notes = []
     for source, found in offsets.items():
@@ -309,9 +339,12 @@ def _estimated(
     block_s: float,
     offset: TimeOffset | None,
 ) -> SourceEstimate:
-    """Return the estimate of a source; ``doubt`` by gyro: covariances, and further lines of the budget.
+    """Return the estimate of source ``number`` out of the joint estimate.
 
-    Against a table or a rate it has the innovations of its means over blocks of so many seconds.
+    ``doubt`` holds by gyro the covariances, and further lines of the budget or None. For table and rate references,
+    unless the reference is too coarse for few gyros, the result has blocks of ``block_s`` for the parity check, less
+    what the effects explain. Its noise and scatter come from single samples if the reference is fine enough for that,
+    else from the run's block means.
     """
     run, gyros, m = joint.runs[number], joint.gyros_of(number), len(data.array)
     covariances, further = doubt
@@ -376,7 +409,10 @@ def _block_s(data: ImuData) -> float:
 
 
 def _sample_noise_of(blocks: Blocks, data: ImuData, x: Floats) -> Floats:
-    """Return the scatter of single samples within blocks (m,), in rad/s, about the states x (m, 4)."""
+    """Return the scatter of single samples within blocks (m,), in rad/s, about the states x (m, 4).
+
+    At least a thousandth of ``sample_noise``.
+    """
     array = data.array
     maps = regressor_maps(array)[:, :, 1:]
     rows = max(int(blocks.rows.sum()) - len(blocks.rows), 1)
@@ -389,7 +425,11 @@ def _sample_noise_of(blocks: Blocks, data: ImuData, x: Floats) -> Floats:
 
 
 def _lines(joint: Joint, covariance: Floats) -> tuple[Contribution, ...]:
-    """Return what makes up the covariance of the states: noise, and what would be gone if laws of a line were known."""
+    """Return the contributions to the covariance (4, 4) of the states: noise first, then each line that the laws name.
+
+    The contribution of a line is what would vanish if its laws were known. Lines are taken one after the other, so that
+    what two laws can only tell together counts once.
+    """
     known: list[int] = []
     known_before, lines = np.zeros((4, 4)), []
     for name in dict.fromkeys(law.line for law in joint.laws if law.line):
@@ -403,7 +443,11 @@ def _lines(joint: Joint, covariance: Floats) -> tuple[Contribution, ...]:
 
 
 def _values(joint: Joint, shares: Floats, covariance: Floats) -> tuple[EffectValue, ...]:
-    """Return the effects of an error model as found on a gyro."""
+    """Return the parameters of the model's effects as estimated on a gyro, in their own units.
+
+    ``shares`` are the parameters in units of their expected sigma, ``covariance`` that of [states, laws]. Laws that are
+    not of the model (``EFFECTS``) are left out.
+    """
     doubts = np.sqrt(np.diag(covariance)[4:])
     edges = np.cumsum([0, *(len(law.sd) for law in joint.laws)]).tolist()
     return tuple(
@@ -423,9 +467,10 @@ def _values(joint: Joint, shares: Floats, covariance: Floats) -> tuple[EffectVal
 
 
 def _clustered(joint: Joint) -> tuple[list[Floats], list[str]]:
-    """Return covariances by gyro that hold for residuals correlated within clusters (Liang, Zeger 1986), and notes.
+    """Return the covariances by gyro for residuals correlated within clusters (Liang, Zeger 1986), and notes.
 
-    No direction gets less than the covariance under coloured noise.
+    No direction gets less than its covariance under coloured noise. With fewer clusters than ``FEWEST_CLUSTERS`` the
+    covariances stay as they are, which a note says. Another note gives the increase of the sigmas if it is large.
     """
     runs, n, whole = joint.runs, len(joint.means), len(joint.means[0])
     own = 4 + sum(len(law.sd) for law in joint.laws if not law.effect.shared)

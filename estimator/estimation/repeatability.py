@@ -20,9 +20,9 @@ _OUTSIDE = 0.05  # of the interval of a ratio
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Repeatability:
-    """States of one gyro over ``runs`` runs, each (4,): mean, scatter, expected scatter, what is between runs.
+    """States of one gyro over ``runs`` runs, each (4,): mean, scatter, expected scatter, scatter between runs.
 
-    ``differs``: scatter that chance gives in less than one of a thousand such sets.
+    ``differs`` marks a scatter that chance gives in less than one of a thousand such sets.
     """
 
     name: str
@@ -35,7 +35,11 @@ class Repeatability:
 
 
 def repeatability(runs: Sequence[Sequence[GyroCalibration]]) -> list[Repeatability]:
-    """Return how each gyro repeats over two runs or more of one device; gyros that are not in all are left out."""
+    """Return how well each gyro repeats over two or more runs of one device; gyros that are not in all runs are left
+    out.
+
+    The expected scatter is that of the noise alone (type A): the errors of a table are the same in all runs.
+    """
     names = [gyro.name for gyro in runs[0] if all(any(g.name == gyro.name for g in run) for run in runs)]
     found = []
     for name in names:
@@ -59,9 +63,10 @@ def repeatability(runs: Sequence[Sequence[GyroCalibration]]) -> list[Repeatabili
 
 
 def between_runs(states: Floats, sd: Floats) -> Floats:
-    """Return the standard deviation (4,) of what is between runs of a device, from those of its gyros (runs, n, 4).
+    """Return the standard deviation (4,) between the runs of a device, from states and sigmas of its gyros (runs, n,
+    4).
 
-    Zero where chance would give as much.
+    Zero where chance gives as much scatter.
     """
     dof = states.shape[1] * (len(states) - 1)
     squares, spread = np.sum(_moments(states, sd), axis=1)
@@ -72,12 +77,18 @@ def between_runs(states: Floats, sd: Floats) -> Floats:
 def gauge_study(values: Floats, sd: Floats, parts: Sequence[str], conditions: Sequence[str]) -> dict[str, Floats]:
     """Return standard deviations (states,) from values and their stated sigmas (runs, states), some runs repeated.
 
-    ``repeatability``: one part, one condition, of ``dof`` degrees of freedom; ``reproducibility``: between conditions;
-    ``parts``: between those; NaN where the runs do not tell. ``grr``: the first two in the total. ``ratio``:
-    repeatability over rms sigma; ``ratio_low``, ``ratio_high``: its 95 % interval (chi-square; Satterthwaite).
+    ``parts`` and ``conditions`` label the runs. Keys of the result:
 
-    Random effects by the method of moments (Henderson 1953, method 1); of equal counts the two-way ANOVA of AIAG,
-    Measurement Systems Analysis, 4th ed., III.B. An interaction not above zero counts as repeatability.
+    - ``repeatability``: within one part and condition, with ``dof`` degrees of freedom
+    - ``reproducibility``: between conditions
+    - ``parts``: between parts
+    - ``grr``: share of the first two in the total
+    - ``ratio``: repeatability over the rms sigma; ``ratio_low``, ``ratio_high``: its 95 % interval (chi-square;
+      Satterthwaite)
+
+    A value is NaN where the runs do not tell it. Random effects by the method of moments (Henderson 1953, method 1);
+    with equal counts this is the two-way ANOVA of AIAG, Measurement Systems Analysis, 4th ed., III.B. An interaction
+    that is not above zero counts as repeatability.
     """
     from scipy.stats import chi2
 

@@ -35,9 +35,10 @@ _LEAST_RPS = 1e-12
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class _Measured:
-    """Blocks (B,) from ``origin_s`` on: number, mean body rate (B, 3), output error (B, m), whether they are ``full``.
+    """Block means: ``index`` (B,) are block numbers counted from ``origin_s``, blocks last ``length_s``.
 
-    ``past_rps`` gives their body rate (B, 3) some seconds ago, NaN where it is not known.
+    ``w_rps`` (B, 3) is the mean body rate, ``z_rps`` (B, m) the mean output error, ``full`` (B,) whether the block
+    holds enough samples. ``past_rps`` gives the body rates (B, 3) a number of seconds ago, NaN where unknown.
     """
 
     origin_s: float
@@ -50,7 +51,10 @@ class _Measured:
 
 
 def means_by_samples(recording: Recording, data: ImuData, block_s: float) -> _Measured | None:
-    """Return means over samples, the body rate at each of them."""
+    """Return block means over samples, with the body rate of a table at each sample; None if no sample is covered.
+
+    ``past_rps`` averages the rate over groups of neighbouring samples, which is faster.
+    """
     reference = recording.reference
     assert isinstance(reference, TableReadings)
     period_s = float(np.median(np.diff(data.t_ns))) * 1e-9
@@ -94,7 +98,11 @@ def means_by_samples(recording: Recording, data: ImuData, block_s: float) -> _Me
 
 
 def means_by_turns(recording: Recording, data: ImuData, block_s: float) -> _Measured | None:
-    """Return mean rates of the body and of the outputs over the same intervals."""
+    """Return block means of body rate and outputs from how far both turned over the same intervals; None below two
+    samples.
+
+    If the body moves, both are smoothed over the coarser of their periods first, and blocks are short.
+    """
     if len(data.t_ns) < 2:
         return None
     gyros, body = Turned.of_rates(data.t_ns, data.rate_rps), Turned.of_reference(recording.reference, recording.site)
@@ -132,7 +140,10 @@ def _length_s(recording: Recording, data: ImuData, block_s: float, least_s: floa
 
 
 def even_grid(known: NDArray[np.int64], length_s: float) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
-    """Return block numbers with short gaps filled, and where the blocks that hold data are among them."""
+    """Return block numbers with short gaps filled, and the places of the ``known`` numbers in them.
+
+    Gaps longer than ``_GAP_S`` stay open.
+    """
     most = max(int(_GAP_S / length_s), 1)
     filled = [known[:1]]
     for before, after in pairwise(known.tolist()):
@@ -151,7 +162,11 @@ def weighed(w_rps: Floats, z_rps: Floats, weight: Floats, stretch: NDArray[np.in
 
 
 def _growth_of(w_rps: Floats, z_rps: Floats, weight: Floats, stretch: NDArray[np.intp]) -> float:
-    """Return g, zero where the steady rates do not tell, or noise does not grow beyond chance."""
+    """Return the growth g of the noise with the rate, in s (sd ~ sqrt(1 + (g w)^2)), from second differences at steady
+    rates.
+
+    Zero with too few steady blocks, no motion, or growth within chance.
+    """
     speed = np.linalg.norm(w_rps, axis=1)
     size = float(speed.max(initial=0.0))
     if len(weight) < _FEWEST or size <= 0:
