@@ -45,7 +45,12 @@ _LAWS = packaged_toml("estimator.tracing", "laws.toml")["length"]
 
 
 def laws_of(runs: Sequence[Run]) -> list[Candidate]:
-    """Return the laws to try on runs, each as a candidate; constants stand at values to begin with."""
+    """Return the composed laws that can be tried on runs, as candidates; each constant begins at one of its start
+    values.
+
+    Longer laws have less prior probability. Laws whose quantities the runs lack, or whose terms do not vary, are left
+    out.
+    """
     offers = frozenset.intersection(*(run.grid.offers for run in runs))
     gimbals = runs[0].grid.gimbals if len(runs[0].grid.gimbals) > 1 else ()
     found: list[Candidate] = []
@@ -73,7 +78,12 @@ def _on_its_axis(kind: str, law: str) -> str:
 
 
 def _on_axes(text: str, offers: frozenset[str], gimbals: Sequence[str]) -> list[str]:
-    """Return the laws that a text stands for on a table, but those of what is not known."""
+    """Return the laws that a text with placeholders gives for the table's axes, without those that need unknown
+    quantities.
+
+    ``{axis}`` gives one law for each axis, ``{one}`` and ``{other}`` one for each pair, ``{rates}`` the sum over all
+    axes.
+    """
     laws = [text]
     if "{one}" in text:
         laws = [text.replace("{one}", one).replace("{other}", other) for one, other in combinations(gimbals, 2)]
@@ -85,7 +95,11 @@ def _on_axes(text: str, offers: frozenset[str], gimbals: Sequence[str]) -> list[
 
 
 def _candidate(runs: Sequence[Run], law: str, kind: str, prior: float) -> Candidate | None:
-    """Return a law, its constant to be looked for if it has one of some kind; None where it would be nothing."""
+    """Return the candidate of a law, with a search for its constant if ``kind`` says of which kind that is ("" for
+    none).
+
+    None if a term of the law does not vary in the runs, or its constant has no range.
+    """
     start = _LAGS_S
     if kind != "lag":
         what, _, name = kind.partition(" ")
@@ -104,7 +118,9 @@ def _candidate(runs: Sequence[Run], law: str, kind: str, prior: float) -> Candid
 
 
 def _largest(runs: Sequence[Run], law: str) -> tuple[float, ...] | None:
-    """Return the coefficients with which the terms of a law vary by the largest bias there is; None if they do not."""
+    """Return for each term of a law the coefficient that makes its rms ``_LARGEST_RPS``; None if a term does not
+    vary.
+    """
     effect = constructed(law)
     squares = np.zeros(len(effect.parameters))
     for run in runs:
@@ -123,7 +139,7 @@ def _mean_squares(run: Run, effect: Effect) -> Floats:
 
 
 def _without(candidate: Candidate, number: int) -> Candidate:
-    """Return a law without one of its terms."""
+    """Return the candidate of a law with term ``number`` removed."""
 
     def shorter(effect: Effect) -> Effect:
         terms = list(zip(effect.law.split(";"), effect.parameters, strict=True))
@@ -141,10 +157,10 @@ def _range(runs: Sequence[Run], name: str) -> float:
 
 
 class Composer:
-    """Laws beside what a search has found, or in the place of some of it."""
+    """Adds composed laws to the result of a search, beside its effects or in the place of some of them."""
 
     def __init__(self, search: Search, laws: Sequence[Candidate]) -> None:
-        """Begin with none of the laws among the candidates of the search."""
+        """Take the laws; none of them is among the candidates of the search yet."""
         self._search = search
         # Each law with the constants that it is tried with.
         self._laws = [
@@ -154,7 +170,12 @@ class Composer:
         self._kept: set[str] = set()
 
     def composed(self, found: Found, most: int) -> Found:
-        """Return what was found with laws that have no name, where they explain more than names do, or beside these."""
+        """Return the result of a search with composed laws added where they explain more than named effects do.
+
+        A law may stand beside the effects found or replace some of them; at most ``most`` effects remain in all. Terms
+        of laws that do not pay for themselves are removed, and so are effects that "nothing" replaces as well. Without
+        any law the result is ``found`` itself.
+        """
         search = self._search
         named = [part for part in found.parts if part.tone is None]
         tones = [part for part in found.parts if part.tone is not None]
@@ -188,7 +209,10 @@ class Composer:
         return replace(found, parts=(*judged, *tones), log_evidence=chain)
 
     def _pruned(self, model: Model) -> Model:
-        """Return a model without those terms of its laws that it is more probable without."""
+        """Return a model whose laws have lost each term without which the model is more probable.
+
+        Laws with a single term, or more than ``_MOST_PRUNED``, stay as they are.
+        """
         search, best = self._search, self._worth(model)
         pruned = list(model)
         for place, (law, _) in enumerate(model):
@@ -213,7 +237,11 @@ class Composer:
         return (evidence.of(terms) if noise is None else float(evidence.by_noise(terms)[noise])) + expected
 
     def _best_law(self, base: Model, known: Model) -> Model:
-        """Return the law that explains most beside a model; none if none can explain more than what is ``known``."""
+        """Return the law that explains most beside ``base``, as a list of one pair; empty if none may explain more than
+        ``known``.
+
+        Laws whose fitted size is not sensible are left out.
+        """
         search, chosen = self._search, self._likely(base, known, _CLEARLY)
         terms = [term for _, term in base]
         scores = search.scores(terms, [candidate.name for candidate, _ in base]) if chosen else {}
@@ -225,9 +253,12 @@ class Composer:
         return [(search.known[best][0], scores[best][1])]
 
     def _likely(self, base: Model, known: Model, least: float) -> list[str]:
-        """Bring in the laws that may be more probable beside a model than what is ``known``, by ``least``; name them.
+        """Add to the search the laws that may exceed the model ``known`` by ``least`` in log evidence beside ``base``;
+        return their names.
 
-        The noise is that beside what is known: beside less, it would hold what slow laws explain.
+        The noise is the one beside ``known``: beside less, the noise would hold what slow laws explain. Constants of
+        the laws are tuned, at most ``_LAWS_TRIED`` laws are taken, the most promising first. Laws that are not kept are
+        removed from the search.
         """
         search = self._search
         noise = int(np.argmax(search.evidence.noise_weight([term for _, term in known])))

@@ -22,9 +22,10 @@ _PLAYS = np.array([0.02, 0.05, 0.1, 0.2, 0.4, 0.8])  # of the range
 
 
 def flexible_laws(runs: Sequence[Run], offers: frozenset[str]) -> list[tuple[str, str]]:
-    """Return flexible laws, each with the kind of the constant {c} that is yet to be found in it ("" for none).
+    """Return flexible laws, each with the kind of the constant {c} that is still to be found in it ("" for none).
 
-    ``offers`` is what all runs hold beside rates and times.
+    ``offers`` are the quantities beside rates and times that all runs hold; without a temperature its laws are left
+    out. Laws without terms are left out, too.
     """
     speed, decays = _halved("speed", runs), _each("expm1(-t/{})", _TAUS_S)
     laws = [(terms, "") for terms in (_halved("u", runs), speed, _times(speed, "u"), decays, _times(decays, "u"))]
@@ -57,7 +58,9 @@ def _ends(name: str, runs: Sequence[Run]) -> tuple[float, float]:
 
 
 def _halved(name: str, runs: Sequence[Run]) -> list[str]:
-    """Return a function of a rate in pieces that are the shorter the nearer they are to rest."""
+    """Return the terms of a function of a rate in pieces that get shorter toward rest; none if the rate is always
+    zero.
+    """
     low, high = _ends(name, runs)
     top = max(abs(low), abs(high))
     if top <= 0:
@@ -68,7 +71,9 @@ def _halved(name: str, runs: Sequence[Run]) -> list[str]:
 
 
 def _pieces(name: str, runs: Sequence[Run], count: int) -> list[str]:
-    """Return a function of a variable in about so many pieces of one length."""
+    """Return the terms of a function of a variable in about ``count`` pieces of equal length; none if it does not
+    vary.
+    """
     low, high = _ends(name, runs)
     if not high > low:
         return []
@@ -78,9 +83,9 @@ def _pieces(name: str, runs: Sequence[Run], count: int) -> list[str]:
 
 
 def _straight(name: str, nodes: Sequence[float]) -> list[str]:
-    """Return the pieces of a function that is straight from node to node, flat beyond, and nothing at zero.
+    """Return the terms of a function that is straight from node to node, flat beyond, and zero at zero.
 
-    Each piece rises from nothing to a step on the side of it that is away from zero.
+    Each term rises over one piece, and is zero on its side nearer to zero.
     """
     shown = [float(f"{node:.4g}") for node in nodes]
     terms = []

@@ -51,11 +51,14 @@ def investigate(
     most_effects: int = 4,
     progress: Progress | None = None,
 ) -> Investigation:
-    """Return what the model of the gyros in ``recordings`` lacks, and the error before and after on ``verification``.
+    """Return which effects the model of the gyros in ``recordings`` lacks, and the errors before and after on
+    ``verification``.
 
-    Without verification recordings the errors are in-sample, cross-validated by step.
+    Without verification recordings the errors are in-sample, cross-validated by step. ``most_effects`` limits the
+    number of effects added; ``progress`` is called with the share done and a word for the step.
 
-    Raises InvestigationError if the recordings are not of the same gyros, or hold too little.
+    Raises InvestigationError if the recordings are not of the same gyros, hold too little, or if only one of recordings
+    and verification is at rest; RecordingError if memory does not suffice.
     """
     tell = progress or (lambda share, what: None)
     tell(0.0, "reading")
@@ -77,6 +80,7 @@ def investigate(
 def _same(
     recordings: Sequence[Recording], verification: Sequence[Recording], runs: Sequence[Run], held_back: Sequence[Run]
 ) -> None:
+    """Raise InvestigationError with the difference if a recording is not of the same gyros as the first."""
     first = [run for run in runs if run.order == 0]
     for order, other in enumerate([*recordings, *verification]):
         difference = same_devices(first, [run for run in (*runs, *held_back) if run.order == order])
@@ -89,7 +93,10 @@ def _same(
 
 
 def _prepared(columns: Sequence[RunColumns]) -> tuple[Search, dict[str, str]]:
-    """Return a search among all candidates on some runs, and what cannot be tried, with the reason."""
+    """Return a search over all candidates on some runs, and by name the effects that cannot be tried, with the reason.
+
+    Effects that the motion does not excite are removed from the search.
+    """
     runs = [one.run for one in columns]
     span_s = max(float(run.t_s[-1] - run.t_s[0]) + run.length_s for run in runs)
     finely = any(run.recording.several_files for run in runs)
@@ -120,6 +127,11 @@ def _conclude(
     most: int,
     verification: Sequence[Recording],
 ) -> Investigation:
+    """Return the investigation after the search: effects judged and confirmed, errors before and after, verdict.
+
+    ``most`` is the largest number of effects, used for a second search if the verification run shows an error that the
+    recordings do not.
+    """
     parts, evidence = _visible(search, found), search.evidence
     weight = evidence.noise_weight([part.term for part in parts])
     told = out_of_sample(search.runs, Augmented.of(evidence, parts, weight), evidence.shapes)
@@ -197,7 +209,10 @@ def _parts_notes(certain: Sequence[Part], taken_back: Sequence[str]) -> list[str
 def _left(
     runs: Sequence[Run], first: int, before: Augmented, after: Augmented
 ) -> tuple[Residual | None, Residual | None]:
-    """Return what two models leave of runs, of which the first has this number; from 0 are those that were fitted."""
+    """Return the residuals of runs under two models, (None, None) without runs.
+
+    ``first`` is the number of the first run; only fitted runs begin at 0. A model without effects is computed once.
+    """
     if not runs:
         return None, None
     found = residuals(runs, [before, after] if after.parts else [before], first, held_back=first > 0)
@@ -205,10 +220,11 @@ def _left(
 
 
 def _visible(search: Search, found: Found) -> list[Part]:
-    """Return the effects found that are some sigmas from zero in a gyro: sums of little are no cause.
+    """Return the effects found that are several sigmas from zero in a gyro, and others with less probability.
 
-    In a few poses at a few temperatures one cause is as good as another: that the simpler one fits is no proof. Where
-    runs only rest, an effect is thus a rival of all that could put out the same.
+    Effects that only together differ from zero are kept with at most ``_UNKNOWN`` and a rival. Where all runs rest, an
+    effect is a rival of each other one that could give the same outputs, since in a few poses a good fit is no proof.
+    All others are left out.
     """
     model = Augmented.of(search.evidence, found.parts)
     seen = []
@@ -232,7 +248,7 @@ def _visible(search: Search, found: Found) -> list[Part]:
 
 
 def _as_small_as_the_earth(search: Search, model: Augmented, part: Part) -> bool:
-    """Return whether the turning Earth, of a site that nobody states, could put out what an effect of gravity does."""
+    """Return whether Earth rate could give the outputs of an effect of gravity: only at rest, with no site stated."""
     if not _at_rest(search.runs) or any(run.recording.site is not None for run in search.runs):
         return False
     where = model.slice_of(part.candidate.name)
@@ -245,7 +261,7 @@ def _as_small_as_the_earth(search: Search, model: Augmented, part: Part) -> bool
 
 
 def _together(model: Augmented, where: slice) -> float:
-    """Return by how many sigmas the numbers of an effect are from zero together, in the gyro that shows most of it.
+    """Return by how many sigmas the numbers of an effect differ from zero together, in the gyro that shows it most.
 
     Each number beyond the first may be a sigma off by chance.
     """
@@ -268,10 +284,11 @@ def _at_rest(runs: Sequence[Run]) -> bool:
 
 
 def _of_the_comparison(search: Search, part: Part) -> bool:
-    """Return whether single steps say nothing of an effect: a delay beside another instrument, rivals at rest.
+    """Return whether cross-validation by single steps says nothing of an effect: a delay against another instrument,
+    rivals at rest.
 
-    The delay is one number of all recordings, and steps show what is wrong with the reference in them. Of rests in a
-    few poses each step is another pose, which the others do not predict.
+    A delay is one number of all recordings, while steps show the reference's errors in them. At rest each step is a
+    pose that the others do not predict.
     """
     if part.candidate.by_size and any(run.by_another for run in search.runs):
         return True

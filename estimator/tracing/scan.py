@@ -34,12 +34,14 @@ def first_of_best(gains: Floats) -> int:
 
 
 class Scan:
-    """What is left of each gyro beside a model, whitened: how much an effect would take of it."""
+    """The whitened residual of each gyro beside a model, to compute how much an effect would explain of it."""
 
     def __init__(
         self, columns: Sequence[RunColumns], evidence: Evidence, terms: Sequence[Term], noise: int | None = None
     ) -> None:
-        """Take what is left beside ``terms``; ``noise`` is the noise model's number, by default the most probable."""
+        """Compute the residuals beside ``terms``; ``noise`` is the number of the noise model, by default the most
+        probable.
+        """
         self._columns = columns
         runs = [one.run for one in columns]
         best = int(np.argmax(evidence.noise_weight(terms))) if noise is None else noise
@@ -62,10 +64,10 @@ class Scan:
         return self.bounds(candidates)[0]
 
     def bounds(self, candidates: Sequence[Candidate]) -> tuple[Floats, Floats]:
-        """Return by how much the log evidence rises at most if an effect is let in, and at least (k,) each.
+        """Return bounds (k,) on the rise of the log evidence if each candidate is added: at most and at least.
 
-        At most: half of what the squares fall by, the gain. At least: the log evidence with parameters that are
-        expected to be of the largest plausible size, less what it costs that no size is preferred.
+        The upper bound is the gain, half of the fall of the squares. The lower is the log evidence with parameters
+        whose expected size is the largest plausible one, less the cost of trying all sizes.
         """
         found = np.zeros((2, len(candidates)))
         groups: dict[tuple[int, bool], list[int]] = {}
@@ -83,9 +85,10 @@ class Scan:
         return float(_gains(*self._products([candidate]))[0])
 
     def _products(self, candidates: Sequence[Candidate], *, keep: bool = False) -> tuple[Floats, Floats]:
-        """Return the products (gyros, k, p, p) of columns beside the model, and with what is left (gyros, k, p).
+        """Return the products (gyros, k, p, p) of the candidates' columns beside the model, and with the residual
+        (gyros, k, p).
 
-        They are those of candidates of the same width.
+        All candidates must have the same number of parameters.
         """
         of_runs = [[columns.of(candidate, keep=keep) for candidate in candidates] for columns in self._columns]
         stacks: dict[tuple[tuple[int, int], ...], Floats] = {}
@@ -105,9 +108,10 @@ class Scan:
         return np.array(products), np.array(with_rest)
 
     def size(self, candidate: Candidate) -> float:
-        """Return the size of an effect, exact for its size, that leaves least: its first parameter, all gyros alike.
+        """Return the size of an effect with a nonlinear size that leaves the least residual, the same for all gyros.
 
-        It is not fitted to its own column, which noise of the reference makes too large.
+        The size is the effect's first parameter. The effect is evaluated anew at each size, because its column alone,
+        enlarged by the noise of the reference, gives too little.
         """
         assert candidate.start is not None
         if len(candidate.start) == 1:  # a table's own rates have next to no noise
@@ -133,7 +137,7 @@ class Scan:
         return float(np.clip(sign * right / max(own, 1e-30) * candidate.effect.largest[0], -_LONGEST_S, _LONGEST_S))
 
     def _gain_of(self, candidate: Candidate, size: float) -> float:
-        """Return how much more probable a size makes what is left, each gyro under as much noise as then is left."""
+        """Return by how much a size raises the log evidence, with each gyro's noise set to what is then left."""
         share = abs(size) / candidate.effect.largest[0] if size else 0.0
         total = 0.0
         products, with_rest = self._products([at(candidate, size)])
@@ -149,7 +153,10 @@ class Scan:
         return self._width(candidate.theta, lambda theta: self.gain(at(candidate, theta)), _FIRST_STEP)
 
     def _width(self, theta: float, gain: Callable[[float], float], first: float) -> float:
-        """Return how far from ``theta`` the gain falls by one half; it is looked at from a share ``first`` of it on."""
+        """Return the distance from ``theta`` at which the gain falls by one half; at most ``theta``.
+
+        The search begins at the share ``first`` of ``theta`` and doubles the distance.
+        """
         top = gain(theta)
         step = first * theta
         while step < theta:
@@ -160,7 +167,12 @@ class Scan:
         return float(theta)
 
     def tuned(self, candidate: Candidate) -> Candidate:
-        """Return a candidate with the most telling value of what is not linear in it."""
+        """Return a candidate at the value of its nonlinear parameter with the largest gain, near one of its start
+        values.
+
+        ``log_tries`` is the cost of the search: the share of the parameter's range that would do as well. For a
+        candidate ``by_size`` the value is its size and there is no cost.
+        """
         start = candidate.start
         assert start is not None
         if candidate.by_size:
@@ -192,10 +204,11 @@ class Scan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Left:
-    """One gyro beside a model, in the cosine domain: rows are the frequencies of all its stretches.
+    """Residual of one gyro beside a model in the cosine domain: rows are the frequencies of all its stretches.
 
-    ``where`` gives each run that has the gyro, and its number there. ``root`` (rows,) is the root of each row's weight,
-    ``basis`` (rows, c) are orthonormal columns that span the model, ``rest`` (rows,) is what the model leaves.
+    ``where`` has for each run with this gyro the run's number and the gyro's number in it. ``root`` (rows,) is the root
+    of each row's weight, ``basis`` (rows, c) are orthonormal columns that span the model, ``rest`` (rows,) is the
+    residual.
     """
 
     where: tuple[tuple[int, int], ...]

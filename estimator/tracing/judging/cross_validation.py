@@ -29,7 +29,9 @@ _TONE_BLOCKS = 8.0  # blocks in a period of a tone, where its error is judged
 
 
 def by_step(runs: Sequence[Run]) -> list[Mask]:
-    """Return the steps of all runs in fifths, every fifth one together."""
+    """Return for each of ``FOLDS`` folds one mask (b,) for each run: every fifth step, counted over all runs, belongs
+    to a fold.
+    """
     masks: list[Mask] = [[np.zeros(len(run.t_s), dtype=np.bool_) for run in runs] for _ in range(FOLDS)]
     count = 0
     for number, run in enumerate(runs):
@@ -53,10 +55,11 @@ def together(runs: Sequence[Run], model: Augmented, shapes: NoiseShapes) -> tupl
 
 
 def out_of_sample(runs: Sequence[Run], model: Augmented, shapes: NoiseShapes) -> dict[str, OutOfSample]:
-    """Return for each effect of a model, tones apart, what is left out says of it beside the other effects.
+    """Return by effect of a model (tones left out) what data left out of the fit say of it, beside the other effects.
 
-    What is left out is predicted from the rest, with all that the rest leaves open, with an effect and without it.
-    Recordings are left out one at a time, and stretches of some steps; between stretches a bias may wander.
+    Whole recordings are left out one at a time if there are several, then stretches of some steps; between stretches a
+    bias may wander. The data left out are predicted from the rest, with and without the effect. Empty if there are no
+    terms or fewer than two stretches.
     """
     evidence, terms = together(runs, model, shapes)
     if not terms:
@@ -74,11 +77,11 @@ def out_of_sample(runs: Sequence[Run], model: Augmented, shapes: NoiseShapes) ->
 
 
 def confirmed(search: Search, certain: list[Part], held_back: Sequence[Run]) -> tuple[list[Part], list[str]]:
-    """Return the effects that the verification run bears out, and the names of those that it does not.
+    """Return the effects that the verification run confirms, and the names of those that it does not.
 
-    An effect must make the verification run more probable, and what is left of that run smaller: of what is probable
-    the wrong form may still predict worse than nothing. The one that is borne out least goes first, and the rest is
-    judged again. Without a verification run, what is left out of the fit takes its place.
+    An effect must make the verification run more probable and lower its squared residual. The least confirmed effect is
+    removed first, and the rest is judged again. Without a verification run the errors of left-out steps decide, and
+    effects are removed by their probability. Tones are always kept.
     """
     taken_back: list[str] = []
     runs, orders = [*search.runs, *held_back], {run.order for run in held_back}
@@ -102,7 +105,7 @@ def confirmed(search: Search, certain: list[Part], held_back: Sequence[Run]) -> 
 
 
 def _lowered(search: Search, certain: Sequence[Part], part: Part, held_back: Sequence[Run]) -> bool:
-    """Return whether less is left of the verification runs, as measured, with one of some effects than without it."""
+    """Return whether an effect lowers the squared residual of the verification runs, over all gyros."""
     weight = search.evidence.noise_weight([one.term for one in certain])
     others = [one for one in certain if one is not part]
     without, together_with = (Augmented.of(search.evidence, own, weight) for own in (others, certain))
@@ -128,7 +131,10 @@ def _lowered_in_sample(search: Search, certain: Sequence[Part]) -> bool:
 def judged(
     search: Search, before: Augmented, after: Augmented, held_back: Sequence[Run], verification: Sequence[Recording]
 ) -> Judged:
-    """Return the errors of two models on the verification runs, cross-validated by step where there are none."""
+    """Return the errors of two models on the verification runs; without these, cross-validated by step.
+
+    With tones in the model the runs are formed again with blocks short enough for them.
+    """
     evidence, terms = together([*search.runs, *held_back], after, search.evidence.shapes)
     true, misfit = after.estimated(evidence.posterior(terms)), evidence.misfit
     if not held_back:
@@ -146,9 +152,9 @@ def judged(
 
 
 def _noise_beside_anything(search: Search, after: Augmented) -> Augmented:
-    """Return a model with the noise that there is beside any function of what was measured.
+    """Return a model with the noise that is left beside any function of measured values.
 
-    Beside effects alone, slow errors that these do not explain would count as a bias that wanders.
+    Beside effects alone, slow errors that they do not explain would count as a wandering bias.
     """
     terms = [part.term for part in after.parts if part.tone is None]
     evidence = search.evidence
@@ -159,7 +165,11 @@ def _noise_beside_anything(search: Search, after: Augmented) -> Augmented:
 
 
 def _cross_validated(search: Search, before: Augmented, after: Augmented, true: Augmented, misfit: Misfit) -> Judged:
-    """Return errors on each fifth of the steps of models fitted to the others, the noise as found on all."""
+    """Return the errors on each fifth of the steps of models fitted to the others, with noise and tones as estimated on
+    all.
+
+    Without effects there is nothing to cross-validate: the errors are those of the fit.
+    """
     all_runs, shapes = search.runs, search.evidence.shapes
     if not after.parts:
         return judge(all_runs, 0, before, after, False, drawn(all_runs, 0, before, after, true, misfit))
@@ -203,7 +213,11 @@ def _of_number(out: int) -> Fold:
 
 
 def _predicted(evidence: Evidence, terms: Sequence[Term], folds: Sequence[Fold]) -> dict[str, float]:
-    """Return by effect how much more probable it makes each fold of stretches beside the others, summed."""
+    """Return by effect the log of how much more probable it makes the data in the folds, summed, beside the other
+    effects.
+
+    Each fold is predicted from the remaining data.
+    """
     whole = _gained(evidence, terms)
     total = dict.fromkeys(whole, 0.0)
     for fold in folds:
@@ -219,7 +233,7 @@ def _gained(evidence: Evidence, terms: Sequence[Term]) -> dict[str, float]:
 
 
 def _cut(run: Run) -> Run:
-    """Return the run cut into stretches of some steps each."""
+    """Return the run divided into stretches of at least a fifth of its blocks, which begin where a step begins."""
     stretch = np.array(run.stretch)
     least = max(len(stretch) // FOLDS, 1)
     number, begun = 0, 0
@@ -232,7 +246,9 @@ def _cut(run: Run) -> Run:
 
 
 def _spectra(runs: Sequence[Run], model: Augmented) -> tuple[list[GyroSpectra], list[Term]]:
-    """Return the spectra of runs with the columns of a model's effects, tones taken off, and the terms of these."""
+    """Return the spectra of runs with the columns of a model's effects, and the terms of these; tones are
+    subtracted.
+    """
     spectra = gyro_spectra(runs, dict(zip(model.names, model.arw.tolist(), strict=True)))
     terms: list[Term] = []
     start = Z + 1

@@ -39,7 +39,7 @@ _DIRECTION = 1e-3  # share of a direction that must be left beside the mean to c
 
 @dataclass(frozen=True, slots=True)
 class Phase:
-    """Blocks of a run during which one thing went on."""
+    """Blocks of a run that belong to one ``kind``: rest, ramp, steady rate, or a piece of free motion."""
 
     blocks: slice
     kind: str
@@ -47,7 +47,7 @@ class Phase:
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Judged:
-    """Errors over all gyros, by gyro, the improvement, and what pictures need; ``surprise`` in sigmas of chance."""
+    """Errors over all gyros and by gyro, the improvement, the data for pictures; ``surprise`` in sigmas of chance."""
 
     before: Errors
     after: Errors
@@ -59,9 +59,9 @@ class Judged:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Phase:
-    """One phase of a gyro before and after: ``largest`` error of the mean.
+    """One phase of a gyro before and after: ``largest`` error over its blocks.
 
-    ``inside``, ``apart`` and ``chi`` are of the last projection: the direction in which the models differ.
+    ``inside``, ``apart`` and ``chi`` belong to the direction in which the two models differ.
     """
 
     errors: PhaseErrors
@@ -72,7 +72,11 @@ class _Phase:
 
 
 def phases_of(run: Run) -> list[Phase]:
-    """Return the phases of a run in order."""
+    """Return the phases of a run in order.
+
+    On a table they are rests, ramps and steady rates of at least five (ramps: one) blocks; of turns each is one; else
+    pieces of equal length.
+    """
     grid = run.grid
     if run.stated_rps:  # each turn is one
         kinds = np.where(np.abs(run.w_rps).max(axis=1) > 0, "steady", "rest").tolist()
@@ -100,7 +104,7 @@ def phases_of(run: Run) -> list[Phase]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drawn:
-    """Sums over ``blocks`` of squared errors of one gyro before and after (m,), for draws of what may be true."""
+    """Sums over ``blocks`` of squared errors of one gyro before and after (m,), for m draws of what may be true."""
 
     before: Floats
     after: Floats
@@ -135,10 +139,11 @@ class Drawn:
 def drawn(
     runs: Sequence[Run], first: int, before: Augmented, after: Augmented, true: Augmented, misfit: Misfit
 ) -> dict[str, Drawn]:
-    """Return by gyro how wrong two models are on the whole of runs, the noise apart, if what all data say is ``true``.
+    """Return by gyro draws of the squared errors of two models over all of runs, without noise.
 
-    Draws are from the posterior of all recordings; what nothing fits is an error of both models, known by chance only.
-    It may as well be noise: its share that is error is open, and the same for all gyros.
+    ``true`` is the posterior of all recordings, from which the draws are. The misfit adds the same error to both
+    models; its share that is error and not noise is drawn, the same for all gyros. ``first`` is the number of the first
+    run.
     """
     sums: dict[str, Drawn] = {}
     shares = _open_share(1)
@@ -162,13 +167,13 @@ def drawn(
 def with_structure(
     runs: Sequence[Run], first: int, models: tuple[Augmented, Augmented], noise: Augmented, errors: Mapping[str, Drawn]
 ) -> dict[str, Drawn]:
-    """Return errors of two models by gyro, with what their phases show beyond what was drawn.
+    """Return the drawn errors of two models, plus what the phases show beyond them.
 
-    Draws say how wrong models are if the last is complete. Where the means of phases are further off than by noise,
-    something acts that it lacks, and both models are wrong by that, too. Whether anything does is one question for all
-    gyros; how much, one for each. How much of it the bias wanders by itself is open: from as much as beside the last
-    model, to as little as ``noise`` has beside any function of what was measured.
-    Draws that are further off than phases show are the less likely.
+    Draws assume that the last model is complete. If the means of phases are further off than by noise, an effect is
+    missing, and both models are wrong by it. Whether one is missing is one question for all gyros; how much, one for
+    each gyro. How much of it a wandering bias explains is open, between as much as beside the last model and as little
+    as in ``noise``, the model with noise beside any function. Draws with a larger error than phases show are less
+    likely.
     """
     wanders = _open_share(0)  # of all gyros alike
     shapes = {name: _shapes(runs, first, models[-1], (models[-1], noise), name) for name in errors}
@@ -191,9 +196,10 @@ def with_structure(
 
 
 def _lacking(shown: Mapping[str, tuple[Floats, float]], odds: float) -> dict[str, Floats]:
-    """Return by gyro draws (n,) of the squares that a model lacks: none, or some in each gyro.
+    """Return by gyro draws (n,) of the squares that a model lacks: none in any gyro, or some in each.
 
-    ``shown`` by gyro is what there seems to be (n,) and its doubt, ``odds`` how much it is expected that there is any.
+    ``shown`` is by gyro what the phases show (n,) and its standard deviation; ``odds`` are the prior odds that an
+    effect is missing.
     """
     beyond = {}
     log_odds = np.full(_DRAWN, np.log(odds))
@@ -205,9 +211,9 @@ def _lacking(shown: Mapping[str, tuple[Floats, float]], odds: float) -> dict[str
 
 
 def _beyond(random: np.random.Generator, shown: Floats, sd: float) -> tuple[Floats, Floats]:
-    """Return draws (n,) of a sum of squares that shows as ``shown`` (n,) within ``sd``, if there is one of any size.
+    """Return draws (n,) of a sum of squares that shows as ``shown`` (n,) within ``sd``, given that there is one.
 
-    With each come the log odds (n,) that there is one, if it is as likely as not.
+    The log odds (n,) that there is one come with them; the prior is even, and equal for the logarithm of each size.
     """
     largest = max(float(shown.max()), sd)
     sizes = np.geomspace(_LEAST_SEEN * sd, _MOST_SEEN * largest, _SIZES)
@@ -233,9 +239,11 @@ def _by_chance(log_likely: Floats) -> NDArray[np.intp]:
 def _shapes(
     runs: Sequence[Run], first: int, model: Augmented, noises: Sequence[Augmented], name: str
 ) -> list[tuple[Floats, Floats]]:
-    """Return by phase of a gyro the squares of its first cosines (k,), the mean first, and what noise makes of them.
+    """Return for each phase of a gyro the squares of its first cosine coefficients (k,), and what noise predicts for
+    them.
 
-    The latter (noises, k) are expected of the noise of each of ``noises``.
+    The mean is the first coefficient. The predictions (noises, k) are those of each of ``noises``. Phases without full
+    blocks are left out.
     """
     most = max(orders for orders, _ in _LACKS)
     sigma_rps = float(model.arw[model.names.index(name)])
@@ -255,9 +263,9 @@ def _shapes(
 
 
 def _structure(shapes: Sequence[tuple[Floats, Floats]], orders: int) -> tuple[list[float], float]:
-    """Return what phases show beyond noise, squared and summed over blocks, and its doubt.
+    """Return what phases show beyond noise, squared and summed over blocks, and the standard deviation of that.
 
-    There is one sum for each noise. In each phase so many ``orders`` of its ``shapes`` count.
+    There is one sum for each noise model. ``orders`` is the number of coefficients that count in each phase.
     """
     sums, variance = np.zeros(len(shapes[0][1])), 0.0
     for squares, noise in shapes:
@@ -269,10 +277,9 @@ def _structure(shapes: Sequence[tuple[Floats, Floats]], orders: int) -> tuple[li
 
 
 def _draws(random: np.random.Generator, mean: Floats, covariance: Floats) -> Floats:
-    """Return draws of a normal distribution of which some elements may be known exactly.
+    """Return draws (m, c) of a normal distribution; elements of it may be known exactly.
 
-    The correlations are factored, by Cholesky: it takes a fixed number of steps, where an eigenvalue routine may not
-    converge, and the units of the elements do not matter.
+    The correlations are factored by Cholesky: the steps are fixed in number, and units do not matter.
     """
     sd = np.sqrt(np.diag(covariance))
     scale = np.where(sd > 0, sd, 1.0)
@@ -285,9 +292,10 @@ def _draws(random: np.random.Generator, mean: Floats, covariance: Floats) -> Flo
 def judge(
     runs: Sequence[Run], first: int, before: Augmented, after: Augmented, held_back: bool, errors: Mapping[str, Drawn]
 ) -> Judged:
-    """Return the errors of two models on runs, of which the first has this number among all.
+    """Return the errors of two models on runs, of which the first has number ``first`` among all.
 
-    ``errors`` are those of the whole runs by gyro.
+    ``errors`` are the drawn errors of the whole runs by gyro. Gyros that the model does not have are left out; without
+    effects the improvement is None.
     """
     found: dict[str, list[_Phase]] = {name: [] for name in after.names}
     views = []
@@ -337,7 +345,10 @@ def _phases(
     rests: Sequence[Floats],
     columns: Sequence[Floats],
 ) -> Iterator[_Phase]:
-    """Yield the phases of a gyro of a run; by model, what it leaves of the blocks (b,), and the columns behind it."""
+    """Yield the errors of a gyro of a run in each phase; phases without full blocks are left out.
+
+    ``rests`` are by model what it leaves of the blocks (b,), ``columns`` by model those of its states and effects.
+    """
     after = models[-1]
     g = after.names.index(run.array.names[i])
     sigma = float(after.arw[g]) / np.sqrt(run.length_s)
@@ -372,7 +383,10 @@ def _phases(
 
 
 def _basis(difference: Floats, sigma: float) -> Floats:
-    """Return orthonormal directions (b, 1 or 2): the mean, and what else the models differ in."""
+    """Return orthonormal directions (b, 1 or 2): the mean, and the shape in which the models differ, if any.
+
+    The last column is the direction that tells the models apart: the mean if the difference is nearly constant.
+    """
     n = len(difference)
     mean = np.full((n, 1), 1 / np.sqrt(n))
     other = difference - difference.mean()
@@ -398,6 +412,10 @@ def sum_of(errors: Iterable[Drawn]) -> Drawn:
 
 
 def _errors(phases: Sequence[_Phase], which: int, whole: Drawn) -> Errors:
+    """Return the errors of model ``which`` (0 before, 1 after) over phases; all NaN without phases.
+
+    The share of intervals counts the phases in which the models differ most, at least ``_FEWEST_JUDGED``.
+    """
     if not phases:
         return Errors(float("nan"), float("nan"), float("nan"))
     # Where the models agree their intervals hold or fail together; what differs is judged where they do not.
@@ -408,6 +426,7 @@ def _errors(phases: Sequence[_Phase], which: int, whole: Drawn) -> Errors:
 
 
 def _gyro(name: str, before: Augmented, after: Augmented, phases: Sequence[_Phase], errors: Drawn) -> GyroErrors:
+    """Return the errors and states of a gyro before and after."""
     g = after.names.index(name)
     (old, old_covariance), (new, covariance) = (decode(m.mean[g, :4], m.covariance[g, :4, :4]) for m in (before, after))
     moved = (new - old) / np.sqrt(np.diag(old_covariance))

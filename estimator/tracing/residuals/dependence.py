@@ -19,9 +19,10 @@ _INDEPENDENT = 1e-8  # share of a column's squares that must be left beside the 
 
 @dataclass(frozen=True, slots=True)
 class Dependence:
-    """How much of a residual's power beyond the noise a variable takes up, 0 where that is chance; shares overlap.
+    """Share of a residual's power beyond the noise that depends on a variable; 0 where chance explains it. Shares
+    overlap.
 
-    ``p_value`` is the probability that it takes up as much of white noise.
+    ``p_value`` is the probability that white noise shows as much.
     """
 
     variable: str
@@ -31,7 +32,9 @@ class Dependence:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Group:
-    """Columns, those ``beside`` which they count, and the squares over the noise that the model's ``doubt`` adds."""
+    """Columns, the columns ``beside`` which they count, and the squares over the noise that the model's ``doubt``
+    adds.
+    """
 
     columns: Columns
     beside: Columns
@@ -39,10 +42,10 @@ class Group:
 
 
 class Regressors:
-    """Functions of each variable over the blocks of runs; ``where`` they are among the columns."""
+    """Functions of each variable over the blocks of runs; ``where`` gives the places of each variable's columns."""
 
     def __init__(self, runs: Sequence[Run]) -> None:
-        """Take those functions that these runs have the conditions for."""
+        """Take the candidates that can be tried on these runs, except for nonlinear ones and steps."""
         self._runs = [run.coarse() for run in runs]
         candidates = [c for c in candidates_of(runs)[0] if (c.theta is None or c.by_size) and c.run is None]
         of = {c.name: c.depends_on or c.effect.record.depends_on for c in candidates}
@@ -55,7 +58,7 @@ class Regressors:
         }
 
     def columns(self, number: int, gyro: int) -> Floats:
-        """Return the columns (b, q) of a gyro of run ``number``."""
+        """Return the columns (b, q) of all candidates for a gyro of run ``number``; they are kept for the next call."""
         columns = [np.empty((len(self._runs[number].t_s), 0))]
         for candidate in self._candidates:
             key = candidate.name, number, None if candidate.alike else gyro
@@ -70,10 +73,9 @@ def dependences(
 ) -> tuple[float, tuple[Dependence, ...]]:
     """Return the share of a whitened residual's power beyond the noise, and what that depends on.
 
-    ``gram`` holds the products of all columns.
-
-    ``rest`` is the residual, of ``count`` degrees of freedom, which its squares exceed by ``doubt`` if it is more than
-    noise; what a variable takes up for certain is, in any case. ``groups`` holds the columns of each variable.
+    ``gram`` holds the products of all columns, of which ``rest`` is the residual with ``count`` degrees of freedom; its
+    squares may exceed that by ``doubt`` as noise. Dependences that are certain count even within that. ``groups`` holds
+    the columns of each variable.
     """
     from scipy.special import fdtrc  # of the F distribution; scipy.stats takes a second to import
 
@@ -95,7 +97,9 @@ def dependences(
 
 
 def _taken(gram: Floats, columns: Columns, beside: Columns, rest: int) -> tuple[float, int]:
-    """Return the squares of the residual that columns take up beside others, and how many of them are independent."""
+    """Return the squares of the residual that columns explain beside others, and how many of the columns are
+    independent.
+    """
     size = np.sqrt(np.diag(gram)[columns])
     columns, size = columns[size > 0], size[size > 0]
     if not len(columns):

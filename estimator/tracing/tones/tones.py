@@ -33,9 +33,9 @@ _COHERENT = 0.75  # of what parts of a run show each by itself, a tone shows as 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ToneFound:
-    """A line: its frequency, whether its phase is the same in all runs, and how much it tells.
+    """A line: its frequency, whether its phase is the same in all runs, and its log evidence.
 
-    ``log_evidence`` is beside no tone, the search among frequencies taken off.
+    ``log_evidence`` is relative to no tone, less the cost of the search over frequencies.
     """
 
     frequency_hz: float
@@ -44,7 +44,12 @@ class ToneFound:
 
 
 def find_tone(runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequence[Floats]) -> ToneFound | None:
-    """Return the strongest line beside a model; ``predicted`` (b, m) is what the model says of each run's blocks."""
+    """Return the strongest line beside a model, None if there is none; ``predicted`` (b, m) is what the model gives for
+    each run's blocks.
+
+    None as well beside a reference of another instrument, with too few samples, with sources of different rates, if
+    chance may give such a line, or if it does not last through the runs.
+    """
     if any(run.by_another for run in runs):
         return None  # what moves the body moves its reference: of a line in their difference nobody knows whose it is
     samples = [_steady(run, s) for run, s in zip(runs, samples, strict=True)]
@@ -101,7 +106,9 @@ def find_tone(runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequen
 def _coherent(
     found: ToneFound, samples: Sequence[Samples], rests: Sequence[Floats], variances: Sequence[Floats]
 ) -> bool:
-    """Return whether a line goes on through each run: what comes and goes shows more in parts than in the whole."""
+    """Return whether a line lasts through each run: a line that comes and goes shows more in parts than in the
+    whole.
+    """
     parts, part_rests, part_variances = [], [], []
     for s, rest, variance in zip(samples, rests, variances, strict=True):
         edges = np.linspace(0, len(s.t_s), _PARTS + 1).astype(int)
@@ -117,7 +124,7 @@ def _coherent(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ToneFit:
-    """A tone as fitted to samples: for each gyro its cosine and sine (2,), of each run (2 runs,) if not locked; rad/s.
+    """A tone fitted to samples: by gyro cosine and sine (2,), or of each run (2 runs,) if not locked; in rad/s.
 
     ``sd`` is the standard deviation of each of these numbers.
     """
@@ -135,7 +142,11 @@ class ToneFit:
 
 
 def fit_tone(found: ToneFound, runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequence[Floats]) -> ToneFit:
-    """Return the tone that fits samples best beside a model, as ``find_tone`` takes it."""
+    """Return the tone with the amplitudes that fit samples best beside a model; ``predicted`` (b, m) as in
+    ``find_tone``.
+
+    Its standard deviations assume white noise.
+    """
     names = list(dict.fromkeys(name for s in samples for name in s.names))
     width = 1 if found.locked else len(samples)
     total = {name: np.zeros(width, dtype=np.complex128) for name in names}
@@ -160,7 +171,7 @@ def fit_tone(found: ToneFound, runs: Sequence[Run], samples: Sequence[Samples], 
 
 
 def without_tone(fit: ToneFit, samples: Sequence[Samples]) -> list[Samples]:
-    """Return the samples less a tone."""
+    """Return the samples with a tone subtracted."""
     cleaned = []
     for number, s in enumerate(samples):
         phase = 2 * np.pi * fit.found.frequency_hz * s.t_s
@@ -171,7 +182,7 @@ def without_tone(fit: ToneFit, samples: Sequence[Samples]) -> list[Samples]:
 
 
 def _steady(run: Run, samples: Samples) -> Samples:
-    """Return the samples of a run within full blocks outside of ramps, where block means say enough of each."""
+    """Return the samples of a run in full blocks outside ramps, where block means say enough of each sample."""
     keep = run.weight > 0
     if run.grid.gimbals:
         steep = run.fold(np.abs(run.grid.acceleration_rps2).max(axis=1, keepdims=True))[:, 0]
@@ -185,7 +196,9 @@ def _steady(run: Run, samples: Samples) -> Samples:
 
 
 def _left(run: Run, samples: Samples, predicted: Floats) -> Floats:
-    """Return what a model of blocks (b, m) leaves of samples (n, m), about its mean over each piece without a gap."""
+    """Return samples (n, m) less a model's blocks (b, m), interpolated, and less the mean of each piece without a
+    gap.
+    """
     known = run.weight > 0
     rest = samples.z_rps - np.column_stack([np.interp(samples.t_s, run.t_s[known], c) for c in predicted[known].T])
     pieces = _pieces(samples)
@@ -216,7 +229,7 @@ def _evened(t_s: Floats, values: Floats) -> tuple[Floats, float]:
 
 
 def _floor(power: Floats) -> Floats:
-    """Return the noise at each frequency (f, m): the median about it, as the mean of what is exponentially spread."""
+    """Return the noise power at each frequency (f, m): the running median, scaled to a mean of exponential noise."""
     from scipy.ndimage import median_filter
 
     floor = np.empty_like(power)
@@ -243,14 +256,17 @@ def _gain_at(
     variances: Sequence[Floats],
     locked: bool,
 ) -> tuple[float, list[float], list[float]]:
-    """Return the same as ``_gain`` at a frequency."""
+    """Return the result of ``_gain`` at a frequency, whose waves ``turning`` gives."""
     return _gain(turning(frequency_hz), samples, variances, locked)
 
 
 def _gain(
     turning: Sequence[Waves], samples: Sequence[Samples], variances: Sequence[Floats], locked: bool
 ) -> tuple[float, list[float], list[float]]:
-    """Return what a tone takes of the squares in all, and by amplitude its squares and its information."""
+    """Return half the sum of the squares that a tone explains, and by amplitude the squares and the information.
+
+    Amplitudes are one for each gyro, or one for each gyro and run if not ``locked``.
+    """
     sums: dict[tuple[str, int], tuple[complex, float]] = {}
     for number, (own, s, variance) in enumerate(zip(turning, samples, variances, strict=True)):
         for i, name in enumerate(s.names):
@@ -269,7 +285,7 @@ def _peak(gain: Callable[[float], tuple[float, list[float], list[float]]], low: 
 
 
 def _log_evidence(squares: Floats, information: Floats) -> float:
-    """Return the evidence of amplitudes, cosine and sine each, over the scales of their prior."""
+    """Return the log evidence of amplitudes (cosine and sine each), averaged over the scales of their prior."""
     largest = TONE.effect(frequency_hz=1.0).largest[0]
     values = []
     for scale in SCALES:
