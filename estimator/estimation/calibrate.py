@@ -41,19 +41,16 @@ def calibrate(
     model: ErrorModel | None = None,
     excluded: frozenset[str] | None = None,
 ) -> Calibration:
-    """Return the batch estimate of the states of every gyro under its data sheet's prior, with the noise taken from the
+    """Return the batch estimate of the states of every gyro under its data sheet's prior, with noise taken from the
     data.
 
-    The noise may be coloured (``estimator.estimation.noise_evidence``). The time offset of each source against the
-    reference is estimated too, unless the body is at rest, the reference is turns or poses, or the model holds a delay.
-    Where the reference is another instrument, the sigmas allow for errors that are correlated. ``innovations`` also
-    computes the mean NIS, which is NaN otherwise. With a ``model`` its effects are estimated together with the states,
-    and the sigmas hold what the recording does not show of them. Without a model, ``excluded`` names the effects of the
-    catalogue that device and table do not have: the sigmas then hold what the other effects could do to the states
-    unseen. With None the sigmas leave that out.
+    The noise may be coloured (``estimator.estimation.noise_evidence``). Each source's time offset is estimated too,
+    except at rest, for turns or poses, and with a model that holds a delay. ``innovations`` also gives the mean NIS,
+    else NaN. A ``model``'s effects are estimated with the states. Without one, ``excluded`` names the catalogue's
+    effects that device and table do not have: the sigmas hold what the others could do unseen; not for None.
 
-    Raises RecordingError if a source has no samples that the reference covers, no gyro can be estimated, or memory does
-    not suffice; ModelError if the recording lacks what the model needs.
+    Raises RecordingError if a source has no samples the reference covers, no gyro can be estimated, or memory is too
+    small; ModelError if the recording lacks what the model needs.
     """
     if model is not None:
         check_model(model, recording)

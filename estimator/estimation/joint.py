@@ -138,8 +138,8 @@ def _by_another(runs: Sequence[Run]) -> bool:
 def _further(joint: Joint, whole: Joint, found: Undeclared) -> list[tuple[Contribution, ...]]:
     """Return by gyro the budget lines of undeclared effects that only widen the estimate and move none of its states.
 
-    ``whole`` is the estimate with all undeclared laws that the recording can show; where it is ``joint`` itself, it
-    gives no lines. The laws that are merely assumed add the line ``UNMEASURED``.
+    ``whole`` is the estimate with all undeclared laws that the recording can show (none if it is ``joint``). Laws that
+    are merely assumed add the line ``UNMEASURED``.
     """
     lines: list[tuple[Contribution, ...]] = [()] * len(joint.means)
     if whole is not joint:
@@ -152,11 +152,7 @@ def _further(joint: Joint, whole: Joint, found: Undeclared) -> list[tuple[Contri
 
 
 def _beside_earth(joint: Joint, stated: NoiseModel | None) -> Joint:
-    """Return an estimate in which Earth rate is fitted too, for a table whose site is not stated: it appears as the
-    body turns.
-
-    Returns ``joint`` itself where a site is stated, there is no table, or Earth rate is fitted already.
-    """
+    """Return the estimate with Earth rate fitted too, for a table whose site is not stated; else ``joint`` itself."""
     grid = joint.runs[0].grid
     if grid.site is not None or not grid.gimbals or any(law.effect.record is EARTH_RATE for law in joint.laws):
         return joint
@@ -220,8 +216,7 @@ def _shifted(sources: Sources, delays_s: Mapping[str, float]) -> Sources:
 def effect_notes(gyros: Sequence[GyroCalibration]) -> list[str]:
     """Return, in sentences, which effects of the model the recording did not show, by the gyros concerned.
 
-    An effect that all gyros share is never named. An effect counts as not shown if the sigma of a parameter is hardly
-    below the expected one.
+    An effect is not shown if a parameter's sigma is hardly below the expected one. Shared effects are never named.
     """
     unseen: dict[str, list[str]] = {}
     for gyro in gyros:
@@ -238,11 +233,8 @@ def effect_notes(gyros: Sequence[GyroCalibration]) -> list[str]:
 
 
 def _run(recording: Recording, number: int, source: str, data: ImuData) -> Run:
-    """Return a source as a run, its gyros prefixed with the source's number because two sources may have the same
-    names.
-
-    At rest the body rate is set to zero: Earth rate is too slow to tell k from other effects. Raises TooShort if there
-    are too few blocks.
+    """Return a source as a run, its gyros prefixed with its number; at rest with body rate 0. TooShort: too few
+    blocks.
     """
     # Two sources may have gyros of the same names.
     named = replace(data, array=replace(data.array, names=tuple(f"{number} {name}" for name in data.array.names)))
@@ -255,9 +247,8 @@ def _run(recording: Recording, number: int, source: str, data: ImuData) -> Run:
 
 
 def _model_laws(model: ErrorModel | None, recording: Recording, runs: Sequence[Run]) -> list[Law]:
-    """Return the effects of a model as laws for the axes and quantities that all runs offer; none without a model.
-
-    Raises ModelError, with the name of the recording, if the runs lack what an effect needs.
+    """Return the effects of a model as laws for what all runs offer, none without a model; ModelError if runs
+    lack it.
     """
     if model is None:
         return []
@@ -276,11 +267,7 @@ def _hz(known: KnownEffect) -> float | None:
 
 
 def _delay_law(recording: Recording, source: str, taken_off_s: float) -> Law:
-    """Return the law of the time offset of a source, of which ``taken_off_s`` beyond the expected offset was
-    subtracted.
-
-    For a table with stated uncertainty its sigma and budget line are those of the table's timing.
-    """
+    """Return the law of a source's time offset, of which ``taken_off_s`` beyond the expected one was subtracted."""
     reference, sd_s, line = recording.reference, expected_sd_s(), ""
     if isinstance(reference, TableReadings):
         stated = reference.uncertainty
@@ -297,9 +284,7 @@ def _delay_law(recording: Recording, source: str, taken_off_s: float) -> Law:
 
 
 def _delays(joint: Joint, covariances: Sequence[Floats]) -> dict[str, tuple[float, float]]:
-    """Return by source the delay that is left in s and its standard deviation; it is the same for every gyro of the
-    source.
-    """
+    """Return by source the delay that is left in s and its standard deviation; all gyros of a source have the same."""
     found = {}
     for number, law in enumerate(joint.laws):
         if law.called == _DELAY:
@@ -311,9 +296,8 @@ def _delays(joint: Joint, covariances: Sequence[Floats]) -> dict[str, tuple[floa
 
 
 def _offset_notes(recording: Recording, offsets: dict[str, TimeOffset], external: bool) -> list[str]:
-    """Return, in sentences, the time offsets that are beyond chance and, of a table, beyond its stated timing.
-
-    Table readings without a stated uncertainty give no note. Equal sentences are given once.
+    """Return, in sentences, the time offsets beyond chance and, of a table, beyond its stated timing; none if not
+    stated.
     """
     stated = recording.reference.uncertainty if isinstance(recording.reference, TableReadings) else None
     notes = []
@@ -409,10 +393,7 @@ def _block_s(data: ImuData) -> float:
 
 
 def _sample_noise_of(blocks: Blocks, data: ImuData, x: Floats) -> Floats:
-    """Return the scatter of single samples within blocks (m,), in rad/s, about the states x (m, 4).
-
-    At least a thousandth of ``sample_noise``.
-    """
+    """Return the scatter of single samples within blocks (m,), in rad/s, about the states x (m, 4)."""
     array = data.array
     maps = regressor_maps(array)[:, :, 1:]
     rows = max(int(blocks.rows.sum()) - len(blocks.rows), 1)
@@ -427,8 +408,7 @@ def _sample_noise_of(blocks: Blocks, data: ImuData, x: Floats) -> Floats:
 def _lines(joint: Joint, covariance: Floats) -> tuple[Contribution, ...]:
     """Return the contributions to the covariance (4, 4) of the states: noise first, then each line that the laws name.
 
-    The contribution of a line is what would vanish if its laws were known. Lines are taken one after the other, so that
-    what two laws can only tell together counts once.
+    A line contributes what would vanish if its laws were known; each in turn, so that nothing counts twice.
     """
     known: list[int] = []
     known_before, lines = np.zeros((4, 4)), []

@@ -99,10 +99,7 @@ def import_recording(mapping: Mapping, data_paths: Sequence[Path]) -> Imported:
 
 
 def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused]]:
-    """Return the data of one file, and its refused sections; None for the data if no section is left.
-
-    RecordingError if the file cannot be used.
-    """
+    """Return the data of one file, None if no section is left, and its refused sections; RecordingError if unusable."""
     reference, beside, array = mapping.reference, mapping.reference_file, mapping.gyro.array
     measured = reference if isinstance(reference, Measured) and not beside else None
     label = None if isinstance(reference, Measured) else reference.cuts.column

@@ -350,7 +350,11 @@ def _accelerometer(file: _File, names: Sequence[str]) -> str:
 
 
 def _rests(file: _File, names: Sequence[str] | None, step_s: float) -> int:
-    """Return the number of rests, judged by the quietest windows of the gyro; 0 without a time."""
+    """Return the number of rests of the gyro, spans of windows nearly as quiet as the quietest ones.
+
+    0 without columns or a time, with fewer than four windows, or if no window is much quieter than the others; a gyro
+    that is equally quiet all the time rests once.
+    """
     if names is None or not step_s > 0:
         return 0
     rows = max(round(_WINDOW_S / step_s), 5)

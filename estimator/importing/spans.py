@@ -190,8 +190,10 @@ def _span(mapping: Mapping, stated: StatedTurns, t_s: Floats, rate: Floats, turn
 
 
 def _checked_angle(mapping: Mapping, stated: StatedTurns, turned_rad: Floats, turn: Turn) -> float:
-    """Return the stated angle, with the sign of the data if asked for; RecordingError if the gyros (m,) turned
-    otherwise.
+    """Return the stated angle of a turn, with the sign of the data if asked for.
+
+    It is checked against the angle by which the gyros (m,) turned: RecordingError if they differ. No check if no gyro
+    senses the axis; then RecordingError if the sign is wanted from the data.
     """
     p, axis, angle = mapping.gyro.array.p, np.array(turn.axis), turn.angle_rad
     if np.linalg.lstsq(p, p @ axis, rcond=None)[0] @ axis < _SENSED:

@@ -303,8 +303,7 @@ def _polylines(
 
 
 def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, last: int) -> Ramp | None:
-    """Return the ramp fitted from ``start``, with its number of corners; None if it does not fit or cannot be
-    determined.
+    """Return the ramp fitted from ``start``, with its number of corners; None if it does not fit or is not determined.
 
     ``held`` flags the parameters that are known.
     """

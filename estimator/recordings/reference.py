@@ -104,11 +104,9 @@ class Turns:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Poses:
-    """Time spans of rest with the direction up in each, in body axes (k, 3), and its uncertainty (k,); turned by hand
-    between.
+    """Time spans of rest with the direction up in each, in body axes (k, 3), and its uncertainty (k,).
 
-    ``shifts`` (q, k, 3): the changes, by one sigma, of all directions by each error they share, that of an
-    accelerometer.
+    Between them the body is turned by hand. ``shifts`` (q, k, 3): what a sigma of each shared error does to them.
     """
 
     t_start_ns: Stamps
@@ -127,14 +125,11 @@ class BodyRates:
     Rate readings give the shape between two readings, angle readings the truth over seconds: the rate of a servo drive
     is rounded and may be off in scale, its encoder counts are not. Each rate is corrected by the slope, within three
     seconds to each side, of the difference between angle and integrated rate. A row is final once a reading three
-    seconds later is there, on a ramp at the earliest three seconds after its end; ``finish`` makes all rows final.
-    Adding readings singly or all at once gives the same numbers, so live filter and batch estimate use the same
-    regressors.
+    seconds later is there, on a ramp three seconds after its end; ``finish`` makes all final. Adding readings singly or
+    all at once gives the same numbers. Corners of ramps are determined (``ramps``) and inserted.
 
-    Corners of ramps are determined (``ramps``) and inserted between the readings. On a slow link the instant of a
-    reading is uncertain, and its angle counts less; how much instants really scatter within their half widths is seen
-    in the scatter of the angles about the integrated rates. The rate is not given where it changes too fast for its
-    time to be known.
+    On a slow link the instant of a reading is uncertain, and its angle counts less; the scatter of the angles shows by
+    how much. The rate is not given where it changes too fast for its time to be known.
     """
 
     def __init__(self, gimbals: Sequence[str], site: Site | None) -> None:
@@ -155,9 +150,7 @@ class BodyRates:
 
     @classmethod
     def of(cls, readings: TableReadings, site: Site | None) -> "BodyRates":
-        """Return the body rates of complete readings, all final; they are computed once for as long as the readings
-        exist.
-        """
+        """Return the body rates of complete readings, all final; computed once for as long as the readings exist."""
         made = _MADE.setdefault(readings, {})
         if site not in made:
             rates = cls(readings.gimbals, site)
@@ -177,8 +170,7 @@ class BodyRates:
     ) -> None:
         """Add readings (k,), (k, gimbals), (k, gimbals), later than all before, with their half widths (k,).
 
-        Rates are means over the ``rate_window_ns`` that ends at their instants, the same for all readings.
-        RecordingError if times do not increase.
+        Rates are means over the ``rate_window_ns`` before their instants. RecordingError if times do not increase.
         """
         half_ns = np.zeros(len(t_ns)) if half_width_ns is None else half_width_ns
         for first in range(0, len(t_ns), _AT_ONCE):
@@ -210,10 +202,7 @@ class BodyRates:
             self._let_go()
 
     def _take(self, *, everything: bool) -> None:
-        """Turn readings into rows, up to a ramp whose end is still to come; ``everything`` leaves none.
-
-        A change of rate that lasts too long is cut, or taken as it is.
-        """
+        """Turn readings into rows, up to a ramp whose end is still to come; ``everything`` leaves none."""
         times, changes = self._read["t_ns"], self._read["change"]
         hold_ns = round(HOLD_S * 1e9) + self._window_ns
         while (taken := self._taken) < len(times):
@@ -255,8 +244,8 @@ class BodyRates:
     def _ramps(self, start: int, stop: int, until: int | None = None) -> list[tuple[int, Stamps, Ramp | None]]:
         """Return the ramps between the readings before ``start`` and before ``stop``: (column, corners, ramp).
 
-        A change that is not a ramp, and of which only means are known, has neither corners nor ramp. Readings before
-        ``until`` are used, by default those of the steady rate that follows.
+        A change that is no ramp has neither corners nor ramp. Readings before ``until`` count, by default to the next
+        change.
         """
         if not len(self._rows):
             return []
@@ -294,7 +283,12 @@ class BodyRates:
         return found
 
     def _append(self, start: int, stop: int, found: list[tuple[int, Stamps, Ramp | None]]) -> None:
-        """Append readings as rows, with the corners of ramps between them as rows that were not measured."""
+        """Append readings as rows, their rates averaged over the window; insert the corners of the ramps ``found`` as
+        rows.
+
+        A corner is a row that was not measured. If a change was ``found`` that is no ramp, the steps are marked as
+        unknown.
+        """
         self._taken = stop
         ramps = [(column, corners, ramp) for column, corners, ramp in found if ramp is not None]
         part = slice(start, stop)
@@ -323,9 +317,8 @@ class BodyRates:
         *,
         known: bool,
     ) -> None:
-        """Append rows with their integrated rates; ``known`` false marks the step before each as not understood.
-
-        Steps across a gap count as known only if the rate was steady and explains the angle.
+        """Append rows with their integrated rates; ``known``, and a steady rate across a gap, mark a step as
+        understood.
         """
         step_ns, rates, summed = integrated(self._rows, t_ns, rate_rps)
         drift = angle - summed
@@ -364,9 +357,8 @@ class BodyRates:
             self._final["sure"][0] = False
 
     def at(self, t_ns: Stamps) -> Floats:
-        """Return the body rate (rows, 3) in rad/s at instants between the first and the last final reading.
-
-        NaN where readings are far apart and disagree on the motion between them.
+        """Return the body rate (rows, 3) in rad/s at instants between the first and last final reading; NaN if
+        unknown.
         """
         angle, rate = self.gimbals_at(t_ns)
         w = body_rate(angle, rate, self._gimbals, self._site)
@@ -375,9 +367,7 @@ class BodyRates:
         return w
 
     def gimbals_at(self, t_ns: Stamps) -> tuple[Floats, Floats]:
-        """Return angles and rates (rows, gimbals) at ordered instants; beyond the readings, those of the first or last
-        one.
-        """
+        """Return angles and rates (rows, gimbals) at ordered instants; beyond the readings, those of the nearest."""
         n, times = len(self._final), self._final["t_ns"]
         first = min(max(int(np.searchsorted(times, t_ns[0], side="right")) - 1, 0), n - 1)
         last = max(min(int(np.searchsorted(times, t_ns[-1], side="left")) + 1, n), first + 1)
@@ -421,8 +411,8 @@ class BodyRates:
     def _terms(self, part: slice, origin: int) -> Floats:
         """Return sums (k + 1, 8, gimbals) of w [1, s, s^2, d, s d, d^2, u] and [1] before each row, in that order.
 
-        s is time, d angle minus integrated rate, both relative to row ``origin``; u is the variance that an uncertain
-        instant may cause, w the weight.
+        s is time, d angle minus integrated rate, both relative to row ``origin``; u the variance from the instants, w
+        weight.
         """
         rows = {name: self._rows[name] for name in ("t_ns", "angle", "rate", "summed", "half_s", "measured")}
         s, drift = ((rows["t_ns"] - rows["t_ns"][origin]) * 1e-9)[part, None], (rows["angle"] - rows["summed"])
@@ -435,9 +425,7 @@ class BodyRates:
         return np.concatenate([np.zeros_like(terms[:1]), np.cumsum(terms, axis=0)])
 
     def _refine_up_to(self, stop: int) -> None:
-        """Make rows up to ``stop`` final: correct their rates by the angles around them, and mark which are
-        reliable.
-        """
+        """Make rows up to ``stop`` final: correct their rates by the angles around, mark which are reliable."""
         start, times = self._done, self._rows["t_ns"]
         if stop <= start:
             return
@@ -458,9 +446,7 @@ class BodyRates:
         self._done = stop
 
     def _timed(self, start: int, stop: int, share: Floats) -> Flags:
-        """Return whether each rate since the reading before is known well enough, given the share of its instant's
-        doubt.
-        """
+        """Return whether each rate since the reading before is known in spite of its instant's doubt (``share``)."""
         before = np.maximum(np.arange(start, stop) - 1, 0)
         change = np.abs(self._rows["rate"][start:stop] - self._rows["rate"][before])
         step_s = np.maximum((self._rows["t_ns"][start:stop] - self._rows["t_ns"][before]) * 1e-9, 1e-9)[:, None]

@@ -202,8 +202,10 @@ class XsensDevice:
         return b"".join(parts)
 
     def _due(self, index: Ints) -> Flags:
-        """Return as flags (n, outputs) which outputs the messages of these samples contain; no message where all are
-        False.
+        """Return as flags (n, outputs) which outputs the messages of samples number ``index`` contain.
+
+        Each output is due every so many samples. An output of rate EVERY accompanies the others and makes no message
+        alone.
         """
         steps = np.array([1 if o.rate_hz == mtdata2.EVERY else self._divider(o) for o in self.outputs])
         timed = [o.rate_hz != mtdata2.EVERY for o in self.outputs]

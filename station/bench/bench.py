@@ -165,8 +165,7 @@ def read_bench(
     """Return the bench described by ``text``; BenchError with line and key if it is invalid.
 
     ``file`` names it in messages, ``called`` is the bench's name if the text has none; paths count from ``folder``.
-    ``plugins`` are Python files with devices and effects, in addition to those that the text lists; all are imported,
-    and their effects registered.
+    ``plugins`` are Python files with devices and effects, in addition to the text's; all are imported and registered.
     """
     top = Table.parse(text, file, BenchError)
     own = top.read("bench.bench", folder)

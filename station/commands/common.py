@@ -47,11 +47,7 @@ def command_run(arguments: argparse.Namespace) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    """Run a script on a bench into a recording and print the result; return its exit code.
-
-    Wrong usage and devices that cannot be opened are reported with an empty result. Afterwards the bench's
-    ``after_run`` program gets the result.
-    """
+    """Run a script on a bench into a recording; return the exit code, also for wrong usage and unopened devices."""
     try:
         bench = chosen_bench(arguments)
         operator = bench.checked_operator(arguments.operator) if arguments.operator is not None else ""

@@ -46,9 +46,8 @@ _ROWS = 3  # of a series
 
 @dataclass(slots=True)
 class Heard:
-    """The samples of an IMU, by source, while its table rested and then turned about z.
-
-    ``angles`` are readings of the table, time (s) and angle (rad); ``error`` is what ended the stream, if anything.
+    """Samples of an IMU, by source, at rest and turning about z; table readings ``angles`` in s, rad; ``error``: the
+    end's.
     """
 
     imu: ImuConfig
@@ -66,9 +65,7 @@ class Heard:
 
 
 async def heard_on(opened: OpenBench) -> Heard:
-    """Return the samples of the bench's IMU over nine seconds: at rest, then turning. Its exceptions are stored, not
-    raised.
-    """
+    """Return nine seconds of the IMU's samples, at rest and then turning; its exceptions are stored, not raised."""
     table, source = opened.table, opened.imus[0].source
     heard = Heard(opened.imus[0].config)
 
@@ -111,9 +108,7 @@ def _units(heard: Heard) -> str:
 
 
 def _clock(heard: Heard) -> str:
-    """Return what is wrong with sample times: not increasing, wrong rate, or more than 20 ms off the motion; "" if
-    right.
-    """
+    """Return what is wrong with sample times: order, rate, or more than 20 ms off the motion; "" if right."""
     for _, t_s, rate_rps, along in heard.sources():
         step_s = np.diff(t_s)
         if not (step_s > 0).all():
@@ -146,9 +141,7 @@ def _counted(heard: Heard) -> str:
 
 
 def _undamaged(heard: Heard) -> str:
-    """Return whether damaged samples were accepted, or too few samples came, on a wire that damages bytes; "" if
-    neither.
-    """
+    """Return what is wrong on a wire that damages bytes: damaged samples accepted, or too few; "" if nothing."""
     for counts, t_s, rate_rps, along in heard.sources():
         middle_rps = along * _RATE_RPS / 2  # of what the table does
         wild = int((np.abs(rate_rps - middle_rps) > np.abs(middle_rps) + 5 * _LITTLE_RPS).any(axis=1).sum())
@@ -193,9 +186,7 @@ async def _motion(opened: OpenBench) -> str:
 
 
 async def _late(opened: OpenBench) -> str:
-    """Return whether angles belong to another time, or a stop returned too early, on a wire that delays; "" if
-    neither.
-    """
+    """Return what is wrong on a wire that delays: angles of another time, a stop that returns early; "" if nothing."""
     axis, seen = opened.bench.table.gimbals[-1], list[AxisState]()
     for _ in range(3):
         with suppress(DeviceError):  # which a command may meet with where much is lost
@@ -214,10 +205,7 @@ async def _late(opened: OpenBench) -> str:
 
 
 async def _stopped(opened: OpenBench, how: str, at_s: float = 0.0) -> str:
-    """Call the table's method ``how`` ("stop" or the like) while all axes turn and a reading was cancelled.
-
-    Return what is wrong if an axis still turns afterwards, else "". ``at_s`` is when to call it (loop time).
-    """
+    """Call the table's method ``how`` at ``at_s`` (loop time) while all axes turn; say if one still turns after it."""
     table, loop = opened.table, asyncio.get_running_loop()
     for axis in opened.bench.table.gimbals:
         await table.jog(axis, _RATE_RPS, _RAMP_RPS2)
@@ -257,9 +245,7 @@ async def _ready(opened: OpenBench) -> str:
 
 
 async def _left_safe(opened: OpenBench, at_s: float = 2.0) -> str:
-    """Cancel the readying of the device of another kind at ``at_s``, make it safe, and return the trouble, "" if
-    none.
-    """
+    """Cancel the readying of the other device at ``at_s``, make it safe; return what is wrong, "" if nothing."""
     (device,) = opened.others
     config = device.config
     await device.driver.open()
@@ -302,9 +288,7 @@ def suites_of(spec: DeviceSpec) -> _Suites:
 
 
 def _bench_of(spec: DeviceSpec, faults: Mapping[str, Any], plugins: Sequence[Path], description: Path | None) -> Bench:
-    """Return a bench with the device's twin, whose wire has ``faults``, and the usual twins of the other kinds it
-    needs.
-    """
+    """Return a bench with the device's twin, whose wire has ``faults``, and usual twins of the other kinds it needs."""
     table = spec if isinstance(spec, TableSpec) else TABLES[USUAL_TABLE]
     imu = spec if isinstance(spec, ImuSpec) else IMUS[USUAL_IMU]
     axes = "zyx"[: spec.most_axes if isinstance(spec, TableSpec) else 1]
@@ -343,9 +327,8 @@ def complaint(
 ) -> str:
     """Run one conformance suite on a device's twin in virtual time; return what is wrong in words, "" if it passes.
 
-    ``plugins`` are files with its record. ``description`` is the file of a described IMU, by default one of the
-    package. A suite that takes more than ``within_s`` of real time is interrupted, and that is the result; so is any
-    exception of the driver, missing methods, or a task that still runs at the end.
+    ``plugins`` have its record, ``description`` is the file of a described IMU, by default one of the package. More
+    than ``within_s`` of real time, an exception of the driver, missing methods and tasks left over are failures.
     """
     faults, judge = suites_of(spec)[suite]
     bench = _bench_of(spec, faults, plugins, description)
@@ -422,8 +405,7 @@ def _told(error: BaseException) -> str:
 
 
 def command_conformance(arguments: argparse.Namespace) -> int:
-    """Test the devices of a Python file, the IMU of a description, or those of a protocol; return 0 if all pass, else
-    1.
+    """Test the devices of a Python file, a described IMU, or those of a protocol; return 0 if all pass, else 1.
 
     UsageError if the argument is none of these. Suites that need correct rates are skipped if those are wrong.
     """

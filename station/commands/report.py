@@ -21,10 +21,7 @@ if TYPE_CHECKING:
 
 
 def command_report(arguments: argparse.Namespace) -> int:
-    """Write the report of a recording as HTML and, if asked for, PDF and digital certificate; print the result.
-
-    Return 0 if all is written, whatever the report says; 2 if only the HTML could be. UsageError before that.
-    """
+    """Write a recording's report as HTML and, if asked for, PDF and digital certificate; print the result."""
     html, pdf, dcc = _outputs(arguments)
     keys = [Path(name) for name in (arguments.sign, arguments.certificate) if name]
     # numpy, h5py and matplotlib are slow to import: what is wrong with the arguments was said before.

@@ -181,7 +181,11 @@ def print_verdict(verdict: Verdict, *, details: bool) -> None:
 
 
 def next_steps(verdict: Verdict, calibration: Calibration | None, recording: Path) -> list[str]:
-    """Return what to do next after a verdict, in words."""
+    """Return sentences, with commands, on what to do next after a verdict.
+
+    They depend on its outcome: repeat an aborted run, remedy broken limits or else investigate, write the report of a
+    run that passed. A passed run whose calibration does not prove constancy gets a plan for that, too.
+    """
     if verdict.outcome in (Outcome.ABORTED, Outcome.FAULT):
         return ["`station check` tests every device; then repeat the run"]
     if verdict.outcome is Outcome.MANUAL:

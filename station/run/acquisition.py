@@ -152,10 +152,7 @@ class Acquisition:
         return identity
 
     async def open_others(self) -> None:
-        """Open and identify the devices of other kinds, and describe them in the recording.
-
-        DeviceRefused if one would refuse its set point.
-        """
+        """Open, identify and record the devices of other kinds; DeviceRefused if one would refuse its set point."""
         for device in self._others:
             config, driver = device.config, device.driver
             await driver.open()
@@ -175,10 +172,8 @@ class Acquisition:
         return found
 
     async def prepare_others(self) -> bool:
-        """Ready the devices of other kinds, one after the other; return whether there are any.
-
-        If a link is lost meanwhile, it is reopened and the device readied again, a limited number of times; then
-        LinkLost.
+        """Ready the devices of other kinds in turn, again a few times after a lost link; return whether there are
+        any.
         """
         for device in self._others:
             self.monitor.phase = Phase.PREPARING
@@ -202,8 +197,8 @@ class Acquisition:
     async def follow(self, device: OpenDevice) -> None:
         """Record the series of a device until cancelled; a lost link is reopened while nothing turns.
 
-        The link of a table or a device under test is reopened elsewhere; this only waits for it. DeviceFault if a row
-        is incomplete, the series ends, or the driver raises an unexpected exception.
+        A table's or tested device's link is reopened elsewhere. DeviceFault: incomplete row, end, or unexpected
+        exception.
         """
         driver = device.driver
         assert isinstance(driver, AppendsSeries)
@@ -241,9 +236,7 @@ class Acquisition:
                 self._last_seen_s |= {name: now_s for name in imu.source.names if name in self._last_seen_s}
 
     def _take_block(self, name: str, block: ImuBlock) -> None:
-        """Record a block and pass it to the live estimate and the monitor; the axes of accelerometers are added with
-        the first.
-        """
+        """Record a block and pass it to the live estimate and the monitor; the first adds the accelerometers' axes."""
         self._last_seen_s[name] = asyncio.get_running_loop().time()
         self.beside.attempt("the monitor", lambda: self.monitor.take_block(name, block), None)
         keys = ("t_ns", "arrival_ns", "rate_rps", "temperature_c", "counter", "accel_mps2")
@@ -298,8 +291,7 @@ class Acquisition:
             await asyncio.sleep(0.05)
 
     async def watch_silence(self) -> None:
-        """Check until cancelled that samples keep coming; LinkLost if a source is silent and its link is not being
-        reopened.
+        """Check until cancelled that samples keep coming; LinkLost if a source is silent but its link open.
 
         Nothing is concluded after a sleep that took too long, as arrived samples may still be unread.
         """
@@ -334,9 +326,7 @@ class Acquisition:
     async def keep_flushing(self) -> None:
         """Write new data to the journal some 150 times a second, and less often to the recording, until cancelled.
 
-        Intervals are in the host's time, whatever the loop's clock, as it is the host that may fail. The journal is
-        synced to disk in a thread; nothing waits for that. In virtual time, where a power cut needs no protection, both
-        are written together and not synced.
+        Intervals are in the host's time, as it is the host that may fail. In virtual time both are written together.
         """
         loop = asyncio.get_running_loop()
         virtual, journal = is_virtual(loop), self.writer.journal
@@ -394,8 +384,8 @@ class Acquisition:
     async def close(self, attributes: Mapping[str, str], *, whole: bool) -> None:
         """Close all sources and other devices, write ``attributes``, and close the recording.
 
-        For a ``whole`` run, one without a verdict so far, identities are checked first, and the live estimate is
-        finished. DeviceFault if another device is there; the recording then stays open.
+        A ``whole`` run (no verdict so far) first gets its live estimate finished and identities checked: DeviceFault if
+        another device is there; the recording then stays open.
         """
         self.monitor.end()
         for imu in self._imus:
@@ -433,9 +423,7 @@ class Acquisition:
                 self.writer.append_rows(f"{group}/{name}", columns)
 
     def causes(self) -> list[str]:
-        """Return possible causes of a failure besides the gyros: mistimed samples, a slow table, a computer that fell
-        behind.
-        """
+        """Return possible causes of a failure besides the gyros: mistimed samples, a slow table, a late computer."""
         took_s = 2e-9 * self._half_width_ns
         took_ms = f"{2e-6 * self._half_width_ns:.0f} ms"
         slow = f"the table answered up to {took_ms} late, so the time of each angle is only known to {took_ms}"
@@ -447,9 +435,8 @@ class Acquisition:
 
 
 def _accelerometer_axes(array: SensorArray) -> Floats:
-    """Return the nominal axes (3, 3) in the body of a device's accelerometers.
-
-    They are those of its gyros if it has three, which a device tells both along; else those of the body.
+    """Return the nominal axes (3, 3) of a device's accelerometers: those of its gyros if it has three, else the
+    body's.
     """
     return array.p if array.p.shape == (3, 3) else np.eye(3)
 

@@ -181,9 +181,7 @@ class StationApp(App[None]):
         self.push_screen(HelpDialog(groups))
 
     def get_system_commands(self, screen: Screen[Any]) -> Iterable[SystemCommand]:
-        """Yield the commands of the palette: actions on the recording shown, manual mode, and those of textual except
-        "Keys".
-        """
+        """Yield the palette's commands: actions on the recording shown, manual mode, and textual's except "Keys"."""
         if isinstance(screen, StationScreen) and screen.recording is not None:
             yield from offered(self, screen.recording)
         if isinstance(screen, StationScreen):
@@ -217,9 +215,7 @@ class StationApp(App[None]):
         self.work(partial(self._start, prospect), "start")
 
     async def _start(self, prospect: Prospect) -> None:
-        """Start a session for the prepared run and follow it; if one already runs on this bench, or it fails, say
-        so.
-        """
+        """Start and follow a session for the prepared run; say so if one runs on this bench already, or if it fails."""
         others = await sessions_on(prospect.bench, self.choices.bench)
         if self.busy or others:
             said = f"process {others[0]}" if others else "it is on F3"

@@ -103,11 +103,11 @@ class AcutrolTable(LineTable):
         return Identity(f"{parts[0]} {parts[1]}", parts[2], parts[3])
 
     async def enable(self) -> None:
-        """Close the interlock of every axis that is not enabled, and hold every axis at zero rate; DeviceFault if one
-        is in fault.
+        """Lock the local panel, close the interlock of every axis that is not enabled, and hold every axis at zero
+        rate.
 
         The interlock of an enabled axis stays closed: opening it would cut the power of an axis that may turn. Such an
-        axis is braked with its allowed acceleration. DeviceFault, too, if an axis does not become enabled.
+        axis is braked with its allowed acceleration. DeviceFault if an axis is in fault or does not become enabled.
         """
         await self._tell(":utility:lockout on")
         for name, axis in self._axes.items():
