@@ -39,8 +39,9 @@ class StrictTable:
 
     @classmethod
     def parse(cls, text: str, file: str, error: type[Exception]) -> Self:
-        """Return the top table of a TOML text; ``file`` names it in errors. ``error`` if it is invalid or nested too
-        deeply.
+        """Return the top table of a TOML text; ``file`` names it in errors.
+
+        ``error`` if the text is invalid or nested too deeply. Keys of many parts are refused before the slow parser.
         """
         try:
             if any(len(_STEP.findall(key)) > _DEEPEST for key in _KEY_ENDS.split("".join(text.split(" ")))):

@@ -77,8 +77,9 @@ def table_budget(
 
 
 def _changes(readings: TableReadings, t_s: Floats, w: Floats) -> Iterator[tuple[str, Floats]]:
-    """Yield (kind, change) of each imperfection of the table: the change (rows, 3) of the body rate ``w`` by one
-    sigma.
+    """Yield (kind, change) of each imperfection of the table: the change (rows, 3) of the body rate ``w`` by one sigma.
+
+    Kinds are rate, orthogonality, wobble and timing; nothing if the table states no uncertainty.
     """
     u, gimbals = readings.uncertainty, readings.gimbals
     if u is None:

@@ -252,7 +252,7 @@ def compiled(law: str) -> tuple[Compiled, ...]:
 
 
 def _compiled(node: ast.expr) -> Compiled:
-    """Return a checked syntax tree as a function of the variables."""
+    """Return a checked syntax tree as a function of the variables; LawError for syntax that laws do not have."""
     match node:
         case ast.Constant(value=int() | float() as number):
             constant = np.asarray(float(number))

@@ -167,8 +167,10 @@ def read_rows(name: str, text: str, file_format: FileFormat, wanted: Wanted) -> 
 
 
 def _heading(name: str, lines: Lines, file_format: FileFormat, wanted: Wanted) -> tuple[int, list[str]]:
-    """Return the index of the first row line, and the names of the columns; RecordingError if a wanted one is missing
-    or occurs twice.
+    """Return the index of the first row line, and the names of the columns.
+
+    Names stated in [file] hold as they are; else the heading is the early line that has most of the wanted names.
+    RecordingError if a wanted name is missing or occurs twice.
     """
     if file_format.columns:
         missing = [key for key in wanted.all if key not in file_format.columns]

@@ -87,7 +87,10 @@ def planned_coverage(readings: TableReadings) -> tuple[AxisCoverage, ...]:
 
 
 def _of_turnings(seen: Sequence[tuple[Stamps, Sequence[_Turning]]]) -> tuple[AxisCoverage, ...]:
-    """Return the coverage from the instants of the samples (n,) in ns and the turnings of each source."""
+    """Return for each axis that turned the span of time that all sources cover, from samples (n,) in ns and turnings.
+
+    Empty without sources; the span is None where the sources have none in common.
+    """
     if not seen:
         return ()
     first_ns = min(float(instants_ns[0]) for instants_ns, _ in seen)

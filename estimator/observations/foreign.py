@@ -32,7 +32,11 @@ def at_rest(reference: Reference) -> TypeGuard[RateReadings]:
 
 
 def foreign_motion_notes(recording: Recording) -> list[str]:
-    """Return sentences on what the motion measured by a rate or attitude reference leaves unobserved."""
+    """Return sentences on what the motion measured by a rate or attitude reference leaves unobserved.
+
+    That is everything for a body at rest, and the other axes for one or two axes of turning; empty for other
+    references.
+    """
     reference = recording.reference
     if at_rest(reference):
         return [sentence("observations.rests_only")]

@@ -68,7 +68,10 @@ def observations(recording: Recording, data: ImuData) -> Iterator[Observations]:
 
 
 def table_rows(recording: Recording, data: ImuData) -> Iterator[Observations]:
-    """Yield rows of body rate and output against a table; the reference must be one."""
+    """Yield rows of body rate and output at the samples that the table's readings cover; the reference must be a table.
+
+    Where the table tells only how far it turned, its rates are means over short intervals.
+    """
     reference = recording.reference
     assert isinstance(reference, TableReadings), "rows against a table need one"
     if by_turns(reference):
@@ -196,7 +199,10 @@ def in_order(data: ImuData) -> tuple[Stamps, Floats]:
 
 
 def _means(data: ImuData, reference: RateReadings, length_s: float) -> Iterator[Observations]:
-    """Yield means of both sides over blocks, for a reference that is too noisy to be compared by sample."""
+    """Yield means of rates and outputs over blocks, for a reference that is too noisy to be compared by sample.
+
+    Nothing if the reference covers less than a block; blocks with unknown rates are left out.
+    """
     t_ns, rate = in_order(data)
     w = _between(reference, t_ns)
     rows = block_rows(data, length_s)

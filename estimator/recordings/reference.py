@@ -244,8 +244,7 @@ class BodyRates:
     def _ramps(self, start: int, stop: int, until: int | None = None) -> list[tuple[int, Stamps, Ramp | None]]:
         """Return the ramps between the readings before ``start`` and before ``stop``: (column, corners, ramp).
 
-        A change that is no ramp has neither corners nor ramp. Readings before ``until`` count, by default to the next
-        change.
+        A change that is no ramp has neither corners nor ramp. Readings before ``until`` count, by default to a change.
         """
         if not len(self._rows):
             return []
@@ -283,12 +282,7 @@ class BodyRates:
         return found
 
     def _append(self, start: int, stop: int, found: list[tuple[int, Stamps, Ramp | None]]) -> None:
-        """Append readings as rows, their rates averaged over the window; insert the corners of the ramps ``found`` as
-        rows.
-
-        A corner is a row that was not measured. If a change was ``found`` that is no ramp, the steps are marked as
-        unknown.
-        """
+        """Append readings as rows, with averaged rates and unmeasured rows for the corners of ramps ``found``."""
         self._taken = stop
         ramps = [(column, corners, ramp) for column, corners, ramp in found if ramp is not None]
         part = slice(start, stop)

@@ -51,7 +51,7 @@ class AceinnaDevice:
     def received(self, msg: can.Message) -> None:
         """Handle a frame from the bus: requests, save and reset commands, settings, and claims of its own address.
 
-        Remote, error and 11-bit frames are ignored.
+        Remote, error and 11-bit frames are ignored. A device with a lower NAME gets no answer, but the address is kept.
         """
         if not msg.is_extended_id or msg.is_remote_frame or msg.is_error_frame:
             return

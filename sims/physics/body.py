@@ -89,6 +89,10 @@ class Body:
         first_s, ahead, revision = math.inf, np.empty((0, 3)), -1
 
         def up(t_s: Floats) -> Floats:
+            """Return the directions up at evenly spaced instants, from values computed ahead; else compute them now.
+
+            Values are computed ahead anew at another start, at the end, and after the motion has changed.
+            """
             nonlocal first_s, ahead, revision
             n, now_s = len(t_s), float(t_s[0])
             if abs(float(t_s[-1]) - now_s - (n - 1) * period_s) > _SAME_INSTANT_S:

@@ -44,7 +44,10 @@ class AcutrolController(LineController):
         return any(axis.powered for axis in self._axes.values())
 
     def _take(self, line: bytes) -> None:
-        """Carry out a line and send its answer, or the text of an AclError, with the running number as prefix."""
+        """Carry out a line and send its answer, or the text of an AclError, with the running number as prefix.
+
+        An empty line has no answer. The axes are brought up to date first.
+        """
         if not line.strip():
             return
         for axis in self._axes.values():

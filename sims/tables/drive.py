@@ -245,7 +245,9 @@ class Drive:
         return min(limits, default=0.0)
 
     def _master_is_silent(self) -> None:
-        """Stop an enabled axis after the master's silence: power off for the watchdog, a trip for node guarding."""
+        """Stop the axis after the master's silence, if it is enabled: power off for the watchdog, a trip for node
+        guarding.
+        """
         if self._state is not DriveState.OPERATION_ENABLED:
             return
         if self._silence_s() == self._watchdog_s:

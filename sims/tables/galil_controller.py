@@ -62,7 +62,9 @@ class GalilController(LineController):
         return any(not axis.motor_off for axis in self._axes.values())
 
     def _take(self, line: bytes) -> None:
-        """Carry out a command and send its answer and ":"; "?" for a refusal, whose code TC then reports."""
+        """Carry out a command and send its answer and ":"; "?" for a refusal, also of a long line, whose code TC then
+        reports.
+        """
         for axis in self._axes.values():
             axis.update()
         try:

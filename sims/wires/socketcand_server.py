@@ -77,7 +77,10 @@ class SocketcandServer:
         return str(name[0]), int(name[1])
 
     def send(self, msg: can.Message) -> None:
-        """Queue a data frame for all listening clients; frames of the same instant are sent together."""
+        """Queue a data frame for all listening clients; frames of the same instant are sent together.
+
+        Remote and error frames are ignored.
+        """
         if msg.is_remote_frame or msg.is_error_frame:
             return
         loop = asyncio.get_running_loop()

@@ -139,6 +139,7 @@ def command_twin(arguments: argparse.Namespace) -> int:
     bench = _seeded(load_bench(Path(arguments.bench) if arguments.bench else None), arguments.seed)
 
     async def serve() -> None:
+        """Serve the bench's twins until SIGINT or SIGTERM, which end it without an error."""
         task = asyncio.current_task()
         assert task is not None
         loop = asyncio.get_running_loop()

@@ -70,6 +70,7 @@ async def heard_on(opened: OpenBench) -> Heard:
     heard = Heard(opened.imus[0].config)
 
     async def listen() -> None:
+        """Open the source and collect its blocks; any exception is kept in ``heard.error``."""
         try:
             await source.open()
             await source.identify()
@@ -334,6 +335,7 @@ def complaint(
     bench = _bench_of(spec, faults, plugins, description)
 
     async def tried() -> str:
+        """Open the bench and the table, judge the device under test, and return what is wrong, "" if nothing."""
         before = asyncio.all_tasks()
         async with open_bench(bench) as opened:
             driver, protocol = _driver_of(spec, opened)

@@ -39,7 +39,9 @@ def command_import(arguments: argparse.Namespace) -> int:
 
 
 def _print_imported(imported: Imported, output: Path, *, as_json: bool) -> None:
-    """Print the result of an import: notes, samples per source, and what was refused."""
+    """Print the result of an import: notes, samples per source, and what was refused; all as one object if
+    ``as_json``.
+    """
     samples = {name: len(data.t_ns) for name, data in imported.recording.sources.items()}
     refused = [{"name": entry.name, "reason": entry.reason} for entry in imported.refused]
     if as_json:

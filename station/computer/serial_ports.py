@@ -93,7 +93,9 @@ def _links_by_id(root: Path) -> list[Path]:
 
 
 def _unstable_name(port: str, path: Path, root: Path) -> Iterator[Finding]:
-    """Yield the stable name of a port that may change its number when adapters are plugged in again."""
+    """Yield the stable names of a port that may change its number when adapters are plugged in again; none for a
+    link.
+    """
     if path.is_symlink():
         return
     for link in _links_by_id(root):

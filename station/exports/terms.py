@@ -121,6 +121,7 @@ def _of_law(law: str, places: int) -> tuple[str, int]:
     """
 
     def call(name: str, inner: str, constant: str) -> str:
+        """Return a function call as text for a C-like program; functions with a memory take the next places in it."""
         nonlocal places
         if name not in _PLACES:
             told = f"{inner}, {constant}" if constant else inner
@@ -142,6 +143,7 @@ def law_terms(law: str, names: Mapping[str, str], call: Callable[[str, str, str]
     """
 
     def written(node: ast.expr) -> str:
+        """Return a syntax tree as text for a C-like program; small integer powers become products."""
         match node:
             case ast.Constant(value=int() | float() as value):
                 return number(float(value))

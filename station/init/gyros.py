@@ -41,6 +41,9 @@ def ask_gyros(dialogue: Dialogue, imu: Data, folder: Path, checked: Callable[[Da
     dialogue.say(sentence("init.signals"))
 
     def usable(text: str) -> None:
+        """Check the answer: a DBC by reading it, a mapping or no answer (the built-in DBC) by ``checked``; UsageError
+        if wrong.
+        """
         if text.endswith(".dbc"):
             _signals(folder / text)
         elif text:

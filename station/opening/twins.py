@@ -147,6 +147,7 @@ class Twins:
         self._later(faults.until_s, partial(turn_knobs, knobs, faults, False))
 
         def put_there(number: int) -> tuple[Any, asyncio.Task[Any]]:
+            """Return the device twin number ``number`` of an IMU, and the task in which it is served."""
             setup = ImuTwinSetup(
                 gyros=self.gyros(imu, number),
                 rate_hz=imu.rate_hz,

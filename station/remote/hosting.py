@@ -168,6 +168,8 @@ class Host:
     def _snapshots(self, *, keep: bool = False) -> None:
         """Send new events to all clients, and a snapshot to those that have taken all before; ``keep`` stores it as a
         point.
+
+        No snapshot is made if nobody takes it, and none is sent while there is nothing to show.
         """
         for client in self.clients:
             client.send_events()

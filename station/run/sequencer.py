@@ -211,8 +211,8 @@ class Sequencer:
     async def turn(self, turn: Turn) -> None:
         """Turn an axis and wait for its arrival; the turn is recorded if the step has several parts.
 
-        DeviceRefused if the turn is beyond a limit, as a step may differ from its plan, or the axis stops elsewhere;
-        Overdue if it does not arrive in time.
+        The standstill before it is recorded first. DeviceRefused if the turn is beyond a limit, as a step may differ
+        from its plan, or the axis stops elsewhere; Overdue if it does not arrive in time.
         """
         loop = asyncio.get_running_loop()
         axis = turn.axis

@@ -349,7 +349,10 @@ class Session:
         return self._monitor.sequencer is not None and self._monitor.sequencer.driven_axis is not None
 
     async def _rest(self) -> None:
-        """Make all devices safe, the table first, once the table was connected; troubles become part of the verdict."""
+        """Make all devices safe, the table first; does nothing if the table was never connected.
+
+        Troubles become part of the verdict; without a verdict the first makes it FAULT.
+        """
         self._monitor.phase = Phase.STOPPING
         if not self._connected:
             return

@@ -153,6 +153,11 @@ async def watch_table(
             broken_off = False
 
     async def read_once() -> None:
+        """Read the axes that turn, or the one not read for longest, check limits and status, and pass the readings on.
+
+        The other axes keep their last values at the new instant. Every few readings, or after a time, status is read,
+        too.
+        """
         count = next(counter)
         busy = [a for a in axes if a == sequencer.driven_axis or states[a].rate_rps != 0.0 or a in turned]
         oldest = min((a for a in axes if a not in busy), key=lambda a: read_s[a], default=None)

@@ -366,7 +366,7 @@ class StationApp(App[None]):
         self.work(partial(self._link.follow, self._changed), "session")
 
     def _changed(self) -> None:
-        """React to a change of the session's stage: when it has ended, update the tray, show the result, or leave."""
+        """Update the screen after a change of the session; if it ended, update the tray, show the result, or leave."""
         run = self.shown
         self._tick()
         if run is None or run.stage is not Stage.ENDED:

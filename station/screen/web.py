@@ -89,6 +89,7 @@ def serve(port: int, words: Sequence[str]) -> int:
     open_pages: set[asyncio.Task[object]] = set()
 
     async def draw(request: web.Request) -> web.StreamResponse:
+        """Serve a page over its WebSocket, listed in ``open_pages`` as long as it is open."""
         page = asyncio.current_task()
         assert page is not None
         open_pages.add(page)

@@ -176,7 +176,7 @@ def _check_demand(demand: Demand, limits: Mapping[str, AxisLimits]) -> None:
 
 
 def _check_travel(turn: Turn, limit: AxisLimits) -> None:
-    """Raise ScriptError for a turn that ends beyond the travel of its axis."""
+    """Raise ScriptError if a turn ends beyond the travel of its axis; an axis without a travel turns without limit."""
     low, high = limit.travel_rad or (-math.inf, math.inf)
     if low - _ROUNDING_RAD <= turn.to_rad <= high + _ROUNDING_RAD:
         return

@@ -208,6 +208,8 @@ class Search:
     def _ranked(self, solve: Callable[[Shape], _Solved | None]) -> list[_Solved]:
         """Return the solved shapes that may be the best, by cost; those of nearly the least cost by their number of
         moves.
+
+        Empty if no shape can be solved. If the best turns no axis at a slant, slanted variants of it are tried, too.
         """
         solved = [s for ways in self._combinations() if (s := solve(self._shape(ways))) is not None]
         self.on_progress(f"{len(solved)} combinations of turns compared")

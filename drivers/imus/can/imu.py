@@ -92,6 +92,7 @@ class ChannelSignals:
         units = dict(channel.units)
 
         def reader(name: str, quantity: str) -> SignalReader:
+            """Return the reader of a signal in the DBC; only rates and accelerations may saturate."""
             saturates = channel.saturates and quantity in ("rate", "acceleration")
             return SignalReader(
                 device=device,

@@ -131,7 +131,10 @@ class Stim300Imu(OneSource[ByteLink]):
             self._decode()
 
     def _decode(self) -> None:
-        """Decode the chunks received, and give each datagram the arrival time of the chunk with its last byte."""
+        """Decode the chunks received, if any, and give each datagram the arrival time of the chunk with its last byte.
+
+        Configurations and other replies are also kept in ``_said``, the last of each kind.
+        """
         chunks, self._chunks, self._chunk_bytes = self._chunks, [], 0
         if not chunks:
             return

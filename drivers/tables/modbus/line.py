@@ -221,7 +221,8 @@ class ModbusLine:
         return LinkLost(self._device, f"{_who(request)} {said}{heard}")
 
     async def _hear_out(self) -> None:
-        """Wait a little for the reply to a request that was cancelled, as a stop cancels all of them.
+        """Wait a little for the reply to a request that was cancelled, if one is outstanding, as a stop cancels all of
+        them.
 
         A device that has not answered yet may lose the next request, and on a serial line both would collide.
         """

@@ -192,8 +192,9 @@ class TcpGate:
         return b""
 
     def _count(self, data: bytes) -> None:
-        """Count complete frames that are not the answer, as late, foreign or corrupt; describe the last in
-        ``wrong``.
+        """Count complete frames that are not the answer, as late, foreign or corrupt; describe the last in ``wrong``.
+
+        A header that is not Modbus makes all bytes received so far corrupt; an incomplete frame is left for later.
         """
         while self._seen + _TCP_HEADER + 1 < len(data):
             frame = data[self._seen :]

@@ -206,7 +206,9 @@ class LiveSource:
         self._sums.add(t_ns[known], w[known], y[known] - w[known] @ self.array.p.T)
 
     def _take_new(self) -> None:
-        """Append the samples that were added since; those with NaN or with impossible rates are left out."""
+        """Append the samples added since the last call, if any; those with NaN or with impossible rates are left
+        out.
+        """
         new = [self._new.popleft() for _ in range(len(self._new))]
         if not new:
             return

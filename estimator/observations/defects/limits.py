@@ -40,7 +40,11 @@ class Limit:
 
 
 def limits_of(output: Floats, expected: Floats, scatter_rps: float) -> list[Limit]:
-    """Return the limits of outputs (n,) whose expected values (n,) are known to ``scatter_rps``, one sigma."""
+    """Return the upper and lower limits of outputs (n,) whose expected values (n,) are known to ``scatter_rps``, one
+    sigma.
+
+    Empty for too few outputs that are known. Spikes of the expected values are ignored.
+    """
     known = np.isfinite(output) & np.isfinite(expected)
     output, expected = output[known], expected[known]
     if len(output) < _WITHOUT_SPIKES:

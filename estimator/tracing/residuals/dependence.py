@@ -97,8 +97,9 @@ def dependences(
 
 
 def _taken(gram: Floats, columns: Columns, beside: Columns, rest: int) -> tuple[float, int]:
-    """Return the squares of the residual that columns explain beside others, and how many of the columns are
-    independent.
+    """Return the squares of the residual that columns explain beside others, and the number of independent columns.
+
+    Columns of zeros do not count; (0.0, 0) if there are no others.
     """
     size = np.sqrt(np.diag(gram)[columns])
     columns, size = columns[size > 0], size[size > 0]

@@ -140,6 +140,10 @@ class TableReading(OfTable):
         shift = self.shift(lambda t_s: np.array([motion(t)[0] for t in t_s.tolist()]), started_s)
 
         def read(t_s: float) -> tuple[float, float]:
+            """Return the angle and rate as the faulty table reports them; without a fault outside of its time span.
+
+            In the span the angle jumps or is frozen at its beginning, and the rate is off in scale or stale.
+            """
             angle, rate = motion(t_s)
             if not self.followed:
                 angle += float(shift(np.array([t_s]))[0])

@@ -173,8 +173,10 @@ async def _act(order: Order, devices: Sequence[_Device], say: "_Log") -> None:
 
 
 async def _until_safe(order: Order, kind: DeviceKind, device: Any, say: "_Log", tried: Callable[[], None]) -> None:
-    """Make one device safe, trying for a minute; ``tried`` is called after the first attempt. Progress goes to
-    ``say``.
+    """Make one device safe, trying again for a minute, then give up; progress and outcome go to ``say``.
+
+    ``tried`` is called after every attempt. Before a new attempt the device is closed. A driver without ``make_safe``
+    leaves its device as it is.
     """
     loop = asyncio.get_running_loop()
     began_s = loop.time()

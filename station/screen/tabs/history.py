@@ -144,7 +144,7 @@ class HistoryScreen(StationScreen):
         self.redraw()
 
     def redraw(self) -> None:
-        """Show the trend of the chosen recording's device, for the chosen gyro."""
+        """Show the trend of the chosen recording's device, for the chosen gyro; nothing before the screen is built."""
         if not self.query(Charts):
             return
         table, self._trend, failed = self.query_one(DataTable), Trend(), 0

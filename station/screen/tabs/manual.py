@@ -29,6 +29,9 @@ def begin_manual(screen: StationScreen) -> None:
     station = screen.station
 
     async def begin() -> None:
+        """Start a manual run on the bench of the choices, or notify why not: it is invalid, or recalled and real
+        hardware.
+        """
         prospect = await asyncio.to_thread(look_ahead, station.choices)
         wrong = prospect.bench_wrong or prospect.folder_wrong
         if station.bench_recalled and not prospect.all_twins:

@@ -147,6 +147,7 @@ class PrepareScreen(StationScreen):
             return False
 
         def put() -> None:
+            """Restore the field that was scanned into, put the number into the serial field, and select it."""
             if field is not None:
                 field.value = before
             if self.maximized is not None:  # the scan held the key that enlarges a chart

@@ -238,7 +238,9 @@ class ResultScreen(StationScreen):
         self.redraw()
 
     def redraw(self) -> None:
-        """Show the recording in all blocks, and enable the buttons whose action is possible."""
+        """Show the recording in all blocks, and enable the buttons whose action is possible; nothing before the screen
+        is built.
+        """
         if not self.query(Charts):
             return
         for name, _ in _BUTTONS:
