@@ -309,10 +309,10 @@ class _Search:
         self.repeats = np.array([self._starts[g] + int(equal[self._starts[g] :].argmax()) for g in groups], dtype=int)
 
     def cut(self, take: int) -> tuple[int, int, Floats]:
-        """Round ``take`` to whole groups; return that number, the smallest plausible number of losses so far, and its
-        spread.
+        """Return what is known of the losses at a cut: (samples before it, fewest plausible losses, probabilities).
 
-        The spread is the probabilities of 0, 1, 2 ... losses more than the smallest.
+        The cut is at ``take`` samples, rounded down to whole groups, at least one; all samples if there are no more
+        than that. The probabilities are those of 0, 1, 2 ... losses more than the fewest, without implausible ends.
         """
         groups = len(self._starts) if take >= len(self.mean) else max(take // self._group, 1)
         taken = min(groups * self._group, len(self.mean))

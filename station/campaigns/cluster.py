@@ -110,8 +110,10 @@ class _Crew:
                 self._client.cancel([future for _, future in futures.values()])
 
     def _ended(self, index: int, future: Any) -> Ended[Any]:
-        """Return the result of a finished future; TimeoutError if it cannot be fetched now, _GoneError if the scheduler
-        is lost.
+        """Return the result of a finished future; one that died with its workers or could not begin gives an Ended with
+        a reason.
+
+        TimeoutError if the result cannot be fetched now, _GoneError if the scheduler is lost (it cancelled the future).
         """
         if future.cancelled():
             raise _GoneError(f"the scheduler at {self._address} no longer answers")

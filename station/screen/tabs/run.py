@@ -122,7 +122,10 @@ def _values(run: LiveRun, snapshot: Snapshot, large: bool) -> dict[str, Any]:
 
 
 def _judgement(snapshot: Snapshot) -> tuple[str, str]:
-    """Return a text on the innovations of the live filter, and its style."""
+    """Return a text on the innovations of the live filter, and its style.
+
+    It says whether their NIS is off 1 or they are not white, by more than chance; "not known yet" with too few blocks.
+    """
     if not (math.isfinite(snapshot.nis_recent) and math.isfinite(snapshot.whiteness)):  # too few blocks for either
         return "not known yet", "dim"
     by_chance = _MANY_SIGMAS / math.sqrt(max(snapshot.recent, 1))
