@@ -123,7 +123,9 @@ class DeviceKind:
             )
 
     async def refusal(self, device: Any, settings: Mapping[str, Any]) -> str:
-        """Return why an open device would not take its set point of ``settings``; empty if it would, or cannot tell."""
+        """Return why an open device would refuse its set point in ``settings``; empty if it would not, or cannot
+        tell.
+        """
         if not self.set_point or not isinstance(device, ChecksSetPoint):
             return ""
         return await device.refused(settings[self.set_point])

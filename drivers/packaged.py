@@ -13,12 +13,12 @@ def packaged_text(package: str, name: str) -> str:
 
 @cache
 def packaged_toml(package: str, name: str) -> dict[str, Any]:
-    """Return what a TOML file that ships in a package holds; it is read once and must not be changed."""
+    """Return the content of a TOML file in a package; it is read once and must not be changed."""
     return tomllib.loads(packaged_text(package, name))
 
 
 def packaged_codes(package: str, device: str, kind: str) -> dict[int, str]:
-    """Return what the numbers mean that a device answers with, from the codes.toml of a package."""
+    """Return the meanings of a device's numeric answers, from the codes.toml of a package."""
     return {int(code): text for code, text in packaged_toml(package, "codes.toml")[device][kind].items()}
 
 

@@ -155,7 +155,7 @@ def _private(gid: int, uid: int) -> bool:
 
 
 def origin_of(module: ModuleType) -> str:
-    """Return what recordings and models keep of a file: its name and hash."""
+    """Return the words by which recordings and models name a plug-in file: its name and hash."""
     path = Path(str(module.__file__))
     return f"the plug-in {path.name} (sha256 {sha256(path.read_bytes()).hexdigest()[:12]})"
 
@@ -169,7 +169,7 @@ class Registry(Mapping[str, T]):
     """Records of one type by their ``name``; the module of a record is imported when the record is first looked up."""
 
     def __init__(self, kind: type[T], group: str, own: Mapping[str, str | T]) -> None:
-        """``own`` are the built-in ones, or modules that hold them as SPEC; ``group`` is that of entry points."""
+        """``own`` are the built-in records, or modules with them as SPEC; ``group`` is the group of entry points."""
         self._kind, self._group, self._own = kind, group, own
 
     def beside(self, modules: Iterable[ModuleType], kind: str = "") -> "Registry[T]":
@@ -224,7 +224,7 @@ class Registry(Mapping[str, T]):
         return iter(dict.fromkeys((*self._own, *(entry.name for entry in self._installed))))
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of records."""
         return len(list(iter(self)))
 
     @property

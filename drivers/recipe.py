@@ -36,7 +36,7 @@ def unpacked_device(data: bytes) -> tuple[DeviceKind, Any]:
 
 
 def _plugin_of(record: Any) -> str:
-    """Return the Python file that brought a record to this process; empty if it is built in or installed."""
+    """Return the Python file that defines a record in this process; empty if it is built in or installed."""
     for name, module in list(sys.modules.items()):
         if name.startswith("station_plugin_") and any(value is record for value in vars(module).values()):
             return str(Path(str(module.__file__)).absolute())

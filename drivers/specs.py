@@ -115,7 +115,7 @@ class DeviceSpec:
 
     @property
     def said(self) -> str:
-        """What it is; EXPERIMENTAL first, where it has met nothing that somebody else made."""
+        """What the device is; EXPERIMENTAL first if it was never checked against anything made by others."""
         return f"{'' if self.checked_against else 'EXPERIMENTAL: '}{self.what}"
 
 

@@ -112,7 +112,7 @@ class AxisStatus:
 
     @property
     def trouble(self) -> str:
-        """Why the axis must not be moved, empty if it may be."""
+        """Why the axis must not be moved, empty if it may."""
         return "; ".join(filter(None, (self.fault, self.interlock)))
 
 

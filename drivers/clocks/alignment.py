@@ -119,7 +119,7 @@ class HostFit:
 
     @property
     def known(self) -> bool:
-        """Whether anything has been taken in."""
+        """Whether any arrival has been added."""
         return self._origin_ns is not None
 
     @property
@@ -217,7 +217,7 @@ class HostFit:
         return self._value + self._slope * (device_s - self._at_s) + self._rest * left
 
     def _aim(self, at_s: float, value: float, slope: float, slew: float) -> None:
-        """Go over to another line, from what has been given times already and no faster than ``slew``."""
+        """Change to another line, starting at the last value given out and no faster than ``slew``."""
         self._drifted += self._slope * (self._seen_s - self._drifted_at_s)
         self._drifted_at_s = self._seen_s
         rest = self._line(self._seen_s) - (value + slope * (self._seen_s - at_s))

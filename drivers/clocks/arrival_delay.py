@@ -84,7 +84,7 @@ class Lateness:
 
     @property
     def hidden_drift(self) -> float:
-        """The most that a drift may be taken for, where jitter hides losses, which would pass for drift; else 0."""
+        """Largest drift to assume where jitter may hide losses, which would look like drift; else 0."""
         if len(self._rough) < _FEWEST:
             return 0.0
         jitter_s = median(np.abs(self._rough.rows[:, 0]))

@@ -73,7 +73,7 @@ class CounterClock:
         return keep, t_ns
 
     def restart(self) -> None:
-        """Take the next count for that of a device that has begun anew; what it missed is told by arrivals."""
+        """Treat the next count as that of a restarted device; arrivals then tell what was missed."""
         self._last, self.fit, self._least_s = -1, HostFit(), math.inf
 
     @property
@@ -141,7 +141,7 @@ class CounterClock:
         return unwrapped + self.modulus * wraps, even and not wraps
 
     def _are_wraps(self, behind: float) -> bool:
-        """Return whether so many wraps are plainly those of a gap: whole ones, and arrivals jitter by far less."""
+        """Return whether ``behind`` is clearly a whole number of wraps, given the jitter of the arrivals."""
         known = self.fit.alignment
         jitter = 3 * known.jitter_rms_s / (self.modulus * self.tick_s) if known is not None else 0.0
         return abs(behind - round(behind)) < _NEAR_WHOLE + jitter < 2 * _NEAR_WHOLE

@@ -7,9 +7,9 @@ from typing import Any
 
 
 def loop_scale(loop: asyncio.AbstractEventLoop) -> float:
-    """Return how many seconds of the loop's clock pass in one of the wall's; 1 for a loop that does not say.
+    """Return how many seconds of the loop's clock pass in one real second; 1 for a loop without a scale.
 
-    What waits for a host, and not for physics, is stretched by it.
+    Times that a host takes, and not physics, are multiplied by it.
     """
     return float(getattr(loop, "scale", 1.0))
 

@@ -89,17 +89,17 @@ class RegularClock:
         )
 
     def add(self, arrival_ns: int, values: Floats | float, raw: bytes) -> None:
-        """Take in one sample, a number or a row (k,); ``raw`` is what equal samples share."""
+        """Add one sample, a number or a row (k,); equal samples have equal ``raw`` bytes."""
         self._held.append((arrival_ns, values, raw))
 
     def restart(self) -> None:
-        """Begin anew after a break, whose length tells how many were lost; nothing must be held any more."""
+        """Begin anew after a break, whose length tells how many samples were lost; no sample may be held any more."""
         self._begin()
         self._resumed_ns = self._last_arrival_ns
 
     @property
     def due(self) -> bool:
-        """Whether enough is held for ``ready`` to give something."""
+        """Whether enough samples are held for ``ready`` to return some."""
         return len(self._held) >= max(2 * self.HOLD, self._look_again)
 
     def ready(self, *, everything: bool = False) -> tuple[Stamps, Stamps, Floats] | None:
@@ -168,7 +168,7 @@ class RegularClock:
         )
 
     def _equal(self) -> Flags:
-        """Return which of the held samples are like the one before."""
+        """Return which of the held samples equal the one before."""
         raws = [self._last_raw, *(row[2] for row in self._held)]
         return np.array([now == before for before, now in pairwise(raws)])
 

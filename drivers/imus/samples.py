@@ -27,12 +27,12 @@ class Companion:
     """Frames that belong to the leading ones: at most one to each."""
 
     def __init__(self, *, follows: bool) -> None:
-        """``follows`` tells whether it comes after the leading frame of its instant, or before it."""
+        """``follows``: the message comes after the leading frame of its instant, else before it."""
         self.follows = follows
         self._pieces: list[Piece] = []
 
     def add(self, piece: Piece) -> None:
-        """Take in one."""
+        """Add one message."""
         self._pieces.append(piece)
 
     def reached(self, order: int) -> bool:
@@ -55,11 +55,13 @@ class Companion:
         return found, [self._pieces[i].data for i in chosen[found]]
 
     def idle(self) -> None:
-        """Drop what no leading frame can have any more, while none has come: all but the newest, or all."""
+        """Drop the messages that no leading frame can match any more: all if they follow it, else all but the
+        newest.
+        """
         self._pieces = [] if self.follows else self._pieces[-1:]
 
     def forget(self, order: int) -> None:
-        """Drop what no leading frame after this place can have; of what is kept for later, only the newest."""
+        """Drop the messages up to place ``order``, except the newest if later ones may need it."""
         kept = [piece for piece in self._pieces if piece.order > order]
         self._pieces = kept if self.follows else kept[-1:]
 

@@ -44,7 +44,7 @@ def parameter_group(identifier: int) -> int:
 
 
 def message_key(message: Any) -> MessageKey:
-    """Return what tells a message: an 11-bit and a 29-bit id of the same number are two."""
+    """Return the key of a message: its id, and whether that has 29 bits, as equal ids of both kinds differ."""
     return int(message.frame_id), bool(message.is_extended_frame)
 
 

@@ -55,7 +55,7 @@ class SlcanBus(slcanBus):
         self.serialPortOrig.write_timeout = _HANDSHAKE_S
 
     def shutdown(self) -> None:
-        """Close the adapter's channel and the port; the port also where the adapter is gone."""
+        """Close the adapter's channel and the port; the port even if the adapter is gone."""
         try:
             super().shutdown()
         finally:
@@ -173,7 +173,7 @@ class SocketcandBus(can.BusABC):
         return [part[part.rfind(b"<") :].decode("ascii", "replace") + ">" for part in whole]
 
     def _expect(self, word: str, early: list[str]) -> list[str]:
-        """Wait for a word of the server; return what came after it."""
+        """Wait for a word of the server and return the elements after it; CanInitializationError for another word."""
         while not early:
             early = self._elements()
         if early[0] != f"< {word} >":

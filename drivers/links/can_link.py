@@ -48,7 +48,7 @@ class CanLink:
 
     @property
     def malformed(self) -> int:
-        """Number of lines that began like a frame and could not be read, for interfaces that speak in text."""
+        """Number of lines that began like a frame but could not be read, for text interfaces; else 0."""
         return int(getattr(self._bus, "malformed", 0))
 
     async def open(self) -> None:
@@ -102,7 +102,7 @@ class CanLink:
             raise LinkLost(self._device, f"{self._named} does not accept frames ({_plain(error)})") from None
 
     def end(self, reason: str) -> None:
-        """Let the reader know that the bus is gone."""
+        """Mark the link as ended, for ``reason``, and wake up the reader."""
         self._ended = reason
         self._wake.set()
 
@@ -116,7 +116,7 @@ class CanLink:
         self._bus = None
 
     def _end_if_read(self, closing: threading.Event, reason: str) -> None:
-        """End, unless the thread that says so has been told to leave, perhaps for a new one."""
+        """End the link, unless the reading thread was told to leave meanwhile, perhaps for a new one."""
         if not closing.is_set():
             self.end(reason)
 
@@ -125,7 +125,7 @@ class CanLink:
         return f"CAN bus {self._interface}:{self._channel}"
 
     def _give_up(self) -> threading.Thread | None:
-        """Tell the thread to leave the bus, as soon as it has it; each thread has an event of its own."""
+        """Tell the reading thread to leave the bus, and return it; each thread has its own event."""
         thread, self._thread = self._thread, None
         self._closing.set()
         self._closing = threading.Event()
@@ -200,7 +200,7 @@ def _frame(message: can.Message, t_ns: int) -> Frame | None:
 
 
 def _plain(error: BaseException) -> str:
-    """Return what went wrong in one line; python-can's own texts may carry a whole traceback."""
+    """Return the cause of an error in one line; python-can's own texts may hold a traceback."""
     cause = error.__cause__ or error
     lines = str(cause).strip().splitlines()
     return lines[0] if lines else type(cause).__name__

@@ -22,7 +22,7 @@ class Inbox:
         """Why nothing more will come; empty while it may."""
 
     def begin(self) -> None:
-        """Forget what was there, for a link that is opened again."""
+        """Drop all chunks, for a link that is opened again."""
         self._chunks.clear()
         self._bytes = 0
         self.ended = ""

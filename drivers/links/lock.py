@@ -37,7 +37,7 @@ async def held(device: str, link: str, default_port: int | None, what: str) -> A
 
 @contextmanager
 def inherited(files: Sequence[int], what: str) -> Iterator[None]:
-    """Hold on, while this lasts, to what a process held that has died; ``files`` are its descriptors (``held``)."""
+    """Hold the locks that a dead process held, for the duration; ``files`` are its descriptors (``held``)."""
     with ExitStack() as stack:
         for file in files:
             _sign(stack, file, what)
@@ -180,7 +180,7 @@ def _check_unlocked(path: str) -> None:
 
 
 def _holder(file: int) -> str:
-    """Return in words who holds a locked file: the user is the file's owner, the rest is what its holder wrote."""
+    """Return in words who holds a locked file: the user is the file's owner, the rest the holder's own text."""
     text = os.pread(file, _HOLDER_BYTES, 0).decode("utf-8", "replace")
     said = _HOLDER.fullmatch("".join(letter if letter.isprintable() else "?" for letter in text))
     user = _user(os.fstat(file).st_uid)

@@ -15,7 +15,7 @@ class MemoryLink:
     """
 
     def __init__(self, device: str, send: Callable[[bytes], None] | None = None) -> None:
-        """Make an end whose bytes go to ``send``; what comes from there is given to ``deliver``."""
+        """Create an end that sends its bytes to ``send`` and gets those passed to ``deliver``."""
         self._device = device
         self._inbox = Inbox(device)
         self._send = send
@@ -23,7 +23,7 @@ class MemoryLink:
         self._closed = False
 
     async def open(self) -> None:
-        """Take hold of this end, after ``close`` again; LinkLost while the wire is unplugged."""
+        """Open this end, also after ``close``; LinkLost while the wire is unplugged."""
         self._inbox.begin()
         self._closed = False
         if self._unplugged:

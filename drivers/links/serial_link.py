@@ -70,7 +70,7 @@ class SerialLink:
             raise LinkLost(self._device, f"cannot open serial port {self._url}: {_why_not(self._url, error)}") from None
 
     async def receive(self) -> ByteChunk:
-        """Return the next bytes; LinkLost when the port is gone."""
+        """Return the next bytes; LinkLost once the port is gone."""
         return await self._inbox.get()
 
     def write(self, data: bytes) -> None:

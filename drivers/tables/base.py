@@ -44,7 +44,7 @@ class Table:
         return status
 
     async def _at_home(self, axis: str) -> bool:
-        """Return whether an axis that was sent home is there; DeviceFault if it is in fault."""
+        """Return whether an axis that was sent home has arrived; DeviceFault if it is in fault."""
         status = await self.status(axis)
         if status.trouble:
             raise DeviceFault(self._device, status.trouble)

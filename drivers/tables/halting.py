@@ -24,7 +24,7 @@ _LOOKS = 3  # at one that turns without a motion of its controller's, which has 
 
 @contextmanager
 def kept(failures: list[DeviceError]) -> Iterator[None]:
-    """Keep what fails within, so that it keeps nothing else from being tried."""
+    """Collect device errors raised within, so that the caller can go on with the other axes."""
     try:
         yield
     except (LinkLost, BadReply, DeviceRefused) as error:
@@ -46,7 +46,7 @@ class _Axis:
 
     @property
     def heedless(self) -> bool:
-        """Whether it was told often enough and slows no more (it may tremble), or turns without a motion to stop."""
+        """Whether it got several stops and slows no more (it may tremble), or turns without a motion to stop."""
         told = self.tells >= _TELLS and len(self._rates_rps) == _IN_A_ROW  # a slow link takes its time for looks
         return self.astray >= _LOOKS or (told and self._slowest_rps > min(_TURNS_RPS, _HEEDS * self._first_rps))
 
@@ -74,7 +74,7 @@ class _Axis:
 
     @property
     def contradicts_itself(self) -> bool:
-        """Whether it reports a rate, and a position that has not changed since it was told."""
+        """Whether it reports a rate, but a position that has not changed since the stop."""
         if self._first is None or self._last is None:
             return False
         return (

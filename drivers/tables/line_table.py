@@ -20,7 +20,7 @@ class LineTable(Table):
     """What a command is answered with that is carried out."""
 
     def __init__(self, setup: TableSetup, link: ByteLink, framing: Framing) -> None:
-        """Take what the bench says, the link, which is not open yet, and how requests and answers stand in bytes."""
+        """Take the bench's settings, a link that is not open yet, and the framing of requests and answers."""
         super().__init__("table", {name: axis.limits for name, axis in setup.axes.items()}, setup.timeout_s)
         self._exchange = Exchange(self._device, link, framing, setup.timeout_s)
         self.counts = self._exchange.counts

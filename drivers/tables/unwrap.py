@@ -21,7 +21,7 @@ class Unwrapper:
         return self._last[0] if self._last is not None else float("-inf")
 
     def restart(self) -> None:
-        """Forget the turns: the next reading is taken as told, within half a turn of zero."""
+        """Forget the turns: the next reading counts as within half a turn of zero."""
         self._last = None
 
     def place(self, t_s: float, told: float, rate: float) -> float:

@@ -173,7 +173,7 @@ class CanImu(OneSource[FrameLink]):
         return self._sources[name].alignment
 
     async def identify(self) -> Identity:
-        """A DBC says how to read values, not how to ask: nothing is known."""
+        """Return an empty identity: a DBC tells how to read values, not how to ask for them."""
         return Identity()
 
     async def blocks(self) -> AsyncIterator[tuple[str, ImuBlock]]:
@@ -220,7 +220,7 @@ class CanImu(OneSource[FrameLink]):
         return [(name, *source.rates(came)) for name, source, came in of_sources if came]
 
     def flush(self) -> list[tuple[str, ImuBlock]]:
-        """Return what is still held back for its timing, or for a part to come."""
+        """Return the samples still held back for their timing or for a part to come."""
         self._time(everything=True)
         with self._timing:
             last = list(self._timed)
@@ -402,7 +402,7 @@ class _Source:
         return values, counted, count
 
     def _held(self, temperature_c: Floats) -> Floats:
-        """Return the temperature at each sample: the last one told."""
+        """Return the temperature at each sample: the last one received."""
         known = np.concatenate([[self._temperature_c], temperature_c])
         told = np.maximum.accumulate(np.where(np.isnan(known), 0, np.arange(len(known))))
         held = known[told]

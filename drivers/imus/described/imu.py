@@ -36,7 +36,7 @@ class FramedLink:
         self.decoder = Decoder(description.framing)
 
     async def open(self) -> None:
-        """Open the link and send what starts the device."""
+        """Open the link and send the bytes that start the device."""
         await self._link.open()
         self._started = True
         for data, pause_s in self._description.start:
@@ -60,7 +60,7 @@ class FramedLink:
         self._link.write(self._description.framing.written(frame.data))
 
     def close(self) -> None:
-        """Send what stops the device, and close the link."""
+        """Send the bytes that stop the device, if it was started, and close the link."""
         with suppress(LinkLost):
             for data, _ in self._description.stop if self._started else ():
                 self._link.write(data)
@@ -75,12 +75,12 @@ class DescribedImu(CanImu):
     """One source with as many gyros as the description has."""
 
     def __init__(self, setup: ImuSetup, link: ByteLink) -> None:
-        """Expect samples at the rate of the bench: its ``Description`` does not say how to ask for them."""
+        """Prepare for samples at the bench's rate: the ``Description`` does not tell how to ask for it."""
         self._framed = FramedLink(link, setup.signals)
         super().__init__(setup, self._framed)
 
     def counts(self, name: str) -> SourceCounts:
-        """Get the counts; ``corrupt`` are places that began like a frame, or lines, and were none."""
+        """Return the counts; ``corrupt`` are places that began like a frame or line but were none."""
         counts = super().counts(name)
         counts.corrupt = self._framed.decoder.damaged
         return counts

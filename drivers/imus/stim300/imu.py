@@ -61,7 +61,7 @@ class Stim300Imu(OneSource[ByteLink]):
         self._answered = False  # since the last normal datagram
 
     def counts(self, name: str) -> SourceCounts:
-        """Get the counts; ``corrupt`` are places that began like a datagram and had a wrong CRC."""
+        """Return the counts; ``corrupt`` are places that began like a datagram but had a wrong CRC."""
         counts = self._clock.counts
         counts.corrupt = self._decoder.bad_datagrams
         return counts
@@ -124,7 +124,7 @@ class Stim300Imu(OneSource[ByteLink]):
                         self._decode()
 
     def _take(self, chunk: ByteChunk) -> None:
-        """Take in bytes; they are decoded when they may hold a block, for a line hands them over one by one."""
+        """Add bytes, and decode them once they may hold a block, as a line delivers them in small pieces."""
         self._chunks.append(chunk)
         self._chunk_bytes += len(chunk.data)
         if self._chunk_bytes >= self._block_bytes or chunk.t_ns - self._chunks[0].t_ns >= _BLOCK_S * 1e9:

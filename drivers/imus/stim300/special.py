@@ -192,7 +192,7 @@ class ExtendedError:
 
     @property
     def texts(self) -> tuple[str, ...]:
-        """What the bits that are set mean (table 5-19), in their order; the rest by their number."""
+        """Meanings of the bits that are set (table 5-19), in their order; unknown bits by number."""
         set_bits = (bit for bit in range(128) if self.bits >> bit & 1)
         return tuple(_ERRORS.get(bit, f"error bit {bit}") for bit in set_bits)
 

@@ -59,13 +59,13 @@ class Sentence:
     fields: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be sent; ValueError."""
+        """Raise ValueError for a header or field that cannot be sent."""
         if not _HEADER_TEXT.fullmatch(self.header) or not all(map(_FIELD_TEXT.fullmatch, self.fields)):
             raise ValueError(f"{self.header!r}, {self.fields!r} cannot be a VectorNav sentence")
 
     @property
     def text(self) -> str:
-        """What stands between ``$`` and ``*``."""
+        """The characters between ``$`` and ``*``."""
         return ",".join((self.header, *self.fields))
 
 
@@ -110,7 +110,7 @@ def layout_of(masks: Mapping[int, int]) -> Layout:
 
 
 def layout_of_header(header: bytes) -> Layout:
-    """Return the layout that a frame's first bytes, up to the last field word, say; ValueError if they cannot be."""
+    """Return the layout given by a frame's first bytes, up to the last field word; ValueError if it is unknown."""
     end, masks = _read_header(header, 0)
     if masks is None or end != len(header):
         raise ValueError(f"{header.hex(' ')} is no header of a frame whose fields are known")
@@ -162,12 +162,14 @@ class VectorNavDecoder:
         self.bad_sentences = 0
 
     def feed(self, data: bytes) -> list[Sentence | Frames]:
-        """Return what these bytes complete, in order, consecutive frames of one layout together."""
+        """Return the sentences and frames that these bytes complete, in order, consecutive frames of one layout
+        together.
+        """
         self._buffer += data
         return self._take(ended=False)
 
     def flush(self) -> list[Sentence | Frames]:
-        """Return what lies behind a beginning that nothing completes, when nothing more has come for a while."""
+        """Return what lies behind a beginning that was never completed, after a pause in the stream."""
         return self._take(ended=True)
 
     def _take(self, *, ended: bool) -> list[Sentence | Frames]:

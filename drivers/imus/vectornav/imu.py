@@ -115,12 +115,12 @@ class VectorNavImu(OneSource[ByteLink]):
                     yield self._device, block
 
     def flush(self) -> list[tuple[str, ImuBlock]]:
-        """Return what is still held back for its timing: ASCII output has no time stamp."""
+        """Return the samples still held back for their timing: ASCII output has no time stamp."""
         block = regular_block(self._regular, [], gyros=3, everything=True)
         return [] if block is None else [(self._device, block)]
 
     def arrived(self) -> list[tuple[str, Stamps, Floats]]:
-        """Return arrivals (n,) in ns and rates (n, 3) of what came since the last call in ASCII, which holds back."""
+        """Return arrivals (n,) in ns and rates (n, 3) of ASCII samples since the last call, before they are timed."""
         fresh, self._fresh = self._fresh or [], []
         t_ns, rates = np.array([t_ns for t_ns, _ in fresh], dtype=np.int64), [row[:3] for _, row in fresh]
         return [(self._device, t_ns, np.array(rates))] if fresh else []

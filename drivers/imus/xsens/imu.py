@@ -233,7 +233,7 @@ class XsensImu(XbusDevice):
             raise DeviceRefused(self._device, sentence("imu.no_times"))
 
     async def _told(self, mid: Mid) -> bytes:
-        """Return the answer to what not every device can be asked, empty from those."""
+        """Return the answer to a request that some devices refuse; empty from these."""
         try:
             return await self._request(mid)
         except DeviceRefused:

@@ -248,7 +248,7 @@ class Output:
     rate_hz: int
 
     def __str__(self) -> str:
-        """Say it with the maker's name."""
+        """Return the output in words, with the maker's name for its data."""
         rate = "with every message" if self.rate_hz == EVERY else f"at {self.rate_hz} Hz"
         return f"{name_of(self.data_id)} {rate}"
 

@@ -23,7 +23,9 @@ class XbusDevice(OneSource[ByteLink]):
         self._hears_data = False
 
     async def _receive(self) -> tuple[int, Messages]:
-        """Return the next messages, all of a kind, with the loop time at which they arrived; LinkLost if gone."""
+        """Return the next messages, all of one kind, with the loop time at which they arrived; LinkLost if the link
+        ends.
+        """
         while not self._inbox:
             await self._fill()
         return self._inbox.popleft()

@@ -53,7 +53,7 @@ ERROR_DATA_OVERFLOW = 41
 
 
 def error_text(data: bytes) -> str:
-    """Return what an Error message says, code and words."""
+    """Return the text of an Error message, code and words."""
     code = data[0] if data else 0
     return f"error {code}: {ERRORS.get(code, 'a code without a public meaning')}"
 
@@ -85,7 +85,7 @@ class XbusDecoder:
         return self._scan(at_end=False)
 
     def flush(self) -> list[Messages]:
-        """Return the messages within what looked like the beginning of a longer one, for when no more bytes come."""
+        """Return the messages inside a longer one that began but never ended, for when no more bytes come."""
         return self._scan(at_end=True)
 
     def _scan(self, *, at_end: bool) -> list[Messages]:

@@ -32,7 +32,7 @@ def absolute_limits(text: str) -> tuple[float, float] | None:
 
 
 def refusal(text: str) -> bool:
-    """Return whether an answer is the controller's own words for why it does not do what it is told."""
+    """Return whether an answer is the controller's text for a refusal."""
     return bool(TEXT.fullmatch(text)) and not NUMBER.fullmatch(text)
 
 

@@ -133,14 +133,14 @@ class AcutrolTable(LineTable):
         await self._wait_for_home(_POLL_S)
 
     async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
-        """Turn an axis at a rate (rate mode) until told otherwise."""
+        """Turn an axis at a rate (rate mode) until the next command."""
         self._moved, task = axis, _Task(math.degrees(rate_rps), math.degrees(acceleration_rps2))
         self._axes[axis].task = task
         await self._turn(axis, task.rate_dps, task.acceleration_dps2)
         self._watch(axis, task)
 
     async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
-        """Start towards an angle from home; it goes on by itself, over as many turns as there are."""
+        """Start a move to an angle from home; it continues in the background, over any number of turns."""
         self._moved = axis
         task = _Task(abs(math.degrees(rate_rps)), math.degrees(acceleration_rps2), math.degrees(angle_rad))
         self._axes[axis].task = task
@@ -209,7 +209,7 @@ class AcutrolTable(LineTable):
             raise failures[0]
 
     def close(self) -> None:
-        """Drop the link and what watches over axes."""
+        """Stop the tasks that watch axes, and close the link."""
         for watcher in self._watchers:
             watcher.cancel()
         super().close()

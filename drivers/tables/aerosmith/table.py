@@ -53,7 +53,7 @@ class AerosmithFraming:
         return line.encode("ascii") + b"\r"
 
     def answer(self, line: str, received: bytes) -> Framed | None:
-        """Return what stands before the prompt."""
+        """Return the text before the prompt, None while that is incomplete; "?" in it marks a refusal."""
         found = _ANSWER.match(received)
         if found is None:
             return None
@@ -94,11 +94,11 @@ class AerosmithTable(LineTable):
         self._unwrapper.restart()
 
     async def identify(self) -> Identity:
-        """Return what is known without asking: no public program asks the table what it is."""
+        """Return the model without asking: no public program asks the table for it."""
         return Identity(model="Ideal Aerosmith (experimental)")
 
     async def enable(self) -> None:
-        """Switch the servo on; DeviceFault if the table says fault."""
+        """Switch the servo on; DeviceFault if the table reports a fault."""
         await self._sound(self._axis)
         await self._tell("SRV1")
         self._servo_on = True
@@ -116,7 +116,7 @@ class AerosmithTable(LineTable):
         return await super()._at_home(axis)
 
     async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
-        """Turn at a whole number of deg/s until told otherwise; DeviceRefused for any other rate."""
+        """Turn at a whole number of deg/s until the next command; DeviceRefused for any other rate."""
         rate = self._whole_rate(rate_rps)
         await self._set_acceleration(acceleration_rps2)
         await self._start(f"JOG{rate}")
@@ -184,7 +184,7 @@ class AerosmithTable(LineTable):
         return whole
 
     async def _set_acceleration(self, acceleration_rps2: float) -> None:
-        """Set the ramp, in whole deg/s2, not above what is asked for."""
+        """Set the ramp, in whole deg/s2, rounded down; DeviceRefused below 1 deg/s2."""
         whole = math.floor(math.degrees(acceleration_rps2) + 1e-6)
         if whole < 1:
             raise DeviceRefused(self._device, f"axis {self._axis}: the slowest ramp of this controller is 1 deg/s2")

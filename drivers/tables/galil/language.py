@@ -35,7 +35,7 @@ _PROMPT = re.compile(rb"(?:\A|[\r\n])([:?])")
 
 
 def _flag(mask: int, what: str, *, when_low: bool = False) -> property:
-    """Return a property: whether a bit of the word is set, or not set where that is what it says ``when_low``."""
+    """Return a property that tells whether a bit of the word is set; with ``when_low``, whether it is not set."""
     return property(lambda switches: bool(switches.word & mask) is not when_low, doc=what)
 
 
@@ -84,7 +84,7 @@ ACCELERATION_STEP = 1024  # counts/s2
 
 
 def floor_acceleration(counts_per_s2: float) -> int:
-    """Return what AC and DC make of an acceleration: a multiple of 1024, not above it, at least 1024."""
+    """Return the acceleration that AC and DC set: a multiple of 1024, rounded down, at least 1024."""
     return max(int(counts_per_s2) // ACCELERATION_STEP, 1) * ACCELERATION_STEP
 
 

@@ -313,7 +313,7 @@ class GalilTable(LineTable):
         return round(turns_rad / TURN * self._axes[axis].counts_per_turn)
 
     async def _refusal(self, line: str, answer: Answer) -> _RefusedError:
-        """Return why a line was refused. TC1 tells of the last refused line and forgets it."""
+        """Return why a line was refused. TC1 gives the code of the last refusal and clears it."""
         reason = await self._exchange.ask("TC1", galil.TEXT)
         code, words = galil.error_of("" if reason.refused else reason.text)
         return _RefusedError(self._device, f"refuses {line!r}: TC {code}, {words}", code)

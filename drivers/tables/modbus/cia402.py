@@ -33,7 +33,7 @@ class DriveState(Enum):
 
 
 def state_of(statusword: int) -> DriveState | None:
-    """Return the state that a statusword tells, None for a pattern that is none of them."""
+    """Return the state for a statusword, None for an unknown pattern."""
     for state in DriveState:
         mask, value = state.value
         if statusword & mask == value:

@@ -348,7 +348,7 @@ class ModbusLine:
         return tuple(reply.registers)
 
     def _disconnected(self, error: Exception | None) -> None:
-        """Keep why the connection ended, and let nobody wait for an answer any more."""
+        """Store why the connection ended, and fail the request that waits for an answer."""
         self._ended = "the controller closed it" if error is None else f"it broke ({error})"
         if self._asking and not self._client.ctx.response_future.done():
             self._client.ctx.response_future.set_exception(self._gone())

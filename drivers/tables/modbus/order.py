@@ -51,7 +51,7 @@ class Request:
 
     @property
     def head(self) -> bytes:
-        """What its RTU reply begins with; what follows is data and CRC, so this also tells the length."""
+        """First bytes of its RTU reply; data and CRC follow, so this also determines the length."""
         if not self.words:
             return bytes((self.unit_id, READ, 2 * self.count))
         echoed = self.words[0] if self.count == 1 else self.count
@@ -59,7 +59,7 @@ class Request:
 
     @property
     def refusals(self) -> tuple[bytes, ...]:
-        """What an exception reply to it may begin with on RTU."""
+        """First bytes that an exception reply to it may have on RTU."""
         codes = (READ | 0x80, _KINCO_BAD_READ) if self.function == READ else (self.function | 0x80,)
         return tuple(bytes((self.unit_id, code)) for code in codes)
 
@@ -68,7 +68,7 @@ class Pending:
     """Requests of one unit that may still be answered, oldest first, by the heads of their replies."""
 
     def __init__(self) -> None:
-        """Begin with none."""
+        """Begin without requests."""
         self._asked: deque[tuple[bytes, float]] = deque()
 
     def __len__(self) -> int:
@@ -87,7 +87,7 @@ class Pending:
             pass
 
     def forget(self, before_s: float) -> None:
-        """Strike off what was asked so long ago that nothing holds its reply back any more."""
+        """Remove requests sent before ``before_s``, whose replies cannot come any more."""
         while self._asked and self._asked[0][1] < before_s:
             self._asked.popleft()
 
@@ -116,11 +116,11 @@ class RtuGate:
 
     @property
     def answered(self) -> bool:
-        """Whether what the last request awaits has come."""
+        """Whether the reply to the last request has come."""
         return not self._expected
 
     def expect(self, *heads: bytes) -> None:
-        """Let through the first frame that begins with one of these, once the next request has been sent."""
+        """After the next request, let through the first frame that begins with one of these heads."""
         self._armed = heads
 
     def __call__(self, sending: bool, data: bytes) -> bytes:

@@ -47,7 +47,7 @@ class _HomingStart:
 
     @property
     def taken(self) -> bool:
-        """Whether the start has been seen to be taken: bit 12 or 10 fell, or nothing of an old homing was left."""
+        """Whether the drive has accepted the start: bit 12 or 10 fell, or no bit of an old homing was set."""
         return not self.before & cia402.BIT_12 or bool(
             self.fallen & (cia402.BIT_12 | self.before & cia402.TARGET_REACHED)
         )
@@ -89,7 +89,7 @@ class ModbusTable(Table):
             await self._make_ready(axis)
 
     async def _make_ready(self, axis: str) -> None:
-        """Write what the profile says is to be written on a new connection, before the first command over it."""
+        """Write the registers that the profile requires on a new connection, before the first command over it."""
         if axis not in self._ready:
             self._ready.add(axis)
             for name, value in self._profile.on_open:
@@ -184,7 +184,7 @@ class ModbusTable(Table):
         return True
 
     async def _start_homing_again(self, axis: str, start: _HomingStart) -> None:
-        """Take the start bit back for as long as a drive needs to see that, and give it again: it acts on its rise."""
+        """Clear the start bit long enough for the drive to see it, then set it again, as its rise counts."""
         await self._command(axis, "enable")
         await asyncio.sleep(_TAKEN_S)
         await self._command(axis, "home")
@@ -242,7 +242,7 @@ class ModbusTable(Table):
         return AxisState.told(angle, rate)
 
     async def orders(self, axis: str) -> dict[str, float]:
-        """Read back what the drive was told last; what it lets nobody read is left out."""
+        """Read back the drive's last commands; registers that cannot be read are left out."""
         found = {}
         for name in _ORDERS:
             with kept([]):
@@ -273,7 +273,7 @@ class ModbusTable(Table):
         return bool(asked) and int(await self._read(axis, register)) != closed
 
     async def stop(self) -> str:
-        """Quick-stop every drive along its ramp, over a new connection if need be, and return what was seen."""
+        """Quick-stop every drive along its ramp, over a new connection if necessary, and return what was seen."""
         return await self._rest("quick_stop")
 
     async def abort(self) -> None:
@@ -281,7 +281,7 @@ class ModbusTable(Table):
         await self._rest("abort")
 
     async def _rest(self, command: str) -> str:
-        """Tell all drives, asking nothing first; what one answers does not keep the others from being told."""
+        """Send a stop command to all drives without asking first; an error of one does not delay the others."""
         return await self._bring_to_rest(partial(self._tell, command), self.read)
 
     async def _tell(self, command: str, axis: str) -> None:
@@ -325,7 +325,7 @@ class ModbusTable(Table):
             raise failures[0]
 
     async def _leave_quick_stop(self, axis: str) -> None:
-        """Take power off a drive that holds after its quick stop, as 605Ah = 5 to 8 has it (CiA 402 transition 12)."""
+        """Take power off a drive that stays in quick stop, as it does for 605Ah = 5 to 8 (CiA 402 transition 12)."""
         if await self._state(axis) is cia402.DriveState.QUICK_STOP_ACTIVE:
             await self._write(axis, "controlword", cia402.DISABLE_VOLTAGE)
             await self._wait_for_state(axis, cia402.DriveState.SWITCH_ON_DISABLED)
