@@ -103,7 +103,7 @@ def direct_run(
 
 
 def _read(motion: AxisMotion, read: Motion, t_s: Floats) -> tuple[Floats, Floats]:
-    """Return angles and rates (n,) of an axis as they are read; the short way where they are read as they are."""
+    """Return angles and rates (n,) of an axis as the faulty table reads them; computed at once if it has no fault."""
     if read == motion.at:
         return motion.angles(t_s), motion.rates(t_s)
     angle, rate = np.array([*map(read, t_s.tolist())]).T
@@ -111,7 +111,7 @@ def _read(motion: AxisMotion, read: Motion, t_s: Floats) -> tuple[Floats, Floats
 
 
 def _read_temperature(gyros: GyroArray, t_s: Floats, seed: tuple[int, ...]) -> Floats:
-    """Return temperatures (n,) as a node tells them: read once a second, with a little noise, in whole counts."""
+    """Return temperatures (n,) as a node reports them: read once a second, with a little noise, in whole counts."""
     seconds, since = np.unique(np.floor(t_s / _READ_EVERY_S), return_inverse=True)
     noise = _TEMPERATURE_NOISE_C * np.random.default_rng(seed).standard_normal(len(seconds))
     read = gyros.temperatures_c(seconds * _READ_EVERY_S) + noise

@@ -30,7 +30,7 @@ A twin has ``serve``, which sends until it is cancelled, and ``received`` for by
 
 
 def twin_of(spec: ImuSpec) -> Callable[[ImuTwinSetup, Any], Any]:
-    """Return what makes the twin of a device; PluginError if it brings none."""
+    """Return the maker of a device's twin; PluginError if there is none."""
     if (twin := spec.twin or TWINS.get(spec.family or spec.name)) is None:
         raise PluginError(f"{spec.name} has no twin: its SPEC needs one, or the bench file a link")
     return twin

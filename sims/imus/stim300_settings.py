@@ -80,7 +80,7 @@ class Settings:
         self.identifier = identifier
 
     def set_gyro_unit(self, code: str) -> None:
-        """Set what the gyros put out."""
+        """Set the unit of the gyro outputs."""
         self.gyro_unit = int(_one_of(code, _GYRO_UNITS))
 
     def save(self) -> None:

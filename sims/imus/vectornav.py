@@ -105,7 +105,7 @@ class VectorNavDevice:
             self._write(vectornav.encode_sentence(_error(_CHECKSUM)))
 
     def _wake_up(self) -> None:
-        """Begin with what is in flash."""
+        """Start with the settings in flash."""
         self._registers = dict(self._flash)
         self._layouts = {register: _layout(self._registers[register]) for register in _BINARY}
         self._paused = False
@@ -200,7 +200,7 @@ class VectorNavDevice:
         return command
 
     def _polled(self, output: int) -> bytes:
-        """Return the frame of a binary output, 1 to 3, as it is now; one that is off is a wrong parameter."""
+        """Return the current frame of binary output 1 to 3; Refused for one that is off."""
         layout = self._layouts.get(_BINARY[0] - 1 + output)
         if layout is None:
             raise Refused(_PARAMETER)

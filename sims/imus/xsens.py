@@ -107,13 +107,13 @@ class XsensDevice:
                 self._write(data)
 
     def restart(self) -> None:
-        """Switch off and on: times and counts begin anew, and it says that it has woken up."""
+        """Switch off and on: times and counts begin anew, and a WakeUp is sent."""
         self._sample = self._uptime_ticks = self._messages = 0
         self.measuring = True
         self._write(encode(Mid.WAKE_UP))
 
     def report(self, error: int) -> None:
-        """Send an Error that nobody has asked for."""
+        """Send an Error unasked."""
         self._write(encode(Mid.ERROR, bytes([error])))
 
     def _answer(self, mid: int, data: bytes) -> None:

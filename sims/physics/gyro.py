@@ -144,7 +144,7 @@ class GyroArray:
         return np.asarray(self._wander_rps * self._wander.sum(axis=0) + self._walk_rps)
 
     def _decay(self, samples: int) -> tuple[Floats, Floats]:
-        """Return what the wander keeps over this many samples, and what is added to it."""
+        """Return the factors of the old wander and of new noise over this many samples."""
         if samples not in self._decays:
             keep = np.exp(-samples * self._period_s / _CORRELATION_TIMES_S)[:, None]
             self._decays[samples] = keep, np.sqrt(1 - keep**2)

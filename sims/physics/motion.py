@@ -39,11 +39,11 @@ class AxisMotion:
         self._keep = _KEEP_SEGMENTS
 
     def keep_all(self) -> None:
-        """Remember every segment from now on, for a run that is looked at as a whole."""
+        """Keep every segment from now on, for a run that is evaluated as a whole."""
         self._keep = sys.maxsize
 
     def at(self, t_s: float) -> tuple[float, float]:
-        """Return angle and rate at one instant, not before the segments that are kept."""
+        """Return angle and rate at one instant; before the kept segments, those of the first."""
         for segment in reversed(self._segments):
             if t_s >= segment.t_s:
                 return segment.at(t_s) if segment.t_s > -math.inf else (segment.angle_rad, 0.0)
@@ -132,7 +132,7 @@ class AxisMotion:
         return t_s + duration, angle, to
 
     def _start(self, t_s: float) -> None:
-        """Forget what was to come, keep what has been."""
+        """Remove the segments after an instant, before a new motion begins."""
         self.revision += 1
         past = [s for s in self._segments if s.t_s <= t_s]
         self._segments = past[-self._keep :]

@@ -61,17 +61,17 @@ class TableModel:
         return self._true[axis](t_s) if axis in self._true else np.zeros(len(t_s))
 
     def revision(self) -> int:
-        """Return a number that changes whenever an axis has been told something."""
+        """Return a number that changes with every command to an axis."""
         return sum(motion.revision for motion in self.motion.values())
 
     def encoder_turns(self, axis: str) -> float:
-        """Return what the encoder reads now, a whole number of counts, in turns."""
+        """Return the current encoder reading, a whole number of counts, in turns."""
         counts = self.data[axis].counts_per_turn
         angle = self.read[axis](self.clock())[0] - self._zero[axis]
         return math.floor(angle / (2 * math.pi) * counts + 0.5) / counts
 
     def read_rate_rps(self, axis: str) -> float:
-        """Return what the drive of an axis says of its rate now."""
+        """Return the rate that an axis's drive reports now."""
         return self.read[axis](self.clock())[1]
 
     def freeze_readings(self, axis: str, *, angle: bool = True, rate: bool = True, zero: bool = False) -> None:
@@ -117,7 +117,7 @@ class TableModel:
         self.motion[axis].stop(self.clock(), self.data[axis].max_acceleration_rps2)
 
     def trip(self, axis: str, reason: str) -> None:
-        """Pull the fault input of an axis: it brakes by itself and its drive goes to fault."""
+        """Set the fault input of an axis: it brakes by itself and its drive goes to fault."""
         self.tripped[axis] = reason
         self.stop(axis)
 

@@ -95,7 +95,7 @@ class AcutrolAxisTwin:
         self.limits[what, mode] = value
 
     def angle_deg(self) -> float:
-        """Return what the encoder says of the angle, which is absolute."""
+        """Return the angle of the absolute encoder."""
         counts = self._table.data[self._axis].counts_per_turn
         angle = self._table.read[self._axis](self._table.clock())[0]
         return math.floor(angle / TURN * counts + 0.5) / counts * 360.0

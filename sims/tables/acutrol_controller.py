@@ -134,7 +134,7 @@ class AcutrolController(LineController):
 
 
 def _full(word: str, words: Iterable[str]) -> str:
-    """Return the word that a short form means: the first that begins with it."""
+    """Return the first word that begins with a short form; AclError if there is none."""
     for full in words:
         if word and full.startswith(word):
             return full

@@ -48,7 +48,7 @@ class Drive:
         self.values |= {"mode": cia402.MODE_PROFILE_VELOCITY, "serial_number": 1.0, "firmware": 1.0}
 
     def heard(self) -> None:
-        """Note that the master has said something."""
+        """Note that the master has sent something."""
         self._watchdog.heard(self._state is DriveState.OPERATION_ENABLED)
 
     def read(self, register: str) -> float:
@@ -84,7 +84,7 @@ class Drive:
         return register == "access" or self.values.get("access", 1.0) == 1.0
 
     def accepts(self, register: str, value: float) -> bool:
-        """Return whether a value is within what the drive takes."""
+        """Return whether the drive accepts a value for a register."""
         if register == "mode":
             return value in (cia402.MODE_PROFILE_POSITION, cia402.MODE_PROFILE_VELOCITY, cia402.MODE_HOMING)
         if register in ("target_rate", "profile_rate"):
@@ -232,7 +232,7 @@ class Drive:
         return word
 
     def _error_code(self) -> int:
-        """Return the code of the trip: of the first error that is named like it, else the first of all."""
+        """Return the code of the trip: of the first error whose name begins with its reason, else the first of all."""
         reason = self._table.tripped.get(self._axis)
         if reason is None:
             return 0
@@ -240,7 +240,7 @@ class Drive:
         return next(iter([*named, *self._errors]), 0)
 
     def _silence_s(self) -> float:
-        """Return how long the master may be silent, 0 for ever: the drive's own guard, or the bench's watchdog."""
+        """Return how long the master may be silent, 0 for no limit: the drive's own guard, or the bench's watchdog."""
         limits = [limit for limit in (self.values.get("node_guard", 0.0) / 1000, self._watchdog_s) if limit]
         return min(limits, default=0.0)
 

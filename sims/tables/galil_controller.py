@@ -52,7 +52,7 @@ class GalilController(LineController):
         self._own: dict[str, list[float]] = {word: list(values) for word, values in _KNOWN["setting"].items()}
 
     def received(self, data: bytes) -> None:
-        """Take bytes from the host, cut anywhere; with echo on each is said again before it is obeyed."""
+        """Take bytes from the host, divided anywhere; with echo, each byte is sent back before it is carried out."""
         for part in [bytes([byte]) for byte in data] if self._echo else [data]:
             if self._echo:
                 self._write(part.replace(b"\r", b"\r\n"))

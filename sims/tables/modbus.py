@@ -136,7 +136,7 @@ class ModbusTcp:
     """Drives by unit id behind a TCP gateway; requests to a missing unit get exception 0Bh."""
 
     def __init__(self, drives: Mapping[int, DriveRegisters], write: Write) -> None:
-        """Begin with no request."""
+        """Begin without a request."""
         self._drives, self._write = drives, write
         self._buffer = b""
 
@@ -205,12 +205,12 @@ class Connection(ServerRequestHandler):
     """One master's connection to a pymodbus server, which owns the transport."""
 
     def __init__(self, server: Any, make: Callable[[Write], ByteDevice]) -> None:
-        """Serve it by what ``make`` makes, given how to write."""
+        """Serve the connection by the device of ``make``, which gets the function to write with."""
         super().__init__(server, server.trace_packet, None, server.trace_connect)  # type: ignore[no-untyped-call]
         self._device = make(self._say)
 
     def data_received(self, data: bytes) -> None:
-        """Take bytes from the master; a device that cannot tell where the next request begins closes."""
+        """Take bytes from the master; close if the device cannot find the next request in them."""
         try:
             self._device.received(self.trace_packet(False, data))
         except ConnectionError:

@@ -24,7 +24,7 @@ TWINS: dict[str, Callable[[TableTwinSetup, Write], ByteDevice]] = {
 
 
 def twin_of(spec: TableSpec) -> Callable[[TableTwinSetup, Write], ByteDevice]:
-    """Return what makes the twin of a controller; PluginError if it brings none."""
+    """Return the maker of a controller's twin; PluginError if there is none."""
     if (twin := spec.twin or TWINS.get(spec.name)) is None:
         raise PluginError(f"{spec.name} has no twin: its SPEC needs one, or the bench file a link")
     return twin

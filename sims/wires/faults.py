@@ -80,17 +80,17 @@ class WireFaults:
     backwards_s: float = field(default=math.inf, metadata=given("s", least=0))
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
+        """Raise HiddenError for impossible values."""
         check(self)
 
     @property
     def to_device(self) -> Self:
-        """Those that also act on what the host sends."""
+        """The faults that also act on what the host sends."""
         return replace(self, late=0.0, swapped=0.0, repeats_s=math.inf, backwards_s=math.inf)
 
     @property
     def any(self) -> bool:
-        """Whether anything is wrong at all."""
+        """Whether there is any fault."""
         return self != WireFaults()
 
     @property
@@ -120,7 +120,7 @@ class DeviceFaults:
     clock: float = field(default=0.0, metadata=given("ppm"))
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
+        """Raise HiddenError for impossible values."""
         check(self)
         if min(self.stuck, self.saturated) < 0:
             raise HiddenError("stuck, saturated: gyros are counted from 1")
@@ -170,7 +170,7 @@ def device_faults(table: Mapping[str, object], gyros: int, where: str) -> tuple[
 
 
 def wire_faults(table: Mapping[str, object], where: str) -> WireFaults:
-    """Return what [twin.NAME.fault] says of the wire of a device of another kind; HiddenError if it cannot be."""
+    """Return the wire faults in [twin.NAME.fault] for a device of another kind; HiddenError if invalid."""
     refuse_unknown(table, {key_of(what): what for what in fields(WireFaults)}, where)
     return _read(WireFaults, table, where)
 
@@ -251,7 +251,7 @@ class FaultyWay(Generic[T]):
         return [item]
 
     def _kind(self, item: T) -> object:
-        """Return what messages have in common that stand for one another."""
+        """Return a key that messages share if one may stand for another; None for all."""
         return None
 
     @property
@@ -310,7 +310,7 @@ class FaultyFrames(FaultyWay[can.Message]):
     """One direction of a CAN bus to one node. The bus drops damaged frames itself; an unplugged node is silent."""
 
     def __init__(self, sink: FrameSink | Callable[[can.Message], None], faults: WireFaults, seed: Any) -> None:
-        """Hand what comes through to ``sink``; must be made within a running loop."""
+        """Pass the frames that survive to ``sink``; must be created within a running loop."""
         super().__init__(sink if callable(sink) else sink.send, faults, seed, silent_unplugged=True)
 
     def send(self, msg: can.Message) -> None:
@@ -353,7 +353,7 @@ class Exchanged:
         getattr(self.device, "received", lambda data: None)(data)
 
     def hung_up(self) -> None:
-        """Tell it that its connection has ended."""
+        """Tell the device that its connection has ended, if it has a method for that."""
         getattr(self.device, "hung_up", lambda: None)()
 
 
@@ -362,7 +362,7 @@ def _share(random: np.random.Generator, share: float) -> bool:
 
 
 def _split(table: Mapping[str, object], kinds: tuple[type, type], where: str) -> tuple[dict[str, object], ...]:
-    """Return what of a table belongs to each kind, the first of which comes first."""
+    """Return the parts of a table that belong to each of two kinds; keys of both go to the first."""
     known = [{key_of(what): what for what in fields(kind)} for kind in kinds]
     refuse_unknown(table, known[0] | known[1], where)
     first = {key: value for key, value in table.items() if key in known[0]}
@@ -370,7 +370,7 @@ def _split(table: Mapping[str, object], kinds: tuple[type, type], where: str) ->
 
 
 def _read(kind: type[T], table: Mapping[str, object], where: str) -> T:
-    """Return what a table says of a kind; errors begin with where it is."""
+    """Return an object of a kind from a table; errors begin with the place in the file."""
     try:
         return read(kind, table, where)
     except HiddenError as error:

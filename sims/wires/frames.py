@@ -52,7 +52,7 @@ class NodeFaults:
         return 0 if draw < self.dropped else 2 if draw < self.dropped + self.doubled else 1
 
     def spoilt(self, rates_rps: Floats, most_rps: float = 1e300) -> Floats:
-        """Return rates (n, m), some of them impossible: ``most_rps`` is what the wire has a number for."""
+        """Return rates (n, m), some of them impossible: ``most_rps`` is the largest number on the wire."""
         if not self.huge:
             return rates_rps
         self._random = self._random or np.random.default_rng(self.seed)
@@ -90,5 +90,7 @@ class ImuTwinSetup:
     number: int = 0
 
     def force_mps2(self, t_s: Floats) -> Floats:
-        """Return what its accelerometers sense (n, 3), in m/s2, at instants (n,); 0 if nobody tells."""
+        """Return the specific force (n, 3) at its accelerometers, in m/s2, at instants (n,); 0 without a
+        direction up.
+        """
         return np.zeros((len(t_s), 3)) if self.up is None else self.up(t_s) * STANDARD_GRAVITY_MPS2

@@ -63,7 +63,7 @@ class Watchdog:
         self._armed = False
 
     def heard(self, armed: bool) -> None:
-        """Note that the master has said something, and whether its silence matters now."""
+        """Note that the master has sent something, and whether its silence matters now."""
         self._heard_s, self._armed = self._clock(), armed
         if armed and not self._watching and (silence_s := self._silence_s()):
             self._watch(silence_s)

@@ -50,7 +50,7 @@ class SlcanAdapter(LineDevice):
         self._flags = 0
 
     def flag(self, bits: int) -> None:
-        """Raise bits of the status that F tells once: 1, 2 queues full, 4 warning, 8 overrun, 32 passive, 128 error."""
+        """Set bits of the status that F reports once: 1, 2 queues full, 4 warning, 8 overrun, 32 passive, 128 error."""
         self._flags |= bits
 
     def _take(self, line: bytes) -> None:

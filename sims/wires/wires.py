@@ -51,7 +51,7 @@ class Plug:
         self._put_back: Callable[[], None] = _nothing
 
     def attach(self, pulled: Callable[[], None], put_back: Callable[[], None]) -> None:
-        """Let a wire know what happens to it."""
+        """Register the functions of a wire that are called when it is unplugged and plugged in."""
         self._pulled, self._put_back = pulled, put_back
 
     def schedule(self, pull_s: float, push_s: float) -> None:
@@ -213,7 +213,7 @@ class _PtyEnd:
 
     @contextmanager
     def _other_end(self) -> Iterator[int]:
-        """Open the end of the stations for a moment; OSError if one wants it for itself."""
+        """Open the station's end for a moment; OSError if it is locked."""
         port = os.open(self.name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         try:
             yield port
@@ -281,7 +281,7 @@ class _Tcp:
         self._keep(asyncio.get_running_loop().create_task(self.listen(*bound)))
 
     async def close(self) -> None:
-        """Leave the port, and wait until all connections are gone."""
+        """Release the port, and wait until all connections are gone."""
         self.unplug()
         await asyncio.gather(*self._tasks)
         self.unplug()  # what had just been put back

@@ -47,7 +47,7 @@ class GyroChain:
 
     @property
     def remembers(self) -> bool:
-        """Return whether what comes depends on what has been."""
+        """Return whether outputs depend on earlier samples."""
         return bool(self._low_passes or self._turns)
 
     def output(self, t_s: Floats, *, keep: bool) -> Floats:
@@ -68,7 +68,7 @@ class GyroChain:
         return out
 
     def put_out(self, t_s: Floats, out: Floats) -> Floats:
-        """Return what the converter makes of successive outputs (n, m) with their noise."""
+        """Return successive outputs (n, m) with their noise after the converter."""
         return self._converter(t_s + self._world.started_s, out)
 
     def _sense_late(self, now: Scene, late: Scene) -> Floats:

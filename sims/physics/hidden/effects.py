@@ -53,14 +53,14 @@ class Hidden:
         return cls(tuple(effects), temperature, _devices(tables.get("devices")))
 
     def of_device(self, name: str) -> Self:
-        """Return what is hidden from this device: effects of its gyros only if it is among the devices."""
+        """Return the hidden effects of this device: those of its gyros only if it is among the devices."""
         if self.devices is None or name in self.devices:
             return self
         return replace(self, effects=self.table.effects, temperature=None)
 
     @property
     def table(self) -> TableFaults:
-        """What is wrong with the table."""
+        """The faults of the table."""
         return TableFaults(tuple(e for e in self.effects if isinstance(e, OfTable)))
 
     @property

@@ -47,7 +47,7 @@ def hidden(kinds: dict[str, type[Any]], name: str) -> Callable[[type[T]], type[T
 
 
 def given(like: str, *, least: float | None = None) -> dict[str, object]:
-    """Describe a number whose unit measures the same as ``like``; ``least`` is the least it may be, in SI."""
+    """Describe a number whose unit measures the same as ``like``; ``least`` is its minimum, in SI."""
     return {"like": like, "least": least}
 
 

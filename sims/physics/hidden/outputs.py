@@ -26,7 +26,7 @@ class Output(ABC):
 
     @abstractmethod
     def output(self, scene: Scene) -> Floats:
-        """Return what it adds (n, m), rad/s."""
+        """Return the outputs (n, m) in rad/s that the effect adds."""
 
 
 class Added(Output):

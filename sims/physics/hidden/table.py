@@ -33,7 +33,7 @@ class OfTable:
         return angle_rad
 
     def tilt(self, axis: str) -> Floats:
-        """Return what is added to the direction (3,) of an axis at home."""
+        """Return the change of the direction (3,) of an axis at home."""
         return np.zeros(3)
 
 
@@ -187,7 +187,7 @@ class TableFaults:
         return {axis: direction / np.linalg.norm(direction) for axis, direction in tilted.items()}
 
     def read(self, axis: str, motion: Motion, started_s: float) -> Motion:
-        """Return what is read of the motion of an axis, of which the instant 0 is this one of the bench clock."""
+        """Return the motion of an axis as it is read; its instant 0 is ``started_s`` of the bench clock."""
         for effect in self.effects:
             if isinstance(effect, TableReading) and effect.axis == axis:
                 motion = effect.read(motion, started_s)
