@@ -138,11 +138,13 @@ class Bench:
         return self.limits.units
 
     def checked_operator(self, text: str) -> str:
-        """Return an operator's name as it is to be kept; UsageError with the pattern if it does not match."""
+        """Return an operator's name in the form to be stored; UsageError with the pattern if it does not match."""
         return _matched(text, self.operator_pattern, "--operator", "operator_pattern")
 
     def checked_serial(self, text: str) -> str:
-        """Return a device's serial number as it is to be kept; UsageError with the pattern if it does not match."""
+        """Return a device's serial number in the form to be stored; UsageError with the pattern if it does not
+        match.
+        """
         return _matched(text, self.serial_pattern, "--serial-number", "serial_pattern")
 
 
@@ -152,7 +154,7 @@ def default_bench_text() -> str:
 
 
 def load_bench(path: Path | None) -> Bench:
-    """Read a bench file, or the built-in one; BenchError with line and key for what is wrong."""
+    """Return the bench of a file, or the built-in one; BenchError with line and key if it is invalid."""
     if path is None:
         return read_bench(default_bench_text(), "built-in bench")
     text = read_text(path, BenchError, "a bench file. Give a .toml file")

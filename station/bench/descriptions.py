@@ -164,7 +164,7 @@ def _check(table: Table) -> tuple[Check, dict[str, Any]]:
 
 
 def _phrase(table: Table) -> tuple[bytes, float]:
-    """Return what is sent, and the pause behind it."""
+    """Return the bytes to send, and the pause after them."""
     own = table.read_all("description.phrase", hex=_known)
     if (own["text"] is None) == (own["hex"] is None):
         raise table.fail(None, "needs either text or hex")

@@ -69,7 +69,7 @@ class ImuConfig:
 
     @property
     def knows_temperature(self) -> bool:
-        """Whether every source of the device tells its temperature."""
+        """Whether every source of the device reports its temperature."""
         if self.can is not None:
             return all(channel.temperature is not None for channel in self.can.channels)
         return self.spec.temperature

@@ -45,7 +45,7 @@ def attempt(work: Callable[[T], R], index: int, item: T) -> Ended[R]:
 
 
 def one_line(error: BaseException) -> str:
-    """Return what an error says in one line; Python's own errors with their type, since few explain themselves."""
+    """Return the text of an error in one line; Python's own errors with their type, since few explain themselves."""
     text, name = " ".join(str(error).split()), type(error).__name__
     if type(error).__module__ in ("builtins", "pickle", "_pickle"):
         return f"{name}: {text}" if text else name

@@ -61,7 +61,7 @@ def command_allan(arguments: argparse.Namespace) -> int:
 
 
 def refused(reason: str, arguments: argparse.Namespace) -> dict[str, Any]:
-    """Return what --json prints when there is no result."""
+    """Return the object for --json if there is no result."""
     return {"recording": arguments.recording, "reason": reason, "sensors": []}
 
 

@@ -38,7 +38,7 @@ from station.scripts.script import Script, check, load_script, paper_script
 
 
 def command_run(arguments: argparse.Namespace) -> int:
-    """Run a script on a bench, or words; a hosted run goes on when its terminal is gone."""
+    """Run a script on a bench, or its words; a hosted run continues if its terminal is closed."""
     arguments.host |= arguments.manual
     if arguments.host:
         ignore_hang_up()
@@ -109,7 +109,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _run_object(result: Result) -> Mapping[str, Any]:
-    """Return what --json prints of a run."""
+    """Return the object of a run for --json."""
     found = result_object(result.verdict, str(result.recording), result.calibration)
     sources = {report.name: report.as_object() for report in result.sources}
     links = {device: asdict(counts) for device, counts in result.links.items()}
@@ -163,7 +163,7 @@ def command_twin(arguments: argparse.Namespace) -> int:
 
 
 def clock(bench: Bench, scale: float | None) -> asyncio.Runner:
-    """Return what runs loops of one clock; virtual or paced time if every link leads to a twin in memory."""
+    """Return the runner for loops of one clock; virtual or paced time if every link leads to a twin in memory."""
     if not needs_only_memory(bench):
         gc.freeze()  # what there is by now stays: looking through it again would hold the loop up for 0.2 s
         return asyncio.Runner(loop_factory=partial(ScaledLoop, scale or 1.0))

@@ -283,7 +283,7 @@ _OTHER: _Suites = {
 
 
 def suites_of(spec: DeviceSpec) -> _Suites:
-    """Return the suites that a device has to pass: faults of its wire, and what judges it."""
+    """Return the suites that a device has to pass: by name the faults of its wire, and the judging function."""
     suites = {TABLE.name: _TABLE, IMU.name: _FRAMES if spec.on_can else _FRAMES | _BYTES}  # a bus hands over frames
     return suites.get(spec.kind, _OTHER)
 
@@ -381,7 +381,7 @@ def complaint(
 
 
 def _driver_of(spec: DeviceSpec, opened: OpenBench) -> tuple[Any, type]:
-    """Return the driver that is tried, and what it has to be."""
+    """Return the driver under test, and the protocol that it must fulfil."""
     if spec.kind == TABLE.name:
         return opened.table, Turntable
     if spec.kind == IMU.name:

@@ -91,7 +91,7 @@ def csv_of(series: Series) -> str:
 
 
 def _print_result(exported: Exported, *, details: bool) -> None:
-    """Print what is exported: how its run ended, and its states."""
+    """Print the verdict of the exported run, if it has one, and the states."""
     ended = exported.verdict
     if ended is not None:
         printing.print_verdict(ended, details=details)
@@ -100,7 +100,7 @@ def _print_result(exported: Exported, *, details: bool) -> None:
 
 
 def _print_cautions(exported: Exported, *, details: bool) -> None:
-    """Say on stderr what speaks against using the calibration; without ``details`` of its notes only how many."""
+    """Print on stderr the reasons against using the calibration; without ``details`` only the number of its notes."""
     notes = len(exported.calibration.notes)
     for line in exported.cautions if details else exported.failure:
         tell(f"note: {line}", sys.stderr)
@@ -109,7 +109,7 @@ def _print_cautions(exported: Exported, *, details: bool) -> None:
 
 
 def refused(reason: str, arguments: argparse.Namespace) -> dict[str, str | None]:
-    """Return what --json prints when nothing was written."""
+    """Return the object for --json if nothing was written."""
     return {"file": None, "format": arguments.format, "reason": reason}
 
 

@@ -139,7 +139,7 @@ async def _listed(folder: Path, quiet: bool) -> list[Entry]:
 
 
 def _chart(runs: Sequence[Entry]) -> dict[str, Any]:
-    """Return control charts of runs: values and what is outside (runs, gyros, 4), SI. Failed ones make no limits."""
+    """Return control charts of runs in SI: values and which are outside (runs, gyros, 4). Failed runs set no limits."""
     counted = [not run.failed for run in runs]
     chart = control_chart([[gyro.values for gyro in run.gyros] for run in runs], counted)
     told = {"bench": runs[0].texts["station"], "script": runs[0].texts["script"], "counted": counted}

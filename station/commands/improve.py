@@ -181,7 +181,7 @@ def _wanted(arguments: argparse.Namespace, bench: Bench, script: Script) -> Want
 
 
 def quantity(arguments: argparse.Namespace, option: str, kind: str) -> float:
-    """Return what an option was given, in SI; UsageError for what is no such quantity."""
+    """Return the value of an option in SI; UsageError if it is not a quantity of that kind."""
     try:
         return parse(getattr(arguments, option), kind)
     except QuantityError as error:

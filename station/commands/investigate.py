@@ -82,7 +82,7 @@ def command_investigate(arguments: argparse.Namespace) -> int:
 
 
 def refused(reason: str, arguments: argparse.Namespace) -> dict[str, Any]:
-    """Return what --json prints when there is no verdict."""
+    """Return the object for --json if there is no verdict."""
     recordings, verification = list(arguments.recordings), list(arguments.verify)
     return {"verdict": None, "reason": reason, "recordings": recordings, "verification": verification}
 

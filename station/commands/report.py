@@ -142,7 +142,7 @@ def _print_documents(report: "Report", html: Path, made: Sequence[str | None], s
 
 
 def refused(reason: str, arguments: argparse.Namespace) -> dict[str, str | None]:
-    """Return what --json prints when there is no report."""
+    """Return the object for --json if there is no report."""
     return {"title": None, "reason": reason, "html": None, "pdf": None, "dcc": None}
 
 

@@ -47,7 +47,7 @@ def look_at_power_saving(root: Path = Path("/")) -> Iterator[Finding]:
 
 
 def _on_battery(root: Path) -> bool:
-    """Return whether there are mains adapters and none is in use."""
+    """Return whether there are mains adapters but none is in use."""
     states = []
     for supply in (root / "sys/class/power_supply").iterdir():
         if (supply / "type").read_text().strip() == "Mains":

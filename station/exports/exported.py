@@ -50,7 +50,7 @@ class Exported:
 
     @property
     def name(self) -> str:
-        """What the gyros are called together."""
+        """Common name of the devices."""
         return " and ".join(self.devices) or "imu"
 
     @property
@@ -69,12 +69,12 @@ class Exported:
 
     @property
     def cautions(self) -> list[str]:
-        """What speaks against using the calibration: that it was no pass, and what its notes say."""
+        """Reasons against using the calibration: that the run did not pass, and its notes."""
         return [*self.failure, *self.calibration.notes]
 
     @property
     def origin(self) -> list[str]:
-        """Who was measured, how, and under what conditions: lines of text for the head of a file."""
+        """Lines for the head of a file: which device was measured, how, and under which conditions."""
         return rendered(
             "station.exports", "origin.txt", {"exported": self, "state_figures": state_figures(self.units)}
         ).splitlines()

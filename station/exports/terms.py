@@ -59,7 +59,7 @@ class Terms:
     places: int
 
     def of(self, acts: Acts) -> tuple[Term, ...]:
-        """Return those that come in like this."""
+        """Return the terms that act at this place of the chain."""
         return tuple(term for term in self.all if term.acts is acts)
 
     @property
@@ -68,13 +68,15 @@ class Terms:
         return next(iter(self.of(Acts.LAG)), None)
 
     def uses(self, name: str, acts: Acts | None = None) -> bool:
-        """Return whether an expression uses a name such as "warmth"; of those that come in like this, if given."""
+        """Return whether an expression uses a name such as "warmth"; with ``acts``, only of the terms that act
+        there.
+        """
         some = self.all if acts is None else self.of(acts)
         return any(re.search(rf"\b{name}\b", term.expression) for term in some)
 
     @property
     def given_to_the_rate(self) -> list[str]:
-        """What effects of the rate depend on beside it."""
+        """Return the further names on which effects of the rate depend."""
         return [name for name in ("warmth", "time_s", "accel") if self.uses(name, Acts.RATE)]
 
     @property

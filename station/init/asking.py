@@ -17,7 +17,7 @@ _WHERE = re.compile(r"^bench: (\S+: )?")
 
 
 def read_data(data: Mapping[str, Any], read: Callable[[Table], object]) -> None:
-    """Read a part of a bench file; UsageError with what is wrong, without the place, which nobody has seen."""
+    """Read a part of a bench file; UsageError with the fault but not its place, as the user has not seen the file."""
     try:
         read(Table(dict(data), (), "", "bench", BenchError))
     except BenchError as error:

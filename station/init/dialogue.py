@@ -14,12 +14,12 @@ class Dialogue:
     """Asks on stdout and reads from stdin; with ``asks`` false it accepts every proposal silently."""
 
     def __init__(self, asks: bool) -> None:
-        """A pipe may answer, too: it is shown what it answered."""
+        """``asks``: questions are asked. If the answers come from a pipe, they are printed too."""
         self.asks = asks
         self._echo = asks and sys.stdin is not None and not sys.stdin.isatty()
 
     def say(self, text: str = "") -> None:
-        """Say something, if anything is asked at all."""
+        """Print a text, if questions are asked at all."""
         if self.asks:
             print(text)
 

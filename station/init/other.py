@@ -15,7 +15,7 @@ from station.init.links import Links
 
 
 def other_kinds() -> list[DeviceKind]:
-    """Return the kinds that packages bring; one that cannot be used is passed over."""
+    """Return the device kinds of installed packages; unusable ones are left out."""
     found = [kind for kind in KINDS.tried().values() if isinstance(kind, DeviceKind)]
     return [kind for kind in found if kind.name not in (TABLE.name, IMU.name)]
 

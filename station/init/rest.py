@@ -52,14 +52,14 @@ def ask_rest(dialogue: Dialogue, bench: Data, others: Sequence[str] = ()) -> Dat
 
 
 def _twin(bench: Data) -> Data:
-    """Return what twins are, of all devices, since any of them may be served by `station twin`."""
+    """Return the twin settings of all devices, since any of them may be served by `station twin`."""
     wires = {imu["name"]: "udp_multicast" if IMUS[imu["protocol"]].on_can else "serial" for imu in bench["imu"]}
     truths = {imu["name"]: _KNOWN["truth"] | _stated(imu, "bias_instability") for imu in bench["imu"]}
     return {"start": ["2 deg"] * len(bench["table"]["gimbals"]), "wires": {"table": "tcp", **wires}, **truths}
 
 
 def _stated(imu: Data, *names: str) -> Data:
-    """Return what the data sheet states of these keys."""
+    """Return the values that the data sheet states for these keys."""
     return {name: imu["datasheet"][name] for name in names if name in imu["datasheet"]}
 
 

@@ -57,7 +57,7 @@ class OpenDevice:
 
     @property
     def counts(self) -> LinkCounts | None:
-        """What went over its link so far; None of a driver that opens them itself and does not tell."""
+        """Counts of its link so far; None for a driver that opens its links itself and does not count."""
         counts = getattr(self.driver, "counts", None) if self.link_counts is None else self.link_counts
         return counts if isinstance(counts, LinkCounts) else None
 
@@ -104,7 +104,7 @@ class OpenBench:
 
     @property
     def others(self) -> tuple[OpenDevice, ...]:
-        """The devices of kinds beside the table and the devices under test."""
+        """The devices of kinds other than table and IMU."""
         names = {device.name for device in self.bench.others}
         return tuple(device for device in self.devices.values() if device.name in names)
 
@@ -113,7 +113,7 @@ class OpenBench:
         return in_safe_order(self.devices.values())
 
     def link_counts(self) -> dict[str, LinkCounts]:
-        """Return by device what went over its link; none of one from outside that opens its links itself."""
+        """Return the link counts by device; devices whose drivers do not count are left out."""
         counts = {device.name: device.counts for device in self.devices.values()}
         return {name: found for name, found in counts.items() if found is not None}
 

@@ -207,7 +207,7 @@ def _read_candump(database: Any, dbc: Path, raw: bytes, names: Sequence[str]) ->
 
 
 def _key(identifier: int, extended: bool, j1939: bool) -> MessageKey:
-    """Return what tells the frames of a message: its identifier, or the parameter group (below zero)."""
+    """Return the key of a message's frames: its identifier, or for J1939 its parameter group (below zero)."""
     return (-1 - parameter_group(identifier) if j1939 and extended else identifier), extended
 
 

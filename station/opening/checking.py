@@ -78,7 +78,7 @@ class DeviceCheck:
 
     @property
     def measured(self) -> list[str]:
-        """What it measured, in words, beside axes and sources."""
+        """Further measured values in words, beside axes and sources."""
         return []
 
 
@@ -216,7 +216,7 @@ async def _check_other(opened: OpenBench, device: OpenDevice, time_scale: float)
 
 
 async def _orders(table: Turntable, axes: Sequence[str]) -> dict[str, Mapping[str, float]]:
-    """Return by axis what drives were told last, nothing where the protocol cannot tell."""
+    """Return by axis the last commands in the drives, nothing if the protocol cannot tell."""
     return {axis: await table.orders(axis) for axis in axes} if isinstance(table, TellsOrders) else {}
 
 
@@ -314,7 +314,7 @@ def _source(source: ImuSource, name: str, blocks: Sequence[ImuBlock], time_scale
 
 
 def _counted(blocks: Sequence[ImuBlock]) -> bool:
-    """Return whether the device tells its own count or clock."""
+    """Return whether the device sends a count or clock of its own."""
     return blocks[0].counter is not None
 
 

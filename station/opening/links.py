@@ -45,7 +45,7 @@ def driver_link(spec: DeviceSpec, link: str, device: str, time_scale: float = 1.
 
 
 def ends_here(link: str) -> bool:
-    """Return whether a link ends on this computer, at a program and no device, as far as its address tells."""
+    """Return whether a link ends at a program on this computer, as far as its address tells."""
     return bool(_HERE.search(link))
 
 

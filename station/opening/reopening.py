@@ -100,7 +100,7 @@ class Reopening:
             device.close()
 
     def doubts(self, name: str = "") -> list[str]:
-        """Return of which devices, or of this one, nobody knows whether they are still the same."""
+        """Return sentences on devices (or this one) that may have been exchanged while their link was lost."""
         return [
             f"{lost} reports no serial number, so it may have been exchanged while its link was lost"
             for lost in self.times

@@ -176,7 +176,7 @@ class Twins:
         return self._in_memory(imu.name, lambda write: self.imu_device(imu, write))
 
     def bus_device(self, imu: ImuConfig, make: Callable[[Callable[[Any], None]], Bus]) -> Bus:
-        """Put a device, which sends from now on, on the bus made with what hears the host's frames; return the bus."""
+        """Put a device twin on the bus that ``make`` creates with the receiver of host frames; return the bus."""
         wire, bus = self._faults.wires[imu.name], make(lambda message: ear(message))
         device = self.imu_device(imu, FaultyFrames(bus, wire, self._seed(imu.name)) if wire.any else bus)
         ear = FaultyFrames(device.received, wire.to_device, (*self._seed(imu.name), 1)) if wire.any else device.received
@@ -236,7 +236,7 @@ class Twins:
         return task
 
     def wire(self, device: str) -> str:
-        """Return what a device is served on."""
+        """Return the kind of wire on which a device is served."""
         return self._wires[device]
 
     def _read_wires(self, table: Table) -> dict[str, str]:
@@ -262,7 +262,7 @@ class Twins:
         return lambda t_s: up(t_s) @ p.T
 
     def faulty(self, device: str, make: Callable[[Write], ByteDevice], plug: Plug) -> Callable[[Write], ByteDevice]:
-        """Return ``make`` with what the bench file says is wrong with the wire of this device."""
+        """Return ``make`` with the wire faults of this device in the bench file."""
         return faulty_device(make, self._faults.wires[device], self._seed(device), plug)
 
     def _in_memory(self, device: str, make: Callable[[Write], ByteDevice]) -> ByteLink:

@@ -44,7 +44,7 @@ def tell_program(command: Sequence[str], result: Mapping[str, Any], limit_s: flo
 
 
 def _end(program: subprocess.Popen[bytes]) -> None:
-    """End a program and what it has started in its session."""
+    """Kill a program and all that it has started in its session."""
     with suppress(ProcessLookupError, PermissionError):
         os.killpg(program.pid, signal.SIGKILL)
     program.wait()

@@ -144,9 +144,10 @@ class RemoteSession:
         return cls(transport, inbox, hello)
 
     async def messages(self) -> AsyncIterator[dict[str, Any]]:
-        """Yield what it says, by "kind": "event", "snapshot", "course", "refused", "result"; end when it is gone.
+        """Yield the session's messages, by "kind": "event", "snapshot", "course", "refused", "result"; end when it is
+        gone.
 
-        Snapshots that nobody has taken give way to the newest. A session that ends without "result" was killed.
+        Only the newest unread snapshot is kept. A session that ends without "result" was killed.
         """
         while (message := await self._inbox.next()) is not None:
             yield message
@@ -163,26 +164,26 @@ class RemoteSession:
             return False
 
     def pause(self) -> None:
-        """Hold after the step under way."""
+        """Ask the session to pause after the current step."""
         self._say({"do": "pause"})
 
     def resume(self) -> None:
         self._say({"do": "resume"})
 
     def note(self, text: str) -> None:
-        """Have a note kept in the recording."""
+        """Ask the session to store a note in the recording."""
         self._say({"do": "note", "text": text})
 
     def drive(self, action: str, **given: str | float) -> None:
-        """Say a word of manual mode: "jog", "go", "home", "hold" or "end", with axis and numbers in SI."""
+        """Send a command of manual mode: "jog", "go", "home", "hold" or "end", with axis and numbers in SI."""
         self._say({"do": action, **given})
 
     def ask_course(self) -> None:
-        """Have it told, as a message of the kind "course", how the estimates went so far."""
+        """Ask for a message of kind "course", with the history of the estimates."""
         self._say({"do": "course"})
 
     def close(self) -> None:
-        """Hang up; the session goes on."""
+        """Close the connection; the session continues."""
         self._transport.close()
 
     def _say(self, request: Mapping[str, str | float]) -> None:

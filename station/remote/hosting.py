@@ -87,7 +87,7 @@ class Host:
         self._showing = asyncio.get_running_loop().create_task(self._show())
 
     def tell(self, t_s: float, kind: EventKind, text: str) -> None:
-        """Tell an event, at ``t_s`` of the loop's clock."""
+        """Send an event, at ``t_s`` of the loop's clock, to all clients, and keep it for later ones."""
         self.events.append(_line("event", {"t_s": t_s, "event": kind, "text": text}))
         for client in self.clients:
             client.send_events()
@@ -247,14 +247,14 @@ class _Client(asyncio.Protocol):
                 self._host.do(line, late=True)
 
     def send_events(self) -> None:
-        """Send the events that it has not been told, as many as it takes."""
+        """Send the events that the client has not had yet, until its buffer is full."""
         events = self._host.events
         while self._told < len(events) and self.transport.get_write_buffer_size() < _EVENT_BYTES:
             self.transport.write(events[self._told])
             self._told += 1
 
     def end(self, last: bytes) -> None:
-        """Send what it has not been told and the last line, and hang up when that is taken."""
+        """Send the remaining events and the last line, and close the connection after that."""
         self.transport.write(b"".join((*self._host.events[self._told :], last)))
         self.transport.close()
 

@@ -32,7 +32,7 @@ def exit_code_of(finding: Finding) -> int:
 def print_investigation(
     found: Investigation, next_script: NextScript | None, path: Path | None, console: Console | None = None
 ) -> None:
-    """Print the verdict in words, the suspects, the error before and after, what was left out, and what to drive."""
+    """Print the verdict in words, the suspects, the error before and after, what was left out, and the next script."""
     print_all(console or stdout(), _shown(investigation_view(found, path), next_script, path))
 
 
@@ -41,7 +41,7 @@ def _shown(what: InvestigationView, next_script: NextScript | None, path: Path |
 
 
 def print_loop(loop: "Loop") -> None:
-    """Print the report: runs, what each investigation led to, the last one in full."""
+    """Print the report: runs, the result of each investigation, the last one in full."""
     views = [investigation_view(turn.found, turn.script_file) for turn in loop.rounds]
     last = _shown(views[-1], loop.rounds[-1].following, loop.rounds[-1].script_file)
     values = {"driven": loop, "views": views, "verdict_lines": verdict_lines, "last": last}
@@ -75,7 +75,7 @@ def investigation_shown(what: InvestigationView, how: str, drive: str = "") -> l
 
 
 def verdict_lines(what: InvestigationView) -> list[str]:
-    """Return what was found, in sentences: effects with their parameters, rivals, what is unexplained."""
+    """Return the result in sentences: effects with their parameters, rivals, the unexplained part."""
     return rendered("station.render", "verdict.txt", {"what": what}).splitlines()
 
 

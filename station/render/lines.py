@@ -13,7 +13,7 @@ _WHOLE = re.compile(r"[+-]?\d[\d.]*(?: (?:±|\+-) \d[\d.]*)? (?:%|[a-zA-Z][\w/()
 
 
 def glued(text: str) -> str:
-    """Return a text in which what is not to be broken holds no space."""
+    """Return a text without spaces where it must not be broken."""
     return _WHOLE.sub(lambda found: found[0].replace(" ", GLUE), text)
 
 

@@ -153,7 +153,7 @@ def _worst_hidden(forecast: EffectForecast) -> tuple[int, Floats, int] | None:
 
 
 def unnoticed(forecast: EffectForecast) -> Floats:
-    """Return by how many sigmas each parameter moves the states of each gyro (P, gyros, 4) where it is not seen."""
+    """Return by how many sigmas each parameter shifts the states (P, gyros, 4); 0 where the parameter is seen."""
     # A gyro whose own parameter is seen is not corrupted unnoticed; a shared one is unseen by all or none.
     return np.where(forecast.seen[:, :, None], 0.0, np.abs(forecast.shift_sigmas))
 

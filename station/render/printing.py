@@ -174,7 +174,7 @@ def _size(value: float) -> str:
 
 
 def print_verdict(verdict: Verdict, *, details: bool) -> None:
-    """Print how it ended, and why; causes before what is broken, which is a table: without ``details`` of the worst."""
+    """Print the outcome and its reasons: causes first, then broken limits as a table; without ``details`` the worst."""
     broken = list(verdict.broken) if details else worst_first(verdict.broken)[:MOST_BROKEN]
     values = {"verdict": verdict, "style": OUTCOME_STYLES[verdict.outcome], "broken": broken}
     print_rendered(stdout(), "station.render", "verdict.rich", values)
@@ -200,14 +200,14 @@ def next_steps(verdict: Verdict, calibration: Calibration | None, recording: Pat
 
 
 def next_after_report(verdict: Verdict | None, recording: Path) -> list[str]:
-    """Return what to do once there is a report, in words: of what passed, take it where it is used."""
+    """Return sentences on what to do after a report; for a run that passed, how to export the calibration."""
     if verdict is not None and verdict.outcome not in (Outcome.PASS, Outcome.ESTIMATED):
         return next_steps(verdict, None, recording)
     return [f"`station export {recording} --all FOLDER` writes the calibration for firmware and tools"]
 
 
 def refuse(reason: str, as_json: bool, outcome: Outcome | None = None, recording: str | None = None) -> int:
-    """Say on stderr why there is no result, and as JSON an empty one; return the exit code."""
+    """Print on stderr why there is no result, and as JSON an empty one; return the exit code."""
     tell(f"station: {reason}", sys.stderr)
     if as_json:
         print(json.dumps(empty_object(reason, outcome and str(outcome), recording)))
@@ -215,7 +215,7 @@ def refuse(reason: str, as_json: bool, outcome: Outcome | None = None, recording
 
 
 def empty_object(reason: str, outcome: str | None = None, recording: str | None = None) -> dict[str, Any]:
-    """Return what --json prints when there is no result."""
+    """Return the object for --json if there is no result."""
     empty: dict[str, Any] = {"outcome": outcome, "reason": reason, "recording": recording}
     return {**empty, "gyros": [], "nis_mean": None, "samples": 0, "lost": 0}
 

@@ -45,7 +45,7 @@ class Bar(Progress):
         self._task = self.add_task(begins, total=total, **fields)
 
     def _tell(self, line: str, share: float, due: bool | None = None, **told: Any) -> None:
-        """Show in the bar what is ``told``; print the line where there is none and it is due, by default by share."""
+        """Show ``told`` in the bar; without a bar print the line if it is due, by default after a step of the share."""
         if not self.disable:
             self.update(self._task, refresh=self._at_once, **told)
         elif not self._quiet and (share - self._shown_share >= self._EVERY if due is None else due):
@@ -87,5 +87,5 @@ class TracingProgress(Bar):
         super().__init__(quiet, *columns, begins="tracing", transient=transient)
 
     def show(self, share: float, text: str) -> None:
-        """Show how much is done, 0 to 1, and what is being done."""
+        """Show the share done, 0 to 1, and the current step."""
         self._tell(f"{share:4.0%}  {text}", share, completed=share, description=text)

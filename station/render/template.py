@@ -59,7 +59,7 @@ def _environment(package: str, rich: bool) -> "Environment":
 
 
 def _for_rich(value: Any) -> str:
-    """Return a value as a console of rich prints it as it stands; markup is what is Markup already."""
+    """Return a value as text for a rich console, escaped unless it is Markup already."""
     from markupsafe import Markup
     from rich.markup import escape
 

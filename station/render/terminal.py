@@ -33,7 +33,7 @@ class HarmlessConsole(Console):
     """A console on which control characters in names from files have no effect."""
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-        """Yield the segments of what is shown; only rich's own have control characters."""
+        """Yield the segments of a renderable; only rich's own may have control characters."""
         for segment in super().render(renderable, options):
             yield segment if segment.control else Segment(harmless(segment.text), segment.style)
 

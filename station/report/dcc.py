@@ -29,7 +29,7 @@ _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def check_facts(formal: Formal) -> None:
-    """See, before any long work, that all is stated that must be; UsageError that lists what is not."""
+    """Check, before any long work, that all mandatory facts are stated; UsageError that lists the missing ones."""
     missing = [fact for fact in _FACTS["mandatory"] if not getattr(formal, fact.replace(".", "_"))]
     if missing:
         raise UsageError(sentence("report.dcc_lacks", missing=", ".join(missing)))
@@ -61,7 +61,7 @@ def make_dcc(recorded: Recorded, formal: Formal, report: Report, pdf: bytes | No
 
 
 def validate(xml: bytes) -> None:
-    """See that a certificate is valid by the schema kept in the package, without network; UsageError says where not."""
+    """Check a certificate by the schema in the package, without network; UsageError with the place of a fault."""
     schema = etree.XMLSchema(etree.parse(str(files("station.report") / "schemas" / "dcc.xsd"), _PARSER))
     if not schema.validate(etree.fromstring(xml, _PARSER)):
         first = schema.error_log[0]

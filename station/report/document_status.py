@@ -63,12 +63,12 @@ class Standing:
 
     @property
     def kinds(self) -> tuple[Kind, ...]:
-        """The kind of the document, and what else would keep it from being a certificate."""
+        """The kind of the document, and further reasons why it is not a certificate."""
         return (self.kind, *self.beside)
 
     @property
     def warning(self) -> str:
-        """What it is not, empty for a certificate."""
+        """Why it is not a certificate, empty for one."""
         twins = "Simulated devices: table and gyros of this run were twins in software." if self.simulated else ""
         why = "".join(kind.value[1].replace(": ", "; " if kind in self.beside else ": ", 1) for kind in self.kinds)
         return " ".join(filter(None, (twins, why and f"This is not a calibration certificate{why}.")))
@@ -91,7 +91,7 @@ def standing_of(recorded: Recorded, formal: Formal | None = None) -> Standing:
 
 
 def _formal_kinds(formal: Formal, *, simulated: bool) -> list[Kind]:
-    """Return what a run that passed lacks of a certificate; a specimen needs neither a date nor a place."""
+    """Return what keeps a passed run from a certificate; a specimen needs neither a date nor a place."""
     lacking = {Kind.OVERDUE: bool(formal.overdue), Kind.NOT_APPROVED: not formal.approved}
     if not simulated:
         lacking |= {Kind.UNDATED: formal.performed_date is None, Kind.NO_PLACE: not formal.place}

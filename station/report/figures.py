@@ -76,7 +76,7 @@ def figure(value: float, unit: Unit, text: str, source: str | None = None, times
 
 
 def plain(value: float, unit: Unit, digits: int = 3, source: str | None = None) -> Markup:
-    """Return a figure to so many significant digits, without an exponent where that is readable."""
+    """Return a figure with ``digits`` significant digits, without an exponent where that is readable."""
     return figure(value, unit, significant(value * unit.factor, digits), source)
 
 
@@ -93,7 +93,7 @@ def interval(value: float, low: float, high: float, unit: Unit, place: str) -> M
 
 
 def fixed(value: float, unit: Unit, decimals: int, source: str | None = None) -> Markup:
-    """Return a figure to so many decimals."""
+    """Return a figure with ``decimals`` decimals."""
     text = _minus(f"{value * unit.factor:.{decimals}f}") if math.isfinite(value) else UNKNOWN
     return figure(value, unit, text, source)
 
@@ -104,7 +104,7 @@ def count(number: int, source: str | None = None) -> Markup:
 
 
 def known(value: float | None, unit: Unit) -> Markup:
-    """Return a figure from JSON, in which null stands for what is not known."""
+    """Return a figure from JSON, where null means unknown."""
     return plain(math.nan if value is None else value, unit)
 
 
@@ -146,7 +146,7 @@ def rounded(value: float, uncertainty: float) -> str:
 
 
 def stated(value: float, unit: Unit) -> Markup:
-    """Return a figure that somebody stated, as it was most likely written."""
+    """Return a figure that a person stated, as it was most likely written."""
     return figure(value, unit, _minus(f"{value * unit.factor:.6g}"))
 
 

@@ -83,14 +83,14 @@ class Formal:
 
     @property
     def approved(self) -> bool:
-        """Whether it is approved as the bench wants it."""
+        """Whether it is approved as the bench requires."""
         said = (normalize("NFKC", who or "").casefold() for who in (self.certificate_approved_by, self.operator))
         by, made = ("".join(filter(str.isalpha, who)) for who in said)  # whatever is between and around the letters
         return not self.approved_by_another or by not in ("", made)
 
 
 def kept_facts(recording: Path) -> Path:
-    """Return the file beside a recording in which the form on the screen keeps what was entered."""
+    """Return the file beside a recording in which the form on the screen stores its entries."""
     return recording.with_name(f"{recording.stem}-certificate.toml")
 
 

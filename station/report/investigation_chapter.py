@@ -45,7 +45,7 @@ class Traced:
 
     @property
     def added(self) -> list[str]:
-        """What people call the effects that were added."""
+        """Readable names of the effects that were added."""
         return [words(name) for name in dict.fromkeys(str(effect["effect"]) for effect in self.what["added"])]
 
 
@@ -110,5 +110,5 @@ def _spectrum(part: "Group") -> Spectra:
 
 
 def number(value: float | None) -> float:
-    """Return a number of JSON, in which null stands for what is not known."""
+    """Return a number from JSON, where null means unknown; NaN for that."""
     return math.nan if value is None else float(value)

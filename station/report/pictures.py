@@ -397,7 +397,7 @@ def _means(t_s: Floats, values: Floats) -> tuple[Floats, Floats]:
 
 
 def _close_up(panel: "Axes", value: Floats, sd: Floats) -> None:
-    """Show of a curve that begins at the prior what it came to: twelve of its last sigmas to each side."""
+    """Limit the vertical axis to twelve of the last sigmas on each side of a curve's last value."""
     half = 12 * float(sd[-1])
     if np.isfinite(half) and half > 0 and np.isfinite(value[-1]):
         panel.set_ylim(float(value[-1]) - half, float(value[-1]) + half)

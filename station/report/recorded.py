@@ -64,7 +64,7 @@ class Event:
 
     @property
     def words(self) -> str:
-        """What happened, or the note."""
+        """Text of the event, or of the note."""
         return self.text.removeprefix(_NOTE)
 
 
@@ -103,12 +103,12 @@ class Recorded:
     events: tuple[Event, ...]
 
     def label(self, source: str, name: str) -> str:
-        """Return what to call a gyro, different for each."""
+        """Return the label of a gyro, different for each."""
         return labels_of(self.recording).get((source, name), name)
 
     @property
     def labels(self) -> list[str]:
-        """What to call the gyros of the calibration."""
+        """Labels of the calibrated gyros."""
         return [self.label(gyro.source, gyro.name) for gyro in self.calibration.gyros] if self.calibration else []
 
     def text(self, name: str) -> str:
@@ -129,7 +129,7 @@ class Recorded:
         return self.utc("clock_zero_utc_s", self.start_ns)
 
     def utc(self, name: str, after_ns: int = 0) -> datetime | None:
-        """Return an instant that an attribute tells in seconds, and some time after it; None if it does not."""
+        """Return the instant in attribute ``name`` (seconds), plus ``after_ns``; None if it is missing or invalid."""
         with suppress(KeyError, TypeError, OverflowError, OSError, ValueError):
             return datetime.fromtimestamp(float(self.recording.attributes[name]) + after_ns * 1e-9, UTC)
         return None
@@ -174,7 +174,7 @@ def read_recorded(path: Path) -> Recorded:
 
 
 def labels_of(recording: Recording) -> dict[tuple[str, str], str]:
-    """Return what to call each gyro, by its source and name: the name, after its source where two have the same."""
+    """Return the label of each gyro, by its source and name: the name, after its source where two have the same."""
     keys = [(source, name) for source, data in recording.sources.items() for name in data.array.names]
     names = [name for _, name in keys]
     return {(s, name): name if names.count(name) == 1 else f"{s} {name}" for s, name in keys}

@@ -68,7 +68,7 @@ class SourceReport:
         return found
 
     def as_object(self) -> dict[str, Any]:
-        """Return what --json prints, in SI."""
+        """Return the object for --json, in SI."""
         return {
             **asdict(self.counts),
             "clock": self.clock and asdict(self.clock),
@@ -77,7 +77,7 @@ class SourceReport:
 
     @property
     def mistimed(self) -> str:
-        """Say so if the samples were not taken when the table was read."""
+        """Sentence on samples that were not taken when the table was read; empty if they were."""
         if self.offset is None or abs(self.offset.offset_s) < max(_TIMED_S, _SIGMAS * self.offset.sd_s):
             return ""
         return f"{self.name} is {self.offset.offset_s * 1e3:+.2f} ± {self.offset.sd_s * 1e3:.2f} ms against the table"
@@ -144,7 +144,7 @@ class Acquisition:
             )
 
     async def open(self, imu: OpenImu) -> Identity:
-        """Open a device under test, and record and return what it says it is."""
+        """Open a device under test, record and return its identity."""
         await imu.source.open()
         identity = await self._reopening.identify(imu.config.name, imu.source)
         for name in imu.source.names:
@@ -271,7 +271,7 @@ class Acquisition:
         self.writer.append_text("steps", {"t_start_ns": start_ns, "t_end_ns": end_ns}, "label", label)
 
     def event(self, kind: EventKind, text: str) -> None:
-        """Record what happened, and tell whoever listens."""
+        """Record an event, and pass it to the listener."""
         now_ns = round(asyncio.get_running_loop().time() * 1e9)
         self.writer.append_text("events", {"t_ns": now_ns}, "text", text, kind=np.array([kind.encode()], dtype="S16"))
         on_event = self._on_event
@@ -360,13 +360,13 @@ class Acquisition:
         await loop.run_in_executor(None, self.writer.write_journal)
 
     def _note_arrived(self) -> None:
-        """Keep in the journal the samples that a source holds back until it can time them."""
+        """Write to the journal the samples that a source holds back until it can time them."""
         for imu in self._imus:
             for name, arrival_ns, rate_rps in imu.source.arrived() if isinstance(imu.source, EarlySource) else ():
                 self.writer.arrived(f"imu/{name}", arrival_ns, rate_rps)
 
     def _note_counts(self) -> None:
-        """Keep in the journal what has been lost so far: of a run that dies nothing else says it."""
+        """Write changed counts to the journal, for a run that dies."""
         for name, report in self._reports_now().items():
             attributes = report.attributes()
             if self._noted.get(name) != attributes:
@@ -446,5 +446,5 @@ def _link_attributes(prefix: str, counts: LinkCounts) -> dict[str, Any]:
 
 
 def identity_attributes(prefix: str, identity: Identity) -> dict[str, Any]:
-    """Return as attributes what a device says it is."""
+    """Return an identity as attributes, without empty values."""
     return {f"{prefix}{key}": value for key, value in asdict(identity).items() if value}

@@ -27,7 +27,7 @@ _IN_A_ROW = 2  # so many confirmations: an estimate that is looked at often dips
 
 
 def check_early_end(bench: Bench) -> None:
-    """See that the bench says what is enough; UsageError if it does not."""
+    """Check that the bench states required sigmas; UsageError if not."""
     if not np.isfinite(bench.limits.sds).any():
         raise UsageError(sentence("run.no_sigmas"))
 

@@ -37,7 +37,7 @@ class LiveEstimate:
         self._window_ns = 0
 
     def keep_blocks(self) -> None:
-        """Keep from now on what estimates under coloured noise need: sums of rows by block, readings of the table."""
+        """Keep from now on the data for estimates under coloured noise: block sums and table readings."""
         n = len(self._gimbals)
         self._kept_rows = GrowingRows(t_ns=np.int64, angle=(n,), rate=(n,), half_ns=np.int64)
         for source in self.sources.values():
@@ -60,12 +60,12 @@ class LiveEstimate:
         )
 
     def add_row(self, row: TableRow) -> bool:
-        """Keep a row of table readings; return whether there are enough for ``advance``."""
+        """Add a row of table readings; return whether there are enough for ``advance``."""
         self._rows.append(row)
         return len(self._rows) >= _ROWS_AT_ONCE
 
     def advance(self) -> None:
-        """Take in the rows, and use the samples that they cover."""
+        """Use the rows, and the samples that they cover."""
         with self._working:
             self._take_rows()
             for source in self.sources.values():
@@ -77,7 +77,7 @@ class LiveEstimate:
         return body_rate(row.angle_rad[None], row.rate_rps[None], self._gimbals, self._site)
 
     def finish(self) -> None:
-        """Use what is left."""
+        """Use all remaining rows and samples."""
         with self._working:
             self._take_rows()
             self.rates.finish()
@@ -98,7 +98,7 @@ class LiveEstimate:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Which effects of an error model the live estimate goes without, each once."""
+        """Effects of an error model that the live estimate leaves out, each once."""
         return tuple(dict.fromkeys(note for s in self.sources.values() for note in s.notes))
 
     @property

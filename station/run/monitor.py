@@ -48,7 +48,7 @@ class Beside:
     """Runs work that only serves observers and must not end a run: counts, snapshots, progress, events."""
 
     def __init__(self, tell: Callable[[str], None]) -> None:
-        """``tell`` is given one sentence for each piece of work that fails, the first time it does."""
+        """``tell`` gets one sentence for each piece of work that fails, at its first failure."""
         self._tell = tell
         self._failed: set[str] = set()
         self.notes: list[str] = []
@@ -105,7 +105,7 @@ class Monitor:
         """What the table ended the run with."""
 
     def take_block(self, name: str, block: ImuBlock) -> None:
-        """Keep what came of a source."""
+        """Keep the last block of a source, and count its samples."""
         if len(block.t_ns):
             self._rows[name] += len(block.t_ns)
             self._last[name] = block
@@ -127,21 +127,21 @@ class Monitor:
                 marks.popleft()
 
     def end(self) -> None:
-        """Take it that nothing more will come: what a closed link does not say is no silence."""
+        """Note that no more samples will come, so that a closed link does not count as silent."""
         self._ended_s = asyncio.get_running_loop().time()
 
     def counts(self, source: ImuSource, name: str) -> SourceCounts:
-        """Return the counts of a source; from a driver that fails to tell them, the last that it told."""
+        """Return the counts of a source; the last ones if its driver fails."""
         last = self._counts.get(name, SourceCounts())
         self._counts[name] = self._beside.attempt(f"counts of {name}", lambda: source.counts(name), last)
         return self._counts[name]
 
     def alignment(self, source: ImuSource, name: str) -> Alignment | None:
-        """Return how the clock of a source lies to the loop's; None if its driver does not or cannot tell."""
+        """Return how the clock of a source relates to the loop's; None if its driver does not tell, or fails."""
         return self._beside.attempt(f"clock of {name}", lambda: source.alignment(name), None)
 
     def link_counts(self) -> Mapping[str, LinkCounts]:
-        """Return what went over the link of each device; nothing if a link fails to tell it."""
+        """Return the link counts by device; empty if a link fails to tell."""
         nothing: Mapping[str, LinkCounts] = {}
         return self._beside.attempt("counts of links", self._open.link_counts, nothing)
 

@@ -109,7 +109,7 @@ def _until_then(judged: Verdict) -> str:
 
 
 def _mostly_unseen(calibration: Calibration, line: LimitLine) -> bool:
-    """Return whether a sigma comes of undeclared effects for the most part."""
+    """Return whether most of a sigma comes from undeclared effects."""
     assert line.row is not None
     assert line.state is not None
     budget = calibration.gyros[line.row].budget

@@ -60,7 +60,7 @@ class Sequencer:
 
     @property
     def driven_axis(self) -> str | None:
-        """Axis that is being turned."""
+        """The axis being turned, None if none is."""
         return None if self._turn is None else self._turn.axis
 
     @property
@@ -90,7 +90,7 @@ class Sequencer:
         raise UsageError("this run follows a script. `station run --manual` starts one that is driven by hand")
 
     def commanded(self, axis: str) -> Commanded:
-        """Return what an axis was told last."""
+        """Return the last command to an axis: target, range, rate, and since when."""
         target, turn = self._target_rad[axis], self._turn
         if turn is None or axis != turn.axis:
             return Commanded(target, target, 0.0, self._stands_since_s[axis])
@@ -121,7 +121,7 @@ class Sequencer:
         return math.copysign(self._course(turn, self._turn_began_s).speed_rps(now_s), turn.way_rad)
 
     def target_rad(self, axis: str) -> float:
-        """Return the angle to which an axis is being turned, NaN if it is not."""
+        """Return the target angle of the axis being turned, NaN for any other."""
         return self._turn.to_rad if self._turn is not None and self._turn.axis == axis else math.nan
 
     def wanted_hz(self, now_s: float) -> float:
@@ -166,7 +166,7 @@ class Sequencer:
                 await self._hold()
 
     async def stand(self, duration_s: float, label: str = "") -> None:
-        """Leave all axes at rest for a time; ``label`` says what for."""
+        """Leave all axes at rest for a time; ``label`` gives its purpose."""
         if self._standing is None or self._standing[0] != label:
             self._record_standing()
             self._standing = label, asyncio.get_running_loop().time()
@@ -192,7 +192,7 @@ class Sequencer:
         self._tell(text)
 
     async def _hold(self) -> None:
-        """Leave the table as it is, at rest under power, until told to go on; time done stands still meanwhile."""
+        """Pause with the table at rest under power until resumed, and record the pause."""
         began_s = asyncio.get_running_loop().time()
         self._tell(f"paused after step {self.label!r}")
         self.paused = PAUSED

@@ -210,7 +210,7 @@ class Session:
             self._running.cancel()
 
     def pause(self) -> None:
-        """Hold after the step under way; UsageError where there is nothing to pause."""
+        """Pause after the current step; UsageError if there is nothing to pause."""
         self._script_under_way().pause()
 
     def resume(self) -> None:

@@ -141,27 +141,27 @@ class Snapshot:
 
     @property
     def doing(self) -> str:
-        """What is under way, in words: the step's label while the script runs."""
+        """Current activity in words: the step's label while the script runs, else the phase."""
         return self.label or self.phase
 
     @property
     def share(self) -> float:
-        """How much of the run is done, 0 to 1; half of the time by which it may be longer counts as remaining."""
+        """Share of the run that is done, 0 to 1; half of the time by which it may be longer counts as remaining."""
         longer_s = self.longer_s if math.isfinite(self.longer_s) else 0.0
         return self.elapsed_s / max(self.elapsed_s + self.remaining_s + longer_s / 2, 1e-9)
 
 
 def snapshot_of(found: Mapping[str, Any]) -> Snapshot:
-    """Return the snapshot of an object; what it holds beside the fields is passed over.
+    """Return the snapshot in an object of JSON; unknown keys are ignored.
 
-    KeyError, TypeError or ValueError if it is none.
+    KeyError, TypeError or ValueError if it is not a snapshot.
     """
     snapshot: Snapshot = of_type(Snapshot, found)
     return snapshot
 
 
 def of_type(kind: Any, value: Any) -> Any:
-    """Return a value of JSON as what a field of this type holds; null is a number that is not known."""
+    """Return a JSON value converted to a field's type; null becomes an unknown number."""
     if get_origin(kind) is tuple:
         return tuple(of_type(get_args(kind)[0], item) for item in value)
     if types := _types_of(kind):

@@ -81,7 +81,7 @@ class MotionGuard:
     """Checks readings against commands; a suspicious one is repeated before it is believed."""
 
     def __init__(self, table: Turntable, commanded: Callable[[str], Commanded]) -> None:
-        """``commanded`` says what an axis was told last."""
+        """``commanded`` returns the last command to an axis."""
         self._table, self._commanded = table, commanded
         self._noise_rps2 = dict.fromkeys(table.limits, 0.0)
         self._readings: dict[str, deque[AxisState]] = {axis: deque() for axis in table.limits}
@@ -222,7 +222,7 @@ class _Way:
         ]
 
     def doubt_rad(self, rate_rps: float) -> float:
-        """Return what the way may be off: by the counts, and by not knowing when within its round trip an angle was."""
+        """Return the uncertainty of the way: from the counts, and from the unknown instant within its round trip."""
         return _COUNTS * self._resolution_rad + rate_rps * 2 * self.half_width_s
 
     @property

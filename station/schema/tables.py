@@ -35,7 +35,7 @@ class Table(StrictTable):
     """One table of a file written by a person."""
 
     def fail_at(self, message: str) -> Exception:
-        """Return an error of a message that begins with where it is in the file: "tone.1.size: ..."."""
+        """Return the error for a message that begins with its place in the file: "tone.1.size: ..."."""
         where, _, what = message.partition(": ")
         *way, key = (int(part) if part.isdigit() else part for part in where.split("."))
         place = type(self)({}, tuple(way), self._text, self._file, self._error)
@@ -53,7 +53,7 @@ class Table(StrictTable):
         return {key.field or key.name: self.option(key, folder, each) for key in keys}
 
     def read_all(self, section: str, folder: Path = Path(), **more: Any) -> dict[str, Any]:
-        """Take a section likewise, and complain of what else there is."""
+        """Take a section as ``read`` does, and raise the table's error for unknown keys."""
         found = self.read(section, folder, **more)
         self.done()
         return found

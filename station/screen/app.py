@@ -106,7 +106,7 @@ class StationApp(App[None]):
 
     @property
     def tray(self) -> Tray:
-        """The tray of the bench that is chosen, as it is kept: another screen may have changed it."""
+        """The stored tray of the chosen bench: another screen may have changed it."""
         return Tray(whole(self.choices.bench))
 
     async def on_event(self, event: events.Event) -> None:
@@ -128,7 +128,7 @@ class StationApp(App[None]):
         self.work(self._find_sessions, "sessions")
 
     async def on_unmount(self) -> None:
-        """Hang up; a session goes on."""
+        """Close the connection; a session continues."""
         if self._link is not None:
             self._link.close()
         await self.archive.close()
@@ -150,7 +150,7 @@ class StationApp(App[None]):
         self.show_stop()
 
     def stop_from_thread(self) -> None:
-        """Tell the session that is shown to stop, from the thread that reads keys; ``action_stop`` does the rest."""
+        """Send STOP to the session that is shown, from the thread that reads keys; ``action_stop`` does the rest."""
         link = self._link
         if link is not None and self.busy:
             self._told_by_key = link.stop()
@@ -210,7 +210,7 @@ class StationApp(App[None]):
             self.exit()
 
     def start_run(self, prospect: Prospect) -> None:
-        """Start a session with what was chosen on a bench, keep what was entered, and show the session."""
+        """Start a session with the chosen bench and script, store the entries, and show the session."""
         self._remember()
         self.work(partial(self._start, prospect), "start")
 
@@ -236,12 +236,12 @@ class StationApp(App[None]):
         self._follow(LiveRun(recording, choices.script), process=process)
 
     def pause_run(self) -> None:
-        """Hold the run after the step under way, or let it go on."""
+        """Pause the run after the current step, or resume it."""
         if self._link is not None and self.busy:
             self._link.pause()
 
     def drive(self, action: str, **given: str | float) -> None:
-        """Say a word of manual mode to the session that is shown."""
+        """Send a command of manual mode to the session that is shown."""
         if self._link is not None and self.busy:
             self._link.drive(action, **given)
 
@@ -386,7 +386,7 @@ class StationApp(App[None]):
                 self.action_next_on_tray()
 
     async def _look_into(self, run: LiveRun, recording: Path) -> None:
-        """Add what the recording says of a session that has gone without a word."""
+        """Complete the state of a session that ended without a message from its recording."""
         entry = (await self.archive.read(recording)).entry
         self.tray.end(recording, entry.texts.get("outcome") or NO_RESULT)
         said = entry.wrong or f"{entry.texts.get('outcome', '')}  {entry.texts.get('reason', '')}"
@@ -424,7 +424,7 @@ class StationApp(App[None]):
                     small.show_run(run, said)
 
     def _watch_terminal(self) -> None:
-        """End when nobody is at the other end: a server of the screen that was killed says nothing."""
+        """End the process if the terminal is gone: a killed server of the screen sends no message."""
         if self.is_headless or not _hung_up(sys.__stdin__):
             return
         os._exit(0)

@@ -27,7 +27,7 @@ class Lines(Static):
     """Text of a fixed height; updates cost no layout, and nothing if the text is the same."""
 
     def __init__(self, *, id: str | None = None, classes: str | None = None) -> None:
-        """Begin empty; text is shown as it is, brackets too."""
+        """Begin empty; text is shown literally, including brackets."""
         super().__init__("", id=id, classes=classes, markup=False)
         self._shown: object = ""
         self._height = 0
@@ -81,7 +81,7 @@ class StopBar(Widget):
         return self._text.replace("[", r"\[")
 
     def on_mouse_down(self, event: events.MouseDown) -> None:
-        """Stop when the button goes down: nobody waits for it to come up."""
+        """Stop as soon as the button goes down."""
         event.stop()
         cast(SeenApp, self.app).action_stop()
 
@@ -95,7 +95,7 @@ class Small(Lines):
         self._needs = sentence("screen.too_small", width=least[0], height=least[1])
 
     def show_run(self, run: LiveRun | None, said: str) -> None:
-        """Show a run, or if there is none what is ``said`` of the recording that is chosen."""
+        """Show a run, or without one the text ``said`` on the chosen recording."""
         lines = Text("\n").join([*_lines(run, said), Text(), Text(self._needs, style="dim")])
         self.show(lines, len(lines.split()))
 

@@ -50,26 +50,26 @@ class StationScreen(Screen[None]):
         yield StopBar()
 
     def body(self) -> ComposeResult:
-        """Yield what is between the bars and scrolls."""
+        """Yield the widgets between the bars, which scroll."""
         yield from ()
 
     def row_below(self) -> ComposeResult:
-        """Yield what stays in sight below the body."""
+        """Yield the widgets that stay in sight below the body."""
         yield from ()
 
     def tick(self) -> None:
-        """Show what has changed; called ten times a second while the screen is in sight."""
+        """Show changes; called ten times a second while the screen is in sight."""
 
     def redraw(self) -> None:
-        """Draw what depends on the room there is, and on the gyro that is shown."""
+        """Draw again what depends on the size of the screen and on the gyro shown."""
 
     @property
     def said_of_recording(self) -> str:
-        """What the bar at the bottom says of the recording that is shown; empty if there is nothing to say."""
+        """Text of the bottom bar on the recording that is shown; empty for none."""
         return ""
 
     def shows(self, recording: Path | None) -> bool:
-        """Return whether the run of a recording is what this screen shows."""
+        """Return whether this screen shows the run of a recording."""
         return self.recording is None or (recording is not None and self.recording.absolute() == recording.absolute())
 
     def keys(self) -> list[Binding]:
@@ -87,7 +87,7 @@ class StationScreen(Screen[None]):
         return [key for kind in kinds for key in keys_of(kind)]
 
     def action_chart(self) -> None:
-        """Give the next chart the focus."""
+        """Focus the next chart."""
         self.focus_next("Chart")
 
     def action_gyro(self, step: int) -> None:
@@ -97,7 +97,7 @@ class StationScreen(Screen[None]):
 
     @property
     def station(self) -> SeenApp:
-        """The app, as what it is."""
+        """The app, with its own type."""
         return cast(SeenApp, self.app)
 
     @property

@@ -93,7 +93,7 @@ class Chart(PlotWidget, inherit_bindings=False):
         self.set_reactive(PlotWidget.margin_left, 0 if name in DIALS else _LABEL_WIDTH)
 
     def on_resize(self) -> None:
-        """Draw anew once the size is there."""
+        """Draw again once the size is known."""
         self.call_after_refresh(self._draw_again)
 
     def action_enlarge(self) -> None:
@@ -104,7 +104,7 @@ class Chart(PlotWidget, inherit_bindings=False):
             self.screen.maximize(self, container=False)
 
     def compose(self) -> ComposeResult:
-        """Lay out what ``PlotWidget`` draws on."""
+        """Lay out the parts that ``PlotWidget`` draws on."""
         with Grid():
             for name in ("margin-top", "margin-left", "plot", "margin-bottom"):
                 yield _Canvas(1, 1, id=name)

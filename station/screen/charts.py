@@ -33,7 +33,7 @@ class Charts(Grid):
         self._window: tuple[float, float] | None = None
 
     def on_show(self) -> None:
-        """Bring the charts once the first picture is out: what draws them takes a while to load."""
+        """Load the charts after the first picture, as their libraries take a while to load."""
         self.call_after_refresh(lambda: cast(SeenApp, self.app).work(self._bring, f"charts {id(self)}"))
 
     async def _bring(self) -> None:
@@ -89,7 +89,7 @@ class Charts(Grid):
             self.draw(seen[self._turn // _TICKS])
 
     def _in_sight(self, chart: "Chart") -> bool:
-        """Return whether any of a chart is within what this part is scrolled to, or it has all the room."""
+        """Return whether any part of a chart is visible, or the chart is maximized."""
         top = chart.virtual_region.y - self.scroll_offset.y
         return chart.is_maximized or -chart.size.height < top < self.size.height
 
@@ -99,6 +99,6 @@ class Charts(Grid):
         self.draw()
 
     def action_show_all(self) -> None:
-        """Show all of the time, and what comes."""
+        """Show the whole time range, including what comes."""
         self._window = None
         self.draw()

@@ -17,7 +17,7 @@ def twin_scale(load: float) -> float:
 
 
 def load_by_processor() -> float:
-    """Return the load of the last minute by processor, 0 where the system does not tell it."""
+    """Return the load of the last minute by processor, 0 if the system does not tell it."""
     try:
         return os.getloadavg()[0] / (os.cpu_count() or 1)
     except (AttributeError, OSError):
@@ -66,7 +66,7 @@ class Choices:
         return ["run", "--host", "--json", *words, *self.link_options, *self.device_options, *self.run_options]
 
     def by_hand(self, all_twins: bool) -> Self:
-        """Return what manual mode is started with on the same bench: no script, no serial no.; twins in real time."""
+        """Return the choices for manual mode on the same bench: no script, no serial number; twins in real time."""
         options = ("--manual", *(option for option in self.run_options if option == "--reset-fault"))
         scale = self.scale or (1.0 if all_twins else None)
         return replace(self, script="", serial="", serial_reason="", scale=scale, run_options=options)

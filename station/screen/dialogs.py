@@ -36,7 +36,7 @@ class StationDialog(ModalScreen[str | None]):
         yield StopBar()
 
     def answers(self) -> ComposeResult:
-        """Yield what may be answered."""
+        """Yield the widgets for possible answers."""
         yield from ()
 
 

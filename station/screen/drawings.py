@@ -86,7 +86,7 @@ def run_drawing(name: str, run: LiveRun, gyro: GyroSnapshot) -> Drawing | None:
 
 
 def series_charts(snapshot: Snapshot) -> list[str]:
-    """Return the names of the charts of what devices append to the recording, a column each."""
+    """Return the names of the charts of devices' series, one for each column."""
     return [f"{_SERIES}{at}" for at in range(len(snapshot.series))]
 
 
@@ -128,7 +128,7 @@ def _seen(name: str, run: LiveRun, gyro: GyroSnapshot, nis_limits: Sequence[floa
 
 
 def _told_limit(limits: Mapping[str, Any], key: str) -> StateLimit:
-    """Return a limit of what a session tells; one of another version may not tell how it was written."""
+    """Return a limit from a session's message; one of another version may lack how it was written."""
     size, written = limits.get(key), limits.get("written")
     text = written.get(key, "") if isinstance(written, Mapping) else ""
     return StateLimit() if size is None else StateLimit(float(size), str(text))

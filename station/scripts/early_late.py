@@ -21,7 +21,7 @@ _HOME_RAD = math.radians(0.01)
 
 
 def planned_constancy(script: Script, gimbals: Sequence[str]) -> tuple[AxisCoverage, ...]:
-    """Return over which time a run of this script can show that what it measures stays the same, by axis."""
+    """Return by axis the time over which a run of this script can prove constancy."""
     return planned_coverage(planned_motion(script, gimbals, _PERIOD_S).readings(None))
 
 

@@ -184,7 +184,7 @@ class _Grams:
         return cls(matrices, own, shared)
 
     def __add__(self, other: Self) -> Self:
-        """Return what both show together."""
+        """Return the information of both together."""
         matrices = {key: matrix + other.matrices.get(key, 0.0) for key, matrix in self.matrices.items()}
         return replace(self, matrices=matrices)
 
@@ -246,7 +246,9 @@ def _apart(grams: _Grams, true: str, other: str) -> tuple[float, float]:
 
 
 def _told(gained: float, spared: float) -> float:
-    """Return the chance that log odds are beyond what settles: normal about half of ``gained``, their variance."""
+    """Return the probability that the log odds exceed the limit: normal, mean ``gained`` / 2 + ``spared``, variance
+    ``gained``.
+    """
     mean = 0.5 * gained + spared - _LOG_ODDS
     return 0.5 * math.erfc(-mean / math.sqrt(2 * max(gained, 1e-9)))
 
@@ -293,7 +295,7 @@ def _temperature(last: Conditions, t_s: Floats) -> Floats | None:
 
 
 def _with_own_bias(gram: Floats, share: float) -> Floats:
-    """Return the information of a run whose bias differs from other runs' by such a share of its prior."""
+    """Return the information of a run whose bias differs from that of other runs by a share of its prior."""
     bias = gram[:, 1]
     return np.asarray(gram - np.outer(bias, bias) * (share**2 / (1 + share**2 * bias[1])))
 

@@ -48,17 +48,17 @@ class Plan:
 
     @property
     def constancy(self) -> tuple[AxisCoverage, ...]:
-        """Over which time a run can show that what it measures stays the same, by axis."""
+        """Time over which a run can prove constancy, by axis."""
         return planned_constancy(self.script, self.bench.table.gimbals)
 
     @property
     def proves_constancy(self) -> bool:
-        """Whether every axis is turned far apart in time; also of a script that turns none."""
+        """Whether every axis is turned far apart in time; also true for a script without turns."""
         return all(axis.proved for axis in self.constancy)
 
     @property
     def reached(self) -> Flags:
-        """Whether each sigma (gyros, 4) is within what the bench asks for."""
+        """Whether each sigma (gyros, 4) is within the bench's requirement."""
         return np.asarray(self.sd <= self.required)
 
 

@@ -41,7 +41,7 @@ class PlannedMotion:
         )
 
     def readings(self, uncertainty: TableUncertainty | None) -> TableReadings:
-        """Return what a table of this uncertainty will have read."""
+        """Return the planned readings of a table with this uncertainty."""
         t_ns = np.round(self.t_s * 1e9).astype(np.int64)
         return TableReadings(
             t_ns=t_ns, angle_rad=self.angle_rad, rate_rps=self.rate_rps, gimbals=self.gimbals, uncertainty=uncertainty

@@ -92,7 +92,7 @@ class Shape:
         self._fixed = sums(Script("moves", moves), gimbals)
 
     def again(self, cycles: int) -> "Shape":
-        """Return the same ways gone through so many times."""
+        """Return the same ways with this number of cycles."""
         return Shape(self.ways, cycles, float(self.least[-1]), self._limits, self._gimbals)
 
     def with_ramps(self, acceleration_rps2: float) -> "Shape":
@@ -116,7 +116,7 @@ class Shape:
         return np.array([*slopes, _entry(2.0, 0.0, 0.0, (0.0, 0.0, 0.0))])
 
     def script(self, v: Floats, name: str, *, up: bool = True) -> Script:
-        """Return the script, its times rounded up or down to what a person would write."""
+        """Return the script, its times rounded up or down to steps that a person would write."""
         steps = v / _TIME_STEP_S
         return Script(
             name, tuple(self._steps((np.ceil(steps - 1e-6) if up else np.floor(steps + 1e-6)) * _TIME_STEP_S))
@@ -196,7 +196,7 @@ def _entry(duration_s: float, turn_rad: float, square: float, direction: Sequenc
 
 
 def _direction(axis: str, angles: Mapping[str, float], gimbals: Sequence[str]) -> tuple[float, float, float]:
-    """Return what the body turns about (a unit vector in body axes) when this axis turns."""
+    """Return the axis (a unit vector in body axes) about which the body turns when this gimbal turns."""
     here = np.array([[angles.get(gimbal, 0.0) for gimbal in gimbals]])
     x, y, z = body_rate(here, np.array([[float(gimbal == axis) for gimbal in gimbals]]), gimbals)[0]
     return float(x), float(y), float(z)

@@ -57,7 +57,7 @@ class Needs:
         return np.asarray(maps @ products @ maps.transpose(0, 2, 1))
 
     def excess(self, covariances: Floats) -> Floats:
-        """Return the logarithm of each sigma asked for over what is needed (s,), above zero where it is missed."""
+        """Return the logarithm of each required sigma's ratio to its limit (s,), above zero where it is missed."""
         wanted = np.isfinite(self.sd)
         return np.asarray(np.log(sds_of(covariances)[wanted] / self.sd[wanted]))
 
@@ -141,7 +141,7 @@ class Search:
         return self._shape(ways).again(cycles).script(np.array([turn_s] * len(ways) + [self.rest_s]), "longest")
 
     def least_time(self) -> Found | None:
-        """Return the shortest script that reaches every sigma asked for; None if none up to LONGEST_S does."""
+        """Return the shortest script that reaches every required sigma; None if none up to LONGEST_S does."""
         return self._chosen(lambda shape: _shortest(shape, self.needs), self._settled)
 
     def least_sigmas(self, total_s: float) -> Found | None:
@@ -334,7 +334,7 @@ class _Limit:
 
 
 def _kept(shape: Shape, needs: Needs) -> _Limit:
-    """Return the condition that no sigma is above what is needed."""
+    """Return the condition that no sigma exceeds its requirement."""
     return _Limit(
         "ineq",
         lambda v: -needs.excess(needs.covariances(shape.information(v))),

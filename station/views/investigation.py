@@ -127,7 +127,7 @@ def _both(before: Residual | None, after: Residual | None) -> dict[str, Any] | N
 
 
 def residual_view(residual: Residual) -> ResidualView:
-    """Return what is shown of a residual."""
+    """Return the displayed values of a residual."""
     split = None if residual.split is None else asdict(residual.split)
     gyros = {gyro.name: _gyro_residual(gyro) for gyro in residual.gyros}
     return {"gyros": gyros, "split": split, "no_split": residual.no_split or None}

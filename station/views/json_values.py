@@ -34,12 +34,12 @@ def named(value: Any, names: Iterable[str]) -> dict[str, Any]:
 
 
 def by_state(values: Any) -> dict[str, Any]:
-    """Return what there is of each state (4,) by the state's name, as JSON can hold it."""
+    """Return values of the states (4,) by the state's name, as JSON values."""
     return dict(zip(STATES, json_object(values), strict=True))
 
 
 def term_object(term: Term) -> dict[str, Any]:
-    """Return a term of the noise: the likeliest value, its interval of 95 %, and whether it was seen."""
+    """Return a term of the noise: the likeliest value, its 95 % interval, and whether it was seen."""
     return {"value": term.value, "interval": [term.low, term.high], "seen": term.seen}
 
 

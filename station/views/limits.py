@@ -37,12 +37,12 @@ class LimitLine:
 
     @property
     def stated(self) -> bool:
-        """Whether there is a bound at all; what is not known is beyond any."""
+        """Whether there is a bound at all; an unknown value counts as bounded."""
         return math.isfinite(self.high) or self.low > 0 or math.isnan(self.value)
 
     @property
     def within(self) -> bool:
-        """Whether the value is accepted; what is not known is not."""
+        """Whether the value is accepted; an unknown value is not."""
         return self.low + self.guard <= self.value <= self.high - self.guard
 
     @property
@@ -109,7 +109,7 @@ class LimitLine:
 
 
 def _apart(value: float, bound: float) -> tuple[str, str]:
-    """Return both with as many digits, four or more, as it takes to tell them apart."""
+    """Return both values with four or more digits, as many as make them differ."""
     for digits in range(4, 17):
         texts = tuple(np.format_float_positional(x, digits, fractional=False, trim="-") for x in (value, bound))
         if texts[0] != texts[1]:
@@ -118,7 +118,7 @@ def _apart(value: float, bound: float) -> tuple[str, str]:
 
 
 def worst_first(lines: Sequence[LimitLine]) -> list[LimitLine]:
-    """Return limits that are broken: those of no gyro first, which may be behind the others, then by how far."""
+    """Return broken limits: first those of no gyro, which may cause the others, then by excess."""
     return sorted(lines, key=lambda line: (line.row is not None, -line.excess))
 
 

@@ -79,7 +79,7 @@ def _bias_only(exported: Exported, form: str, most: int) -> tuple[dict[str, str]
 
 
 def _along_axes(exported: Exported, values: Floats) -> Floats:
-    """Return what belongs to each gyro (3,) along x, y and z; UsageError unless the gyros lie along these."""
+    """Return values of each gyro (3,) reordered to x, y and z; UsageError unless the gyros lie along these axes."""
     p = exported.compensation.array.p
     nearest = np.round(p)
     if np.abs(p - nearest).max() > TOLERANCE or (np.abs(nearest).sum(axis=0) != 1).any():

@@ -93,13 +93,13 @@ def _macros(exported: Exported) -> list[tuple[str, str, str]]:
 
 
 def _c_string(text: str) -> str:
-    """Return a string literal of C in ASCII; what it cannot hold becomes a question mark."""
+    """Return a string literal of C in ASCII; other characters become question marks."""
     plain = "".join(c if " " <= c <= "~" and c not in '\\"?' else "'" if c == '"' else "?" for c in text)
     return f'"{plain}"'
 
 
 def _single(found: re.Match[str]) -> str:
-    """Return a function or a number of C in single precision; a comment or a string as it is."""
+    """Return a function or a number of C in single precision; comments and strings unchanged."""
     text = found.group()
     if not text[0].isdigit():
         return text if text.startswith(("/*", '"')) else f"{text}f"
@@ -151,7 +151,7 @@ def write_python(exported: Exported) -> Written:
 
 
 def identifier(name: str) -> str:
-    """Return what a device is called in source code."""
+    """Return the identifier of a device in source code."""
     word = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_") or "imu"
     return word if word[0].isalpha() else f"imu_{word}"
 
@@ -162,7 +162,7 @@ def _said(text: str) -> str:
 
 
 def _argument_names(terms: Terms) -> list[str]:
-    """Return what the function is given of a sample, in order; ``_arguments_said`` says what each is."""
+    """Return the names of the function's arguments for a sample, in order; ``_arguments_said`` explains each."""
     warm = terms.uses("warmth") or terms.uses("slope")
     asked = {"rate_rps": True, "temperature_c": warm, "accel": terms.uses("accel"), "dt_s": terms.timed}
     return [name for name, needed in asked.items() if needed]

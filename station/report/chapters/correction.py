@@ -136,7 +136,7 @@ _SIGNS: Mapping[str, str | Callable[[re.Match[str]], str]] = {
 
 
 def _typeset(law: str) -> str:
-    """Return a law, which holds no sign that HTML knows, as mathematics."""
+    """Return a law as mathematics in HTML; laws hold no characters special to HTML."""
     for pattern, sign in _SIGNS.items():
         law = re.sub(pattern, sign, law)
     return law
@@ -155,7 +155,7 @@ _MORE = {
 
 
 def variables_of_laws(effects: Sequence[HeldEffect]) -> list[str]:
-    """Return what the variables mean in the laws of effects."""
+    """Return the meanings of the variables in the laws of effects."""
     names = {name for effect in effects if effect.known.law for name in variables_of(effect.known.law)}
     return [f"{name}: {VARIABLES[name][2]} in {VARIABLES[name][1]}{_MORE.get(name, '')}" for name in sorted(names)]
 
@@ -187,7 +187,7 @@ def snippet(correction: Correction, origin: str) -> str:
 
 
 def _of(correction: Correction, acts: Acts) -> Iterator[str]:
-    """Yield the expressions of the effects that act like this."""
+    """Yield the expressions of the effects that act at this place of the chain."""
     for effect in correction.held:
         if effect.acts is acts:
             table, law = _constant(correction, effect), effect.known.law

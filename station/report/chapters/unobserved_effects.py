@@ -54,7 +54,7 @@ class Unseen:
         return [self.words(name) for name in sorted(found, key=lambda name: -largest[name])]
 
     def words(self, effect: str) -> str:
-        """Return what people call an effect."""
+        """Return the readable name of an effect."""
         return "wrong Earth rate" if effect == EARTH_RATE.name and self.site_known else words(effect)
 
 
@@ -90,7 +90,7 @@ class Driven:
 
     @property
     def parts(self) -> tuple[ScriptStep, ...]:
-        """What there is of both, in order."""
+        """The turn and the rest, as far as there are both, in order."""
         return tuple(part for part in (self.turn, self.rest) if part is not None)
 
 
@@ -158,7 +158,7 @@ def _noise(found: Calibration, source: str, data: ImuData) -> NoiseModel:
 
 
 def by_state(found: Forecast) -> Mapping[str, Floats]:
-    """Return by effect the largest shift of each state (4,), in sigmas, that it makes without being seen."""
+    """Return by effect the largest shift of each state (4,), in sigmas, that stays unseen."""
     return {effect.effect.name: unnoticed(effect).max(axis=(0, 1), initial=0.0) for effect in found.effects}
 
 

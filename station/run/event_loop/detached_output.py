@@ -66,10 +66,10 @@ class _PatientStream:
         return len(text)
 
     def flush(self) -> None:
-        """Do nothing: what was written is on its way."""
+        """Do nothing: the thread writes texts as soon as it can."""
 
     def end(self, limit_s: float) -> None:
-        """Let the thread end after what was written; wait for that until an instant of the monotonic clock."""
+        """Let the thread end after the last text; wait for that until an instant of the monotonic clock."""
         self._texts.put("")
         self._thread.join(max(limit_s - time.monotonic(), 0.0))
 

@@ -46,7 +46,7 @@ class HostWatch:
         return True
 
     def look(self) -> None:
-        """Look how crowded the processors are."""
+        """Measure how crowded the processors are."""
         now_s = asyncio.get_running_loop().time()
         with suppress(OSError, ValueError, IndexError):  # not every system tells it
             waited_s = float(_PRESSURE.read_text(encoding="ascii").split("\n", 1)[0].rpartition("total=")[2]) * 1e-6

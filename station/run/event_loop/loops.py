@@ -55,7 +55,7 @@ class PacedLoop(asyncio.SelectorEventLoop):
         return self._now
 
     def wall_s_until(self, seconds: float) -> float:
-        """Return for how long to wait by the wall until so many seconds of this clock have gone, 0 if it is late."""
+        """Return the real time to wait until ``seconds`` of this clock have passed, 0 if it is late."""
         return max(self._zero_s + (self._now + seconds) / self.scale - time.monotonic(), 0.0)
 
     def follow(self) -> None:

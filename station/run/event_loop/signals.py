@@ -45,7 +45,7 @@ def heeded_signals(stop: Callable[[str], None], hang_up: Callable[[], None] | No
 
 
 def _to_nowhere(descriptors: Iterable[int]) -> None:
-    """Have what is printed on a terminal that is gone be lost: it would fail, and hide how the run ended."""
+    """Discard output to a terminal that is gone: writing would fail, and hide how the run ended."""
     nowhere = os.open(os.devnull, os.O_RDWR)
     for descriptor in descriptors:
         os.dup2(nowhere, descriptor)

@@ -19,7 +19,7 @@ _UNGUARDED = "if the station is killed now, only the watchdogs of the drives sto
 
 
 def guard_log_of(recording: Path) -> Path:
-    """Return where a guard writes what it did after the death of a run; there is no such file otherwise."""
+    """Return the path of the log that a guard writes after the death of a run."""
     return recording.with_name(f"{recording.name}.guard.log")
 
 
@@ -76,7 +76,7 @@ class Guard:
         asyncio.get_running_loop().add_reader(self._process.stdout.fileno(), self._hear)
 
     async def arm(self) -> None:
-        """Have the devices guarded from now on; waits until a guard can act, or until it is told that none can."""
+        """Start guarding the devices; wait until a guard can act, or until it is known that none can."""
         self._armed = True
         await self._see_ready()
 
@@ -120,7 +120,7 @@ class Guard:
         self._close()
 
     def _send(self, data: bytes) -> None:
-        """Send a word; a guard that is gone is heard of by its output."""
+        """Send a command to the guard; if it is gone, the end of its output tells so."""
         if self._process is not None and self._process.stdin is not None:
             with suppress(OSError):
                 self._process.stdin.write(data)

@@ -74,7 +74,7 @@ def _ask_to_be_spared() -> None:
 
 
 def _ask_to_be_continued() -> None:
-    """Have the kernel continue this process at the station's death, should somebody have stopped it (SIGSTOP)."""
+    """Let the kernel continue this process at the station's death, in case it was stopped (SIGSTOP)."""
     with suppress(OSError, AttributeError):  # not Linux
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGCONT), 0, 0, 0)
 
@@ -254,7 +254,7 @@ class _Sink:
 
 
 def _opened_log(path: str) -> int:
-    """Open the file that tells what a guard did; OSError where it cannot be this user's own."""
+    """Open the guard's log file; OSError if it is not this user's own."""
     flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
     file = os.open(path, flags, 0o666)
     check_own(path, file)  # others may be able to write to the folder

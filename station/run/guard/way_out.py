@@ -12,7 +12,7 @@ class WayOut:
     """Makes the devices of one run safe, each once, even if that is interrupted and called again."""
 
     def __init__(self, opened: OpenBench, time_scale: float, tell: Callable[[EventKind, str], Any]) -> None:
-        """``time_scale`` is how fast the clock runs; ``tell`` keeps what happens in the record."""
+        """``time_scale`` is how fast the clock runs; ``tell`` records events."""
         self._open, self._time_scale, self._tell = opened, time_scale, tell
         self._done: set[str] = set()
         self._troubles: list[str] = []

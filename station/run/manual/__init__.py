@@ -50,11 +50,11 @@ class ManualSequencer(Sequencer):
         raise UsageError('manual mode has no script to pause. Send "hold" to bring the table to rest')
 
     def times(self, now_s: float) -> tuple[float, Span]:
-        """Return how long it has gone on, in s; nothing is planned."""
+        """Return the time since the start in s, and a planned span of zero."""
         return now_s - self._zero_s, Span.exactly(0.0)
 
     def target_rad(self, axis: str) -> float:
-        """Return the angle to which an axis is being turned, NaN if it is not, or turns without an end."""
+        """Return the target angle of an axis that turns, NaN if it does not, or turns without an end."""
         angle_rad = super().target_rad(axis)
         return math.nan if abs(angle_rad) == _ENDLESS_RAD else angle_rad
 

@@ -67,7 +67,7 @@ class Archive:
                     yield entry
 
     async def read(self, path: Path) -> Whole:
-        """Return a whole recording; its entry says what is wrong, if something is."""
+        """Return a whole recording; its entry has the error, if there is one."""
         try:
             when_utc_s = (await asyncio.to_thread(path.stat)).st_mtime
         except OSError as error:
@@ -75,7 +75,7 @@ class Archive:
         return await self._read(path, when_utc_s, everything=True)
 
     async def accept(self, path: Path, attributes: Mapping[str, str]) -> str:
-        """Write who accepted a recording into it; return what went wrong, empty if nothing did."""
+        """Write the acceptance into a recording; return the error, empty if there is none."""
         async with self._turn:
             wrong = str(await self._do("accept", path, dict(attributes), limit_s=_WRITE_LIMIT_S))
             if wrong:  # HDF5 does not get over a write that failed
@@ -143,7 +143,7 @@ async def moved(recording: Path) -> list[dict[str, Any]]:
 
 
 def _begin() -> None:
-    """Leave the terminal to the screen: what HDF5 says of errors, too; and the processor to a run."""
+    """Detach from the terminal, with HDF5's messages discarded, and lower the priority in favour of a run."""
     os.setsid()
     os.nice(10)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)

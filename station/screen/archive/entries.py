@@ -46,7 +46,7 @@ class Entry:
 
     @cached_property
     def gyros(self) -> tuple[GyroSnapshot, ...]:
-        """The gyros of its calibration; not read before they are asked for, ten thousand would take a while."""
+        """The gyros of its calibration; parsed on first use, as ten thousand entries would take a while."""
         found = json.loads(self.figures)
         return tuple(GyroSnapshot(name, source, tuple(x), tuple(sd)) for name, source, x, sd in found)
 
@@ -67,7 +67,7 @@ class Entry:
 
     @property
     def series(self) -> tuple[object, ...] | None:
-        """What comparable runs have in common; None for what is compared with none."""
+        """Key that comparable runs share; None if it is comparable with none."""
         return series_of(self.texts, [(gyro.source, gyro.name) for gyro in self.gyros])
 
     @property
@@ -141,7 +141,7 @@ def last_comparable(run: Entry, entries: Iterable[Entry]) -> Entry | None:
 
 
 def comparable(entries: Iterable[Entry], whatever: int = 0) -> list[list[Entry]]:
-    """Return the runs that may be compared, the oldest first; whatever serial number (1) and bench (2) they are of."""
+    """Return the groups of comparable runs, oldest first; ``whatever`` ignores serial number (1) and bench (2)."""
     found = defaultdict(list)
     for entry in sorted(entries, key=lambda entry: entry.when_utc_s):
         if (series := entry.series) is not None and math.isfinite(sum(sum(g.values + g.sds) for g in entry.gyros)):

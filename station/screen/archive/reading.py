@@ -87,7 +87,7 @@ def read(path: Path, when_utc_s: float, everything: bool) -> Whole:
 
 
 def _listed(file: Any) -> list[str]:
-    """Return the names of what an entry is made of."""
+    """Return the names of the groups and datasets that an entry needs."""
     figures = [f"calibration/{key}" for key in ("states", "sd", "name", "source")] if "calibration" in file else []
     return [".", *(f"imu/{source}" for source in file.get("imu", {}).keys()), *figures]  # noqa: SIM118 (no rows of data)
 

@@ -17,7 +17,7 @@ class SessionLink:
     """Follows one session, started by this screen or running already."""
 
     def __init__(self, run: LiveRun, *, process: SessionProcess | None = None, socket: Path | None = None) -> None:
-        """Give the process that was started, or the socket of a session."""
+        """Take the process that was started, or the socket of a session."""
         self.run = run
         self._process, self._socket = process, socket
         self._remote: RemoteSession | None = None
@@ -47,25 +47,25 @@ class SessionLink:
         return (remote is not None and remote.stop()) or self._interrupt()
 
     def pause(self) -> None:
-        """Hold after the step under way, or go on."""
+        """Pause after the current step, or resume."""
         if self._remote is not None:
             holds = self.run.snapshot is not None and self.run.snapshot.paused
             self._remote.resume() if holds else self._remote.pause()
 
     def drive(self, action: str, **given: str | float) -> None:
-        """Say a word of manual mode; what a broken link swallows is not said again."""
+        """Send a command of manual mode; it is not repeated if the link breaks."""
         if self._remote is not None:
             self._remote.drive(action, **given)
 
     def note(self, text: str) -> bool:
-        """Have a note kept in the recording; return whether there was a way to tell the session."""
+        """Store a note in the recording; return whether it could be sent."""
         if self._remote is None:
             return False
         self._remote.note(text)
         return True
 
     def close(self) -> None:
-        """Hang up; the session goes on."""
+        """Close the connection; the session continues."""
         self._hang_up()
         if self._process is not None:
             self._process.close()
@@ -149,7 +149,7 @@ async def sessions_on(bench: str, bench_file: str) -> list[str]:
 
 
 async def sessions_there() -> list[tuple[Path, dict[str, object]]]:
-    """Return the running sessions, the newest first, and what each says of itself: nothing, if it does not answer."""
+    """Return the running sessions, newest first, with the greeting of each, empty if it does not answer."""
     paths = await asyncio.to_thread(running_sessions)
     return list(zip(paths, await asyncio.gather(*map(_hello, paths)), strict=True))
 

@@ -106,13 +106,13 @@ class LiveRun:
 
     @property
     def stop_heard(self) -> bool:
-        """Whether the session is seen to bring the table to rest, or to have ended."""
+        """Whether the session is known to be stopping the table, or has ended."""
         ending = self.snapshot is not None and self.snapshot.phase in _ENDING
         return ending or self.at_rest or self.stage is Stage.ENDED
 
     @property
     def silent_s(self) -> float:
-        """How long a session that is connected, and has ten things to say a second, has said nothing."""
+        """How long a connected session, which sends ten messages a second, has been silent."""
         return time.monotonic() - self._heard_s if self.stage is Stage.RUNNING else 0.0
 
     @property
@@ -154,7 +154,7 @@ class LiveRun:
                 self.refusals.append(str(message["reason"]))
 
     def leave(self, stage: Stage, why: str) -> None:
-        """Take in that the connection broke before the end, or that the process is gone without a result."""
+        """Set the stage and reason after a broken connection, or a process that ended without a result."""
         if self.stage is not Stage.ENDED:
             self.stage, self.trouble = stage, why
 

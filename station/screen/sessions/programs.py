@@ -32,7 +32,7 @@ class Answer:
 
 
 def command_line(arguments: Sequence[str]) -> list[str]:
-    """Return what starts a command of this station, and nothing that stands in the working folder."""
+    """Return the start of a command line for this station, which imports nothing from the working folder."""
     return [sys.executable, "-P", "-m", "station.cli", *arguments]
 
 
@@ -144,5 +144,5 @@ class SessionProcess:
         return [ended, *plain[-1:], *given[-1:]][-1]
 
     def close(self) -> None:
-        """Give up what it says; it goes on."""
+        """Stop reading its output; the process continues."""
         self._output.close()

@@ -27,7 +27,7 @@ class Tray:
     """The items of one bench in order; every change is stored at once."""
 
     def __init__(self, bench: str) -> None:
-        """``bench`` is the absolute path of the bench file, empty for the built-in one; what the tray held is read."""
+        """Load the stored tray of a bench: ``bench`` is the absolute path of its file, empty for the built-in one."""
         self.bench, self.spots = bench, list[TrayItem]()
         with suppress(*MISSHAPEN):
             told = load_state(_FILE)[bench]
@@ -39,12 +39,12 @@ class Tray:
         return next((spot for spot in self.spots if spot.state == WAITING), None)
 
     def keep(self, spots: Sequence[TrayItem]) -> str:
-        """Take other spots, or another order; return why they cannot be kept, empty if they are."""
+        """Replace all items and store them; return why they cannot be stored, empty if they are."""
         self.spots = list(spots)
         return save_state(_FILE, {**load_state(_FILE), self.bench: [asdict(spot) for spot in spots]})
 
     def change(self, spot: TrayItem, **new: str) -> None:
-        """Change fields of a spot, if it is there."""
+        """Change fields of an item, if it is on the tray."""
         self.keep([replace(old, **new) if old == spot else old for old in self.spots])
 
     def end(self, recording: Path, state: str) -> TrayItem | None:

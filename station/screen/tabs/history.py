@@ -60,7 +60,7 @@ class HistoryScreen(StationScreen):
         yield Charts(STATE_CHARTS, self._drawing)
 
     def on_screen_resume(self) -> None:
-        """Read what is new; what was read before is known."""
+        """Read new recordings; those read before are kept."""
         self.action_read_again()
         self.set_focus(self.query_one(DataTable))
 

@@ -69,7 +69,7 @@ class ManualScreen(StationScreen):
         return dict(sorted(run.hello["table"].items())) if run is not None and by_hand else {}
 
     def manual_values(self) -> dict[str, Any]:
-        """Return what the bar shows: axes with their limits, which is chosen, the rate in deg/s, angles by axis."""
+        """Return the values of the bar: axes with their limits, the chosen axis, the rate in deg/s, angles by axis."""
         table, run = self.table, self.station.shown
         chosen = list(table)[self._axis % len(table)] if table else ""
         angles = {a.name: a.angle_rad for a in run.snapshot.axes} if run is not None and run.snapshot else {}
@@ -80,7 +80,7 @@ class ManualScreen(StationScreen):
         return action != "drive" or bool(self.table)
 
     def on_key(self, event: events.Key) -> None:
-        """Let no key drive that waited for its turn: whoever held it may have let go."""
+        """Ignore a driving key that waited too long: it may have been released."""
         if event.key in ("comma", "full_stop") and time.monotonic() - event.time > _STALE_S:
             event.stop()
 

@@ -90,7 +90,7 @@ class PrepareScreen(StationScreen):
             yield Static(id="summary", markup=False)
 
     def on_mount(self) -> None:
-        """Fill in what is chosen."""
+        """Fill in the choices."""
         self._chosen = choices = self.station.choices
         with self.prevent(Input.Changed):
             for name, *_ in _FIELDS:
@@ -175,7 +175,7 @@ class PrepareScreen(StationScreen):
         return True
 
     def on_input_blurred(self, event: Input.Blurred) -> None:
-        """Look at bench and script when they are left."""
+        """Check bench and script when their fields lose the focus."""
         if event.input.id in ("bench", "script") and self._prospect is None:
             self.action_look_again()
 
@@ -190,7 +190,7 @@ class PrepareScreen(StationScreen):
         self.redraw()
 
     def on_screen_suspend(self) -> None:
-        """Start nothing by itself that is not seen."""
+        """Cancel an automatic start when the screen is left."""
         self.station.mounted = False
 
     def action_look_again(self) -> None:
@@ -259,12 +259,12 @@ class PrepareScreen(StationScreen):
         self.redraw()
 
     def _told_serial(self) -> str:
-        """Return the serial number that the one device under test tells of itself, empty if it or several tell none."""
+        """Return the serial number reported by the only device under test; empty for several devices or none."""
         devices = self._check.found.get("devices", [])[1:] if self._check is not None else []
         return str(devices[0]["identity"].get("serial") or "") if len(devices) == 1 else ""
 
     def _suggest(self) -> None:
-        """Fill in the serial number that the one device under test tells of itself, if none was entered."""
+        """Fill in the serial number reported by the only device under test, if none was entered and it matches."""
         field, told = self.query_one("#serial", Input), self._told_serial()
         if told and not field.value and self._prospect and matches(self._prospect.serial_pattern, told):
             field.value = told
@@ -291,7 +291,7 @@ class PrepareScreen(StationScreen):
         return self.station.choices.bench, self.station.choices.script
 
     def _take_over(self) -> None:
-        """Take over what stands in the fields."""
+        """Take the entries of the fields as choices."""
         entered: dict[str, Any] = {name: self.query_one(f"#{name}", Input).value.strip() for name, *_ in _FIELDS}
         if self._told_serial():
             both = entered["serial"], self._told_serial()

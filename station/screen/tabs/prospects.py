@@ -80,7 +80,7 @@ def _read(bench_path: str, script_path: str, device_options: tuple[str, ...]) ->
 
 
 def matches(pattern: str, text: str) -> bool:
-    """Return whether all of a text is as the pattern says; a pattern that is none lets everything pass."""
+    """Return whether a pattern matches all of a text; an invalid pattern matches everything."""
     try:
         return re.fullmatch(pattern, text) is not None
     except re.error:

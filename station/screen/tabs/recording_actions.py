@@ -17,7 +17,7 @@ _EXPORTS = {"csv": "Export as CSV", "json": "Export as JSON", "yaml": "Export as
 
 
 def offered(app: Any, recording: Path) -> Iterator[SystemCommand]:
-    """Yield what can be made of a recording, beside it, under a name that is free."""
+    """Yield the actions on a recording; files are written beside it under an unused name."""
     yield SystemCommand("Copy path", str(recording), partial(app.copy_to_clipboard, str(recording.absolute())))
     for suffix, words in (_PAPER | _EXPORTS).items():
         make = partial(app.work, partial(_make, app, recording, suffix), "give out")

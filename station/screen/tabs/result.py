@@ -62,7 +62,7 @@ class ResultScreen(StationScreen):
 
     @property
     def said_of_recording(self) -> str:
-        """Warn of a run that ended without a word: nobody has seen its table come to rest."""
+        """Warning on a run that ended unexpectedly: whether its table came to rest is unknown. Else empty."""
         entry = self._whole.entry if self._whole is not None else None
         if entry is None or entry.wrong or entry.texts.get("outcome"):
             return ""
@@ -81,7 +81,7 @@ class ResultScreen(StationScreen):
                 yield Button(words, id=name, compact=True, disabled=True, action=f"screen.{name}")
 
     def _open(self, path: Path, fresh: bool) -> None:
-        """Show a recording. ``fresh``: it has just been made; if it failed, the cause is looked for at once."""
+        """Show a recording; a ``fresh`` one that failed is investigated at once."""
         self.recording, self._whole, self._same, self._moves, self._found = path, None, [], [], {}
         self._busy, self._said, self.gyro = "reading", "", 0
         self.redraw()
@@ -127,7 +127,7 @@ class ResultScreen(StationScreen):
             self._look_for_cause([self._same[int(chosen)]] if runs is None else runs)
 
     def _look_for_cause(self, judging: Sequence[Entry]) -> None:
-        """Investigate in a process of its own; ``judging`` are the runs that verify what is found."""
+        """Investigate in a separate process; ``judging`` are the runs that verify the result."""
         if self.recording is not None:
             self._tell(_LOOKING)
             self.station.work(
@@ -188,7 +188,7 @@ class ResultScreen(StationScreen):
             self.redraw()
 
     def action_facts(self) -> None:
-        """Ask for what the certificate states beside the measurement."""
+        """Open the form for the facts that the certificate states beside the measurement."""
         if self._may("facts") and self._whole is not None:
             self.station.work(partial(fill_in, self.app, self._whole), "facts")
 
@@ -201,7 +201,7 @@ class ResultScreen(StationScreen):
             self.station.prepare(str(self._found["next_script"]))
 
     def _may(self, what: str) -> bool:
-        """Return whether something can be done, and say why not."""
+        """Return whether an action is possible, and notify why not."""
         obstacle = self._obstacle(what)
         if obstacle:
             self.notify(obstacle, severity="warning", markup=False)
@@ -231,7 +231,7 @@ class ResultScreen(StationScreen):
         return "" if self.station.choices.operator else "accepting needs an operator: F2, enter the name"
 
     def on_screen_resume(self) -> None:
-        """Open what a run has left in the meantime; show what may be done now."""
+        """Open a recording that a run has left, and update the buttons."""
         to_open = self.station.take_recording()
         if to_open is not None:
             self._open(*to_open)

@@ -93,7 +93,7 @@ class RunScreen(ManualScreen):
         return run_drawing(name, run, gyros[self.gyro % len(gyros)])
 
     def action_pause(self) -> None:
-        """Hold after the step under way, or go on."""
+        """Pause after the current step, or resume."""
         self.station.pause_run()
 
     def action_others(self) -> None:

@@ -109,7 +109,7 @@ class TrayScreen(StationScreen):
         self.station.tray.keep([spot for spot in self.station.tray.spots if spot not in self._chosen()])
 
     def action_clear(self) -> None:
-        """Remove what has been run."""
+        """Remove the items that have been run."""
         left = (WAITING, RUNNING, SKIPPED)
         self.station.tray.keep([spot for spot in self.station.tray.spots if spot.state in left])
 

@@ -41,7 +41,7 @@ class Span:
 
     @classmethod
     def exactly(cls, duration_s: float) -> Self:
-        """Return the span of what takes this long."""
+        """Return a span of exactly this duration."""
         return cls(duration_s, duration_s)
 
     @property
@@ -51,7 +51,7 @@ class Span:
 
     @property
     def longer_s(self) -> float:
-        """By how much it may be longer than the least."""
+        """Difference between the longest and the least duration."""
         return 0.0 if self.is_exact else self.most_s - self.least_s
 
     def elapsed_s(self, since_s: float) -> float:
@@ -59,7 +59,7 @@ class Span:
         return min(since_s, self.most_s)
 
     def remaining(self, since_s: float) -> "Span":
-        """Return what is left after a time."""
+        """Return what is left after ``since_s``."""
         return Span(max(self.least_s - since_s, 0.0), max(self.most_s - since_s, 0.0))
 
 
@@ -84,7 +84,7 @@ class Turn:
 
     @property
     def way_rad(self) -> float:
-        """Angle that is turned, with its sign."""
+        """Angle of the turn, with its sign."""
         return self.to_rad - self.from_rad
 
     @property
@@ -148,7 +148,7 @@ class Stage(Protocol):
         """Turn an axis and see it arrive; DeviceRefused if it does not."""
 
     async def stand(self, duration_s: float, label: str = "") -> None:
-        """Leave all axes at rest for a time; ``label`` says what for."""
+        """Leave all axes at rest for a time; ``label`` gives its purpose."""
 
     def newest(self, quantity: str) -> Mapping[str, float]:
         """Return the newest value of a quantity by source; sources that do not measure it are left out.
@@ -173,14 +173,14 @@ class Step(ABC):
 
     @abstractmethod
     def parts(self, angles_rad: Mapping[str, float]) -> Sequence[Part]:
-        """Return the plan: what moves, in order, from these angles of the axes; 0 for an axis that is not listed."""
+        """Return the planned parts in order, from these angles of the axes; 0 for an axis that is not listed."""
 
     def demands(self) -> Sequence[Demand]:
-        """Return what is asked of each axis that it turns; nothing of a step in which all axes stand."""
+        """Return the demands on each axis that the step turns; empty if all axes stand."""
         return ()
 
     def problem(self) -> str:
-        """Return what is wrong with the values of a step, whatever the table; empty if nothing is."""
+        """Return what is wrong with the step's values, for any table; empty if nothing."""
         return ""
 
     def driven(self, limits: Mapping[str, AxisLimits]) -> Self:
@@ -209,7 +209,7 @@ class Step(ABC):
 
     @property
     def rest_s(self) -> float:
-        """How much of its time is rest that may be shortened; 0 for steps that turn an axis."""
+        """Time at rest that may be shortened; 0 for steps that turn an axis."""
         return 0.0
 
     def shortened(self, share: float) -> "Step":
@@ -221,11 +221,11 @@ class Step(ABC):
         return None
 
     def mirrored(self, sign: int) -> "Step":
-        """Return the step with its rate or its angle times ``sign``, and a label that says so."""
+        """Return the step with its rate or its angle times ``sign``, and a label to match."""
         return self
 
     def written(self, duration_s: float) -> Sequence[str]:
-        """Return the lines of a script file that state it, beside its label; it takes ``duration_s``."""
+        """Return the lines of a script file for this step, without its label; the step takes ``duration_s``."""
         raise NotImplementedError(f"{type(self).__name__} steps are not written into files")
 
 

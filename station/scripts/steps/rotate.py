@@ -34,7 +34,7 @@ class Rotate(Step):
 
     @property
     def turn_rad(self) -> float:
-        """Angle that is turned, with its sign."""
+        """Angle of the rotation, with its sign."""
         return self.rate_rps * (self.duration_s - abs(self.rate_rps) / self.acceleration_rps2)
 
     def words(self) -> str:
