@@ -55,14 +55,14 @@ class StrictTable:
 
     @classmethod
     def load(cls, path: Path, error: type[Exception], wanted: str = "a TOML file") -> Self:
-        """Read a file; the given error if it cannot be read or is no TOML.
+        """Read a file; ``error`` if it cannot be read or is no TOML.
 
-        ``wanted`` is what the error asks for if a recording is given.
+        ``wanted`` names the expected file in the error for a recording.
         """
         return cls.parse(read_text(path, error, wanted), str(path), error)
 
     def again(self) -> Self:
-        """Return this table as it is now, for somebody else to take from."""
+        """Return a copy of this table in its present state, for another reader."""
         return type(self)(self._data, self._path, self._text, self._file, self._error)
 
     def fail(self, key: str | None, message: str) -> Exception:
@@ -74,7 +74,7 @@ class StrictTable:
         return self._error(f"{where}: {name}: {message}" if name else f"{where}: {message}")
 
     def has(self, key: str) -> bool:
-        """Return whether the key is there and not taken yet."""
+        """Return whether the key is present and not taken yet."""
         self._known.append(key)
         return key in self._data
 
@@ -84,7 +84,7 @@ class StrictTable:
         return " ".join(value.split()) if isinstance(value, str) else ""
 
     def remaining(self) -> tuple[str, ...]:
-        """Return the keys that nobody took yet."""
+        """Return the keys that are not taken yet."""
         return tuple(self._data)
 
     def number(
@@ -134,7 +134,7 @@ class StrictTable:
         return self.take(key, default, convert)
 
     def value(self, key: str, default: Any = None) -> Any:
-        """Take whatever is there, or the default."""
+        """Take any value of the key, or the default."""
         return self._data.pop(key, default) if self.has(key) else default
 
     def table(self, key: str, *, optional: bool = False) -> Self:
@@ -187,7 +187,7 @@ class StrictTable:
         return found
 
     def whole(self, read: Callable[[Self], T]) -> T:
-        """Return what is made of this table, of which every key must have been taken."""
+        """Return the result of ``read`` for this table; the table's error if a key was not taken."""
         found = read(self)
         self.done()
         return found
@@ -250,7 +250,7 @@ def _statement_ends(text: str) -> list[int]:
 
 
 def not_one_of(text: str, choices: Iterable[str]) -> str:
-    """Return what is said of a name that is none of these: which there are, and the nearest."""
+    """Return the text of an error for an unknown name: the possible names, and the nearest."""
     names = list(choices)
     close = difflib.get_close_matches(text, names, 1)
     return f"{text!r} is not one of {', '.join(names)}" + (f"; did you mean {close[0]}?" if close else "")

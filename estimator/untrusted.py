@@ -22,7 +22,7 @@ _HARMFUL = dict.fromkeys(
 
 
 def harmless(text: str) -> str:
-    """Return a text without what steers a terminal (C0, C1) or turns its direction, and what no encoding can say.
+    """Return a text without control characters of terminals (C0, C1), direction marks, and unencodable characters.
 
     Line feeds and tabs are kept.
     """
@@ -30,9 +30,9 @@ def harmless(text: str) -> str:
 
 
 def read_json(text: str) -> Any:
-    """Return what a JSON text holds, its texts harmless: JSON can spell any character with six harmless ones.
+    """Return the value of a JSON text, its texts made harmless, as JSON escapes can hold any character.
 
-    ValueError or RecursionError if it is none.
+    ValueError or RecursionError if it is not JSON.
     """
     return _cleaned(json.loads(text))
 

@@ -35,7 +35,7 @@ class Contribution:
 
     @property
     def u(self) -> Floats:
-        """Standard uncertainty that it gives each state (4,)."""
+        """Standard uncertainty of each state (4,) from this line."""
         return np.sqrt(np.diag(self.covariance))
 
 

@@ -99,7 +99,7 @@ class Compensation:
 
     @property
     def bias_rps(self) -> Floats:
-        """Biases b (n,): what is to be added to the outputs."""
+        """Biases b (n,), to be added to the outputs."""
         return self.states[:, 1]
 
     @property

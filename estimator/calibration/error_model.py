@@ -76,14 +76,14 @@ class KnownEffect:
 
     @property
     def record(self) -> Record:
-        """What the catalogue says of it."""
+        """Its record in the catalogue."""
         record = record_of(self.name)
         assert record is not None, self.name
         return record
 
     @property
     def law(self) -> str:
-        """Its law; "" if no law can say it."""
+        """Its law; "" if it cannot be written as a law."""
         return self.record.law.format(**self.settings)
 
     @property

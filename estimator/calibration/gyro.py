@@ -61,6 +61,8 @@ class GyroCalibration:
 
     @property
     def type_a(self) -> Floats:
-        """What the data leave open of the states (4, 4), whatever may be wrong with the reference; all if not known."""
+        """Covariance of the states (4, 4) from the data alone, without the reference; the whole one if not known
+        apart.
+        """
         own = [line.covariance for line in self.budget if line.name in TYPE_A]
         return np.asarray(np.sum(own, axis=0)) if own else self.covariance

@@ -35,13 +35,13 @@ def register(*effects: Record, origin: str = "") -> None:
 
 
 def everything(gimbals: Sequence[str] = ("z", "y", "x"), duration_s: float = 360.0) -> tuple[Effect, ...]:
-    """Return what is looked for on a table with these gimbals in a run of so long: first what plans tell of."""
+    """Return the effects searched for on a table with these gimbals, for a run's duration: planned ones first."""
     ordered = sorted(records(), key=lambda record: not _planned(record))
     return tuple(record.effect(gimbals, **settings) for record in ordered for settings in record.listed(duration_s))
 
 
 def catalogue(gimbals: Sequence[str], duration_s: float) -> tuple[Effect, ...]:
-    """Return those whose smallest sizes a plan tells: neither noise nor faults of the data."""
+    """Return the effects whose smallest visible sizes a plan gives: neither noise nor faults of the data."""
     return tuple(effect for effect in everything(gimbals, duration_s) if _planned(effect.record))
 
 

@@ -97,7 +97,7 @@ class Conditions:
         return found
 
     def rows(self, chosen: slice | NDArray[np.intp]) -> Self:
-        """Return those at some instants; what was before is not known of them."""
+        """Return the conditions at some instants, without the earlier rates that a delay needs."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         cut: dict[str, Any] = {name: v[chosen] for name, v in values.items() if isinstance(v, np.ndarray)}
         return replace(self, **cut, delayed_rps=None)

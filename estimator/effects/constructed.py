@@ -40,6 +40,6 @@ def constructed(law: str, largest: tuple[float, ...] = ()) -> Effect:
 
 
 def readable(called: str) -> str:
-    """Return the name of an effect, or of a law in a model, as people say it."""
+    """Return the readable name of an effect, or of a law in a model."""
     kind, _, law = called.partition(" ")
     return f"{kind}: {in_words(law)}" if kind == CONSTRUCTED.name and law else called.replace("_", " ")

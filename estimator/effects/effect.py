@@ -174,12 +174,12 @@ class Record:
 
     @property
     def kept_settings(self) -> tuple[Setting, ...]:
-        """Settings that a model holds."""
+        """Settings that a model stores."""
         return tuple(setting for setting in self.settings if setting.key)
 
     @property
     def grid(self) -> Setting | None:
-        """The setting that is looked for among many values."""
+        """The setting that is searched for over many values, None without one."""
         return next((setting for setting in self.settings if setting.grid is not None), None)
 
     def effect(self, gimbals: Sequence[str] = (), **settings: Value) -> "Effect":
@@ -282,7 +282,7 @@ class Effect:
 
 
 def family(name: str, /, **coded: dict[str, Any]) -> tuple[Record, ...]:
-    """Return the effects that the file of a family lists, NAME.toml; ``coded`` is by effect what only code can say."""
+    """Return the effects of the family file NAME.toml; ``coded`` adds by effect what only code can define."""
     found = []
     for effect, facts in packaged_toml("estimator.effects", f"{name}.toml").items():
         read = {key: _READ[key](value) if key in _READ else value for key, value in facts.items()}

@@ -62,7 +62,7 @@ def columns_of(law: str, conditions: Conditions, axes: Axes) -> Floats:
 
 @lru_cache(4096)
 def needs_of(law: str) -> frozenset[str]:
-    """Return what conditions must offer for a law."""
+    """Return the quantities that conditions must offer for a law."""
     names = variables_of(law)
     needs = {_NEEDS[VARIABLES[name][0]] for name in names if VARIABLES[name][0] in _NEEDS}
     return frozenset(needs | {"gimbals" for name in names if "_" in name})

@@ -97,7 +97,9 @@ def calibrate(
 
 
 def _gyro_notes(recording: Recording, gyros: Sequence[tuple[SourceEstimate, GyroCalibration]]) -> list[str]:
-    """Return, in words, what a recording did not show of its gyros; of a body at rest that was told."""
+    """Return sentences on what a recording did not show of its gyros; none for a body at rest, which has its own
+    note.
+    """
     notes: list[str] = []
     for one, gyro in gyros if not at_rest(recording.reference) else ():
         notes += unseen_notes(gyro.name, gyro.type_a, one.data.prior)

@@ -126,7 +126,7 @@ class Evidence:
             self._densities.append(np.hstack(densities))
 
     def density(self, gyro: GyroSpectra, stretch: Stretch) -> Floats:
-        """Return the variance (G, bands) of a coefficient over that of white noise, what is beyond the models in it."""
+        """Return the variance (G, bands) of a coefficient over that of white noise, including the excess."""
         more = self.excess.get((gyro.name, stretch.run), AS_MODELLED)
         return self.shapes.density(stretch) * more.at(stretch.band_hz)
 
@@ -202,7 +202,7 @@ class Evidence:
         return Base(self, terms).by_noise()
 
     def noise_weight(self, terms: Sequence[Term]) -> Floats:
-        """Return how probable each noise model is (G,) beside a set of terms, if it is that of all gyros."""
+        """Return the probability of each noise model (G,) beside terms, if all gyros have the same."""
         return _normal(self.by_noise(terms) + self.shapes.log_prior)
 
     def noise_weights(self, terms: Sequence[Term]) -> Floats:
@@ -394,14 +394,14 @@ class _Scaled:
         return cls(np.maximum(power, 0.0), turned.swapaxes(-1, -2) @ across)
 
     def at(self, scale: float) -> tuple[Floats, Floats]:
-        """Return the log evidence (...) that the terms cost, and what they take of products (..., r, r)."""
+        """Return what the terms add to the log evidence (...), and take from products (..., r, r), at a scale."""
         grown = 1 + scale**2 * self.power
         weighed = self.across * (scale**2 / grown)[..., None]
         return -0.5 * np.log(grown).sum(axis=-1), self.across.swapaxes(-1, -2) @ weighed
 
 
 def _form(term: Term) -> tuple[bool, int]:
-    """Return what terms have in common that can be worked out together."""
+    """Return the key of terms that can be computed together."""
     return term.shared, len(term.columns)
 
 

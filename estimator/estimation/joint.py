@@ -74,7 +74,7 @@ def check_model(model: ErrorModel, recording: Recording) -> None:
 
 
 def is_external(recording: Recording) -> bool:
-    """Return whether the reference is another instrument's, whose stamps and errors nobody knows beforehand."""
+    """Return whether the reference is another moving instrument, whose stamps and errors are unknown."""
     own = isinstance(recording.reference, TableReadings) and "bench" in recording.attributes
     return not own and not at_rest(recording.reference) and not isinstance(recording.reference, Turns)
 
@@ -127,10 +127,10 @@ def estimate_device(
 
 
 def _by_another(runs: Sequence[Run]) -> bool:
-    """Return whether another instrument says how the body turns.
+    """Return whether another instrument measures how the body turns.
 
-    What is left may be the errors of that one, which follow the rate as well: it does not decide on effects of the
-    gyros that do.
+    The residual may then hold errors of that instrument, which follow the rate as well, so that it does not decide on
+    effects of the gyros that do so.
     """
     return any(run.by_another for run in runs)
 
@@ -201,7 +201,7 @@ def _aligned(
 
 
 def _delay_by_motion(recording: Recording, data: ImuData) -> float:
-    """Return where to begin to look for a delay in s; that of a table's own readings is as good as none."""
+    """Return the delay in s at which the search begins, 0 for a table's own readings."""
     if not by_turns(recording.reference):
         return 0.0
     line = following(data, recording.reference, recording.site)
@@ -209,7 +209,7 @@ def _delay_by_motion(recording: Recording, data: ImuData) -> float:
 
 
 def _shifted(sources: Sources, delays_s: Mapping[str, float]) -> Sources:
-    """Return sources with their stamps so much earlier."""
+    """Return sources with their stamps earlier by ``delays_s``."""
     return [(name, replace(data, t_ns=data.t_ns - round(delays_s[name] * 1e9))) for name, data in sources]
 
 
@@ -387,7 +387,7 @@ def _estimated(
 
 
 def _block_s(data: ImuData) -> float:
-    """Return the length of blocks: what is usual, or longer so that a slow source has some samples in each."""
+    """Return the length of blocks: the usual one, or longer so that a slow source has some samples in each."""
     period_s = float(np.median(np.diff(data.t_ns))) * 1e-9 if len(data.t_ns) > 1 else 0.0
     return max(BLOCK_S, _BLOCK_ROWS * period_s)
 

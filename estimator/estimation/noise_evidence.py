@@ -113,7 +113,7 @@ class Joint:
         return np.asarray(np.linalg.solve(information, across)[:4])
 
     def through(self, covariance: Floats, laws: Sequence[int]) -> Floats:
-        """Return the part (4, 4) of the covariance of the states that comes of some laws."""
+        """Return the part (4, 4) of the covariance of the states that is due to some laws."""
         at = np.concatenate([np.arange(len(covariance))[self.slice_of(n)] for n in laws])
         across = covariance[:4, at]
         return np.asarray(across @ np.linalg.solve(covariance[np.ix_(at, at)], across.T))
@@ -259,7 +259,7 @@ def columns_of(run: Run, laws: Sequence[Law]) -> Floats:
 
 
 def expected_of(laws: Sequence[Law]) -> Floats:
-    """Return what is expected of each parameter of some laws (p,), in its sigmas."""
+    """Return the expected values of the parameters of some laws (p,), in their sigmas."""
     return np.concatenate([np.zeros(0), *(law.mean / law.sd for law in laws)])
 
 
@@ -302,7 +302,7 @@ def _spectra(runs: Sequence[Run], columns: Sequence[Floats]) -> list[GyroSpectra
 
 
 def _terms(laws: Sequence[Law]) -> list[Term]:
-    """Return ordered laws as terms; their columns are scaled by what is expected of them."""
+    """Return ordered laws as terms, with columns scaled by the expected sigmas."""
     count = [sum(len(law.sd) for law in laws if law.effect.shared == shared) for shared in (False, True)]
     own, shared = range(Z + 1, Z + 1 + count[0]), range(Z + 1 + count[0], Z + 1 + sum(count))
     both = Term("own", tuple(own), shared=False), Term("shared", tuple(shared), shared=True)

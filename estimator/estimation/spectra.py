@@ -217,7 +217,7 @@ class GyroSpectra:
     products: Floats = field(default_factory=lambda: np.empty((0, 0, 0)))
 
     def parts(self, runs: Sequence[Run], columns: Callable[[int, int], Floats]) -> list[Floats]:
-        """Return columns (b, c) of each stretch as they count; ``columns`` gives those of a run by number and gyro."""
+        """Return weighted columns (b, c) of each stretch; ``columns`` gives those of a run by run and gyro number."""
         whole: dict[int, Floats] = {}
         for number in {stretch.run for stretch in self.stretches}:
             own = runs[number].array.names.index(self.name)

@@ -218,7 +218,7 @@ def _effects(grid: Conditions) -> list[tuple[Effect, float]]:
 
 
 def _completed(grid: Conditions) -> Conditions:
-    """Return conditions with what is not known assumed: level axes, and a temperature that rises."""
+    """Return conditions with assumptions for unknown ones: level axes, and a temperature that rises."""
     force = np.where(np.isfinite(grid.specific_force_mps2), grid.specific_force_mps2, [0.0, 0.0, GRAVITY_MPS2])
     temperature = grid.temperature_c
     if temperature is None:

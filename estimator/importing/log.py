@@ -42,7 +42,7 @@ class Log:
 
 
 def wanted(timing: Timing, others: Sequence[str], labels: tuple[str, ...] = ()) -> Wanted:
-    """Return what is wanted of a file: its stamps and other columns."""
+    """Return the columns wanted of a file: its stamps and others."""
     needed = timing.stamps.names if timing.stamps else (timing.rate,) if isinstance(timing.rate, str) else ()
     return Wanted(needed, tuple(others), labels, timing.calendar)
 

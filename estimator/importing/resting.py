@@ -175,7 +175,7 @@ def _found(samples: _Samples, pose: Pose, stated: Rests) -> list[Rest]:
 
 
 def _gravity_notes(accel: Floats) -> list[str]:
-    """Return what is wrong with the specific force (rows, 3) of a body at rest, in words."""
+    """Return a sentence if the specific force (rows, 3) at rest is not 1 g; else an empty list."""
     length = float(np.nanmedian(np.linalg.norm(accel, axis=1)))
     if abs(length / _GRAVITY_MPS2 - 1) <= _GRAVITY_OFF:
         return []

@@ -32,7 +32,7 @@ def seconds_of(text: str, pattern: str) -> float:
 
 
 def has_date(pattern: str) -> bool:
-    """Return whether stamps of a pattern tell the day."""
+    """Return whether stamps of a pattern include the day."""
     return pattern == ISO or any(part in pattern for part in _OF_A_DATE)
 
 

@@ -76,7 +76,7 @@ class Table:
         return values if wanted.axes is None else values @ wanted.axes
 
     def number(self, name: str) -> float:
-        """Return a variable that holds one number."""
+        """Return a variable that holds one number; RecordingError for any other."""
         value = self.columns[name]
         if value.size != 1 or not np.isfinite(value).all():
             raise RecordingError(f"{self.name}: {name} must be one number, it has shape {value.shape}")

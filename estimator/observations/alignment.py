@@ -94,7 +94,7 @@ class Following:
         return rows
 
     def expected_rps(self, t_s: Floats) -> Floats:
-        """Return what the outputs (n, m) should be at instants of samples (n,), NaN where that is not known."""
+        """Return the expected outputs (n, m) at instants of samples (n,), NaN where unknown."""
         return np.asarray(self.rows[0] + self.turned.rates(t_s - self.delay_s) @ self.rows[1:])
 
 

@@ -61,7 +61,7 @@ class Blocks:
         )
 
     def select(self, keep: NDArray[np.bool_]) -> "Blocks":
-        """Return the means of these blocks only; what is within stays that of all."""
+        """Return the means of some blocks; the scatter within blocks stays that of all."""
         return replace(
             self, index=self.index[keep], rows=self.rows[keep], w_rps=self.w_rps[keep], z_rps=self.z_rps[keep]
         )

@@ -43,7 +43,7 @@ def _rates_rps(recording: Recording) -> list[Floats]:
 
 
 def _limits(rate: Floats) -> tuple[float, float]:
-    """Return the range that holds all but a thousandth of rates (k,) at each end, and rest; to a tenth."""
+    """Return the range of rates (k,) without a thousandth at each end, widened to include rest; to a tenth."""
     known = rate[np.isfinite(rate)]
     low, high = np.quantile(known, [0.001, 0.999]) if len(known) else (0.0, 0.0)
     return min(round(float(low), 1), 0.0) + 0.0, max(round(float(high), 1), 0.0) + 0.0

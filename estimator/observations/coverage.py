@@ -82,7 +82,7 @@ def coverage(recording: Recording, sources: Sequence[ImuData]) -> tuple[AxisCove
 
 
 def planned_coverage(readings: TableReadings) -> tuple[AxisCoverage, ...]:
-    """Return the coverage of a recording in which a table will move like this, with samples at an even rate."""
+    """Return the coverage of a recording with this planned motion and evenly spaced samples."""
     return _of_turnings([(readings.t_ns, list(_table_turnings(readings)))])
 
 

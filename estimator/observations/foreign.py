@@ -24,7 +24,7 @@ _SELDOM = 1e-3  # that k may be off by
 
 
 def at_rest(reference: Reference) -> TypeGuard[RateReadings]:
-    """Return whether a reference says of no instant that the body turned (faster than the Earth)."""
+    """Return whether a reference never reports rotation faster than the Earth's."""
     if not isinstance(reference, RateReadings):
         return False
     rate = reference.rate_rps[np.isfinite(reference.rate_rps).all(axis=1)]

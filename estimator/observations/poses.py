@@ -128,7 +128,7 @@ def directions_up(force_mps2: Floats, *, from_rests: bool) -> tuple[Floats, floa
 
 
 def accelerometer_note(poses: Poses) -> str:
-    """Return what the directions up rest on, in words."""
+    """Return a sentence on the accuracy of the directions up."""
     each = f"{len(poses.up)} rests, the direction up to {np.degrees(float(np.median(poses.sd_rad))):.2g} deg each"
     if not len(poses.shifts):
         return f"gravity is the reference: {each}; the accelerometer is used as stated"

@@ -26,9 +26,9 @@ class TimeOffset:
 
 
 def expected_sd_s(timing_s: float = 0.0, half_width_ns: Stamps | None = None) -> float:
-    """Return the standard deviation about zero that is expected of an offset.
+    """Return the expected standard deviation of a time offset about zero, in s.
 
-    ``timing_s`` is what the table states, ``half_width_ns`` (k,) half of the round trips of its readings.
+    ``timing_s`` is the table's stated uncertainty, ``half_width_ns`` (k,) half of the round trips of its readings.
     """
     half_s = float(np.median(half_width_ns)) * 1e-9 if half_width_ns is not None and len(half_width_ns) else 0.0
     return float(np.sqrt(_UNSTATED_S**2 + timing_s**2 + half_s**2 / 3))

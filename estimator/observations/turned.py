@@ -158,7 +158,7 @@ class Turned:
 
 
 def by_turns(reference: Reference) -> bool:
-    """Return whether readings are to be compared by turns: those of an instrument that gives no table's rates."""
+    """Return whether readings are compared by angles turned: those of instruments without a table's rates."""
     return isinstance(reference, (AttitudeReadings, RateReadings)) or (
         isinstance(reference, TableReadings) and len(reference.gimbals) == 1
     )

@@ -81,7 +81,7 @@ class EffectForecast:
 
     @property
     def seen(self) -> NDArray[np.bool_]:
-        """Whether each parameter (P, g) is found at a plausible size."""
+        """Whether each parameter (P, g) would be seen at its largest plausible size."""
         return np.asarray(self.smallest <= self.largest[:, None])
 
 

@@ -39,7 +39,7 @@ class GrowingRows:
         self._end += count
 
     def forget(self, count: int) -> None:
-        """Drop so many rows at the beginning."""
+        """Drop the first ``count`` rows."""
         self._first += count
 
     def take(self) -> dict[str, NDArray[Any]]:

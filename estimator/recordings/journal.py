@@ -76,7 +76,7 @@ class Journal:
             self.unsynced = True
 
     def sync(self) -> None:
-        """Have the disk keep what has been written; it may take seconds."""
+        """Sync the written data to disk; this may take seconds."""
         self.unsynced = False
         getattr(os, "fdatasync", os.fsync)(self._file)
         if not self._named:
@@ -84,7 +84,7 @@ class Journal:
             self._named = True
 
     def close(self, *, remove: bool) -> None:
-        """Give up its lock, and remove it where the recording is whole; twice is once."""
+        """Release the lock, and remove the file if the recording is complete; a second call does nothing."""
         if remove:
             self._path.unlink(missing_ok=True)
         if self._file >= 0:

@@ -90,7 +90,7 @@ def changing(t_s: Floats, rate_rps: Floats) -> Flags:
 
 
 def ends(changes: Flags) -> tuple[int, bool]:
-    """Return how many intervals a ramp takes that begins with the first of these, and whether its end is seen."""
+    """Return the number of intervals of a ramp that begins with the first change, and whether its end is seen."""
     steady = np.flatnonzero(~changes)
     for first in steady.tolist():
         if not changes[first : first + _QUIET].any():
@@ -221,7 +221,7 @@ def corners_of(t_s: Floats, rate_rps: Floats, most: int) -> Iterator[tuple[list[
 
 
 def between_readings(t_s: Floats, angle_rad: Floats) -> tuple[Floats, Floats]:
-    """Return instants in the middle between readings (n,), and the mean rates there (n - 1,) that angles tell."""
+    """Return instants midway between readings (n,), and the mean rates there (n - 1,) from the angles."""
     return 0.5 * (t_s[:-1] + t_s[1:]), np.diff(angle_rad) / np.diff(t_s)
 
 

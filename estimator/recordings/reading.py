@@ -214,7 +214,7 @@ def read_array(where: str, name: str, group: Any) -> SensorArray:
 
 
 def _check_accelerometers(where: str, accel_mps2: Floats, axes: Floats) -> None:
-    """Raise RecordingError unless outputs (n, c) and axes (c, 3) give the specific force along every body axis."""
+    """Raise RecordingError unless outputs (n, c) and axes (c, 3) determine the specific force along every body axis."""
     channels = accel_mps2.shape[1] if accel_mps2.ndim == 2 else 1
     if axes.shape != (channels, 3):
         raise RecordingError(f"{where} has {channels} accelerometers, but accel_axes of the shape {axes.shape}")

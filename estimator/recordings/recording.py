@@ -31,7 +31,7 @@ _IMPOSSIBLE_RPS = 1e8  # nor is it the count of a converter of 32 bits that was 
 
 
 def possible(rate_rps: Floats) -> tuple[Floats, int]:
-    """Return rates (n, m) with NaN for those that nothing can have, and how many samples (rows) have such."""
+    """Return rates (n, m) with NaN for impossible ones, and the number of samples (rows) that have such."""
     if max(np.fmax.reduce(rate_rps, None, initial=0.0), -np.fmin.reduce(rate_rps, None, initial=0.0)) < _IMPOSSIBLE_RPS:
         return rate_rps, 0
     none = np.asarray(np.abs(rate_rps) >= _IMPOSSIBLE_RPS)
@@ -141,5 +141,5 @@ class Recording:
 
     @property
     def name(self) -> str:
-        """File name, or what stands for it."""
+        """File name, or "recording in memory"."""
         return self.path.name if self.path else "recording in memory"

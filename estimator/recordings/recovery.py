@@ -64,9 +64,9 @@ def recover(path: Path) -> None:
 
 
 def _check_owner(path: Path, journal: os.stat_result) -> None:
-    """Check that a journal is of the owner of the recording beside it, of this user or of root; ValueError if not.
+    """Check that a journal belongs to the recording's owner, this user or root; ValueError if not.
 
-    Who may read a recording knows its number, and in a shared folder anybody can put a journal beside it.
+    Readers of a recording know its number, and in a shared folder anybody can put a journal beside it.
     """
     if os.name == "posix" and path.exists() and journal.st_uid not in (path.stat().st_uid, os.geteuid(), 0):
         raise ValueError(sentence("recordings.other_owner", path=path.name))
@@ -339,7 +339,7 @@ class _Found:
 
 
 def _same(a: Any, b: Any) -> bool:
-    """Return whether two attributes say the same, as they are in a file or in a journal."""
+    """Return whether two attributes are equal, in the form of a file or of a journal."""
     a, b = (np.asarray([plain(item) for item in np.ravel(value)]) for value in (a, b))
     return bool(np.array_equal(a.astype(str), b.astype(str)))
 

@@ -72,7 +72,7 @@ class TableReadings:
 
     @property
     def centred_rps(self) -> Floats:
-        """Rates (k, gimbals) at the instants, as means about these tell them: wrong by corners of ramps only."""
+        """Rates (k, gimbals) at the instants, from means about these: wrong at corners of ramps only."""
         return centred(self.t_ns, self.t_ns, self.rate_rps, self.rate_window_ns)
 
 
@@ -335,7 +335,7 @@ class BodyRates:
 
     @property
     def final_until_ns(self) -> int:
-        """Latest instant at which ``at`` may be asked; before the first reading when there is none yet."""
+        """Latest instant for ``at``; before the first reading if there is none yet."""
         return int(self._final["t_ns"][-1]) if len(self._final) else -(2**62)
 
     @property
@@ -389,7 +389,7 @@ class BodyRates:
         return np.where(ramps[:, None], change, 0.0)
 
     def earlier(self, t_ns: Stamps, delay_s: float) -> Stamps:
-        """Return instants so much earlier, where there are final readings."""
+        """Return instants earlier by ``delay_s``, limited to the final readings."""
         return np.clip(t_ns - round(delay_s * 1e9), self.starts_ns, self.final_until_ns)
 
     def _let_go(self) -> None:

@@ -87,7 +87,7 @@ class RecordingWriter:
         self.write_journal()
 
     def set_attributes(self, attributes: Mapping[str, Any], group: str = "/") -> None:
-        """Set attributes of the file, or of a group, which is made if it is not there.
+        """Set attributes of the file, or of a group, which is created if necessary.
 
         RecordingError for attributes that the journal cannot hold.
         """
@@ -104,7 +104,7 @@ class RecordingWriter:
         self.set_attributes({**attributes, **named}, "table")
 
     def add_source(self, name: str, array: SensorArray, prior: Prior, attributes: Mapping[str, Any]) -> None:
-        """Declare a source with the axes of its channels and what its data sheet promises."""
+        """Declare a source with the axes of its channels, and the prior from its data sheet."""
         axes = {"p": array.p, "j": array.j, "k": array.k}
         self.set_source(name, {"prior": astuple(prior), "names": list(array.names), **axes, **attributes})
 
@@ -137,11 +137,11 @@ class RecordingWriter:
         self.set_attributes(attributes, f"imu/{name}")
 
     def note_source(self, name: str, attributes: Mapping[str, Any]) -> None:
-        """Keep in the journal what the attributes of a source would be if the run ended now."""
+        """Write to the journal the attributes that a source would get if the run ended now."""
         self._note(ATTRIBUTES, f"imu/{name}", attributes)
 
     def append_rows(self, group: str, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Append rows to datasets of a group, which their first rows create: all of them or, if interrupted, none.
+        """Append rows to datasets of a group, created by the first rows; if interrupted, none are appended.
 
         RecordingError for rows that the journal cannot hold.
         """
@@ -186,7 +186,7 @@ class RecordingWriter:
             self.journal.write([*attributes, *joined])
 
     def flush(self) -> None:
-        """Append what is pending and hand it to the operating system; RecordingError as ``flushing``."""
+        """Write pending rows and hand them to the operating system; RecordingError as for ``flushing``."""
         for _ in self.flushing():
             pass
 
@@ -358,7 +358,7 @@ def _disk_full(path: Path, needed: str) -> RecordingError:
 
 @contextmanager
 def _changing(path: Path, wanted_bytes: int) -> Iterator[Any]:
-    """Open a recording that is there to write into it; RecordingError, with the file as it was, if there is no room."""
+    """Open an existing recording to write into it; RecordingError, with the file unchanged, if the disk is full."""
     if shutil.disk_usage(path.parent).free < wanted_bytes:
         raise _disk_full(path, f"{wanted_bytes / 1e6:.1f} MB are needed): the file is unchanged. Free some space")
     with _told_of(path), h5py.File(path, "r+") as file:

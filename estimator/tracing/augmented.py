@@ -32,7 +32,7 @@ class Part:
 
     @property
     def called(self) -> str:
-        """Name of the effect, or what a law is that has none."""
+        """Name of the effect, or the text of a composed law."""
         law = self.candidate.law
         return f"{in_words(law)} (constructed)" if law else self.candidate.called
 
@@ -102,7 +102,7 @@ class Augmented:
         )
 
     def estimated(self, posterior: Posterior) -> Self:
-        """Return the same model with another estimate; its tones stay as they are."""
+        """Return the model with another estimate; its tones stay."""
         mean, covariance = self.mean.copy(), self.covariance.copy()
         for g, (own, its) in enumerate(zip(posterior.means, posterior.covariances, strict=True)):
             mean[g, : len(own)], covariance[g, : len(own), : len(own)] = own, its
@@ -128,7 +128,7 @@ class Augmented:
         return np.hstack(columns)
 
     def predict(self, run: Run, number: int, gyro: int) -> tuple[Floats, Floats]:
-        """Return the output error (b,) that the model says of a gyro of a run, and the columns behind it (b, c)."""
+        """Return the predicted output error (b,) of a gyro of a run, and the columns behind it (b, c)."""
         columns = self.columns(run, number, gyro)
         return columns @ self.mean[self.names.index(run.array.names[gyro])], columns
 

@@ -65,7 +65,9 @@ class Candidate:
 
     @classmethod
     def among(cls, name: str, of: Callable[[float], Effect], start: Floats, begin: int = 0, **more: Any) -> Self:
-        """Return an effect of which what is not linear is looked for from some values on, number ``begin`` first."""
+        """Return a candidate whose nonlinear parameter is searched from ``start`` values, of which number ``begin`` is
+        set.
+        """
         theta = float(start[begin])
         return cls(name, of(theta), theta=theta, of=of, start=start, **more)
 
@@ -81,7 +83,7 @@ class Candidate:
 
     @property
     def label(self) -> str:
-        """What it is called among rivals: laws of the same variables, all with a memory or all without, are one."""
+        """Name among rivals: laws of the same variables, all with a memory or all without, share one."""
         if not self.law:
             return self.called
         about = " and ".join(sorted(VARIABLES[name][2] for name in variables_of(self.law)))
@@ -226,7 +228,9 @@ def _scanned(record: Record, gimbals: tuple[str, ...], span_s: float) -> Candida
 
 
 def _far_delays(by_motion_s: float) -> Floats:
-    """Return delays in s (n,) from which a search begins beside 0; that by motion unless it is near one of them."""
+    """Return the delays in s (n,), besides 0, at which a search begins; that by motion unless it is near one of
+    them.
+    """
     far = [-0.1, -0.05, 0.02, 0.05, 0.1]
     known = min(abs(by_motion_s - other) for other in (0.0, *far)) < _NEAR_S
     return np.array(far if known else sorted([*far, by_motion_s]))

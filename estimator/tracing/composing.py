@@ -64,7 +64,7 @@ def laws_of(runs: Sequence[Run]) -> list[Candidate]:
 
 
 def _listed(offers: frozenset[str], gimbals: Sequence[str]) -> Iterable[list[tuple[str, str]]]:
-    """Yield the laws by length: those without a constant, and those with one as text with {c} and what c is."""
+    """Yield the laws by length, as pairs (text, kind of the constant {c} in it, "" without one)."""
     for one in _LAWS:
         kinds = [(law, "") for law in one["plain"]]
         kinds += [(law, kind) for kind, texts in one.get("bent", {}).items() for law in texts]

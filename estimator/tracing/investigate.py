@@ -110,7 +110,7 @@ def _prepared(columns: Sequence[RunColumns]) -> tuple[Search, dict[str, str]]:
 
 
 def _trace(search: Search, most: int, tell: Callable[[float], None] | None = None) -> Found:
-    """Return what is found, laws composed too where no other instrument's laws can be among them."""
+    """Return the result of the search, with composed laws unless the reference is another instrument."""
     found = search.run(most, tell)
     if not any(run.by_another for run in search.runs):
         found = Composer(search, laws_of(search.runs)).composed(found, most)
@@ -187,20 +187,20 @@ def _conclude(
 
 
 def _explained_by(search: Search, terms: Sequence[Term], doubtful: Sequence[Part]) -> bool:
-    """Return whether effects that are not proved leave nothing beside a model that would be unexplained."""
+    """Return whether the doubtful effects together leave nothing unexplained beside a model."""
     open_terms = [part.term for part in doubtful if part.tone is None]
     return bool(open_terms) and something_beside(search, [*terms, *open_terms]).probability <= CERTAIN
 
 
 def _suspected(search: Search, held_back: Sequence[Run], most: int) -> tuple[Found, Augmented]:
-    """Return what is found with the verification runs among the others, and the model with it."""
+    """Return the result of a search with the verification runs included, and its model."""
     search_of_all, _ = _prepared([*search.columns, *(RunColumns(run) for run in held_back)])
     found = _trace(search_of_all, most)
     return found, Augmented.of(search_of_all.evidence, found.parts)
 
 
 def _parts_notes(certain: Sequence[Part], taken_back: Sequence[str]) -> list[str]:
-    """Return, in words, what was taken back, and what of the effects that were added holds for one run only."""
+    """Return sentences on effects that were taken back, and on tones whose phase holds for one run only."""
     notes = [sentence("tracing.taken_back", effects=", ".join(taken_back))] if taken_back else []
     loose = [part for part in certain if part.tone is not None and not part.tone.found.locked]
     return notes + [sentence("tracing.tone_phases", frequency_hz=part.candidate.theta) for part in loose]
@@ -296,7 +296,7 @@ def _of_the_comparison(search: Search, part: Part) -> bool:
 
 
 def _proven(part: Part, told: OutOfSample | None) -> Part:
-    """Return an effect no more probable than what was left out of the fit makes it, given what was expected of it."""
+    """Return an effect with at most the probability that left-out data and its prior give; unchanged without such."""
     if told is None:
         return part
     odds = told.least + part.candidate.log_prior

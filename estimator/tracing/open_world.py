@@ -50,7 +50,7 @@ class OpenWorld:
 
     @property
     def total(self) -> float:
-        """Log evidence of the model, whether something acts beside it or not."""
+        """Log evidence of the model, with or without a further effect."""
         return float(np.logaddexp(self.closed + np.log1p(-_PRESENT), log_mean(self.by_size) + np.log(_PRESENT)))
 
     @property
@@ -60,7 +60,7 @@ class OpenWorld:
 
 
 def something_beside(search: Search, model: Sequence[Term]) -> OpenWorld:
-    """Return how probable it is beside a model that something acts that has no name."""
+    """Return the log evidences of effects without a name acting beside a model."""
     return OpenWorld.beside(search.evidence, model, *functions_of(search))
 
 
@@ -132,5 +132,7 @@ def _likeness(evidence: Evidence, term: Term, columns: Columns, beside: Sequence
 
 
 def _one_of_many(candidate: Candidate) -> bool:
-    """Return whether of an effect one of many is in the model: at some value of what is not linear, or some law."""
+    """Return whether a model holds only one of many forms of a candidate: a value of its nonlinear parameter, or
+    a law.
+    """
     return bool(candidate.law) or (candidate.start is not None and not candidate.by_size)

@@ -15,7 +15,7 @@ class RunColumns:
     """Columns of candidates on one run in the cosine domain, not yet divided by the noise."""
 
     def __init__(self, run: Run) -> None:
-        """Begin with no columns."""
+        """Begin without columns."""
         self.run = run
         self._stretches = stretches_used(run)
         self._kept: dict[tuple[str, float | None, Record], Floats] = {}

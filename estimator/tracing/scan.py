@@ -23,7 +23,7 @@ _TOGETHER = 8  # candidates that are scanned at once: so many columns fit the ca
 
 
 def at(candidate: Candidate, theta: float) -> Candidate:
-    """Return a candidate with another value of what is not linear in it."""
+    """Return a candidate with another value of its nonlinear parameter."""
     assert candidate.of is not None
     return replace(candidate, effect=candidate.of(theta), theta=theta)
 
@@ -57,7 +57,7 @@ class Scan:
             self._gyros.append(_Left(where, np.sqrt(lengths_s / density) / gyro.arw, basis, rest))
 
     def gains(self, candidates: Sequence[Candidate]) -> Floats:
-        """Return by how much half the squares fall if one of some effects is let in (k,), each gyro by itself.
+        """Return by how much half the squares fall if one of some effects is added (k,), each gyro fitted by itself.
 
         Their columns are kept for the next scan.
         """
@@ -81,7 +81,7 @@ class Scan:
         return found[0], found[1]
 
     def gain(self, candidate: Candidate) -> float:
-        """Return by how much half the squares fall if an effect is let in, each gyro by itself."""
+        """Return by how much half the squares fall if an effect is added, each gyro fitted by itself."""
         return float(_gains(*self._products([candidate]))[0])
 
     def _products(self, candidates: Sequence[Candidate], *, keep: bool = False) -> tuple[Floats, Floats]:
@@ -130,7 +130,7 @@ class Scan:
         return highest(gain, low, high)
 
     def _first_size(self, candidate: Candidate) -> float:
-        """Return the size by the candidate as it is: right where it is small."""
+        """Return the size from the candidate's present column, which is right for small sizes."""
         products, with_rest = self._products([candidate])
         own, right = products[:, 0, 0, 0].sum(), with_rest[:, 0, 0].sum()
         sign = -1.0 if candidate.theta and candidate.theta < 0 else 1.0  # a lag of the reference is a size of its own
@@ -148,7 +148,7 @@ class Scan:
         return float(total)
 
     def width(self, candidate: Candidate) -> float:
-        """Return by how much what is not linear may move before half a natural logarithm is lost."""
+        """Return by how much the nonlinear parameter may move before the log evidence falls by one half."""
         assert candidate.theta is not None
         return self._width(candidate.theta, lambda theta: self.gain(at(candidate, theta)), _FIRST_STEP)
 
@@ -218,7 +218,7 @@ class _Left:
 
 
 def _gains(own: Floats, right: Floats) -> Floats:
-    """Return the gains (k,) of the products (gyros, k, p, p) of columns and those with what is left (gyros, k, p)."""
+    """Return the gains (k,) from products (gyros, k, p, p) of columns and those with the residual (gyros, k, p)."""
     taken = np.linalg.solve(own + 1e-6 * np.eye(own.shape[-1]), right[..., None])[..., 0]
     return np.asarray(0.5 * np.sum(right * taken, axis=(0, 2)))
 
@@ -231,5 +231,5 @@ def _evidence(own: Floats, right: Floats) -> Floats:
 
 
 def _key(candidate: Candidate) -> str | float | None:
-    """Return what tells an option of a candidate from others: a law rounds its constant."""
+    """Return the key of an option of a candidate; a law has its constant rounded."""
     return candidate.law or candidate.theta

@@ -167,7 +167,7 @@ class Search:
         return Found(tuple(parts), tuple(chain), suspects)
 
     def _allow_for_misfit(self, chosen: Mapping[str, Term]) -> None:
-        """Count as noise what neither the effects chosen nor all others together explain."""
+        """Count as noise what neither the chosen effects nor all others together explain."""
         self.evidence.allow_for_misfit([chosen.get(name, term) for name, (_, term) in self.known.items()])
         self._scored.clear()
 
@@ -283,7 +283,7 @@ class Search:
         return list(dict.fromkeys(found))
 
     def sharpness(self, part: Part, terms: Sequence[Term]) -> float:
-        """Return the standard deviation of what is not linear in an effect, beside the other terms."""
+        """Return the standard deviation of an effect's nonlinear parameter, beside the other terms."""
         others = [t for t in terms if t.name != part.candidate.name]
         return Scan(self.columns, self.evidence, others).width(part.candidate)
 
@@ -319,7 +319,7 @@ class Search:
         return self.known[name][0].label if name else "nothing"
 
     def _refine(self, terms: Sequence[Term], chosen: Sequence[str]) -> None:
-        """Look for the most telling time constants and instants beside the effects chosen so far."""
+        """Tune time constants, instants and other nonlinear parameters beside the effects chosen so far."""
         open_ones = [c for c, _ in self.known.values() if c.start is not None and c.name not in chosen and not c.law]
         if open_ones:
             scan = Scan(self.columns, self.evidence, terms)

@@ -262,7 +262,7 @@ class Causes:
 
     @property
     def notes(self) -> list[str]:
-        """What is told of weak tones."""
+        """Sentences on weak tones."""
         return [sentence("tracing.faint_tone", frequency_hz=part.candidate.theta) for part in self.weak]
 
 

@@ -98,7 +98,9 @@ class LiveFilter:
         return self._take(compressed.reshape(-1, 1), h, kept)
 
     def tried(self, *block: Any) -> float:
-        """Return what the offset is, in s, after a block (as for ``update``) that is then forgotten again."""
+        """Return the time offset in s that a block would give (arguments as for ``update``), without keeping the
+        update.
+        """
         before = self._filter.x, self._filter.P, self.nis_sum, self.nis_dof
         self.update(*block)
         found = self.offset_s

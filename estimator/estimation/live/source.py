@@ -82,7 +82,7 @@ class History:
         self._kept[group].append(*(np.array([value]) for value in row))
 
     def take(self, fewest: int = 1) -> dict[str, dict[str, Any]]:
-        """Return as columns by group what was kept since it was taken last, if it is of so many blocks."""
+        """Return by group the columns kept since the last call; empty for fewer than ``fewest`` blocks."""
         if len(self._kept["innovation"]) < fewest:
             return {}
         return {group: rows.take() for group, rows in self._kept.items() if len(rows)}
@@ -132,7 +132,7 @@ class LiveSource:
         self._recent_at = -1
 
     def add(self, block: SampleBlock) -> None:
-        """Take in samples; they are used once the table's readings cover them."""
+        """Add samples; they are used once the table's readings cover them."""
         self._new.append(block)
 
     def advance(self, rates: BodyRates, *, everything: bool = False) -> None:
@@ -185,7 +185,7 @@ class LiveSource:
             return self.filter.nis_sum, self.filter.nis_dof
 
     def take_history(self, fewest: int = 1) -> dict[str, dict[str, Any]]:
-        """Return what ``History.take`` does."""
+        """Return ``History.take``, under the lock."""
         with self.lock:
             return self.history.take(fewest)
 
@@ -303,12 +303,12 @@ def filter_nis(recording: Recording, model: ErrorModel | None = None) -> float |
 
 
 def model_sha256(model: ErrorModel | None) -> str:
-    """Return what tells error models apart, empty for none."""
+    """Return the hash of an error model, empty for none."""
     return hashlib.sha256(model.text().encode()).hexdigest() if model is not None and model.effects else ""
 
 
 def _rate_hz(data: ImuData) -> float:
-    """Return how often a source is sampled: as stated, else as its stamps say."""
+    """Return the sample rate of a source: the stated one, else that of its stamps."""
     if data.rate_hz is not None:
         return data.rate_hz
     period_s = float(np.median(np.diff(data.t_ns))) * 1e-9 if len(data.t_ns) > 1 else 0.0

@@ -100,7 +100,7 @@ def runs_of_all(
 
 
 def run_of(recording: Recording, source: str, data: ImuData) -> Run | None:
-    """Return one source, cleaned of what cannot be used, as tracing sees it; None if it holds too little."""
+    """Return one cleaned source as a run; None if it has too few blocks."""
     fine = isinstance(recording.reference, TableReadings)
     return _run(recording, source, data, BLOCK_S, 0, held_samples(data) if fine else 1)
 

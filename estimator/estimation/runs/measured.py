@@ -153,9 +153,9 @@ def even_grid(known: NDArray[np.int64], length_s: float) -> tuple[NDArray[np.int
 
 
 def weighed(w_rps: Floats, z_rps: Floats, weight: Floats, stretch: NDArray[np.intp]) -> tuple[Floats, float]:
-    """Return the weight (b,) of blocks, 1 at rest, and g in s (over rad).
+    """Return the weight (b,) of blocks, 1 at rest, and the growth g of the noise in s.
 
-    Of the blocks come rates (b, 3), outputs (b, m), whether they hold data (b,), the stretch they are in (b,).
+    Arguments by block: rates (b, 3), output errors (b, m), 1 or 0 for enough data (b,), number of the stretch (b,).
     """
     growth_s = _growth_of(w_rps, z_rps, weight, stretch)
     return weight / np.hypot(1, growth_s * np.linalg.norm(w_rps, axis=1)), growth_s

@@ -115,7 +115,7 @@ class Run:
 
     @property
     def by_another(self) -> bool:
-        """Whether the body turns and another instrument says how: errors of that one are in the residual, too."""
+        """Whether the body turns and another instrument measures it, whose errors are then in the residual."""
         return self.turns and by_turns(self.recording.reference)
 
     def coarse(self) -> Self:

@@ -17,14 +17,14 @@ Instants = tuple[Stamps, Reference]
 
 
 def by_motion(array: SensorArray, rate_rps: Floats, tried: Sequence[Instants]) -> int:
-    """Return which of some instants of samples (n, m) and of a reference fit the motion best; the first if in doubt."""
+    """Return which of some pairs of instants (samples, reference) fits the motion best; the first if in doubt."""
     left = [_left(ImuData(array, t_ns, rate_rps), reference) for t_ns, reference in tried]
     best = int(np.argmin(left))
     return best if left[best] < left[0] - _BETTER else 0
 
 
 def _left(data: ImuData, reference: Reference) -> float:
-    """Return the logarithm of how much outputs differ from what the reference says, the mean over gyros that follow."""
+    """Return the mean logarithm of the outputs' scatter about the reference, infinite if they do not follow it."""
     line = following(data, reference, None)
     if line is None:
         return np.inf

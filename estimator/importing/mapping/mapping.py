@@ -195,7 +195,7 @@ def read_mapping(path: Path | str, protocols: Protocols | None = None) -> Mappin
 
 
 def _check_undeclared(section: StrictTable) -> None:
-    """Refuse effects that there are not; what is ruled out is read where states are estimated."""
+    """Raise the section's error for unknown effects; the excluded ones are read when states are estimated."""
     section.stated(KEYS["undeclared"])
     laws = [record.name for record in records() if record.kind is Kind.LAW and record.listed(1.0)]
     for name in section.strings("excluded") if section.has("excluded") else ():

@@ -153,7 +153,7 @@ class Bands:
         return self.fit(start, term)
 
     def _faint(self, term: int) -> Floats:
-        """Return squares (p, 3), of other terms, that give every band some variance."""
+        """Return squares (p, 3) of the other terms so small that every band just has some variance."""
         mean = self.sums.sum(axis=1) / self.counts.sum(axis=1)
         faint = mean[:, None] / self.shapes.max(axis=0)
         faint[:, term] = 0.0

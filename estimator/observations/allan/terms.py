@@ -163,7 +163,7 @@ def _trimmed(bands: Bands, hz: Floats, start: Floats) -> tuple[Bands, Floats]:
 
 
 def _excess(bands: Bands, squares: Floats, chosen: Flags) -> Floats:
-    """Return by how many sigmas (p,) the noise of chosen bands (b,) is above what the squares (p, 3) make it."""
+    """Return by how many sigmas (p,) the noise of chosen bands (b,) exceeds that predicted by squares (p, 3)."""
     counts = bands.counts[:, chosen]
     free = counts.sum(axis=1)
     ratio = np.sum(bands.sums[:, chosen] / (squares @ bands.shapes[chosen].T), axis=1)

@@ -75,7 +75,7 @@ class Beside:
         )
 
     def turns(self, gyro: int) -> bool:
-        """Return whether a gyro should have seen the body turn: one that puts out one value all the time is dead."""
+        """Return whether a gyro should have sensed rotation, so that a constant output means that it is dead."""
         return bool(self.turned_rps[gyro] > 0)
 
     def dead(self, gyro: int) -> bool:
@@ -91,17 +91,17 @@ class Beside:
         return bool(lost and seen and (others > _ALIVE).any())
 
     def dead_zone_rps(self, gyro: int) -> float | None:
-        """Return the rate below which an output is exactly zero; None if there is no such."""
+        """Return the rate below which an output is exactly zero; None without such a zone."""
         return dead_zone_rps(self.outputs[:, gyro], self.expected[:, gyro])
 
     def expected_at(self, t_ns: Stamps, gyro: int) -> Floats:
-        """Return what an output should be (n,) at some instants, NaN where that is not known."""
+        """Return the expected output (n,) at some instants, NaN where unknown."""
         if self.line is None:
             return np.full(len(t_ns), np.nan)
         return self.line.expected_rps(np.asarray(t_ns * 1e-9, dtype=np.float64))[:, gyro]
 
     def changed(self, t_ns: Stamps, gyro: int) -> bool | None:
-        """Return whether an output should have changed in a span of instants; None where nobody knows."""
+        """Return whether an output should have changed in a span of instants; None if unknown."""
         ought = self.expected_at(t_ns, gyro)
         ought = ought[np.isfinite(ought)]
         if len(ought) < 2:

@@ -61,7 +61,7 @@ def limits_of(output: Floats, expected: Floats, scatter_rps: float) -> list[Limi
 
 
 def _without_spikes(values: Floats) -> Floats:
-    """Return medians (n,) over some neighbours: a reading that is wrong for a moment says nothing of a limit."""
+    """Return running medians (n,): a reading that is wrong for a moment says nothing about a limit."""
     from scipy.ndimage import median_filter
 
     return np.asarray(median_filter(values, _WITHOUT_SPIKES, mode="nearest"))

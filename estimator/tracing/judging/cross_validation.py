@@ -42,12 +42,12 @@ def by_step(runs: Sequence[Run]) -> list[Mask]:
 
 
 def held(runs: Sequence[Run], mask: Mask) -> list[Run]:
-    """Return the runs with nothing but what is left out."""
+    """Return the runs with weight only on the blocks of ``mask``."""
     return [replace(run, weight=run.weight * out) for run, out in zip(runs, mask, strict=True)]
 
 
 def together(runs: Sequence[Run], model: Augmented, shapes: NoiseShapes) -> tuple[Evidence, list[Term]]:
-    """Return the evidence of runs with the effects of a model, tones taken off, what it does not fit being noise."""
+    """Return the evidence of runs with the effects of a model, tones subtracted and the misfit counted as noise."""
     spectra, terms = _spectra(runs, model)
     evidence = Evidence(spectra, shapes)
     evidence.allow_for_misfit(terms)
@@ -121,7 +121,7 @@ def _lowered(search: Search, certain: Sequence[Part], part: Part, held_back: Seq
 
 
 def _lowered_in_sample(search: Search, certain: Sequence[Part]) -> bool:
-    """Return whether some effects lower the error of steps that are left out of the fit, beyond doubt."""
+    """Return whether effects clearly lower the error on steps left out of the fit."""
     weight = search.evidence.noise_weight([part.term for part in certain])
     before, after = (Augmented.of(search.evidence, own, weight) for own in ((), certain))
     improvement = judged(search, before, after, (), ()).improvement

@@ -230,7 +230,7 @@ def _open_share(seed: int) -> Floats:
 
 
 def _by_chance(log_likely: Floats) -> NDArray[np.intp]:
-    """Return numbers (n,) of draws, each as often as it is likely among them."""
+    """Return numbers (n,) of draws, each repeated in proportion to its likelihood."""
     share = np.exp(log_likely - log_likely.max())
     upto = np.cumsum(share) / share.sum()
     return np.searchsorted(upto, (np.arange(len(share)) + 0.5) / len(share)).astype(np.intp)
@@ -400,7 +400,7 @@ def _basis(difference: Floats, sigma: float) -> Floats:
 
 
 def _noise(model: Augmented, basis: Floats, run: Run, blocks: int, sigma: float) -> Floats:
-    """Return the variance of each projection: white noise, and what the bias wanders about where it was known."""
+    """Return the variance of each projection: white noise, and the wander of the bias since it was known."""
     span_s = float(run.t_s[-1] - run.t_s[0]) + run.length_s
     mean = shape_of(model, Stretch.of(0, slice(0, blocks), run.length_s, True), span_s)[0]
     return np.asarray(sigma**2 * (1 + (mean - 1) * basis.sum(axis=0) ** 2 / blocks))

@@ -81,7 +81,7 @@ class Residual:
 
     @property
     def clean(self) -> bool:
-        """Whether it passes for noise, in every gyro and in what they have in common."""
+        """Whether it counts as noise, in every gyro and in their common part."""
         return all(gyro.clean for gyro in self.gyros) and (self.split is None or self.split.origin == Origin.NOISE)
 
 
@@ -193,7 +193,7 @@ def _judged(
 
 
 def _doubt(model: Augmented, name: str, gram: Floats, columns: NDArray[np.intp]) -> float:
-    """Return the squares over the noise that come from what a model does not know of its first parameters."""
+    """Return the squares over the noise that the uncertainty of a model's first parameters adds."""
     covariance = model.covariance[model.names.index(name), : len(columns), : len(columns)]
     return float(np.sum(covariance * gram[np.ix_(columns, columns)]))
 

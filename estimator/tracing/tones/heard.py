@@ -20,14 +20,14 @@ class Heard:
     """The tones found so far, as ``parts`` of a model, and the samples without them."""
 
     def __init__(self, runs: Sequence[Run], evidence: Evidence) -> None:
-        """Begin with no tones; ``evidence`` is of the same runs."""
+        """Begin without tones; ``evidence`` is of the same runs."""
         self._runs, self._evidence = runs, evidence
         # Beside another instrument that moves no tone is looked for (``find_tone``): its samples are not worked out.
         self._samples = [] if any(run.by_another for run in runs) else [samples_of(run) for run in runs]
         self.parts: list[Part] = []
 
     def strongest(self, model: Sequence[Term]) -> ToneFound | None:
-        """Return the strongest line beside a model."""
+        """Return the strongest line beside a model, None without one or once there are ``_MOST_TONES``."""
         full = len(self.parts) >= _MOST_TONES or not self._samples
         return None if full else find_tone(self._runs, self._samples, self._predicted(model))
 

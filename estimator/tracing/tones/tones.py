@@ -278,7 +278,7 @@ def _gain(
 
 
 def _peak(gain: Callable[[float], tuple[float, list[float], list[float]]], low: float, high: float) -> float:
-    """Return the frequency of the highest point: the best of a grid, then what is highest beside it."""
+    """Return the frequency of the highest gain: the best point of a grid, refined between its neighbours."""
     grid = np.linspace(low, high, _STEPS)
     best = int(np.argmax([gain(f)[0] for f in grid.tolist()]))
     return highest(lambda f: gain(f)[0], float(grid[max(best - 1, 0)]), float(grid[min(best + 1, _STEPS - 1)]))
