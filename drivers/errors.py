@@ -1,4 +1,4 @@
-"""What can go wrong with a device, by whose fault it is."""
+"""Errors of devices, sorted by who is responsible."""
 
 
 class DeviceError(Exception):

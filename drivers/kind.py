@@ -1,4 +1,4 @@
-"""A kind of device as one record: its section of the bench file, its protocols, what ready and safe mean for it.
+"""A kind of device as one record: its section of the bench file, its protocols, its ready and safe states.
 
 ``drivers.kinds`` lists those of the station; a package or a file brings others. The station loops over kinds.
 """

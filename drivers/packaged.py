@@ -1,4 +1,4 @@
-"""Texts and tables that ship beside the modules; among them sentences that people read, ``sentences.toml``."""
+"""Texts and tables in packages; among them the sentences for users, ``sentences.toml``."""
 
 import tomllib
 from functools import cache, partial

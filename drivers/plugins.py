@@ -1,4 +1,4 @@
-"""What comes in kinds, by name: built in, by the entry points of installed packages, or out of Python files."""
+"""Registries of records by name: built in, from entry points of installed packages, or from Python files."""
 
 import os
 import stat

@@ -1,4 +1,4 @@
-"""The seams to hardware, and what some devices can do beside. Nothing inherits from these to plug in."""
+"""The interfaces to hardware, and optional abilities of devices. Plug-ins need not inherit from these."""
 
 from collections.abc import AsyncIterator, Mapping, Sequence
 from typing import Protocol, runtime_checkable

@@ -1,4 +1,4 @@
-"""A device as one record: what it is called, how it is reached, what a bench file says of it, how its driver is made.
+"""A device as one record: its name, its links, its keys in a bench file, and how its driver is made.
 
 Such a record stands in the folder of its device, plain facts in spec.toml, the rest beside its driver. The kind of the
 device (``drivers.kind.DeviceKind``) has a registry that names them.

@@ -1,4 +1,4 @@
-"""How late samples come, learned from those that have come, and what it says of samples that were lost."""
+"""How late samples arrive, learned from past ones, and how many samples were lost to judge by that."""
 
 import math
 

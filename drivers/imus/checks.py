@@ -1,4 +1,4 @@
-"""Checksums and CRCs by their parameters, as the catalogue of parametrised CRC algorithms (G. Cook) gives them."""
+"""Checksums and CRCs by their parameters, in the form of the catalogue of parametrised CRC algorithms (G. Cook)."""
 
 from dataclasses import dataclass
 from functools import cache, reduce

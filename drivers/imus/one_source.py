@@ -1,4 +1,4 @@
-"""What drivers of devices with a link of their own have in common."""
+"""Common parts of drivers for devices with a link of their own."""
 
 from typing import Generic, TypeVar
 

@@ -1,8 +1,8 @@
-"""Samples of one source on a bus of frames: what arrives piece by piece, put together and timed.
+"""Samples of one source on a bus of frames: assembled from their messages, and timed.
 
-A source has one leading message, which carries its rates. What else belongs to a sample (accelerometer, counter,
-time) may be in that message or in others. Frames of one instant win the bus in the order of their identifiers, so
-a message of a smaller one is looked for just before the leading frame, a message of a larger one just after it.
+A source has one leading message, which carries its rates. What else belongs to a sample (accelerometer, counter, time)
+may be in that message or in others. Frames of one instant win the bus in the order of their identifiers, so a message
+of a smaller one is looked for just before the leading frame, a message of a larger one just after it.
 """
 
 from collections.abc import Iterable

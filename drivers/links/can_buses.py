@@ -1,9 +1,9 @@
-"""Buses of python-can, opened so that they can be read at the rate of a full bus and say when they are gone.
+"""Buses of python-can that can be read at the rate of a full bus and report when they are gone.
 
-python-can's own slcan reads one byte a call, half a core for four gyros at 1 kHz, and breaks off at a damaged line;
-its socketcand takes a server that has hung up for one that is silent, and tries a refused connection for ten
-seconds at full speed. These two are put right here, and an interface of the kernel that is down is refused; all
-others are python-can's as they are.
+python-can's own slcan reads one byte a call, half a core for four gyros at 1 kHz, and breaks off at a damaged line; its
+socketcand takes a server that has hung up for one that is silent, and tries a refused connection for ten seconds at
+full speed. These two are put right here, and an interface of the kernel that is down is refused; all others are
+python-can's as they are.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""A link that counts what goes over it."""
+"""A link that counts its traffic."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Opening again what was lost, with more and more patience."""
+"""Reopening of lost links, with growing pauses."""
 
 import asyncio
 from collections.abc import Awaitable, Callable

@@ -1,10 +1,10 @@
-"""One request at a time on a byte link, and answers that are surely the answers to their requests.
+"""One request at a time on a byte link, and answers that surely belong to their requests.
 
-Languages of plain lines put no number on an answer. As long as every request got its answer in time, the next
-bytes answer the next request: the stream is *in step*. After a time-out, a malformed answer, a cancel or a byte
-that nobody asked for it is *in doubt*: what comes next may belong to an older request. It is then brought back
-by a token, a request whose answer cannot be anything else's. A controller answers in order, so all that comes
-before the answer to the token is old: it is discarded and counted.
+Languages of plain lines put no number on an answer. As long as every request got its answer in time, the next bytes
+answer the next request: the stream is *in step*. After a time-out, a malformed answer, a cancel or a byte that nobody
+asked for it is *in doubt*: what comes next may belong to an older request. It is then brought back by a token, a
+request whose answer cannot be anything else's. A controller answers in order, so all that comes before the answer to
+the token is old: it is discarded and counted.
 """
 
 import asyncio

@@ -1,4 +1,4 @@
-"""What drivers of tables have in common, whatever their controllers speak."""
+"""Common parts of table drivers, for any language of the controller."""
 
 import asyncio
 from collections.abc import Awaitable, Callable, Mapping

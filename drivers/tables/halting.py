@@ -1,4 +1,4 @@
-"""Bringing a table to rest whatever has become of its link, and keeping hands off one that somebody else turns."""
+"""Bringing a table to rest whatever the state of its link, and avoiding a table that another program turns."""
 
 import asyncio
 import math

@@ -1,4 +1,4 @@
-"""What drivers of tables have in common whose controllers speak lines of text."""
+"""Common parts of drivers for tables whose controllers use lines of text."""
 
 import math
 import re

@@ -1,4 +1,4 @@
-"""The way to rest: what ends every run, and what the guard does after a run that could not do it."""
+"""The way to rest: the end of every run, and the guard's action after a run that could not do it."""
 
 import asyncio
 from collections.abc import Callable

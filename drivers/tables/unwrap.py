@@ -1,4 +1,4 @@
-"""Angles of a table that tells them within one turn, counted on over the turns."""
+"""Angles of a table that reports them within one turn, counted over all turns."""
 
 
 class Unwrapper:

@@ -1,4 +1,4 @@
-"""Messages to and from one Xbus device on a byte link: requests with their answers, and what comes by itself."""
+"""Messages to and from one Xbus device on a byte link: requests with their answers, and unrequested data."""
 
 import asyncio
 from collections import deque

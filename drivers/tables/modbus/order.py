@@ -1,10 +1,10 @@
-"""Which Modbus reply answers which request: no I/O, filters of the bytes that a stock client receives.
+"""Which Modbus reply belongs to which request: filters of received bytes, without I/O.
 
-TCP numbers its requests, so a reply tells which one it answers. RTU does not: a reply that comes after its
-time-out looks like the answer to the next request of the same kind. So the requests of each unit that may still
-be answered are kept in their order, by how their replies would begin. Devices answer in order: a reply belongs at
-the earliest to the first of those that it fits; what was asked before that one is past, what was asked after it may
-still come. A reply can be believed when it leaves nothing that may still come.
+TCP numbers its requests, so a reply tells which one it answers. RTU does not: a reply that comes after its time-out
+looks like the answer to the next request of the same kind. So the requests of each unit that may still be answered are
+kept in their order, by how their replies would begin. Devices answer in order: a reply belongs at the earliest to the
+first of those that it fits; what was asked before that one is past, what was asked after it may still come. A reply can
+be believed when it leaves nothing that may still come.
 """
 
 import struct
