@@ -1,4 +1,4 @@
-"""Twin of an IMU on a byte link that a file describes: what it sends is written by the same description."""
+"""Twin of an IMU on a byte link that a file describes: its output follows the same description."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""What the gyros of a STIM300 put out in each of its units, as raw numbers at its own ticks."""
+"""Gyro outputs of a STIM300 in each of its units, as raw numbers at its own ticks."""
 
 from collections.abc import Callable, Collection
 

@@ -1,4 +1,4 @@
-"""How a simulated STIM300 is set, and how a driver asks and tells it: its utility mode."""
+"""Settings of a simulated STIM300, and its utility mode, by which a driver reads and changes them."""
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What the body really does: its attitude as a quaternion, and its inertial rate as the change of attitude."""
+"""The true motion of the body: its attitude as a quaternion, and its inertial rate as the change of attitude."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence

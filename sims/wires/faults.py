@@ -1,4 +1,4 @@
-"""What can go wrong with a twin and its wire: knobs, the same every time for one seed.
+"""Faults of a twin and its wire as settings, the same every time for one seed.
 
 A bench file turns them in [twin.fault] for the table and [twin.NAME.fault] for a device; times count from the start of
 the twins, on the loop's clock. Faults of a wire sit between device and wire, so one serves every wire.

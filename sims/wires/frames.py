@@ -1,4 +1,4 @@
-"""What twins of IMUs share: how they ride, what can be wrong with gyros and clocks; where frames go."""
+"""Common parts of IMU twins: their setup, faults of gyros and clocks, and where frames go."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

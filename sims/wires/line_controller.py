@@ -1,4 +1,4 @@
-"""What twins that are spoken to have in common: bytes to lines, numbers, refusals, and the watchdog of controllers."""
+"""Common parts of twins with a request language: lines, numbers, refusals, and the controller's watchdog."""
 
 import asyncio
 import math

@@ -1,4 +1,4 @@
-"""Wires at whose far end a twin of a byte device sits: in memory, a pseudo-terminal, a TCP port.
+"""Wires with a twin of a byte device at the far end: in memory, a pseudo-terminal, a TCP port.
 
 Wires work by the loop alone, without threads. Each can be unplugged by its ``Plug``, and plugged in again. A serial
 port that is not open hears nothing, and is empty when it is opened; an open one keeps 4 kB that nobody reads and loses

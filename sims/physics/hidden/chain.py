@@ -1,4 +1,4 @@
-"""The gyros of one device with what is wrong with them: from the motion to what is put out."""
+"""The gyros of one device with their faults: from the motion to the outputs."""
 
 from collections.abc import Iterable
 from copy import copy

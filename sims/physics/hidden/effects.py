@@ -1,4 +1,4 @@
-"""All hidden effects: what is wrong with a table and its gyros, and the file that says so."""
+"""All hidden effects of a table and its gyros, and the file that states them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""Fields of effects: what each measures, and how a table of texts becomes an effect of numbers.
+"""Fields of effects: the quantity of each, and how a table of texts becomes an effect of numbers.
 
 A field's metadata say what it takes. Its key in the file is its name without the unit that the name of an SI number
 ends in; without a default it must be there.

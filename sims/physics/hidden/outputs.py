@@ -1,4 +1,4 @@
-"""Effects on what a gyro puts out: what follows the motion beside its rate, and what time and temperature add.
+"""Effects on gyro outputs: of the motion beyond its rate, of time, and of temperature.
 
 Each gives what it adds, (n, m) in rad/s. Times are those of the bench clock, which goes on from run to run.
 """

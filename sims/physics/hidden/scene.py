@@ -1,4 +1,4 @@
-"""What there is to sense: the motion of the body, seen by gyros at the instants at which they look."""
+"""The motion of the body as gyros sense it at their instants."""
 
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,4 +1,4 @@
-"""Effects of the table: what its encoders say is not where its axes are, and its axes are not at right angles.
+"""Effects of the table: encoders that differ from the true angles, and axes that are not at right angles.
 
 A servo follows its encoder, so what the drives report is what they were told, and the body is what is off. But for
 readings on their way to the host: there the body does what it was told, and what is reported is off.

@@ -1,4 +1,4 @@
-"""The temperature of the gyros over time, and what follows it."""
+"""The temperature of the gyros over time, and the outputs that follow it."""
 
 from dataclasses import dataclass, field
 from typing import ClassVar

@@ -1,4 +1,4 @@
-"""Effects of time on what is sensed: looked at late, low-passed; and what the last rotation leaves behind."""
+"""Effects of time on sensed rates: delays, low passes, and the aftermath of the last rotation."""
 
 import math
 from dataclasses import dataclass, field
