@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all, and are not written over unasked."""
+"""Writing files completely or not at all, and never over another file unless asked to."""
 
 import os
 import tempfile

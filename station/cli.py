@@ -1,4 +1,4 @@
-"""The command line; ``commands.toml`` holds what can be typed, other modules do it."""
+"""The command line: ``commands.toml`` defines commands and options, other modules carry them out."""
 
 import argparse
 import codecs

@@ -1,4 +1,4 @@
-"""What the station itself refuses, before anything moves, and the words for it, ``sentences.toml``."""
+"""Errors of the station before anything moves, and their sentences, ``sentences.toml``."""
 
 from functools import partial
 

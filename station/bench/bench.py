@@ -1,4 +1,4 @@
-"""The bench file: what stands in the lab, what it may do, and what counts as a pass."""
+"""The bench file: the devices of the lab, their limits, and the limits for a pass."""
 
 import math
 import re

@@ -1,4 +1,4 @@
-"""Descriptions of IMUs on byte links: frames or lines of text, and which of their numbers are what."""
+"""Descriptions of IMUs on byte links: frames or lines of text, and the meaning of their numbers."""
 
 import re
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What a bench file says of any device: its kind, its protocol, how it is reached."""
+"""Keys of a bench file common to all devices: kind, protocol, link."""
 
 import re
 from collections.abc import Mapping

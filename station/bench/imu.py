@@ -1,4 +1,4 @@
-"""An [[imu]] section of a bench file: a device under test, how it is reached, what its data sheet says."""
+"""An [[imu]] section of a bench file: a device under test, its link, its data sheet."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

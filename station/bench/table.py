@@ -1,4 +1,4 @@
-"""The [table] section of a bench file: which controller turns the axes, how it is reached, what it may be asked for."""
+"""The [table] section of a bench file: the controller, its link, and the limits of its axes."""
 
 import math
 from collections.abc import Mapping

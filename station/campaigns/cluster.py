@@ -1,4 +1,4 @@
-"""Work spread over a Dask cluster that is already there; what its scheduler moves elsewhere ends as if undisturbed."""
+"""Work spread over an existing Dask cluster; work that its scheduler moves elsewhere ends as if undisturbed."""
 
 import asyncio
 import logging

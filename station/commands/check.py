@@ -1,4 +1,4 @@
-"""station check: does everything on the bench answer, and what is to be done where it does not."""
+"""station check: whether everything on the bench answers, and advice where it does not."""
 
 import argparse
 import json

@@ -1,4 +1,4 @@
-"""What each command does. Long work shows progress on stderr; results go to stdout."""
+"""The commands. Long work shows progress on stderr; results go to stdout."""
 
 import argparse
 import asyncio

@@ -1,4 +1,4 @@
-"""station completion: what a shell needs to complete commands, options and file names."""
+"""station completion: completion of commands, options and file names in a shell."""
 
 import argparse
 import sys

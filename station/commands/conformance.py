@@ -1,4 +1,4 @@
-"""station conformance: what the station's own devices do with their twins, does a device of somebody's own do it?"""
+"""station conformance: tests a device and its twin by the rules that the station's own devices fulfil."""
 
 import argparse
 import asyncio

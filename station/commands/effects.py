@@ -1,4 +1,4 @@
-"""station effects: what an investigation looks for."""
+"""station effects: the effects that an investigation searches for."""
 
 import argparse
 import json

@@ -1,4 +1,4 @@
-"""station import: data measured elsewhere becomes a recording; a first look at a file, and a mapping to begin with."""
+"""station import: converts data measured elsewhere to a recording; shows a file and drafts a mapping."""
 
 import argparse
 import json

@@ -1,4 +1,4 @@
-"""station init: a bench file, made of answers about the hardware."""
+"""station init: makes a bench file from answers about the hardware."""
 
 import argparse
 import os

@@ -1,4 +1,4 @@
-"""station investigate: what the error model lacks, traced in recordings that are there."""
+"""station investigate: effects that the error model lacks, found in existing recordings."""
 
 import argparse
 import json

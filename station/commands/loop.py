@@ -1,4 +1,4 @@
-"""station loop: calibrate, explore, verify on the bench, investigate, drive what tells rivals apart, report."""
+"""station loop: calibrate, explore, verify on the bench, investigate, run a script to separate rivals, report."""
 
 import argparse
 import asyncio

@@ -1,4 +1,4 @@
-"""station plan: what a script will show, before anything moves."""
+"""station plan: what a script will show, computed before anything moves."""
 
 import argparse
 import json

@@ -1,4 +1,4 @@
-"""What was found about the computer."""
+"""Findings about the computer."""
 
 from dataclasses import dataclass
 

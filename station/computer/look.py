@@ -1,4 +1,4 @@
-"""All that is looked at on the computer for the links of a bench."""
+"""All checks of the computer for the links of a bench."""
 
 from collections.abc import Iterable
 from urllib.parse import urlsplit

@@ -1,4 +1,4 @@
-"""Serial ports: rights, stable names, latency of USB adapters, other programs that hold them."""
+"""Serial ports: rights, stable names, latency of USB adapters, other programs that use them."""
 
 import grp
 import os

@@ -1,4 +1,4 @@
-"""What disturbs the timing of a run: a clock that is set, power saving, other programs."""
+"""Disturbances of a run's timing: clock changes, power saving, other programs."""
 
 import os
 import time

@@ -1,4 +1,4 @@
-"""What is exported of a recording: its calibration, the compensation of some of its gyros, where they come from."""
+"""The exported part of a recording: calibration, compensation of chosen gyros, and their origin."""
 
 import hashlib
 from collections.abc import Mapping, Sequence

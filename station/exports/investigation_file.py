@@ -1,4 +1,4 @@
-"""What an investigation is kept in: an HDF5 file with the verdict as JSON and the residuals before and after."""
+"""The file of an investigation: HDF5 with the verdict as JSON and the residuals before and after."""
 
 import json
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""One calibration in one form: the text of the file, and what the file cannot hold."""
+"""One calibration in one format: the text of the file, and what the file cannot hold."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""A bench file made of answers: TOML with comments."""
+"""A bench file from answers: TOML with comments."""
 
 from collections.abc import Iterable, Iterator
 

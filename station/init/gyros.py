@@ -1,4 +1,4 @@
-"""What is asked about gyros on CAN, or described by a file: how they lie, and which signals they are."""
+"""Questions about gyros on CAN, or described by a file: their axes and signals."""
 
 import math
 import re

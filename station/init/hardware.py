@@ -1,4 +1,4 @@
-"""What this machine has to reach devices by: serial ports and CAN interfaces."""
+"""Ports of this machine for devices: serial ports and CAN interfaces."""
 
 from dataclasses import dataclass
 from pathlib import Path

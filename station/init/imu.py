@@ -1,4 +1,4 @@
-"""What is asked about a device under test."""
+"""Questions about a device under test."""
 
 import re
 from collections.abc import Sequence

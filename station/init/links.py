@@ -1,4 +1,4 @@
-"""Where devices are: what this machine offers, and whether an answer is a link at all."""
+"""Links of devices: what this machine offers, and whether an answer is a link at all."""
 
 from dataclasses import dataclass, field
 

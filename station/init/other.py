@@ -1,4 +1,4 @@
-"""What is asked about a device of another kind than the table and the devices under test."""
+"""Questions about a device of a kind other than table and IMU."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What is asked about the lab: where it is, what counts as a pass, what names look like."""
+"""Questions about the lab: its site, its limits for a pass, its patterns for names."""
 
 import math
 from collections.abc import Sequence

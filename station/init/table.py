@@ -1,4 +1,4 @@
-"""What is asked about the table."""
+"""Questions about the table."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace

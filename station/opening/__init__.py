@@ -1,4 +1,4 @@
-"""Turns a bench into drivers on links, and builds the twins at the far end of those that say so.
+"""Opens a bench: drivers on their links, and the twins at the far end of twin links.
 
 The only package of the station that knows that there are twins.
 """

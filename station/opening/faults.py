@@ -1,4 +1,4 @@
-"""What the bench file says is wrong with twins and their wires: [twin.fault] and [twin.NAME.fault]."""
+"""Faults of twins and their wires in the bench file: [twin.fault] and [twin.NAME.fault]."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What a link in a bench file means: twin:, serial:, tcp:, rfc2217:, socket:, can:."""
+"""Meanings of links in a bench file: twin:, serial:, tcp:, rfc2217:, socket:, can:."""
 
 import re
 from contextlib import suppress

@@ -1,4 +1,4 @@
-"""Links that drop while nothing turns are opened again; in a motion, or if one begins meanwhile, the run ends.
+"""Reopening of links lost while nothing turns; during a motion, the run ends instead.
 
 Whatever answers then is asked who it is, and how it is set: another device ends the run.
 """

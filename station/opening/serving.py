@@ -1,4 +1,4 @@
-"""Twins on real ports: what `station twin` serves."""
+"""Twins on real ports, for `station twin`."""
 
 import asyncio
 import json

@@ -1,4 +1,4 @@
-"""The program of a bench file that is given the result of each run, for instance to tell a factory's system."""
+"""The program of a bench file that gets the result of each run, for instance for a factory's system."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""The far side of a session's socket: where it is, which sessions run, and what one says and can be told.
+"""The client side of a session's socket: where it is, which sessions run, messages and commands.
 
 Plain asyncio. What a session says is JSON, a line each (``station.remote.hosting`` has the other end).
 """

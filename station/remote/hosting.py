@@ -1,4 +1,4 @@
-"""The session's side of its socket: whoever connects sees the run, and may stop it, pause it, and add notes.
+"""The session's side of its socket: clients see the run, and may stop it, pause it, and add notes.
 
 JSON, a line each. To a client: "hello", the events so far, then every new event and ten snapshots a second of the
 wall's clock, "result" at the end. From a client: ``{"do": "stop"}``, "pause" (after the step under way), "resume",

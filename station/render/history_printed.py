@@ -1,4 +1,4 @@
-"""The recordings of a folder as a person reads them: a line each, and below it what has moved."""
+"""The recordings of a folder in the terminal: one line each, and below it the states that have moved."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any

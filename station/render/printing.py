@@ -1,4 +1,4 @@
-"""What a person sees in the terminal: the table of states, the verdict; and the JSON for machines."""
+"""Results in the terminal: the table of states, the verdict; and the JSON for machines."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""Texts made of templates that ship beside the modules: what is for people stands there, values are made in Python."""
+"""Texts made from templates in packages: wording in the templates, values in Python."""
 
 import math
 from collections.abc import Mapping

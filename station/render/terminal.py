@@ -1,4 +1,4 @@
-"""What a person sees in the terminal, from templates: lines with the markup of rich, and tables."""
+"""Output to the terminal from templates: lines with the markup of rich, and tables."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, TypeAlias

@@ -1,4 +1,4 @@
-"""The whole document: one HTML file that needs nothing beside itself."""
+"""The whole document: one HTML file without other files."""
 
 import importlib.metadata
 import platform

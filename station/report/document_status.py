@@ -1,4 +1,4 @@
-"""What a document may call itself: every limit compared with what was found, and a certificate only of a pass."""
+"""The title that a document may have: every limit compared with the result, and a certificate only for a pass."""
 
 import hashlib
 import math

@@ -1,4 +1,4 @@
-"""Figures as people read them, each with its full precision beside it."""
+"""Figures as readers see them, each with its full precision in the file."""
 
 import math
 import re

@@ -1,4 +1,4 @@
-"""What a certificate states beside the measurement, by ISO/IEC 17025:2017, 7.8: of the recording, its bench, a file."""
+"""Facts of a certificate beside the measurement, by ISO/IEC 17025:2017, 7.8: from recording, bench, and a file."""
 
 from base64 import b64encode
 from collections.abc import Iterator, Mapping

@@ -1,4 +1,4 @@
-"""An investigation read back: what the error model lacks, the residual before and after, and how the report says so."""
+"""An investigation in the report: effects that the error model lacks, residuals before and after, the text."""
 
 import math
 from collections.abc import Mapping

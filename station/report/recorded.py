@@ -1,4 +1,4 @@
-"""What a report needs of a recording beside its samples: calibration, live estimates, steps, events."""
+"""Data of a recording for the report beside its samples: calibration, live estimates, steps, events."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress

@@ -1,4 +1,4 @@
-"""What comes of the devices of a run: into the recording, the live filters, and what can be seen meanwhile."""
+"""Data of the devices of a run: written to the recording, passed to live filters and to the monitor."""
 
 import asyncio
 from collections import defaultdict

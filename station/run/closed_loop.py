@@ -1,4 +1,4 @@
-"""What a loop on the bench has come to: its runs, its investigations, its table time."""
+"""Results of a loop on the bench: its runs, its investigations, its table time."""
 
 from dataclasses import dataclass, field
 from pathlib import Path

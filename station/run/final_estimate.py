@@ -1,4 +1,4 @@
-"""The estimate at the end of a run: from the recorded samples, beside what the live filter came to."""
+"""The estimate at the end of a run from the recorded samples, compared with that of the live filter."""
 
 from collections.abc import Mapping
 from dataclasses import replace

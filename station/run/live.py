@@ -1,4 +1,4 @@
-"""The estimate while the run goes on: samples wait for the table's readings, then feed the live filters."""
+"""The estimate during the run: samples wait for the table's readings, then go to the live filters."""
 
 import threading
 from collections import deque

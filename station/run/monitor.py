@@ -1,4 +1,4 @@
-"""What can be seen of a run while it goes on: keeps what a snapshot needs, and makes one when it is asked for.
+"""The view of a running run: keeps the data for a snapshot, and makes one on request.
 
 What comes with every block and every row is only kept; all work is done for who looks.
 """

@@ -1,4 +1,4 @@
-"""What a screen may look at while a run goes on: one frozen value, also as JSON.
+"""The state of a running run for screens: one frozen value, also as JSON.
 
 All figures in SI units; NaN where nothing is known, null in JSON.
 """

@@ -1,4 +1,4 @@
-"""What an axis does against what it was told: motion that nobody asked for, and rest where motion was asked for."""
+"""Motion of an axis compared with its commands: motion without a command, and rest despite one."""
 
 import asyncio
 import math

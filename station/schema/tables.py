@@ -1,4 +1,4 @@
-"""TOML files that people write, read strictly by what the TOML files beside this module declare of their keys."""
+"""TOML files written by people, read strictly by the declarations of keys in the TOML files beside this module."""
 
 import math
 import re

@@ -1,4 +1,4 @@
-"""Files that people will edit, written with what is declared of their keys as comments."""
+"""Files for people to edit, written with the declarations of their keys as comments."""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping

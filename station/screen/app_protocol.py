@@ -1,4 +1,4 @@
-"""What bars and screens ask of the app that shows them."""
+"""The methods of the app that bars and screens use."""
 
 from collections.abc import Callable, Coroutine
 from pathlib import Path

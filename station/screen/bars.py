@@ -1,4 +1,4 @@
-"""What every screen has: the row of screens on top, STOP at the bottom, and what stays where there is little room."""
+"""Parts of every screen: the row of screens on top, STOP at the bottom, and the layout for small terminals."""
 
 import math
 from typing import cast

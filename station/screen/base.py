@@ -1,4 +1,4 @@
-"""The frame of the screens: what a terminal that is too small shows, where STOP is, how a tick gets there."""
+"""The frame of the screens: the view for terminals that are too small, the place of STOP, the ticks."""
 
 from pathlib import Path
 from typing import Any, ClassVar, cast

@@ -1,4 +1,4 @@
-"""One chart, drawn by textual-plot. It loads numpy: import it where nobody waits for a picture."""
+"""One chart, drawn by textual-plot. It loads numpy: import it only where nobody waits for a picture."""
 
 import math
 from bisect import bisect_left, bisect_right

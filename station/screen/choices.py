@@ -1,4 +1,4 @@
-"""What the operator chose: bench, script, folder, and what else goes to the commands."""
+"""The operator's choices: bench, script, folder, and further options of the commands."""
 
 import os
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""What the charts show: a run as it goes, the states of a gyro over time and over calibrations, a script's motion."""
+"""The contents of the charts: a run, the states of a gyro over time and over calibrations, a script's motion."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence

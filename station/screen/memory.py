@@ -1,4 +1,4 @@
-"""What the screen remembers from one day to the next: the operator and when that was confirmed, files, the theme."""
+"""State that the screen stores: the operator and when that was confirmed, files, the theme."""
 
 import json
 import os

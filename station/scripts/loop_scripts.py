@@ -1,4 +1,4 @@
-"""The scripts of the loop: exploration, in which effects show, verification, which only judges, and what may follow."""
+"""The scripts of the loop: exploration, which shows effects, verification, which only judges, and the next one."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,4 +1,4 @@
-"""The script that tells rivals apart: of those that the table can do, the one predicted to settle it soonest."""
+"""The script that separates rivals: the one, within the table's limits, that is predicted to do so soonest."""
 
 import math
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,4 @@
-"""What a script will show on a bench, before anything moves."""
+"""The prediction of what a script shows on a bench, before anything moves."""
 
 from dataclasses import dataclass
 

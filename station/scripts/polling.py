@@ -1,4 +1,4 @@
-"""How often the table is read: so often that each ramp is seen, and what a link is too slow for."""
+"""How often the table must be read to see each ramp, and which links are too slow for it."""
 
 from station.errors import sentence
 from station.scripts.script import Script

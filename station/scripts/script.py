@@ -1,4 +1,4 @@
-"""Scripts: what the table is to do, as data that can be checked and drawn before anything moves."""
+"""Scripts: the motion of the table as data that can be checked and drawn before anything moves."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping

@@ -1,4 +1,4 @@
-"""An investigation as it is shown: by the terminal, the screen and reports to people, by --json to machines.
+"""An investigation for display: by the terminal, the screen and reports to people, by --json to machines.
 
 SI units, shares between 0 and 1, None for what is not known.
 """

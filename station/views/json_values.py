@@ -1,4 +1,4 @@
-"""Values as JSON can hold them: null for what is not finite."""
+"""Values in the form of JSON: null for numbers that are not finite."""
 
 import math
 from collections.abc import Iterable

@@ -1,4 +1,4 @@
-"""The limits of a bench beside what a calibration found: what verdicts are made of, and reports show."""
+"""The limits of a bench compared with the results of a calibration, for verdicts and reports."""
 
 import math
 from collections.abc import Sequence

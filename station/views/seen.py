@@ -1,4 +1,4 @@
-"""What sources went through in a recording: temperatures, rates, sampling."""
+"""Conditions that sources went through in a recording: temperatures, rates, sampling."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The correction of each device, by ``estimator.calibration.compensation``: what is undone, what is not, in letters."""
+"""The correction of each device, by ``estimator.calibration.compensation``, as formulas: effects undone or not."""
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence

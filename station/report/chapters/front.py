@@ -1,4 +1,4 @@
-"""What was calibrated, by whom, when and under what conditions, and what the table did."""
+"""The calibrated device, by whom, when, under which conditions, and the table's motion."""
 
 import math
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""What was found: states with their uncertainties, the comparison with the limits, the budget."""
+"""The results: states with their uncertainties, the comparison with the limits, the budget."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass

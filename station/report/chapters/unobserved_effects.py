@@ -1,4 +1,4 @@
-"""What a run could not see: its motion as it was driven, what such a motion shows, and how the report says so."""
+"""Effects that a run could not show: its real motion, what such a motion shows, and the text in the report."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Output that a run does not depend on: its far end may be gone, or take no more for as long as it likes."""
+"""Output that a run does not depend on: its reader may be gone, or slow without limit."""
 
 import os
 import queue

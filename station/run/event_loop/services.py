@@ -1,4 +1,4 @@
-"""What goes on beside the work of a run, and what is in the errors that end it."""
+"""Tasks beside the work of a run, and how their errors end it."""
 
 import asyncio
 from collections.abc import Coroutine, Iterator

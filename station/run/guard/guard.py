@@ -1,4 +1,4 @@
-"""The station's side of the guard: starts it, gives it the devices, sees that it lives, and dismisses it."""
+"""The station's side of the guard: starts it, gives it the devices, checks that it lives, and dismisses it."""
 
 import asyncio
 import os

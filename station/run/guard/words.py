@@ -1,4 +1,4 @@
-"""What the station and its guard say to each other."""
+"""Messages between the station and its guard."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Reads recordings in a process beside the screen that may be given up."""
+"""Reads recordings in a separate process, which can be abandoned."""
 
 import asyncio
 import multiprocessing

@@ -1,4 +1,4 @@
-"""Index of the recordings of a folder, kept between sessions: made of the files, and never the truth itself.
+"""Index of the recordings of a folder, kept between sessions; the files themselves are authoritative.
 
 It is among what programs remember of this user, not in the folder, which may be a stranger's, write-protected, or on a
 share whose locks do not reach other machines. A row counts if its checksum holds and its file has still the same size

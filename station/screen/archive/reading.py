@@ -1,4 +1,4 @@
-"""What a process beside the screen does with recordings: a damaged HDF5 file can hang or kill it, not the screen."""
+"""Reading of recordings in a separate process: a damaged HDF5 file can hang or kill it, not the screen."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""The screen's connection to a session: found, followed, found again after a break, told to stop at once."""
+"""The screen's connection to a session: found, followed, found again after a break, and its STOP."""
 
 import asyncio
 from collections.abc import Callable

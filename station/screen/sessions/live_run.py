@@ -1,4 +1,4 @@
-"""A run as its messages tell it: what every screen that shows a run looks at."""
+"""A run as known from its messages: the data of every screen that shows a run."""
 
 import math
 import time

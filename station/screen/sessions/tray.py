@@ -1,4 +1,4 @@
-"""The tray: devices and scripts that are to be run one after another on a bench, kept when the screen is closed."""
+"""The tray: devices and scripts to be run one after another on a bench, kept when the screen is closed."""
 
 from collections.abc import Sequence
 from contextlib import suppress

@@ -1,4 +1,4 @@
-"""The form for what a certificate states beside the measurement: filled in, checked, kept beside the recording."""
+"""The form for the facts of a certificate beside the measurement: filled in, checked, stored with the recording."""
 
 import asyncio
 import hashlib

@@ -1,4 +1,4 @@
-"""Manual mode on the screen: how it begins, which axis and rate are chosen, what its keys say to the session."""
+"""Manual mode on the screen: its start, the chosen axis and rate, and its keys."""
 
 import asyncio
 import math

@@ -1,4 +1,4 @@
-"""Prepare: bench and what answers, script and its plan, operator and device; START once everything is green."""
+"""Prepare: bench and its devices, script and its plan, operator and device; START once everything is green."""
 
 import asyncio
 import time

@@ -1,4 +1,4 @@
-"""What a bench file and a script say before anything is asked of a device: names, patterns, limits, the motion."""
+"""Contents of a bench file and a script before any device is asked: names, patterns, limits, the motion."""
 
 import math
 import os

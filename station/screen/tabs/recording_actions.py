@@ -1,4 +1,4 @@
-"""What can be made of a recording, offered in the command palette: its path copied, report, PDF, exports."""
+"""Actions on a recording in the command palette: copy its path, report, PDF, exports."""
 
 import asyncio
 import os

@@ -1,4 +1,4 @@
-"""Result: the verdict, the states, what changed since the last calibration, what the model lacks, and what to do."""
+"""Result: the verdict, the states, their change since the last calibration, effects not in the model, advice."""
 
 import asyncio
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,4 @@
-"""Run: what the table and the gyros do now, how the estimates narrow, whether the filter is right."""
+"""Run: the present state of table and gyros, the narrowing of the estimates, whether the filter is right."""
 
 import math
 import textwrap

@@ -1,4 +1,4 @@
-"""What every step of a script has, and the record of a kind of steps.
+"""The base of all steps of a script, and the record of a kind of steps.
 
 A kind is one module that holds a class of steps and its record, ``SPEC``; ``station.scripts.steps.registry`` names it.
 Nothing else knows a kind: the station asks a step what it demands of the axes, how it moves them and for how long.
