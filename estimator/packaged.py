@@ -1,4 +1,4 @@
-"""Tables that ship beside the modules; among them sentences that people read, ``sentences.toml``."""
+"""Tables in packages; among them the sentences for users, ``sentences.toml``."""
 
 import tomllib
 from functools import cache

@@ -1,4 +1,4 @@
-"""The table's own uncertainty in the states of a gyro: type B contributions, combined as the GUM says.
+"""The table's own uncertainty in the states of a gyro: type B contributions, combined according to the GUM.
 
 Each imperfection of the table is put into the body rate that the estimate believes in, at the size of its standard
 uncertainty, and what the states move by is its contribution (GUM 5.1.3: sensitivity times standard uncertainty).

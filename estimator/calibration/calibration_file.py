@@ -1,4 +1,4 @@
-"""Results kept in the recording they were drawn from, the group /calibration, and read back from there."""
+"""Results in the recording they come from, in the group /calibration: written and read back."""
 
 import json
 from collections.abc import Sequence

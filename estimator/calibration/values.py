@@ -1,4 +1,4 @@
-"""What a recording says of its gyros: values, without the way they were found."""
+"""The results of a calibration: values, without the way they were found."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

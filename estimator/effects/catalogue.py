@@ -1,4 +1,4 @@
-"""The catalogue: every effect that is looked for, kept or undone, by its name."""
+"""The catalogue: every effect that is searched for, stored or undone, by its name."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What gyros on a table go through: all that the regressor of an effect may depend on."""
+"""Conditions of gyros on a table: everything on which the regressor of an effect may depend."""
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, fields, replace

@@ -1,4 +1,4 @@
-"""The effect: something that the four states of a gyro lack, as one record of all that the station knows of it.
+"""The effect: an error that the four states of a gyro do not cover, as one record of all knowledge about it.
 
 The output of gyro i gains ``+ sum of parameter * phi`` (rad/s), phi being the columns of ``Effect.columns``. A
 ``Record`` says what holds on any table: the law, what it may depend on in a non-linear way (a time constant, an

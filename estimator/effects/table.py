@@ -1,4 +1,4 @@
-"""Effects of the table: its axes, its rates, what goes round with it."""
+"""Effects of the table: its axes, its rates, and errors that repeat with each turn."""
 
 from collections.abc import Sequence
 

@@ -1,10 +1,10 @@
-"""Whether what a calibration takes for constant was so: the states of each gyro, gearing and angles of each axis.
+"""Whether the quantities that a calibration takes as constant were so: states of gyros, gearing and angles of axes.
 
 A state that changes for a while, or from an instant on, adds its regressor over that time. The score of such a change
 is the sum of what the estimate leaves times that regressor, both under the noise that was found. Its variance, what the
 constants take of it allowed for, follows from the same products (the fluctuation test of Zeileis and Hornik 2007; for
-one instant the Lagrange multiplier test of Andrews 1993). All spans between the edges of an even grid are tried.
-What all gyros share is the table's doing.
+one instant the Lagrange multiplier test of Andrews 1993). All spans between the edges of an even grid are tried. What
+all gyros share is the table's doing.
 """
 
 from collections.abc import Mapping, Sequence

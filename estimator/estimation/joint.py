@@ -1,7 +1,7 @@
-"""The gyros of one device against its reference: states, effects of an error model, the offset in time of each source.
+"""The gyros of one device against its reference: states, effects of an error model, time offset of each source.
 
-All are estimated jointly (``estimator.estimation.noise_evidence``). What an effect could do that the
-motion does not show stays as wide as it typically is, and the sigmas of the states hold it.
+All are estimated jointly (``estimator.estimation.noise_evidence``). What an effect could do that the motion does not
+show stays as wide as it typically is, and the sigmas of the states hold it.
 """
 
 from collections.abc import Mapping, Sequence

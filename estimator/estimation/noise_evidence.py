@@ -1,11 +1,10 @@
-"""States, and laws that stand beside them, estimated together under noise that is found from the data.
+"""States and further laws, estimated together under noise that is found from the data.
 
-Block means go through the cosine transform (``spectra``), in which coloured noise is a weight for each
-frequency. Every noise model is gone through: how much of it is bias instability and how much rate random walk is not
-known beforehand. The estimate is the mean over them, so its covariance holds the doubt about the noise too. Gyros of
-one device are of one make: what the others say of the noise is the better part of what is expected of each. Where the
-residual is beyond all models, up or down, its own spectrum is the noise. Without laws this is the estimate of four
-states.
+Block means go through the cosine transform (``spectra``), in which coloured noise is a weight for each frequency. Every
+noise model is gone through: how much of it is bias instability and how much rate random walk is not known beforehand.
+The estimate is the mean over them, so its covariance holds the doubt about the noise too. Gyros of one device are of
+one make: what the others say of the noise is the better part of what is expected of each. Where the residual is beyond
+all models, up or down, its own spectrum is the noise. Without laws this is the estimate of four states.
 """
 
 from collections.abc import Sequence

@@ -1,8 +1,8 @@
-"""Parity of a redundant array: what its calibrated gyros say of each other, whatever the table says.
+"""Parity of a redundant array: comparison of its calibrated gyros with each other, without the table.
 
 With n > 3 gyros there are n - 3 combinations of outputs in which the body rate cancels (the left null space of the
-calibrated sense axes). A gyro that fails shows there at once. With four gyros there is one such combination: it
-tells that one of the four is wrong, not which; from five on it tells which (Potter and Suman 1977).
+calibrated sense axes). A gyro that fails shows there at once. With four gyros there is one such combination: it tells
+that one of the four is wrong, not which; from five on it tells which (Potter and Suman 1977).
 """
 
 from collections.abc import Sequence

@@ -1,8 +1,8 @@
-"""Runs of one device against each other: do its states scatter by what each run's own sigma says?
+"""Runs of one device compared: whether its states scatter as each run's own sigma predicts.
 
-What differs between runs beyond that (switch-on bias, remounting) is the device's repeatability; it is estimated by
-the method of moments (DerSimonian, Laird 1986). Only noise is compared: what is wrong with the table is wrong in
-every run alike. ``gauge_study`` asks the same of the station, over its runs of many devices.
+What differs between runs beyond that (switch-on bias, remounting) is the device's repeatability; it is estimated by the
+method of moments (DerSimonian, Laird 1986). Only noise is compared: what is wrong with the table is wrong in every run
+alike. ``gauge_study`` asks the same of the station, over its runs of many devices.
 """
 
 from collections.abc import Sequence

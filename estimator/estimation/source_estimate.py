@@ -1,4 +1,4 @@
-"""The estimate of one source, whichever way it is found; under white noise where there is too little to tell more."""
+"""The estimate of one source, by any method; under white noise where there is too little data for more."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Products of columns by frequency: what estimates, noise and evidence need of a run, under any noise at once.
+"""Products of columns by frequency: the sums that estimates and evidence need, for all noise models at once.
 
 The blocks of a stretch are taken through the discrete cosine transform. In it white noise is white, and a random walk
 has independent coefficients, exactly (its increments mirror at both ends); flicker noise nearly so. Noise is thus a

@@ -1,4 +1,4 @@
-"""Effects that nobody has spoken of: what the catalogue says may be there, at the sizes that it calls plausible.
+"""Undeclared effects: those of the catalogue that may be there, at the sizes that it calls plausible.
 
 A script may be saturated: what is constant within each of its steady rates leaves no residual, however wrong the states
 are for it. Only expectation can speak there (JCGM 100:2008, 4.3: type B). Every law of the catalogue stands beside the

@@ -1,4 +1,4 @@
-"""Foreign files as named columns: delimited text and MATLAB files."""
+"""External files as named columns: delimited text and MATLAB files."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

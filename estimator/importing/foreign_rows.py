@@ -1,4 +1,4 @@
-"""Rows of a foreign reference: attitudes, rates or angles in SI and body axes, and the reference they become."""
+"""Rows of an external reference: attitudes, rates or angles in SI and body axes, and the reference from them."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""How far each gyro's output follows the reference: its factor, and an axis, a sign or a scale that is wrong.
+"""How far each gyro's output follows the reference: its factor, and a wrong axis, sign or scale.
 
 Sign and scale are taken from the data where the mapping asks for it, and told where it does not.
 """

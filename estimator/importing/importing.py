@@ -1,4 +1,4 @@
-"""Recordings made elsewhere: foreign files and a mapping become one recording, or are refused with a reason."""
+"""Recordings made elsewhere: external files and a mapping become one recording, or are refused with a reason."""
 
 import re
 from collections.abc import Iterable, Sequence

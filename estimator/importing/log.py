@@ -1,4 +1,4 @@
-"""One foreign file: its columns, and the instants of the rows of it that are read."""
+"""One external file: its columns, and the instants of the rows that are read."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""A first look at a file that others made: its columns with what each may be, and a mapping to begin with.
+"""A first look at an external file: its columns with their possible meanings, and a draft of a mapping.
 
 All of it is guessed, from names and from values, and said to be: a person who knows the device corrects the mapping.
 """

@@ -1,4 +1,4 @@
-"""Where a body is at rest, stated or found from quiet samples, what is known of its rate there, what is to be told."""
+"""Rests of a body, stated or found from quiet samples, its rate there, and notes on them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Stamps that are texts: dates and times as people and loggers write them, and how such a text is to be read."""
+"""Stamps as texts: dates and times as people and loggers write them, and how to read them."""
 
 from collections.abc import Sequence
 from datetime import UTC, datetime

@@ -1,4 +1,4 @@
-"""Columns of one foreign file by name, whatever its format, and what is wanted of it."""
+"""Columns of one external file by name, in any format, and the columns wanted of it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""How outputs follow a reference: the delay between the two, and what a line through all of them leaves.
+"""How outputs follow a reference: the delay between both, and the residual of a line through all values.
 
 Both sides are means over the same intervals. The delay is looked for over all that is plausible before it is refined,
 so it does not depend on where a search begins. Intervals that do not fit, as of a spike or a limit, do not count.

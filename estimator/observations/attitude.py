@@ -1,4 +1,4 @@
-"""Body rates of a reference that tells attitudes."""
+"""Body rates from a reference that measures attitudes."""
 
 import numpy as np
 

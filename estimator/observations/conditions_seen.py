@@ -1,4 +1,4 @@
-"""Under which conditions a recording was made, in words: states hold for these."""
+"""The conditions of a recording in words: states hold for these."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Over which time a recording can show that scale factors, alignments and gearing stayed the same.
+"""The time over which a recording can show that scale factors, alignments and gearing stayed the same.
 
 What changes while an axis rests shows only as a difference between its turns before and after. A change is therefore
 found only if there is enough turning about the axis on both sides of it: at least a quarter before it and a quarter

@@ -1,4 +1,4 @@
-"""What is told of a calibration against another instrument: an attitude, a rate, an encoder."""
+"""Notes on a calibration against another instrument: an attitude, a rate, an encoder."""
 
 from typing import TypeGuard
 

@@ -1,4 +1,4 @@
-"""Channels that cannot be trusted: constant, saturated, not a number; dead by what a reference says of the body."""
+"""Channels that cannot be trusted: constant, saturated, not a number; or dead, judged by the reference."""
 
 from dataclasses import dataclass, replace
 

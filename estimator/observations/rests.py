@@ -1,4 +1,4 @@
-"""Rests of a recording, the noise that they show, and what its motion leaves unseen."""
+"""Rests of a recording, their noise, and what the motion leaves unobserved."""
 
 import numpy as np
 

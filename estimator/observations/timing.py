@@ -1,4 +1,4 @@
-"""When samples were taken against when the table was read: the offset between the two, a state of every run.
+"""The time offset between samples and table readings, a state of every run.
 
 The ramps of a run tell it. What is expected of it before is what links and devices say: readings are known to half of
 their round trip, the table's stated timing, and the delays that nobody states.

@@ -1,4 +1,4 @@
-"""By how much a body has turned, and what its gyros have summed up to meanwhile: both over the same intervals.
+"""How far a body has turned, and the integral of its gyros, over the same intervals.
 
 Another instrument's readings come at other instants than samples. Compared are the integral of the output over an
 interval and the turn in the same interval; for an encoder that is a difference of angles, whose noise does not grow

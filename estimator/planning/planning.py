@@ -1,4 +1,4 @@
-"""What a motion will show, before it is made: sigmas of the states, smallest effects, what looks alike.
+"""The prediction for a motion before it is made: sigmas of the states, smallest effects, similar effects.
 
 All of it is linear algebra on one information matrix a gyro, over the columns [four states | all effects], as the
 estimate against a table weighs them but for rounding: means over a second and more under the covariance of coloured

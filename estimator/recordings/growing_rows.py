@@ -1,4 +1,4 @@
-"""Rows that grow in place: what a run reads of its table."""
+"""Rows that grow in place, such as the table readings of a run."""
 
 from typing import Any
 

@@ -1,8 +1,8 @@
-"""A journal beside a recording: all that a run has taken so far, until its recording is closed whole.
+"""A journal beside a recording: all data of a run so far, until its recording is complete.
 
-Records one after another, each a mark, length and CRC-32 of what follows, and that: a msgpack list of entries
-``[kind, group, values]``, arrays as extension 1, a msgpack list of type, shape and bytes. What is torn or damaged fails
-its check and costs itself alone. The format is documented in docs/pages/reference/recording.md.
+Records one after another, each a mark, length and CRC-32 of what follows, and that: a msgpack list of entries ``[kind,
+group, values]``, arrays as extension 1, a msgpack list of type, shape and bytes. What is torn or damaged fails its
+check and costs itself alone. The format is documented in docs/pages/reference/recording.md.
 """
 
 import math

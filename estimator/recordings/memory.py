@@ -1,4 +1,4 @@
-"""Whether there is memory for what is to be done with a recording; said before it is begun."""
+"""Whether memory suffices for work on a recording, checked before it begins."""
 
 from contextlib import suppress
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Child process that reads files through, so that a damaged one harms nobody else.
+"""Child process that reads files completely, so that a damaged one harms no other process.
 
 A line of JSON for each: its kind and path come in, and why it cannot be read goes out, null if it can. Ends with its
 input.

@@ -1,4 +1,4 @@
-"""What the body really did: body rate at any instant, from what the table or another reference measured."""
+"""The true motion of the body: its rate at any instant, from the readings of the table or another reference."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""Room on a disk that no other program can take: what a file needs to be closed whole when the disk is full."""
+"""Reserved space on a disk: what a file needs to be completed when the disk is full."""
 
 import tempfile
 from contextlib import suppress

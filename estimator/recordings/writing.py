@@ -1,7 +1,7 @@
-"""A recording as an HDF5 file: written whole, or as the run goes.
+"""Writing of a recording as an HDF5 file: at once, or during the run.
 
-The layout is documented in docs/pages/reference/recording.md. Files are plain HDF5 (no filters, default
-library bounds), which is what survives a process that dies between two flushes.
+The layout is documented in docs/pages/reference/recording.md. Files are plain HDF5 (no filters, default library
+bounds), which is what survives a process that dies between two flushes.
 """
 
 import math

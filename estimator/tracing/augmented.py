@@ -1,4 +1,4 @@
-"""The model with effects added: what it predicts of a run, and how sure it is."""
+"""The model with effects added: its prediction for a run, and its uncertainty."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

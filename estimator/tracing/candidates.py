@@ -1,4 +1,4 @@
-"""What is tried: the effects of the catalogue, and general dependences that stand for what is not in it."""
+"""The candidates: effects of the catalogue, and general dependences that stand for effects not in it."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence

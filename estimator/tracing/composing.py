@@ -1,8 +1,8 @@
-"""Laws that the catalogue does not hold, composed of what was measured: what is tried, and how much it is expected.
+"""Composed laws that the catalogue does not hold: which ones are tried, and their prior probability.
 
-The grammar is that of ``effects.law``, to a depth of two: a variable or a simple function of one; that through
-a lag, or a play, each with one constant to be found; the product of two. Longer laws are the rarer: all laws of one
-length together are expected as often as a shorter one less some (Rissanen 1983).
+The grammar is that of ``effects.law``, to a depth of two: a variable or a simple function of one; that through a lag,
+or a play, each with one constant to be found; the product of two. Longer laws are the rarer: all laws of one length
+together are expected as often as a shorter one less some (Rissanen 1983).
 """
 
 from collections.abc import Iterable, Sequence

@@ -1,4 +1,4 @@
-"""Flexible laws: any function of what a law is about, as a sum of terms of which each has its own coefficient.
+"""Flexible laws: any function of a law's variable, as a sum of terms with a coefficient each.
 
 A law in closed form, such as ``tanh(u/c)``, is one function of its variable among all. These stand for the others: a
 function in straight pieces, a memory that is any sum of first-order lags, a hysteresis that is any sum of plays

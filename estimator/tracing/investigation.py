@@ -1,4 +1,4 @@
-"""What an investigation ends with: values, without the way they were found."""
+"""The results of an investigation: values, without the way they were found."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

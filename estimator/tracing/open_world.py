@@ -1,4 +1,4 @@
-"""Something that has no name: any function of what was measured, as a rival of the effects that have one.
+"""Effects without a name: any function of measured values, as a rival of the named effects.
 
 Each gyro has such a function: a sum of all general dependences and effects, each with a coefficient of its own, all of
 one expected size that is not known. Where an effect alone explains a residual, the sum pays for its many coefficients;

@@ -1,4 +1,4 @@
-"""What is left of each gyro beside a model, and how much of it a candidate would take: cheap, before it is judged."""
+"""The residual of each gyro beside a model, and how much of it a candidate explains: a cheap first judgement."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

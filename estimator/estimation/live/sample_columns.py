@@ -1,4 +1,4 @@
-"""Regressors of an error model's effects sample by sample, for the live filter and for what it is compared with."""
+"""Regressors of an error model's effects at single samples, for the live filter and its comparison."""
 
 from collections.abc import Sequence
 from itertools import pairwise

@@ -1,4 +1,4 @@
-"""Runs as tracing sees them, made of recordings."""
+"""Runs for tracing, built from recordings."""
 
 from collections.abc import Sequence
 from dataclasses import replace

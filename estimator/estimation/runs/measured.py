@@ -1,4 +1,4 @@
-"""Block means of output errors and body rates, from samples or from turns between them, and what they weigh.
+"""Block means of output errors and body rates, from samples or from turns between them, and their weights.
 
 Noise may grow with the rate (scale factor noise): variance s0^2 (1 + (g w)^2), as steady rates show it. Second
 differences of block means hold neither bias nor scale factor error nor any effect of a steady rate.

@@ -1,4 +1,4 @@
-"""One run as tracing sees it: block means of output errors, and what the gyros went through meanwhile."""
+"""One run for tracing: block means of output errors, and the conditions of the gyros."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

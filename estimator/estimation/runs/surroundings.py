@@ -1,4 +1,4 @@
-"""What the gyros went through in a run, on a grid of instants: temperature, gimbals, specific force."""
+"""The conditions of the gyros in a run, on a grid of instants: temperature, gimbals, specific force."""
 
 import numpy as np
 

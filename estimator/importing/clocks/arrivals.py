@@ -1,4 +1,4 @@
-"""Whether stamps are of samples or of their arrival: of two sets of instants the motion tells which is right."""
+"""Whether stamps are of samples or of their arrival: the motion decides between two sets of instants."""
 
 from collections.abc import Sequence
 

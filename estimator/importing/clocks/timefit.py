@@ -1,4 +1,4 @@
-"""Instants of foreign samples from the stamps they came with, which may jump, repeat or be out of order."""
+"""Instants of external samples from their stamps, which may jump, repeat or be out of order."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Columns of a foreign file, their units and their axes, as a mapping file states them."""
+"""Columns of an external file, their units and their axes, as stated by a mapping file."""
 
 from dataclasses import dataclass
 

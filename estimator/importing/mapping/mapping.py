@@ -1,4 +1,4 @@
-"""The mapping file: what the columns of a foreign recording mean. Read strictly (docs/pages/reference/mapping.md).
+"""The mapping file: the meaning of columns in an external recording. Read strictly (docs/pages/reference/mapping.md).
 
 Units are those of the foreign file here and only here; what leaves this module is SI.
 """

@@ -1,4 +1,4 @@
-"""The table [reference] of a mapping file: what says how the body turned, or that it did not."""
+"""The table [reference] of a mapping file: how the body turned, or that it did not."""
 
 import math
 import re

@@ -1,4 +1,4 @@
-"""Outputs beside what a reference says they should be: channels that are dead, stick, end at a limit, or hide zero."""
+"""Outputs compared with a reference: channels that are dead, stick, end at a limit, or have a dead zone."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""A recording looked through for what is wrong with its samples and its reference, before anything is estimated."""
+"""The examination of a recording for faults of its samples and its reference, before any estimate."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""What the angles of a table say against its own rates: an encoder that jumped, a rate of the wrong sign or scale."""
+"""A table's angles compared with its own rates: an encoder that jumped, a rate of the wrong sign or scale."""
 
 import numpy as np
 

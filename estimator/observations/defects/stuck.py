@@ -1,4 +1,4 @@
-"""Sources that give the same few samples again and again, while the table turns them otherwise."""
+"""Sources that repeat the same few samples while the table turns them differently."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Outputs that are exactly zero below some rate: devices that hide their bias, or what is too slow for them."""
+"""Outputs that are exactly zero below some rate: devices that hide their bias, or cannot measure slow rates."""
 
 import numpy as np
 

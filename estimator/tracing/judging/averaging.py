@@ -1,4 +1,4 @@
-"""States averaged over what may act beside the model, with what differs between runs: sigmas that own up to it."""
+"""States averaged over effects that may act beside the model, and differences between runs, with honest sigmas."""
 
 from collections.abc import Sequence
 from dataclasses import replace

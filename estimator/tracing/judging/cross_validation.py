@@ -1,4 +1,4 @@
-"""What runs and steps that are left out say of models fitted to the others."""
+"""Models judged by runs and steps that were left out of their fit."""
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What a residual depends on: how much of its power functions of time, rate, angle and so on take up."""
+"""What a residual depends on: the share of its power explained by functions of time, rate, angle and so on."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Whose a residual is: redundant gyros tell an error of the body rate, which all share, from one that each has alone.
+"""The origin of a residual: redundant gyros tell an error of the body rate, common to all, from their own errors.
 
 An error dw of the body rate (the table, the site, the clock) shows in n gyros with sense axes P as P dw. What lies
 outside the column space of P can only be the gyros' own. Errors of their own fall into both parts, as noise does: in

@@ -1,4 +1,4 @@
-"""What a model leaves of the output errors, against the noise model: its size, whiteness, spectrum, what it depends on.
+"""The residual of a model against the noise model: its size, whiteness, spectrum, and dependences.
 
 All is worked out in the cosine domain, where bias instability and random walk are a weight for each frequency
 (``spectra``). The mean of each stretch is left out: it holds the bias since power-on, of which nothing is known.

@@ -1,4 +1,4 @@
-"""Which tones are a cause of their own: no image of another by the sampling, nor next to nothing of what is left."""
+"""Which tones have a cause of their own: neither images of others by sampling nor too weak to matter."""
 
 from collections.abc import Sequence
 

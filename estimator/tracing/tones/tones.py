@@ -1,4 +1,4 @@
-"""Tones: vibrations and aliases of unknown frequency, looked for in the samples themselves."""
+"""Tones: vibrations and aliases of unknown frequency, searched for in the samples themselves."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
