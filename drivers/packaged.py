@@ -28,5 +28,5 @@ def sentence_of(tables: dict[str, dict[str, str]], key: str, /, **values: object
     return tables[table][name].format(**values)
 
 
-# Read at once: a fault must be told even where no file can be opened any more.
+# Read at once: a fault must be reported even where no file can be opened any more.
 sentence = partial(sentence_of, packaged_toml("drivers", "sentences.toml"))

@@ -57,7 +57,7 @@ def load_file(path: Path) -> ModuleType:
     A bench and its script may name the same file: both must get the same objects.
     """
     text: bytes | None = None
-    with suppress(OSError):  # what is not there, or cannot be read, is told below
+    with suppress(OSError):  # missing and unreadable files are reported below
         if not stat.S_ISREG(path.stat().st_mode):
             raise PluginError(f"plug-in {path}: it is a pipe, a folder or a device, not a Python file")
         text = path.read_bytes()
@@ -92,7 +92,7 @@ def _changed_by_others(path: Path) -> str:
     try:
         seen = [(place, place.lstat()) for place in _on_the_way(path)]
     except OSError:
-        return ""  # what is not there is told by who loads it
+        return ""  # a missing file is reported when it is loaded
     for place, state in reversed(seen):
         what = "it" if place == path.absolute() else str(place)
         if state.st_uid not in (0, os.geteuid()):
@@ -246,7 +246,7 @@ def _guarded(what: str, file: str, run: Callable[[], T]) -> T:
     """
     try:
         return run()
-    except (Exception, SystemExit) as error:  # whatever stands in it
+    except (Exception, SystemExit) as error:  # anything may be in the file
         lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
         line = error.lineno if isinstance(error, SyntaxError) else lines[-1] if lines else None
         reason = (str(error).splitlines() or [""])[0]

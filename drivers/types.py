@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     """Instants in ns."""
     Flags = NDArray[np.bool_]
     Octets = NDArray[np.uint8]
-else:  # names alone: whoever only talks to a table, as the guard of a run does, does without the 10 MB of numpy
+else:  # names alone: programs that only control a table, as the guard does, save the 10 MB of numpy
     Floats = Ints = Stamps = Flags = Octets = Any
 
 _Told = tuple[float, float, float]

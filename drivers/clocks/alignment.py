@@ -18,14 +18,14 @@ from drivers.types import Alignment, Flags, Floats, Stamps
 _BUCKET_S = 1.0
 _BUCKETS = 120  # two minutes: short against the drift of a quartz that warms up
 _FEWEST = 3  # buckets to put a line through; before, the earliest arrival of all counts
-_DRIFT_SD = 100e-6  # of quartzes as they are sold: what a drift is taken for until arrivals tell
+_DRIFT_SD = 100e-6  # of common quartzes: the assumed drift until arrivals determine it
 _MOST_DRIFT = 0.05  # an oscillator without a quartz
 _SLEW = 1e-3  # how fast the line may move: 1 ms a second,
-_SETTLE_S, _SETTLE_AT_FIRST_S = 3.0, 0.5  # or as fast as it takes to be there in so many seconds,
+_SETTLE_S, _SETTLE_AT_FIRST_S = 3.0, 0.5  # or as fast as needed to arrive within so many seconds,
 _AT_FIRST = 10  # the shorter time in so many buckets,
 _SLEW_AT_MOST = 0.02  # but no faster
 _SLEW_AT_ONCE = 0.5  # the fastest that lets no time run backwards
-_SWITCH = 0.5  # the mean has to be so much better known than the earliest before it is preferred, and back
+_SWITCH = 0.5  # the mean must be known this much better than the earliest to be preferred, and back
 _OUTLIER = 4.0  # in standard deviations
 
 
@@ -105,7 +105,7 @@ class HostFit:
         """What a drift is never taken to be above."""
         self._origin_ns: int | None = None
         self._seen_s = 0.0  # device time up to which times have been given
-        # The line in use: the line wanted, and what is left of the one before.
+        # The line in use: the line wanted, plus the remaining difference to the line before.
         self._at_s, self._value, self._slope = 0.0, 0.0, 0.0
         self._rest, self._rest_from_s, self._rest_lasts_s = 0.0, 0.0, 1.0
         self._drifted, self._drifted_at_s = 0.0, 0.0
@@ -142,7 +142,7 @@ class HostFit:
 
     @property
     def _jitter_s(self) -> float:
-        # What a drift adds within a second is no jitter.
+        # The change by drift within a second is not jitter.
         variance = median(np.array([b.variance for b in self._buckets])) - (self._slope * _BUCKET_S) ** 2 / 12
         return math.sqrt(max(variance, 0.0))
 

@@ -8,15 +8,15 @@ from drivers.clocks.alignment import median
 from drivers.types import Flags, Floats
 
 _KEPT = 4096
-_OVER_S = 60.0  # what was learned longer ago is forgotten
+_OVER_S = 60.0  # older arrivals are forgotten
 _FEWEST = 100
 _ROUGH = 512
 _HIDDEN_DRIFT = 1e-4
 _HIDING = 0.6  # jitter, in periods, that hides single losses
 _HIDING_SHARE = 0.3  # or where no more than these waited for no other
 _RELEARN_S = 2.0
-_HALF_LIFE_S = 10.0  # of what is known of the share of samples that wait for none, and of their correlation
-_FLOOR = 0.003  # density of what never comes, of the highest
+_HALF_LIFE_S = 10.0  # of the estimated share of samples that wait for none, and of their correlation
+_FLOOR = 0.003  # density of impossible delays, over the highest
 _EARLY_COST, _MOST_EARLY_COST = 1.0, 20.0  # in nats a bin of the histogram, beyond its ends
 _LATE_COST, _MOST_LATE_COST = 0.2, 3.0
 _LEAST_WEIGHT = 0.1
@@ -111,7 +111,7 @@ class Lateness:
             excess = np.zeros(2)
         at = np.arange(len(excess)) - (len(excess) - 1) / 2
         slope = max(float(at @ excess) / float(at @ at), 0.0)
-        # What was lost or doubled makes the first of these too large, and not the second.
+        # Lost or repeated samples make the first of these too large, but not the second.
         level = float((excess - slope * at).std())
         steps = 2.0 * float(np.median(np.abs(np.diff(excess))))
         rms_s = max(min(level, steps), 0.05 * self._period_s)
@@ -133,7 +133,7 @@ class Lateness:
         if len(excess) > 1:
             self._rough.add((excess[1:] - excess[:-1])[:, None])
             about = np.clip(excess - drifted_s, self._low, self._high) - self._middle
-            # Next to what is far less than a period nothing is late, together or not.
+            # Delays far below a period do not count as late, together or not.
             little = len(about) * (_LITTLE_PERIODS * self._period_s) ** 2
             self._square = keep * self._square + float(about[1:] @ about[1:]) + little
             self._lagged = keep * self._lagged + float(about[1:] @ about[:-1])

@@ -15,11 +15,11 @@ _MOST_STATES = 400
 _GROUPS = 64
 _LOST_FIRST = 0.004  # share of samples that are lost, until it is known
 _ONE_OF_LOSSES = 0.8  # share of the losses of one sample among all
-_LONG_GAP = 0.95  # longer losses: each sample more is so much less likely
+_LONG_GAP = 0.95  # for longer losses, each further sample is less likely by this factor
 _REPEATED = 0.02  # share of samples like the one before that are the one before
 _CERTAIN = 0.999
 _UNLIKELY = 1e-4
-_MOST_DRIFT = 2e-3  # a larger one would not be told from losses
+_MOST_DRIFT = 2e-3  # a larger one could not be distinguished from losses
 _LEAST_STEP = 0.1  # in periods
 _TOO_EARLY_PERIODS, _TOO_EARLY_S = 5.0, 0.05  # nothing arrives before it was taken
 
@@ -202,7 +202,7 @@ class RegularClock:
         self._given += len(place)
         self._counts.samples += len(place)
         self._counts.late += int(np.count_nonzero(lateness_s > max(LATE_PERIODS * self._period_s, LATE_S)))
-        if self._resumed_ns is not None:  # nobody counted meanwhile: the pause tells
+        if self._resumed_ns is not None:  # not counted meanwhile: the pause gives the number
             missed = round((int(arrival[0]) - self._resumed_ns) * 1e-9 / self._period_s) - 1
             self._lost_before += max(missed, 0)
             self._resumed_ns = None

@@ -36,7 +36,7 @@ def open_bus(interface: str, channel: str, options: dict[str, Any]) -> can.BusAB
     if interface == "socketcand":
         return SocketcandBus(channel, **options)
     bus = can.Bus(interface=interface, channel=channel, **options)
-    # Linux binds a socket to an interface that is down, and says so afterwards, once.
+    # Linux binds a socket to an interface that is down, and reports this once, afterwards.
     kernel: Any = bus
     if interface == "socketcan" and (code := kernel.socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)):
         bus.shutdown()
@@ -148,7 +148,7 @@ class SocketcandBus(can.BusABC):
             if len(parts) not in (5, 6) or parts[1] != "frame":
                 continue
             try:
-                float(parts[3])  # a stamp that is none tells of damage
+                float(parts[3])  # an invalid stamp means damage
                 data = bytes.fromhex(parts[4]) if len(parts) == 6 else b""
                 found.append((int(parts[2], 16), len(parts[2]) != 3, data))
             except ValueError:

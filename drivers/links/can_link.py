@@ -24,7 +24,7 @@ _WAIT_S = 0.1
 _SEND_LIMIT_S = 0.1
 _MOST_AT_ONCE = 500
 _BUS_OFF = 0x40  # in the identifier of an error frame (linux/can/error.h)
-_MOST_WAITING = 100_000  # ten seconds of a full bus; what is older and nobody has asked for is missed as lost samples
+_MOST_WAITING = 100_000  # ten seconds of a full bus; older frames are dropped, and count as lost samples
 
 
 class CanLink:
@@ -60,7 +60,7 @@ class CanLink:
             return
         loop = asyncio.get_running_loop()
         opened: asyncio.Future[can.BusABC] = loop.create_future()
-        # A daemon, not an executor's thread: what hangs in a driver must not keep the program from ending.
+        # A daemon, not an executor's thread: a driver that hangs must not keep the program from ending.
         self._thread = threading.Thread(
             target=self._run, args=(loop, opened, self._closing), name=f"can {self._device}", daemon=True
         )
@@ -74,7 +74,7 @@ class CanLink:
         except asyncio.CancelledError:
             self._give_up()
             raise
-        except Exception as error:  # interfaces raise what their vendors' libraries raise
+        except Exception as error:  # interfaces raise any exception of their vendors' libraries
             self._give_up()
             raise LinkLost(self._device, sentence("link.no_can", channel=self._named, why=_plain(error))) from None
 
@@ -86,7 +86,7 @@ class CanLink:
             if self._ended:
                 raise LinkLost(self._device, self._ended)
             self._wake.clear()
-            self._waiting = True  # before the look at what has come, so that the thread cannot miss it
+            self._waiting = True  # before checking for frames, so that the thread cannot miss it
             if not self._frames and not self._ended:
                 await self._wake.wait()
         return [self._frames.popleft() for _ in range(len(self._frames))]
@@ -155,7 +155,7 @@ class CanLink:
         except Exception as error:  # as above
             call_from_thread(loop, self._end_if_read, closing, f"{self._named} failed ({_plain(error)})")
         finally:
-            with suppress(Exception):  # an adapter that is gone cannot be told to close
+            with suppress(Exception):  # an adapter that is gone cannot be closed
                 bus.shutdown()
 
     def _read(self, loop: asyncio.AbstractEventLoop, bus: can.BusABC, closing: threading.Event) -> None:

@@ -122,7 +122,7 @@ def _open_own(path: str) -> int:
     except FileExistsError:
         _check_is_own(path, os.lstat(path))  # also before it is opened: opening a device may do something
         return os.open(path, flags)
-    os.fchmod(file, 0o644)  # whatever the umask: others are to see whether it is locked
+    os.fchmod(file, 0o644)  # regardless of the umask: others must see whether it is locked
     return file
 
 

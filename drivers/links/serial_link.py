@@ -21,7 +21,7 @@ from drivers.types import ByteChunk
 
 _MOST_AT_ONCE = 65536
 _BACKLOG_S, _BACKLOG_LOOK_S = 0.3, 0.002
-_LOOK_S = 0.1  # how often the thread looks whether it should end, where it cannot be woken
+_LOOK_S = 0.1  # how often the thread checks whether it should end, where it cannot be woken
 _WRITE_LIMIT_S = 0.2
 _OPEN_LIMIT_S = 10.0
 _CLOSE_LIMIT_S = 0.5
@@ -65,7 +65,7 @@ class SerialLink:
         except TimeoutError:
             self.close()
             raise LinkLost(self._device, f"serial port {self._url} did not open within {_OPEN_LIMIT_S:g} s") from None
-        except Exception as error:  # pyserial has no common kind for what a port can have wrong
+        except Exception as error:  # pyserial has no common base class for errors of a port
             self.close()
             raise LinkLost(self._device, f"cannot open serial port {self._url}: {_why_not(self._url, error)}") from None
 
@@ -112,7 +112,7 @@ class _Reader:
         self._closing = threading.Event()
         self._woken, self._wakes = socket.socketpair()
         self.opened: asyncio.Future[None] = loop.create_future()
-        # A daemon: what hangs in a driver must not keep the program from ending.
+        # A daemon: a driver that hangs must not keep the program from ending.
         self._thread = threading.Thread(target=self._run, name=f"serial {url}", daemon=True)
         self._thread.start()
 
@@ -144,7 +144,7 @@ class _Reader:
         if self._port is not None and not _is_url(self._url):
             self._thread.join(_CLOSE_LIMIT_S)
         if self.opened.done() and not self.opened.cancelled():
-            self.opened.exception()  # whoever gave up waiting does not want to know
+            self.opened.exception()  # not needed if the caller has given up waiting
         else:
             self.opened.cancel()
 
@@ -155,14 +155,14 @@ class _Reader:
         """
         try:
             port = self._open()
-        except Exception as error:  # handed over to whoever opens
+        except Exception as error:  # raised again by the caller of ``open``
             call_from_thread(self._loop, settle, self.opened, error)
         else:
             self._port = port
             call_from_thread(self._loop, settle, self.opened, None)
             try:
                 self._read(port)
-            except Exception:  # pyserial raises many kinds for a port that has gone
+            except Exception:  # pyserial raises many kinds for a port that is gone
                 call_from_thread(self._loop, self._end_inbox)
             _close(port)
         self._woken.close()
@@ -174,7 +174,7 @@ class _Reader:
         """
         import serial
 
-        # Whoever has a descriptor waits on that; to change the time-out later would set up the line once more.
+        # With a descriptor, wait on that; changing the time-out later would set up the line once more.
         settings = dict(self._settings, timeout=0 if self._waits_on_descriptor else _LOOK_S, exclusive=True)
         if not self._url.startswith("rfc2217:"):  # pyserial's rfc2217 knows no limit for writing
             settings["write_timeout"] = _WRITE_LIMIT_S
@@ -200,7 +200,7 @@ class _Reader:
             try:
                 while len(data) < _MOST_AT_ONCE and (more := take()):
                     data += more
-            finally:  # what came before the end still counts
+            finally:  # bytes received before the end still count
                 handed_over = time.monotonic()
                 call_from_thread(self._loop, self._put, ByteChunk(round(self._loop.time() * 1e9), data))
 
@@ -214,7 +214,7 @@ class _Reader:
         waiting.
         """
         if not self._waits_on_descriptor:
-            # A buffer that tells how much is in it; on sockets in_waiting only tells whether there is anything.
+            # A buffer with a count of its bytes; on sockets in_waiting only tells whether there are any.
             return lambda: bytes(port.read(1)), lambda: bytes(port.read(min(port.in_waiting, _MOST_AT_ONCE)))
         descriptor = port.fileno()
 

@@ -9,7 +9,7 @@ from drivers.types import ByteChunk
 
 _READ_LIMIT = 65536
 _MOST_UNSENT = 1 << 18
-# A peer that has lost its power says nothing: ask after two silent seconds, give it up five seconds later.
+# A peer without power is silent: probe after two silent seconds, give up five seconds later.
 _KEEPALIVE = {"TCP_KEEPIDLE": 2, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 5}
 
 

@@ -19,10 +19,10 @@ from drivers.protocols import ByteLink
 from drivers.requests.turn import Turn
 from drivers.types import LinkCounts
 
-_LONGEST_ANSWER = 4096  # bytes; what is longer is no answer
+_LONGEST_ANSWER = 4096  # bytes; longer data are not an answer
 _ATTEMPTS = 2
 _MALFORMED_AT_MOST = 3  # answers to one request that are none, before it is given up
-_KEEP_LOOKING_FOR_TOKEN = 512  # bytes in which a token's answer is looked for
+_KEEP_LOOKING_FOR_TOKEN = 512  # bytes that are searched for a token's answer
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +100,7 @@ class Exchange:
         """Prepare for requests of two attempts of ``timeout_s`` each, resynchronisation included."""
         self._device, self._link, self._framing, self._timeout_s = device, link, framing, timeout_s
         self._turn = Turn()
-        self._in_doubt = True  # a serial line may hold answers to whoever asked before
+        self._in_doubt = True  # a serial line may hold answers to an earlier program
         self._silence_s = float("-inf")  # when the controller was last found silent
         self._failed = False  # since the link was opened, and not answered since
         self._heard = b""  # last
@@ -232,7 +232,7 @@ class Exchange:
         beyond = received[framed.length :]
         if beyond.strip(self._framing.idle) or not (framed.refused or pattern.fullmatch(framed.text)):
             raise self._malformed(received)
-        # A refusal is one character, which noise can be: what it is about is asked in step.
+        # A refusal is one character, which may be noise: its reason is requested in step.
         self._in_doubt, self._failed = framed.refused, False
         return Answer(framed.text, framed.refused, repeated, sent_s, chunk.t_ns * 1e-9)
 
@@ -263,7 +263,7 @@ class Exchange:
     async def _waiting(self, for_s: float = 0.0) -> bytes:
         """Return bytes received without a request within ``for_s`` seconds, by default those that are already here."""
         received = b""
-        await asyncio.sleep(0)  # lets a socket hand over what it already has
+        await asyncio.sleep(0)  # lets a socket deliver bytes that it already has
         try:
             async with asyncio.timeout(for_s):
                 while len(received) <= _LONGEST_ANSWER:

@@ -17,7 +17,7 @@ class Table:
     def __init__(self, device: str, limits: Mapping[str, AxisLimits], timeout_s: float) -> None:
         """``limits`` are by axis; a request is tried twice, each for ``timeout_s``."""
         self._device, self.limits, self._timeout_s = device, limits, timeout_s
-        self._moved = ""  # the axis that was told last to move
+        self._moved = ""  # the axis of the last motion command
         self.homing: set[str] = set()  # axes that were sent home and are not there yet
 
     async def status(self, axis: str) -> AxisStatus:

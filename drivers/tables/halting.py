@@ -13,12 +13,15 @@ from drivers.types import AxisState
 
 AT_REST_RPS = math.radians(0.02)
 _TURNS_RPS = math.radians(0.05)  # at first contact: a servo that holds may tremble
-_STILL_RAD = math.radians(0.02)  # between two looks
+_STILL_RAD = math.radians(0.02)  # between two readings
 _LOOK_S = 0.02
 _TOLD_AGAIN_S = 0.5  # if an axis does not slow down meanwhile
 _WAIT = 50  # time-outs without anything new to be seen
-_TELLS, _HEEDS = 2, 0.98  # an axis that answers and has not slowed down since so many tells heeds none
-_SLOWER_RPS, _IN_A_ROW = math.radians(0.005), 5  # below what it was, and looks, before an axis has slowed down
+_TELLS, _HEEDS = 2, 0.98  # an axis that answers but has not slowed down after so many stops ignores them
+_SLOWER_RPS, _IN_A_ROW = (
+    math.radians(0.005),
+    5,
+)  # below the first rate, and so many readings, for an axis that slows down
 _LOOKS = 3  # at one that turns without a motion of its controller's, which has nothing to stop then
 
 
@@ -47,7 +50,7 @@ class _Axis:
     @property
     def heedless(self) -> bool:
         """Whether it got several stops and slows no more (it may tremble), or turns without a motion to stop."""
-        told = self.tells >= _TELLS and len(self._rates_rps) == _IN_A_ROW  # a slow link takes its time for looks
+        told = self.tells >= _TELLS and len(self._rates_rps) == _IN_A_ROW  # a slow link needs time for its readings
         return self.astray >= _LOOKS or (told and self._slowest_rps > min(_TURNS_RPS, _HEEDS * self._first_rps))
 
     def see(self, state: AxisState) -> bool:
@@ -65,7 +68,7 @@ class _Axis:
             self._rates_rps.append(rate_rps)
         self._last = state
         self.stands = rate_rps <= AT_REST_RPS and still
-        # Against what it was when that was last said: a gentle ramp takes its time to show, and noise has low readings.
+        # Compared with the rate at the last stop: a gentle ramp needs time to show, and noise has low readings.
         slows = len(self._rates_rps) == _IN_A_ROW and max(self._rates_rps) < self._slowest_rps - _SLOWER_RPS
         if slows:
             self._slowest_rps, self.tells = max(self._rates_rps), 0
@@ -138,7 +141,7 @@ async def bring_to_rest(
                 if axis.stands:
                     told.remove(axis)
                     waiting.remove(axis)
-            # Who has not been told must not wait until the others stand, nor until all hope for one is gone.
+            # Axes that have not got a stop must not wait until the others stand, nor until one is given up.
             if failures or any(axis.astray >= _LOOKS for axis in told):
                 break
             await asyncio.sleep(_LOOK_S if told else 0.0)

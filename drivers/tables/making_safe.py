@@ -21,7 +21,7 @@ async def make_safe(
     trouble = await tried(table.stop(), None)
     aborted = ""
     if untrue_readings:
-        # What was seen of the stop is worth nothing, and an axis that is let go in motion may coast.
+        # Confirmations of the stop are worthless, and an axis whose power is cut in motion may coast.
         limits = table.limits.values()
         await asyncio.sleep(max(axis.rate_rps / axis.acceleration_rps2 for axis in limits))
         trouble = "the table was told to stop, but its readings cannot show that it is at rest: check it"

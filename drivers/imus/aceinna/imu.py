@@ -15,7 +15,7 @@ from drivers.types import Identity
 _GATHER_S = 0.03
 _ANSWER_S = 0.2
 _TRIES = 3
-_KEPT = (aceinna.FILTERS, aceinna.ORIENTATION)  # which it keeps, and the bench file does not say
+_KEPT = (aceinna.FILTERS, aceinna.ORIENTATION)  # settings that it keeps, and that are not in the bench file
 _OWN_ADDRESS = 0  # of the station on J1939
 
 

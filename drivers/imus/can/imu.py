@@ -25,7 +25,7 @@ BUILT_IN_DBC = Path(__file__).with_name("gyro_nodes.dbc")
 
 
 _GATHERED, _LEAST_GATHER_S, _MOST_GATHER_S = 32, 0.05, 0.33  # samples taken in together, and how long that may take
-_LOOK_S = 0.008  # of the host, between looks at what has come, where somebody wants to know of it at once
+_LOOK_S = 0.008  # real time between looks at new frames, if a caller waits for them
 _COUNT_BITS = 32  # of longer counters the lower bits will do: they wrap, as all do
 
 
@@ -76,7 +76,7 @@ def load_dbc(device: str, dbc: Path) -> Any:
 
     try:
         return cantools.database.load_file(dbc)
-    except Exception as error:  # cantools has no common base for what a file can have wrong
+    except Exception as error:  # cantools has no common base class for errors in a file
         raise DeviceError(device, f"DBC file {dbc.name} cannot be read: {error}") from None
 
 
@@ -143,7 +143,7 @@ class CanImu(OneSource[FrameLink]):
         database = source.database or load_dbc(device, dbc)
         self._order = 0
         self._arrived: list[Frame] = []
-        self._fresh: list[Frame] | None = None  # of them, those that ``arrived`` has not told of
+        self._fresh: list[Frame] | None = None  # those of them that ``arrived`` has not returned yet
         self._timed: deque[tuple[str, ImuBlock]] = deque()
         self._timing = threading.Lock()
         self._sources = {
@@ -196,7 +196,7 @@ class CanImu(OneSource[FrameLink]):
             if self._fresh is not None:
                 self._fresh += frames
             if loop.time() >= due_s:
-                # In a thread: whoever waits for an answer of the table should not wait for numbers.
+                # In a thread, so that tasks that wait for the table are not delayed by computing.
                 await loop.run_in_executor(None, self._time)
                 while self._timed:
                     yield self._timed.popleft()
@@ -297,7 +297,7 @@ class _Source:
         of_a_sample = [*signals.acceleration, *(s for s in (signals.counter, signals.time) if s is not None)]
         for signal in signals.all:
             if signal.key != lead.key and signal.key not in self._others:
-                # A temperature is that of the next sample; what belongs to a sample may also come after it.
+                # A temperature belongs to the next sample; other parts of a sample may also come after it.
                 follows = signal.key > lead.key and any(signal.key == other.key for other in of_a_sample)
                 self._companions[signal.key] = Companion(follows=follows)
                 self._others[signal.key] = _Inlet(signal.message, self.counts, self._companions[signal.key])

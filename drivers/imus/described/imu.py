@@ -49,7 +49,7 @@ class FramedLink:
         The list may be empty if the bytes complete no frame. Losing the link while draining is left to the next call.
         """
         frames = self._framed(await self._link.receive())
-        with suppress(TimeoutError, LinkLost):  # what is here already is had without waiting
+        with suppress(TimeoutError, LinkLost):  # bytes that have arrived already are read without waiting
             async with asyncio.timeout(0):
                 while True:
                     frames += self._framed(await self._link.receive())

@@ -38,7 +38,7 @@ _MORE_FIELDS = 0x8000
 _LONGEST_SENTENCE = 256
 
 _SENTENCE = re.compile(rb"(VN[A-Z0-9]{3}(?:,[^*]*)?)\*(XX|[0-9A-Fa-f]{4}|[0-9A-Fa-f]{2})")
-_NOT_TEXT = re.compile(rb"[^ -#%-~]")  # what cannot stand within a sentence
+_NOT_TEXT = re.compile(rb"[^ -#%-~]")  # characters not allowed within a sentence
 _FIELD_TEXT = re.compile(r"[ -#%-)+\--~]*")  # printable, none of $ * ,
 _HEADER_TEXT = re.compile(r"VN[A-Z0-9]{3}")
 
@@ -189,7 +189,7 @@ class VectorNavDecoder:
             elif end > len(view) and not ended:
                 break
             else:
-                # An end says that it began well, so it is damaged; the others are foreign bytes.
+                # With an end it began as a sentence, so it is damaged; the others are foreign bytes.
                 self.bad_frames += is_frame and end > 0
                 self.bad_sentences += not is_frame and end > 0
                 self.dropped_bytes += 1

@@ -14,7 +14,7 @@ from drivers.protocols import ByteLink
 from drivers.specs import ImuSetup, ImuSpec, described
 from drivers.types import ByteChunk, Flags, Floats, Identity, ImuBlock, SourceCounts, Stamps
 
-# The rates before the filter takes off the bias that it estimates: that bias moves, and would hide what is calibrated.
+# Rates before the filter subtracts its bias estimate: that varies, and would hide the bias to be calibrated.
 LAYOUT = vectornav.layout_of({vectornav.COMMON: 1 << 0, vectornav.IMU: 1 << 2 | 1 << 3 | 1 << 4})
 """TimeStartup, UncompAccel, UncompGyro, Temp."""
 
@@ -139,7 +139,7 @@ class VectorNavImu(OneSource[ByteLink]):
         The counter of the block is the device's time since start-up in ns. DeviceFault if that jumped back.
         """
         if frames.layout != LAYOUT:
-            return None  # left from what it was set to before
+            return None  # left over from an earlier setting
         values = frames.values
         device_ns = values["common.time_startup"].astype(np.int64)
         new = self._new(device_ns)
@@ -254,7 +254,7 @@ class VectorNavImu(OneSource[ByteLink]):
                         if _is_about(sentence, command):
                             other = sentence
         except TimeoutError:
-            # What looked like the beginning of a frame may have hidden the reply.
+            # The reply may be inside bytes that looked like the beginning of a frame.
             for sentence in (item for item in self._decoder.flush() if isinstance(item, vectornav.Sentence)):
                 if _answers(sentence, command):
                     return sentence, other

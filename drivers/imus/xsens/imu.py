@@ -19,7 +19,7 @@ HIGHEST_RATE_HZ = 2000
 
 _BLOCK_S = 0.01
 _EARLY_S = 0.25  # no sample comes this long before its time, so its count is damaged
-_SETTLED_S = 2.0  # how long the clock takes to know what is early
+_SETTLED_S = 2.0  # after which the clock knows early arrivals
 _ASTRAY_S = 1.0  # samples out of sequence for this long mean that the device counts anew
 _LOOK_FOR_RATE = 100  # messages
 _LET_CONFIGURE = "let the station configure it (configure = true), or set its outputs with the manufacturer's software"
@@ -115,7 +115,7 @@ class XsensImu(XbusDevice):
         try:
             block = self._take_block()
         except DeviceError:
-            return []  # what cannot be used matters no more
+            return []  # unusable messages are dropped
         return [] if block is None else [(self._device, block)]
 
     def _start_clock(self) -> None:
@@ -249,7 +249,7 @@ class _Timing:
         """Start without a count; ``kind`` is the kind of packet that carries it."""
         self.kind = kind
         self._clock = clock
-        self._newest: int | None = None  # goes on over the wrap
+        self._newest: int | None = None  # continues over the wrap
         self._first = 0
         self._damaged = 0
         self._in_a_row = 0

@@ -48,7 +48,7 @@ class XbusDevice(OneSource[ByteLink]):
                         answer = await self._answer_to(mid)
                 return answer
             except TimeoutError:
-                # What looked like the beginning of a long message may hide the answer.
+                # The answer may be inside bytes that looked like the beginning of a long message.
                 self._inbox.extend((0, messages) for messages in self._decoder.flush())
             hidden = self._find_answer(mid)
             if hidden is not None:

@@ -48,7 +48,7 @@ class GalilTable(LineTable):
         self._axes, self._homing = setup.axes, setup.options["homing"]
         self._velocity_delay_s = setup.options["velocity_window"] / 2
         self._powered: set[str] = set()
-        self._jogs: dict[str, int] = {}  # rate in counts/s of axes that were told to jog
+        self._jogs: dict[str, int] = {}  # rate in counts/s of axes with a jog command
         self._known_stops: dict[str, int] = {}  # stop codes that an operator has seen and reset
 
     async def open(self) -> None:

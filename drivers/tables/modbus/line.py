@@ -18,7 +18,7 @@ from drivers.requests.turn import Turn
 from drivers.tables.modbus.order import READ, WRITE_ONE, Pending, Request, RtuGate, TcpGate
 from drivers.types import LinkCounts
 
-# pymodbus dumps its recent frames at ERROR for every time-out; the station says it in one line of its own.
+# pymodbus dumps its recent frames at ERROR for every time-out; the station reports it in one line.
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
 
 _HEARD_OUT = 0.25  # of a time-out, for the reply to a request that was cancelled
@@ -28,7 +28,7 @@ _FORGOTTEN = 50  # time-outs, after which nothing on the way holds a reply back 
 _EXCEPTIONS = packaged_codes("drivers", "modbus", "exception")
 _ASK_AGAIN = (5, 6, 11)  # acknowledge, busy, gateway target does not answer (Application Protocol V1.1b3, 7)
 _SLOW_AGAIN = 0.9  # of the slowest answer so far, for each faster one after it
-_FIRST_PAUSE = 0.05  # of a time-out, before what was busy is asked again; doubled each time
+_FIRST_PAUSE = 0.05  # of a time-out, before a busy drive is asked again; doubled each time
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +130,7 @@ class ModbusLine:
         if not connected:
             raise LinkLost(self._device, reason)
         self.counts.opened += 1
-        if isinstance(self._address, SerialPort):  # what another master had begun to send must end first
+        if isinstance(self._address, SerialPort):  # a frame that another master has begun must end first
             self._quiet_until_s = self._now() + self._address.silence_s
 
     def _trace(self, gate: RtuGate | TcpGate, sending: bool, data: bytes) -> bytes:
@@ -290,7 +290,7 @@ class ModbusLine:
         ones. _NoReply without a reply.
         """
         pending = self._pending[request.unit_id]
-        # A refusal does not tell of what; it can be taken for the answer only where nothing else may be refused.
+        # A refusal does not name its request; it counts as the answer only if nothing else may be refused.
         self._rtu.expect(request.head, *(() if pending else request.refusals))
         pending.add(request.head, self._now())
         await asyncio.sleep(self._quiet_until_s - self._now())

@@ -17,7 +17,7 @@ from pymodbus.framer import FramerRTU
 from drivers.types import LinkCounts
 
 READ, WRITE_ONE, WRITE_MORE = 3, 6, 16
-_KINCO_BAD_READ = 0x81  # what Kinco's manuals print where the standard has 0x83
+_KINCO_BAD_READ = 0x81  # in Kinco's manuals, where the standard has 0x83
 _TCP_HEADER = 6
 _LONGEST_PDU = 253
 _FIELDS = (

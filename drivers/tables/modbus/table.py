@@ -68,7 +68,7 @@ class ModbusTable(Table):
         lines = {where: ModbusLine(self._device, where, setup.timeout_s, reads) for where, reads in probes.items()}
         self._lines = {axis: lines[drive.link or address] for axis, drive in self._axes.items()}
         self._starts: dict[str, _HomingStart] = {}  # of axes that were sent home
-        self._ready: set[str] = set()  # axes to which what the profile says was written since their line was opened
+        self._ready: set[str] = set()  # axes that have got the profile's first values since their line was opened
 
     @property
     def counts(self) -> LinkCounts:
