@@ -78,7 +78,7 @@ class AceinnaDevice:
             at += (divider or 1) / (aceinna.INTERNAL_RATE_HZ * (1 + 1e-6 * self.faults.clock_ppm))
             await asyncio.sleep(max(at - loop.time(), 0.0))
             if not divider:
-                continue  # told to be quiet
+                continue  # switched off
             rates = self.faults.rates(self._setup.gyros.sample(np.array([at]))[0])
             force = self._setup.force_mps2(np.array([at]))[0]
             for _ in range(self.faults.times_to_send()):
@@ -119,7 +119,7 @@ class AceinnaDevice:
             good = len(values) == 2 and values[0] <= sum(aceinna.PACKETS.values())
         elif group == aceinna.FILTERS:
             good = len(values) == 2 and set(values) <= set(aceinna.FILTERS_HZ)
-            values = values[::-1]  # asked, it tells the accelerometer's first
+            values = values[::-1]  # on request, the accelerometer's comes first
         elif group == aceinna.ORIENTATION:
             good = len(values) == 2 and int.from_bytes(values, "little") in aceinna.ORIENTATIONS
         else:

@@ -34,7 +34,7 @@ class CanNodes:
             signals = ChannelSignals(_BUILT, database, dbc, channel)
             self._nodes.append(_Node(signals, slice(first, first + len(signals.rates))))
             first += len(signals.rates)
-        # A temperature that has a message of its own, or none, is only looked at when it is sent.
+        # A temperature in a message of its own, or in none, is only computed when it is sent.
         self._rarely = all(node.tells_temperature_apart for node in self._nodes)
 
     async def serve(self) -> None:

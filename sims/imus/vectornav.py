@@ -24,7 +24,7 @@ _DECIMAL = re.compile(r"[-+]?[0-9]+(\.[0-9]*)?([eE][-+]?[0-9]{1,2})?")
 _GYRO_RANGE_RPS, _LITTLE_RPS = np.radians((2000.0, 10.0))
 _BITS_PER_BYTE = 10
 
-# What is measured at an instant, as columns; and how each is printed.
+# Measured values at an instant, as columns; and the print format of each.
 _YPR, _MAG, _ACCEL, _GYRO, _TEMPERATURE, _PRESSURE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12), 12, 13
 _RAW_GYRO = slice(14, 17)
 _KNOWN = packaged_toml("sims", "codes.toml")["vectornav"]

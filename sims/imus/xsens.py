@@ -29,7 +29,7 @@ _COUNTS_AND_STATUS = (
 _FROM_FORCE = (mtdata2.ACCELERATION, mtdata2.EULER_ANGLES)
 _VALUES = (mtdata2.RATE_OF_TURN, mtdata2.TEMPERATURE, *_FROM_FORCE)
 _MORE_ANSWERS = {mid: bytes.fromhex(text) for mid, text in packaged_codes("sims", "xsens", "answer").items()}
-_CLOCK_HZ = 115_200  # of which sampling periods are told
+_CLOCK_HZ = 115_200  # unit of sampling periods
 _FIRMWARE = bytes([1, 8, 2]) + (37).to_bytes(4, "big") + (70964).to_bytes(4, "big")
 _HARDWARE = bytes([2, 0])
 
@@ -74,7 +74,7 @@ class XsensDevice:
             **_MORE_ANSWERS,
             Mid.REQ_DEVICE_ID: own,
             Mid.INIT: own,
-            # Of one device, at byte 98; trigger, dates and what it was once set to are left at 0.
+            # Of one device, at byte 98; trigger, dates and earlier settings are left at 0.
             Mid.REQ_CONFIGURATION: own + period.to_bytes(2) + bytes(90) + (1).to_bytes(2) + own + bytes(16),
             Mid.REQ_PRODUCT_CODE: product.ljust(20).encode("ascii"),
             Mid.REQ_FIRMWARE: _FIRMWARE,

@@ -124,7 +124,7 @@ class GyroArray:
 
     def _work_out(self, t_s: Floats) -> None:
         if self._chain is not None and self._chain.remembers and len(self._been_t):
-            self._chain.output(self._been_t, keep=True)  # what was worked out ahead may never have come
+            self._chain.output(self._been_t, keep=True)  # samples computed ahead may never have been used
         self._been_t = np.empty(0)
         self._ahead = self._true_output(t_s, keep=False)
         self._revision = self._body.revision

@@ -114,7 +114,7 @@ class AxisMotion:
             self._segments.append(_Segment(now, here, sign * peak, 0.0))
             now, here = now + flat, here + sign * peak * flat
             now, here, _ = self._ramp(now, here, sign * peak, 0.0, acceleration)
-        self._segments.append(_Segment(now, angle_rad, 0.0, 0.0))  # a servo ends on its target, not beside it
+        self._segments.append(_Segment(now, angle_rad, 0.0, 0.0))  # a servo ends exactly on its target
         self._ends_s = now
 
     def _ramp(

@@ -21,7 +21,7 @@ class GalilAxisTwin:
         self._per_turn = table.data[axis].counts_per_turn
         self._offset = 0
         self._mode = "PA"
-        self._stood = 0  # where the last motion stopped, which PA tells
+        self._stood = 0  # where the last motion stopped, which PA reports
         self._way = 0  # direction of the motion under way
         self._end = galil.AT_TARGET  # stop code when the motion under way has ended
         self._stop_code = galil.AT_TARGET

@@ -38,7 +38,7 @@ class FaultyModbus(FaultyWay[bytes]):
 
     def __init__(self, faults: WireFaults, seed: int | tuple[int, ...]) -> None:
         """Must be made within a running loop."""
-        # A reply is late by what request and reply take: the stock server has no place for two requests at once.
+        # A reply is late by the delays of request and reply: the stock server cannot hold two requests at once.
         both = replace(faults, latency_s=2 * faults.latency_s, jitter_s=2 * faults.jitter_s)
         super().__init__(self._write, both, seed)
         self.server: ModbusTcpServer | None = None
@@ -62,7 +62,7 @@ class FaultyModbus(FaultyWay[bytes]):
 def pull_plug(server: ModbusTcpServer) -> None:
     """Close all connections of a server and have it listen no more, until ``listen`` is called at the same address."""
     for bound in getattr(server.transport, "sockets", ()):
-        server.init_setup_connect_listen(*bound.getsockname()[:2])  # also where any port was asked for
+        server.init_setup_connect_listen(*bound.getsockname()[:2])  # also if any port was requested
     server.close()
 
 
@@ -82,7 +82,7 @@ class DriveRegisters:
             return pdu[:1] + self._carry_out(pdu[0], pdu[1:])
         except Refused as refusal:
             return _exception(pdu, refusal.code)
-        except ValueError:  # what the drive has to say fits no register
+        except ValueError:  # the drive's value fits no register
             return _exception(pdu, ExcCodes.DEVICE_FAILURE)
 
     def _carry_out(self, function: int, data: bytes) -> bytes:
@@ -156,7 +156,7 @@ class ModbusTcp:
                 return
             unit, pdu, self._buffer = self._buffer[6], self._buffer[7:end], self._buffer[end:]
             if protocol:
-                continue  # discarded, says the implementation guide (4.4.2.1)
+                continue  # discarded according to the implementation guide (4.4.2.1)
             drive = self._drives.get(unit)
             reply = drive.answer(pdu) if drive else _exception(pdu, ExcCodes.GATEWAY_NO_RESPONSE)
             self._write(_HEADER.pack(number, 0, len(reply) + 1) + bytes([unit]) + reply)

@@ -26,7 +26,7 @@ from drivers.links.memory_link import MemoryLink
 Write = Callable[[bytes], None]
 _MOST_WAITING = 65536
 _READ = 4096
-_KEPT = 4095  # what Linux keeps of a terminal that nobody reads, and so what goes there at once
+_KEPT = 4095  # bytes that Linux keeps of a terminal that nobody reads, and so sends at once
 _AGAIN_S = 0.001
 
 
@@ -170,14 +170,14 @@ class _PtyEnd:
 
     def _read(self) -> None:
         self._events.poll(0)
-        with suppress(OSError):  # nothing more, or nobody there
+        with suppress(OSError):  # no more bytes, or no reader
             while data := os.read(self._descriptor, _READ):
                 self._received(data)
         self._is_open()
 
     def write(self, data: bytes) -> None:
         self._waiting.extend(data)
-        if self._soon is None:  # what is written at one instant goes out in one piece
+        if self._soon is None:  # bytes written at one instant are sent together
             self._soon = self._loop.call_soon(self._send)
 
     def _send(self) -> None:
@@ -284,7 +284,7 @@ class _Tcp:
         """Release the port, and wait until all connections are gone."""
         self.unplug()
         await asyncio.gather(*self._tasks)
-        self.unplug()  # what had just been put back
+        self.unplug()  # the link that was just put back
 
     def _keep(self, task: asyncio.Task[Any]) -> None:
         self._tasks.add(task)
@@ -295,7 +295,7 @@ class _Tcp:
         # The task is ours: asyncio's own would be reported with a traceback if it were cancelled at the end.
         before, self._client = self._client, writer
         if before is not None:
-            before.transport.abort()  # it may never take what is left for it
+            before.transport.abort()  # it may never read the remaining bytes
             self.hung_up()
         writer.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._keep(asyncio.get_running_loop().create_task(self._serve(reader, writer)))

@@ -120,7 +120,7 @@ class TableReading(OfTable):
         clock at 0.
         """
         first_s, last_s = self.from_s - started_s, self.until_s - started_s
-        at = cache(lambda t_s: float(angles(np.array([t_s]))[0]))  # an axis forgets what has been
+        at = cache(lambda t_s: float(angles(np.array([t_s]))[0]))  # an axis forgets old segments
 
         def shift(t_s: Floats) -> Floats:
             if not (t_s >= first_s).any():
