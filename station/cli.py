@@ -100,7 +100,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     _spell_out()
     parser, typed = make_parser(), sys.argv[1:] if argv is None else list(argv)
     arguments = parser.parse_args(typed)
-    arguments.parser, arguments.typed = parser, typed  # what a shell completes; what a browser's screen is begun with
+    arguments.parser, arguments.typed = parser, typed  # for a shell's completion; for the start of a browser's screen
     # Before any command imports numpy. Matrices here are small: threads of the linear algebra library gain nothing,
     # and on a busy machine they wait for each other for seconds.
     if missing := missing_facility():
@@ -111,7 +111,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     command = "ui" if getattr(arguments, "ui", False) else arguments.command
     try:
         return _carry_out(command, arguments)
-    except BrokenPipeError:  # whoever read stdout is gone
+    except BrokenPipeError:  # the reader of stdout is gone
         sys.stderr.close()
         return EXIT_USAGE
 
@@ -212,7 +212,7 @@ def _number(kind: type[float], fits: Callable[[float], bool], wrong: str) -> Cal
             raise argparse.ArgumentTypeError(wrong)
         return value
 
-    read.__name__ = "whole number" if kind is int else "number"  # what argparse calls it
+    read.__name__ = "whole number" if kind is int else "number"  # the name that argparse prints
     return read
 
 

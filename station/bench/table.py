@@ -113,7 +113,7 @@ def _axis(table: Table, spec: TableSpec, folder: Path) -> AxisSetup:
     low, high = limits["travel_rad"] or (-math.inf, math.inf)
     if not low <= 0 <= high or low == high:
         raise table.fail("travel", 'must go from a negative to a positive angle: ["-90 deg", "90 deg"]')
-    if counts is None:  # where angles are told in degrees, they matter to a twin alone
+    if counts is None:  # where angles are in degrees, they matter to a twin alone
         if spec.proposed_counts:
             raise table.fail(None, "counts_per_turn is missing")
         counts = 3_600_000

@@ -16,7 +16,7 @@ from station.render.progress import Bar
 T = TypeVar("T")
 R = TypeVar("R")
 
-_PLAIN_LINES = 10  # without a terminal: at most so many lines
+_PLAIN_LINES = 10  # without a terminal: the largest number of lines
 
 
 @dataclass(frozen=True, slots=True)

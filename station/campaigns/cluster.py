@@ -46,7 +46,7 @@ def run_on_cluster(
     _check_address(address)
     with ExitStack() as stack:
         stack.callback(logging.disable, logging.root.manager.disable)
-        logging.disable()  # distributed's log: what matters of it comes back as a reason
+        logging.disable()  # distributed's log: important errors come back as a reason
         _check_scheduler(distributed, address)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about versions: each item checks those that matter
@@ -134,7 +134,7 @@ class _Crew:
             return
         try:
             self._threads = sum(self._client.nthreads().values())
-        except Exception as error:  # whatever its network layers raise when the other side is gone
+        except Exception as error:  # its network layers raise anything when the other side is gone
             raise _GoneError(f"the scheduler at {self._address} no longer answers") from error
         self._looked_at = time.monotonic()
         if self._threads:

@@ -40,7 +40,7 @@ def attempt(work: Callable[[T], R], index: int, item: T) -> Ended[R]:
     """Do one item in this process."""
     try:
         return Ended(index, work(item))
-    except Exception as error:  # whatever one item meets must not cost the others
+    except Exception as error:  # an error of one item must not cost the others
         return Ended(index, reason=one_line(error))
 
 
@@ -103,7 +103,7 @@ def _taken(index: int, future: Future[Ended[bytes]]) -> Ended[Any]:
         ended = future.result()
     except ProcessExpired as error:
         return Ended(index, reason=_last_words(error.exitcode), died=True)
-    except Exception as error:  # what could not be handed over
+    except Exception as error:  # results that cannot be pickled
         return Ended(index, reason=one_line(error))
     return ended if ended.value is None else attempt(pickle.loads, index, ended.value)
 
@@ -112,7 +112,7 @@ def _done(packed: bytes, index: int, item: object) -> Ended[bytes]:
     """Do an item in a process of its own; a result that cannot be pickled is a failure of its item, too."""
     try:
         return attempt(lambda item: pickle.dumps(pickle.loads(packed)(item)), index, item)
-    except SystemExit:  # told to leave; its files are closed by now
+    except SystemExit:  # asked to leave; its files are closed by now
         os._exit(1)
 
 
@@ -120,12 +120,12 @@ def _begin() -> None:
     """Prepare a process of the pool: own process group, no Ctrl-C, orderly end on SIGTERM or with the parent,
     plug-ins.
     """
-    # A group of its own: the terminal's Ctrl-C is the parent's to pass on, and what this starts can be ended with it.
+    # A group of its own: the parent passes on the terminal's Ctrl-C, and child processes can be ended with it.
     os.setpgid(0, 0)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that files are closed and subprocesses ended
-    # The first thing at its end: a process that leaves by itself is not to be told to in the middle of that.
+    # The first thing at its end, so that a process that ends by itself is not interrupted in that.
     Finalize(None, signal.signal, args=(signal.SIGTERM, signal.SIG_IGN), exitpriority=_BEFORE_ALL)
     end_with_parent()
     use_effects()

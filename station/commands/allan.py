@@ -22,7 +22,7 @@ from station.schema.quantities import QuantityError, parse
 from station.views.noise import noise_object, warnings_of
 
 _PER_DECADE = 10
-_MOST_UNCERTAIN = 0.5  # above it the square root of the Fisher information says nothing
+_MOST_UNCERTAIN = 0.5  # above it the square root of the Fisher information is meaningless
 
 
 def command_allan(arguments: argparse.Namespace) -> int:

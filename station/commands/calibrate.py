@@ -157,7 +157,7 @@ def estimate(
             return OtherFile(str(error))
         return _without_estimate(read_attributes(Path(name)), error)
     text, plugins = str(recording.attributes.get("bench", "")), recording.attributes.get("plugins", ())
-    # An imported recording carries its mapping in place of a bench; what that rules out has the same keys.
+    # An imported recording carries its mapping in place of a bench, with the same keys for excluded effects.
     declared = text or str(recording.attributes.get("mapping", ""))
     least, excluded = limits or (read_limits(text), read_excluded(declared, plugins))
     excluded = undeclared[0] if undeclared is not None else excluded
@@ -237,7 +237,7 @@ def _print(ends: Sequence[End], *, in_lines: bool, details: bool) -> int:
     if alone and len(judged) > 1:
         tell(rendered("station.render", "compared.txt", {"alone": alone, "judged": len(judged)}).strip())
     worst = max((end.verdict.outcome.exit_code for _, end in judged), default=0)
-    sys.stdout.flush()  # what failed comes last, wherever the two streams lead
+    sys.stdout.flush()  # failures come last, wherever the two streams lead
     failed = [(name, reason) for name, reason in ends if isinstance(reason, str)]
     named = [reason if Path(name).name in reason else f"{name}: {reason}" for name, reason in failed]
     return max([worst, *(printing.refuse(reason, False) for reason in named)])
@@ -288,4 +288,4 @@ def _reasons(verdict: Verdict) -> list[str]:
         first, *others = (line.broken for line in verdict.broken)
         return [*verdict.because, f"{first}, and {len(others)} more limits exceeded" if others else first]
     told = verdict.reason.replace("; but ", "; ").split("; ")
-    return told[1:] if verdict.outcome in _ESTIMATED else told  # what every such run has
+    return told[1:] if verdict.outcome in _ESTIMATED else told  # the first line is that of every such run

@@ -95,10 +95,10 @@ def _run(arguments: argparse.Namespace) -> int:
         if serial and host is None and result.calibration is not None:
             from station.screen.archive.archive import moved
 
-            with suppress(*MISSHAPEN, KeyboardInterrupt):  # the run has ended, whatever becomes of this
+            with suppress(*MISSHAPEN, KeyboardInterrupt):  # the run has ended, whatever fails here
                 print_rendered(stdout(), "station.render", "moved.rich", {"moves": asyncio.run(moved(path))})
     if bench.after_run:
-        sys.stdout.flush()  # the result is told by then, however long the program takes
+        sys.stdout.flush()  # the result is printed by then, however long the program takes
         told = {"bench": bench.station, "script": script.name, "operator": operator, "serial_number": serial}
         if sys.stderr.isatty():
             tell(f"after_run: {bench.after_run[0]} receives the result", sys.stderr)
@@ -165,7 +165,7 @@ def command_twin(arguments: argparse.Namespace) -> int:
 def clock(bench: Bench, scale: float | None) -> asyncio.Runner:
     """Return the runner for loops of one clock; virtual or paced time if every link leads to a twin in memory."""
     if not needs_only_memory(bench):
-        gc.freeze()  # what there is by now stays: looking through it again would hold the loop up for 0.2 s
+        gc.freeze()  # present objects stay: examining them again would delay the loop by 0.2 s
         return asyncio.Runner(loop_factory=partial(ScaledLoop, scale or 1.0))
     return asyncio.Runner(loop_factory=VirtualLoop if scale is None else partial(PacedLoop, scale))
 
@@ -195,7 +195,7 @@ async def drive(
         told = {key: getattr(options, key) for key in ("time_scale", "operator", "device_serial", "manual")}
         await host.begin(session, {**introduction(bench, bench_file, script, path, session.gyros), **told})
         result = await session.run()
-        with suppress(asyncio.CancelledError):  # what was seen of the table is told whatever comes now
+        with suppress(asyncio.CancelledError):  # the table's last state is reported whatever comes now
             await host.end(_run_object(result))
         return result
 

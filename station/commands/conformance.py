@@ -144,7 +144,7 @@ def _counted(heard: Heard) -> str:
 def _undamaged(heard: Heard) -> str:
     """Return what is wrong on a wire that damages bytes: damaged samples accepted, or too few; "" if nothing."""
     for counts, t_s, rate_rps, along in heard.sources():
-        middle_rps = along * _RATE_RPS / 2  # of what the table does
+        middle_rps = along * _RATE_RPS / 2  # of the table's motion
         wild = int((np.abs(rate_rps - middle_rps) > np.abs(middle_rps) + 5 * _LITTLE_RPS).any(axis=1).sum())
         if wild > 1 + 0.01 * (counts.lost + counts.corrupt):
             most_dps = math.degrees(np.nanmax(np.abs(rate_rps)))
@@ -363,7 +363,7 @@ def complaint(
     def overdue(_: int, frame: Any) -> None:
         place = f"({Path(frame.f_code.co_filename).name}, line {frame.f_lineno})"
         late.append(f"it does not return within {within_s:g} s {place}: it must await what it waits for")
-        runner.get_loop().set_exception_handler(lambda *_: None)  # it is told below
+        runner.get_loop().set_exception_handler(lambda *_: None)  # it is reported below
         raise KeyboardInterrupt  # nothing less comes through a driver and the event loop
 
     before = signal.signal(signal.SIGALRM, overdue)
@@ -371,7 +371,7 @@ def complaint(
     try:
         with asyncio.Runner(loop_factory=VirtualLoop) as runner:
             return runner.run(tried())
-    except (Exception, KeyboardInterrupt) as error:  # whatever it does
+    except (Exception, KeyboardInterrupt) as error:  # the driver may raise anything
         if isinstance(error, KeyboardInterrupt) and not late:
             raise
         return late[0] if late else f"it ended with {_told(error)}"
@@ -419,7 +419,7 @@ def command_conformance(arguments: argparse.Namespace) -> int:
     found: list[DeviceSpec] = [spec for kind in kinds for spec in brought if spec.kind == kind.name]
     found += [kind.protocols[name] for kind in kinds if name in kind.protocols]
     if described is not None:
-        gyros = len(load_description(str(described)).channels[0].rates)  # tells what is wrong by file, line and key
+        gyros = len(load_description(str(described)).channels[0].rates)  # gives errors with file, line and key
         if gyros < 3:
             raise UsageError(f"{described} describes {gyros} gyros: a bench needs three or more, in all directions")
         found.append(DESCRIBED)

@@ -51,7 +51,7 @@ def command_export(arguments: argparse.Namespace) -> int:
         text = written.text
         sys.stdout.buffer.write(
             text.encode() if isinstance(text, str) else text
-        )  # whatever the locale: these files are UTF-8
+        )  # regardless of the locale: these files are UTF-8
         sys.stdout.buffer.flush()
     else:
         _print_result(exported, details=arguments.details)

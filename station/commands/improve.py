@@ -42,7 +42,7 @@ NAMES = {"k": (0,), "b": (1,), "sigma": (2, 3), "sigma_j": (2,), "sigma_k": (3,)
 DEFAULT_FILE = "improved.toml"
 _PERIOD_S = 0.05
 _MOST_ROWS = 50_000
-_AFTER_MOVE_S = 0.05  # the sequencer asks whether a move has arrived when it is due, and again so much later
+_AFTER_MOVE_S = 0.05  # the sequencer asks for the arrival when it is due, and again after this time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,7 +166,7 @@ def _wanted(arguments: argparse.Namespace, bench: Bench, script: Script) -> Want
     else:
         plan = make_plan(script, bench, effects=())
         promised = np.array([gyro.prior_sd for gyro in plan.forecast.gyros])
-        sd = np.where(plan.sd > UNSEEN * promised, np.inf, plan.sd)  # what it does not show, it does not reach
+        sd = np.where(plan.sd > UNSEEN * promised, np.inf, plan.sd)  # a state that is not shown is not reached
     sd = np.where(np.isin(np.arange(4), columns), sd * (1 - margin), np.inf)
     if not np.isfinite(sd).any():
         raise UsageError(

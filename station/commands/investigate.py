@@ -32,7 +32,7 @@ from station.scripts.next_script import NextScript, Past, next_script
 from station.views.investigation import investigation_view
 
 _NEXT_FILE = "next-script.toml"
-_MOST_RIVALS = 4  # of what stays unexplained, so many suspects are told apart
+_MOST_RIVALS = 4  # of an unexplained residual, so many suspects are compared
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,7 +30,7 @@ from station.run.session import RunOptions
 from station.scripts.loop_scripts import exploration_script, verification_script
 from station.scripts.script import Script, check, paper_script
 
-_AROUND_S = 10.0  # connecting, homing and coming to rest, beside the script
+_AROUND_S = 10.0  # for connecting, homing and coming to rest
 _LEAST_CHANCE = 0.05  # of settling it: below it table time is wasted
 
 

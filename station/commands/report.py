@@ -24,7 +24,7 @@ def command_report(arguments: argparse.Namespace) -> int:
     """Write a recording's report as HTML and, if asked for, PDF and digital certificate; print the result."""
     html, pdf, dcc = _outputs(arguments)
     keys = [Path(name) for name in (arguments.sign, arguments.certificate) if name]
-    # numpy, h5py and matplotlib are slow to import: what is wrong with the arguments was said before.
+    # numpy, h5py and matplotlib are slow to import: errors in the arguments were reported before.
     from station.exports.exported import raw_sha256
     from station.render.printing import next_after_report
     from station.report.dcc import check_facts, make_dcc, read_key, sign
@@ -154,7 +154,7 @@ def _outputs(arguments: argparse.Namespace) -> tuple[Path, Path | None, Path | N
         raise UsageError("--sign KEY.pem goes with --certificate CERTIFICATE.pem and --dcc")
     if arguments.output is None:
         wanted = [".pdf"] * arguments.pdf + [".xml"] * arguments.dcc
-        recording = Path(arguments.recording)  # that a folder is none is told when it is read
+        recording = Path(arguments.recording)  # a folder is reported when it is read
         html = free_path(recording.parent / f"{recording.stem}.html", beside=wanted)
         pdf = html.with_suffix(".pdf") if arguments.pdf else None
     else:

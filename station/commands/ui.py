@@ -20,7 +20,7 @@ _DEFECT = 1
 
 def command_ui(arguments: argparse.Namespace) -> int:
     """Show the screen until the operator leaves it, or serve it with --web; UsageError if no terminal can show it."""
-    if "TEXTUAL_DRIVER" not in os.environ:  # else somebody else draws: the server of --web
+    if "TEXTUAL_DRIVER" not in os.environ:  # otherwise another program draws: the server of --web
         if getattr(arguments, "web", None) is not None:
             from station.screen.web import serve
 
@@ -43,7 +43,7 @@ def _check_terminal() -> None:
 
 def _show(arguments: argparse.Namespace) -> int:
     """Run the screen; return 0. UsageError, naming a file with the details, if it ended because of a defect."""
-    gc.disable()  # until the app is there: nothing of what is loaded is garbage, and looking costs a fifth of the start
+    gc.disable()  # until the app runs: no loaded object is garbage, and examining them costs a fifth of the start
     from rich.console import Console
 
     from station.screen.app import StationApp

@@ -143,7 +143,7 @@ def _identity(path: Path, recording: Recording, gyros: Sequence[GyroCalibration]
         "recording": path.name,
         "sha256 of the recording": file_sha256(path),
     }
-    # A line each: what a file says of itself must not end the comment that it stands in.
+    # One line each: texts of a file must not end the comment in which they stand.
     return {key: " ".join(str(value).split()) for key, value in named.items() if value}
 
 

@@ -21,7 +21,7 @@ LISTEN_S = 2.0
 _OPEN_S = 5.0
 _READINGS = 10
 _OTHERS_S = 1.0  # in which another master that commands an enabled table is seen to do so
-_LOOKS = (0.07, 0.11, 0.19, 0.23, 0.4)  # parts of it between two looks at what drives were told
+_LOOKS = (0.07, 0.11, 0.19, 0.23, 0.4)  # fractions of it between two readings of drives' commands
 _RATE_OFF = 0.02
 _LEAST_PERIOD_S = 1e-5
 _LOOK_AT_TABLE = "Do protocol, link, baud rate, parity and axis addresses match the controller?"
@@ -135,7 +135,7 @@ def _heard(check: DeviceCheck, look_at: str) -> Iterator[None]:
         check.wrong += [error.message, look_at]
     except DeviceError as error:
         check.wrong.append(error.message)
-    except Exception as error:  # a driver of somebody else's
+    except Exception as error:  # a driver from outside
         check.wrong.append(f"its driver failed ({type(error).__name__}: {error}); `station conformance` tests drivers")
 
 

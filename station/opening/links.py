@@ -17,7 +17,7 @@ _HERE = re.compile(r"//(?:127\.|localhost|\[::1\])|/dev/pts/|udp_multicast|can:v
 _BYTE_LINKS = "write serial:///dev/ttyUSB0?baud=921600, tcp://host:port, rfc2217://host:port, or twin:"
 _SERIAL_OPTIONS = {"baud", "parity", "stop_bits"}
 _TCP_LIMIT_S = 2.0
-_LEAST_GATHER_S = 0.002  # less saves nothing; more, in scaled time, would be more than what a pty holds
+_LEAST_GATHER_S = 0.002  # less saves nothing; more, in scaled time, would exceed the buffer of a pty
 
 
 def driver_link(spec: DeviceSpec, link: str, device: str, time_scale: float = 1.0, *, gather_s: float = 0.0) -> Any:

@@ -65,7 +65,7 @@ class Reopening:
         async def seen() -> None:
             try:
                 await self.identify(name, lost)
-            except BadReply as error:  # what a plug leaves on a wire that is put back
+            except BadReply as error:  # bytes left on a wire that was plugged in again
                 raise LinkLost(error.device, error.message) from None
 
         tries = asyncio.get_running_loop().create_task(reopen(lost, limits, seen=seen))

@@ -101,12 +101,12 @@ class Serving:
             return await self._slcan(imu)
         if wire == "socketcand":
             return await self._socketcand(imu)
-        # A port of its own, so that two stations on one machine do not hear each other's arrays.
+        # A port of its own, so that two stations on one machine do not receive each other's arrays.
         link = f"can:udp_multicast:{_MULTICAST}?port={_free_port()}&hop_limit=0" if wire == "udp_multicast" else wire
         interface, channel, options = can_address(link, imu.name)
         try:
             bus = can.Bus(channel, interface, **options)
-        except Exception as error:  # interfaces raise what their vendors' libraries raise
+        except Exception as error:  # interfaces raise any exception of their vendors' libraries
             raise DeviceError(f"{imu.name} twin", f"cannot open {link} ({error})") from None
         self._stack.callback(bus.shutdown)
         node = self._twins.bus_device(imu, partial(_Node, bus))

@@ -306,6 +306,6 @@ def truth_of(truths: Table, imu: ImuConfig) -> GyroTruth:
 def mounting_of(imu: ImuConfig) -> Mounting:
     if imu.array_name in MOUNTS_DEG:
         return mounted(MOUNTS_DEG[imu.array_name])
-    # Explicit axes are what the bench file says, for the twin as for the estimator.
+    # Explicit axes are those of the bench file, for the twin as for the estimator.
     explicit = Mounting(imu.array.p, imu.array.j, imu.array.k)
     return explicit if imu.array_name == "explicit" else along(imu.array.p.tolist())

@@ -160,7 +160,7 @@ class RemoteSession:
         try:
             with self._transport.get_extra_info("socket").dup() as line:
                 return bool(line.send(_STOP) == len(_STOP))
-        except OSError:  # the session is gone, or takes nothing any more
+        except OSError:  # the session is gone, or reads no more
             return False
 
     def pause(self) -> None:
@@ -211,7 +211,7 @@ class _Inbox(asyncio.Protocol):
     def data_received(self, data: bytes) -> None:
         *lines, self._part = (self._part + data).split(b"\n")
         for line in lines:
-            with suppress(ValueError, RecursionError):  # what is no JSON is none of ours
+            with suppress(ValueError, RecursionError):  # texts that are not JSON are not from a session
                 self._take(json.loads(line))
         self._new.set()
 

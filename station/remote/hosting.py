@@ -38,9 +38,9 @@ _MOST_CLIENTS = 20
 _LONGEST_LINE = 4096
 _LINES_AT_ONCE = 16  # then others have their turn
 _BREATH_S = 0.05
-_SEND_BYTES = 32768  # in the system's hands: what is there cannot be made newer any more
+_SEND_BYTES = 32768  # in the system's buffer, where data cannot be replaced by newer ones
 _EVENT_BYTES = 16384
-_COURSE_EVERY = 10  # looks: a point a second
+_COURSE_EVERY = 10  # snapshots: a point a second
 _MOST_POINTS = 300
 _DIGITS = 6
 
@@ -83,7 +83,7 @@ class Host:
         self._run = run
         self._hello = _line("hello", {"version": VERSION, "pid": os.getpid(), **hello})
         await self._server.start_serving()
-        self._hidden.rename(self._path)  # a socket that is seen is listened to: whoever finds one deaf removes it
+        self._hidden.rename(self._path)  # a visible socket has a listener: clients remove one that does not answer
         self._showing = asyncio.get_running_loop().create_task(self._show())
 
     def tell(self, t_s: float, kind: EventKind, text: str) -> None:

@@ -17,7 +17,7 @@ from station.views.figures import FINDING_STYLES
 from station.views.investigation import InvestigationView, investigation_view
 from station.views.json_values import named
 
-if TYPE_CHECKING:  # a loop is what runs: with it come drivers, twins and servers, half a second
+if TYPE_CHECKING:  # importing a loop also imports drivers, twins and servers, half a second
     from station.run.closed_loop import Loop, Round
 
 _LEAST_SHOWN = 0.005  # suspects less probable than this are one line together

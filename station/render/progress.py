@@ -14,7 +14,7 @@ _REFRESH_S = 0.1  # of the wall's clock: a person watches, however fast the loop
 
 
 def _green_bar() -> BarColumn:
-    return BarColumn(complete_style="green", finished_style="green")  # red, as rich has it, is what goes wrong
+    return BarColumn(complete_style="green", finished_style="green")  # red, rich's default, is for errors
 
 
 class Bar(Progress):

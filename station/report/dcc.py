@@ -79,7 +79,7 @@ def sign(xml: bytes, key: Path, certificate: Path) -> bytes:
     signer = XAdESSigner(signature_algorithm=method, data_object_format=described)
     signed = signer.sign(etree.fromstring(xml, _PARSER), key=private, cert=pem)
     text = bytes(etree.tostring(signed, xml_declaration=True, encoding="UTF-8"))
-    # What stands before the root, the stylesheet for browsers, is no part of what is signed.
+    # The stylesheet for browsers, before the root, is not signed.
     stylesheet = re.search(rb"<\?xml-stylesheet[^>]*\?>", xml)
     if stylesheet:
         declaration, _, rest = text.partition(b"?>\n")

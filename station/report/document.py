@@ -95,7 +95,7 @@ def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Re
     }
     with laid_out(recorded.path, "its content or its investigation cannot be reported ({})"):
         html = rendered("station.report", "report.html", _MADE_OF | values)
-    # Names and texts of recordings, sources and files: whatever they hold, the document steers and reverses nothing.
+    # Names and texts of recordings, sources and files must not change the document's structure or direction.
     return Report(
         html=harmless(html), standing=standing, number=number, hashes=hashes, before=before, not_seen=not_seen
     )

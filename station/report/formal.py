@@ -85,7 +85,7 @@ class Formal:
     def approved(self) -> bool:
         """Whether it is approved as the bench requires."""
         said = (normalize("NFKC", who or "").casefold() for who in (self.certificate_approved_by, self.operator))
-        by, made = ("".join(filter(str.isalpha, who)) for who in said)  # whatever is between and around the letters
+        by, made = ("".join(filter(str.isalpha, who)) for who in said)  # only the letters are compared
         return not self.approved_by_another or by not in ("", made)
 
 
@@ -111,7 +111,9 @@ def read_formal(recorded: Recorded, meta: Path | None = None, text: str | None =
     stated = dict(_facts(bench, beside)) | own
     if logo := stated.get("laboratory_logo"):
         if meta in (None, kept) or "laboratory_logo" not in own:
-            stated["laboratory_logo"] = logo = beside / logo.name  # no other file of this computer, whoever made these
+            stated["laboratory_logo"] = logo = (
+                beside / logo.name
+            )  # no other file of this computer, as others may have made these files
         logo_of(logo)
     serial, begun = recorded.text("device_serial"), recorded.begun_utc
     if serial and stated.setdefault("item_serial_number", serial) != serial:

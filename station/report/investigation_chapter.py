@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from h5py import Group
 
 
-ALL = "all gyros"  # under this name an error model keeps what was found of a shared effect
+ALL = "all gyros"  # under this name an error model keeps the values of a shared effect
 
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)

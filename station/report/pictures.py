@@ -332,7 +332,7 @@ def _drawn(
     from matplotlib.figure import Figure
 
     with mpl.rc_context():
-        mpl.rcdefaults()  # not what a matplotlibrc in the working folder says
+        mpl.rcdefaults()  # not those of a matplotlibrc in the working folder
         mpl.rc_file(_STYLE)
         figure = Figure(figsize=size)
         wide, high = size[0] - left - _RIGHT_IN, size[1] - bottom - top

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from h5py import Group
 
 
-_NOTE = "note: "  # what a session writes before a note
+_NOTE = "note: "  # written by a session before a note
 _MAY_LACK_ESTIMATE = (Outcome.MANUAL, Outcome.FAIL, Outcome.ABORTED, Outcome.FAULT)
 
 
@@ -190,7 +190,7 @@ def laid_out(path: Path, message: str) -> Iterator[None]:
         yield
     except (EstimatorError, UsageError):
         raise
-    except Exception as error:  # jinja has errors of its own for what is not there
+    except Exception as error:  # jinja has errors of its own for missing values
         raise RecordingError(f"{path}: {message.format(first_line(error))}") from None
 
 

@@ -33,15 +33,15 @@ from station.run.snapshot import EventKind, Phase
 from station.run.table_watch import TableRow
 from station.views.json_values import named
 
-_JOURNAL_S = 0.006  # what a killed station loses, at most, beyond what was on its way
-_LOOK_S = 0.2  # between looks at counts, which go into the journal
+_JOURNAL_S = 0.006  # the most that a killed station loses, besides data on their way
+_LOOK_S = 0.2  # between readings of counts, which go into the journal
 _FLUSH_S = 2.0
 _HISTORY_BLOCKS = 50  # of the live filter, which are written together
 _SLOW_S = 0.02  # of the table, after which its answers may be why a run fails
 _FIRST_SAMPLE_S = 3.0
 _SILENCE_S = 1.0
 _LOST_WHILE_READIED = 5  # times that a link may be lost while its device is readied
-_TIMED_S, _SIGMAS = 0.0005, 4.0  # an offset that is told lies beyond both
+_TIMED_S, _SIGMAS = 0.0005, 4.0  # a reported offset exceeds both
 
 
 @dataclass(frozen=True, slots=True)
@@ -298,7 +298,7 @@ class Acquisition:
         limit_s = _SILENCE_S * self._scale
         while True:
             if await self._slept_late(limit_s / 4):
-                continue  # what came meanwhile is still to be taken in
+                continue  # samples that came meanwhile are still to be processed
             now = asyncio.get_running_loop().time()
             silent = [
                 name
@@ -405,7 +405,7 @@ class Acquisition:
             if whole:
                 await self._reopening.ask_at_end(device.name, device.driver)
         if whole:
-            with suppress(EstimatorError):  # which the batch estimate tells
+            with suppress(EstimatorError):  # the batch estimate reports it
                 self.live.finish()
         self._take_histories(1)
         if counts := self.monitor.link_counts().get("table"):

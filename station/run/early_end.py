@@ -21,9 +21,9 @@ from station.run.live import LiveEstimate
 
 _LOOK_EVERY_S = 1.0
 _CONFIRM_EVERY_S = 5.0  # an estimate under coloured noise takes a host a third of a second
-_ENOUGH = 0.9  # of a limit: the samples of the last seconds may raise what is found of the noise
+_ENOUGH = 0.9  # of a limit: the samples of the last seconds may raise the estimated noise
 _NO_STAMPS = np.empty(0, dtype=np.int64)
-_IN_A_ROW = 2  # so many confirmations: an estimate that is looked at often dips below its limit by chance
+_IN_A_ROW = 2  # so many confirmations: a repeated estimate often falls below its limit by chance
 
 
 def check_early_end(bench: Bench) -> None:

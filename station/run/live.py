@@ -14,7 +14,7 @@ from estimator.recordings.reference import BodyRates, TableReadings, TableUncert
 from station.run.table_watch import TableRow
 
 _ROWS_AT_ONCE = 20  # table readings are taken in by handfuls: a second at 20 Hz
-_FEWEST_PAIRS = 20  # of blocks, for a correlation that says anything
+_FEWEST_PAIRS = 20  # of blocks, for a meaningful correlation
 _HELD_NS = 60_000_000_000  # of body rates, for samples that come late
 
 

@@ -63,7 +63,7 @@ class Beside:
             return work()
         except MemoryError:
             raise
-        except Exception as error:  # whatever a driver, a plug-in or the station itself has wrong
+        except Exception as error:  # drivers, plug-ins and the station itself may fail in any way
             self.failed(what, error)
             return otherwise
 

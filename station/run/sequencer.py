@@ -16,7 +16,7 @@ from station.scripts.script import Script, check_turn
 from station.scripts.steps.kind import Span, Turn, total
 from station.views.figures import seconds_between
 
-WATCH_S = 0.05  # how often arrival is asked for, from this long before it is due
+WATCH_S = 0.05  # how often arrival is checked, from this long before it is due
 OVERDUE_S = 5.0
 ON_TARGET_RAD = math.radians(0.05)
 _PAUSE = "pause"
@@ -53,7 +53,7 @@ class Sequencer:
         self._turn: Turn | None = None
         """The turn under way."""
         self._turn_began_s = 0.0
-        self._sent_s = math.inf  # when the table had been told of it
+        self._sent_s = math.inf  # when the table had got the command
         self.paused = ""
         """Empty, AFTER_THIS_STEP or PAUSED."""
         self._resumed = asyncio.Event()
@@ -226,7 +226,7 @@ class Sequencer:
         self._sent_s = loop.time()
         await asyncio.sleep(max(due_s - WATCH_S - loop.time(), 0.0))
         while not (await self._table.status(axis)).target_reached:
-            # A slow line takes long to tell.
+            # A slow line needs long to report it.
             if loop.time() > due_s + (self._sent_s - self._turn_began_s) + OVERDUE_S:
                 raise self._overdue(turn, (await self._table.read(axis)).angle_rad)
             await asyncio.sleep(WATCH_S)

@@ -45,7 +45,7 @@ from station.scripts.script import Script
 _log = logging.getLogger(__name__)
 
 _STOP_LIMIT_S = 15.0
-_MOST_INTERRUPTIONS = 10  # of the way out, which is gone again after each
+_MOST_INTERRUPTIONS = 10  # of the way to rest, which is continued after each
 _UNFINISHED = "the run did not end: the station stopped without closing the file"
 _NOTE = "note: "
 _TERMINAL_GONE = "the terminal is gone (SIGHUP): the run continues"
@@ -160,7 +160,7 @@ class Session:
         safe = self._rested or not self._connected
         look = sentence("run.unended") if safe else sentence("run.unended_in_motion")
         verdict = replace(verdict, reason=f"{verdict.reason}; {look}")
-        with suppress(Exception):  # one of these may be what failed
+        with suppress(Exception):  # one of these may be the part that failed
             self._writer.close()
             write_attributes(self._writer.path, {"outcome": str(verdict.outcome), "reason": verdict.reason})
         return Result(
@@ -262,7 +262,7 @@ class Session:
                 self._check_serial(imu.config.name, (await acquisition.open(imu)).serial)
                 services.append(serve(group, acquisition.acquire(imu)))
             await acquisition.open_others()
-            await table.open()  # the last: what is not there is known before the table is touched
+            await table.open()  # the last: missing devices are known before the table is touched
             await first_look(table, take_over=self._options.reset_fault)
             self._connected = True  # from here on it is ours to stop
             await self._guard.arm()
@@ -378,7 +378,7 @@ class Session:
         if verdict is None:
             self._monitor.phase = Phase.ESTIMATING
             try:
-                # In a thread: who looks on is not to think that the session hangs.
+                # In a thread, so that the session does not seem to hang.
                 about = (self._writer.path, self._live, self._model, self._bench.excluded, dict(acquisition.reports))
                 work = partial(final_estimate, *about)
                 found = await asyncio.get_running_loop().run_in_executor(None, work)

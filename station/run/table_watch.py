@@ -15,9 +15,9 @@ from drivers.types import AxisState, Floats
 from station.run.sequencer import Sequencer
 from station.run.uncommanded import MotionGuard, check_axes
 
-_STATUS_EVERY = 5  # condition is asked for in every so many-th reading
-_STATUS_AT_LATEST_S = 0.6  # and on a slow link before a drive stops that hears nothing
-_IDLE_S = 0.4  # so often each axis is looked at that has not been told to turn: it may do so by itself
+_STATUS_EVERY = 5  # the condition is read with every so many-th reading
+_STATUS_AT_LATEST_S = 0.6  # and on a slow link before a drive stops for lack of messages
+_IDLE_S = 0.4  # so often each axis without a command is read: it may turn by itself
 _KEPT = 5  # readings before that a mean rate is judged by
 _WELL_NS = 1e6  # to which an instant needs to be known
 
@@ -94,7 +94,7 @@ class Aligner:
             times = np.array([r.rate_t_ns + r.rate_window_ns // 2 - at_ns for r in own], dtype=np.float64)
             series = np.array([r.rate_rps for r in own])
             if state.rate_window_ns:
-                # What is known much worse than this reading is not asked.
+                # Instants known much worse than this reading's are not used.
                 known = np.array([r.half_width_ns <= 2 * state.half_width_ns + _WELL_NS for r in own])
                 known[index + 2 :] = False
                 rates[column] = _smooth(times[known], series[known])
@@ -108,7 +108,7 @@ class Aligner:
 
 def _smooth(times_ns: Floats, rates: Floats) -> float:
     """Return the rate at time 0, or at the nearest end, by the cubic through the last four readings (Lagrange)."""
-    apart = np.diff(times_ns, append=np.inf) > _WELL_NS  # what is nearer tells the same
+    apart = np.diff(times_ns, append=np.inf) > _WELL_NS  # nearer instants are equivalent
     times, series = times_ns[apart][-4:], rates[apart][-4:]
     at, between = min(max(0.0, times[0]), times[-1]) - times, np.subtract.outer(times, times)
     np.fill_diagonal(between, 1.0)
@@ -143,7 +143,7 @@ async def watch_table(
     counter = itertools.count()
     checked_s, read_s = dict.fromkeys(axes, due_s), dict.fromkeys(axes, due_s)
     turned: set[str] = set()
-    broken_off = False  # in the middle of taking a row in: what takes them is not asked again, and blames nobody
+    broken_off = False  # interrupted while a row is recorded: the recorder is not called again
 
     def give(rows: list[TableRow]) -> None:
         nonlocal broken_off
@@ -164,7 +164,7 @@ async def watch_table(
         if oldest is not None and (not busy or loop.time() - read_s[oldest] >= _IDLE_S):
             busy.append(oldest)
         read_s.update(dict.fromkeys(busy, loop.time()))
-        # An angle may be of before the stop that the rate is of: read once more.
+        # The angle may be from before the stop, and the rate from after it: read once more.
         turned.clear()
         turned.update(axis for axis in busy if states[axis].rate_rps != 0.0)
         states.update({axis: await table.read(axis) for axis in busy})

@@ -12,10 +12,10 @@ from drivers.protocols import Turntable
 from drivers.types import AxisLimits, AxisState
 from station.errors import sentence
 
-_ANGLE_RAD = math.radians(0.1)  # twice of what an axis may be off where a step ends
+_ANGLE_RAD = math.radians(0.1)  # twice the allowed error of an axis at the end of a step
 _RATE_RPS = math.radians(1.0)
 _RATE_SHARE = 1.1
-_LATE_S = 0.25  # that a controller may carry on with a rate it was told to leave
+_LATE_S = 0.25  # for which a controller may continue with a rate after a stop
 _SIGMAS = 6.0  # of the rate that a standing axis reports
 _FORGET = 0.05
 _LOOKS, _AGAIN_S = 3, 0.02
@@ -24,10 +24,10 @@ _HOMING_LOOK_S = 0.1
 AT_REST_S = 1.5
 """Time from when readings stop to tell the truth to when the axis is to stand."""
 _SEEN_S = 0.25  # of that: readings are taken again, the fault is raised, the stop is sent
-_SHORTEST_WINDOW_S = 0.2  # controllers and gateways may tell the same reading twice
+_SHORTEST_WINDOW_S = 0.2  # controllers and gateways may repeat a reading
 _LATEST_START_S = 0.3  # that a drive may take to begin a motion, at least
-_STANDS = 0.5  # share of the way that was asked for, below which an axis stands
-_RATE_OFF = 0.25  # share of a steady rate by which all readings of it may differ from what the position tells
+_STANDS = 0.5  # share of the commanded way, below which an axis stands
+_RATE_OFF = 0.25  # share of a steady rate by which all its readings may differ from the positions
 _COUNTS = 2  # that a difference of two readings may be off
 
 
@@ -99,7 +99,7 @@ class MotionGuard:
             await asyncio.sleep(_AGAIN_S)
             state = await self._table.read(axis)
         if untrue := self._untrue(axis, state):
-            await check_axes(self._table, (axis,))  # an axis that has tripped stands, and says why
+            await check_axes(self._table, (axis,))  # an axis that has tripped stands, and has a reason
             raise UntrueReadings("table", untrue)
         if not self._off(axis, state):
             return
@@ -121,7 +121,7 @@ class MotionGuard:
         count.
         """
         told = self._commanded(axis)
-        # A mean rate says something of this command only if all that it is the mean of came after it.
+        # A mean rate is evidence on this command only if its whole interval came after it.
         if state.rate_t_ns - state.rate_window_ns // 2 >= told.since_s * 1e9:
             noise_rps = math.sqrt(self._noise_rps2[axis])
             if abs(state.rate_rps) > _RATE_SHARE * told.rate_rps + _RATE_RPS + _SIGMAS * noise_rps:

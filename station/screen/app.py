@@ -82,7 +82,7 @@ class StationApp(App[None]):
             self.DEFAULT_MODE = "run"
         super().__init__()
         self.remembered: Remembered = load_remembered()
-        self.register_theme(Theme(**packaged_toml("station.screen", "themes.toml")))  # beside those of textual
+        self.register_theme(Theme(**packaged_toml("station.screen", "themes.toml")))  # in addition to those of textual
         self.theme = self.remembered.theme if self.remembered.theme in self.available_themes else self.theme
         entered = {key: getattr(choices, key) or getattr(self.remembered, key) for key in REMEMBERED}
         self.choices = replace(choices, **entered)
@@ -161,7 +161,7 @@ class StationApp(App[None]):
         if sockets:
             run = LiveRun()
             run.ask_to_stop()
-            self._follow(run, socket=sockets[0])  # which tells it, and shows how it comes to rest
+            self._follow(run, socket=sockets[0])  # which sends STOP, and shows how it comes to rest
             await asyncio.gather(*map(stop_session, sockets[1:]))
             self.notify(f"{len(sockets)} told to stop", title="STOP", severity="warning")
 
@@ -361,7 +361,7 @@ class StationApp(App[None]):
         self.shown = run
         self._link = SessionLink(run, process=process, socket=socket)
         self.switch_mode("run")
-        # What is there by now stays: without looking it through again and again nothing holds STOP up for long.
+        # Present objects stay: without examining them again and again nothing delays STOP for long.
         self.set_timer(_SETTLED_S, gc.freeze)
         self.work(partial(self._link.follow, self._changed), "session")
 
@@ -416,7 +416,7 @@ class StationApp(App[None]):
             if below is not None and (run is None or run.settled):
                 said = below.said_of_recording
                 if run is not None and not below.shows(run.recording):
-                    run = None  # what has ended is not what is looked at
+                    run = None  # a run that has ended is not shown
             for bar in (bar for screen in self.screen_stack for bar in screen.query(StopBar)):
                 bar.show(run, self.others, said)
             if below is not None and below.small:
@@ -441,7 +441,7 @@ def _hung_up(stream: TextIO | None) -> bool:
     poll = select.poll()
     try:
         if stream is not None:
-            poll.register(stream, 0)  # for what is told unasked: gone, broken, closed
+            poll.register(stream, 0)  # for events that are always reported: gone, broken, closed
     except (OSError, ValueError):
         return True
     return bool(poll.poll(0))

@@ -22,7 +22,7 @@ def keys_of(kind: type) -> list[Binding]:
     tables = [base.__dict__.get("BINDINGS", ()) for base in kind.__mro__ if base.__module__.startswith("station.")]
     found: dict[str, Binding] = {}
     for key in Binding.make_bindings(key for table in tables for key in table):
-        found.setdefault(key.key, key)  # a base comes after what overrides it
+        found.setdefault(key.key, key)  # base classes come after the classes that override them
     return [key for key in found.values() if key.description]
 
 

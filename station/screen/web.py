@@ -69,7 +69,7 @@ def serve(port: int, words: Sequence[str]) -> int:
     except OSError as error:
         raise UsageError(f"port {port} is not available ({error.strerror}). Choose another with --web") from None
     port = listening.getsockname()[1]
-    # Whoever can press keys here can turn the table: pages of other sites and other users do not know the key.
+    # Keys pressed here can turn the table: pages of other sites and other users do not know the key.
     # No cookie holds it: a browser shows cookies to the servers of all ports.
     key = secrets.token_urlsafe(16)
     path = f"/{key}"

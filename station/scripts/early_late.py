@@ -15,7 +15,7 @@ from station.scripts.steps.rest import Rest
 END_REST_S = 10.0
 """Longest rest that is left at either end: until the first turn and after the last one nothing is proved."""
 _LEAST_REST_S = 1.0  # in the middle
-_LEAST_SHARE = 0.2  # of the rests between steps that must be left beside moves
+_LEAST_SHARE = 0.2  # of the rests between steps that must remain between moves
 _PERIOD_S = 0.1
 _HOME_RAD = math.radians(0.01)
 

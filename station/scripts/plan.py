@@ -20,7 +20,7 @@ TEMPERATURE_RISE_K = 8.0
 WARMING_TIME_S = 1200.0
 """Time constant of the assumed warming: of a table's chamber and its electronics, over after an hour."""
 _PERIOD_S = 0.05
-_MOST_ROWS = 72_000  # an hour of them; longer scripts are looked at in coarser steps
+_MOST_ROWS = 72_000  # an hour of them; longer scripts use coarser steps
 
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)

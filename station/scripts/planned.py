@@ -83,7 +83,7 @@ def _trapezoid(since_s: Floats, turn: Turn) -> tuple[Floats, Floats, Floats]:
     since, left = np.maximum(since_s, 0.0), np.maximum(end_s - since_s, 0.0)
     up, down = since < np.minimum(ramp_s, end_s / 2), left < np.minimum(ramp_s, end_s / 2)
     sign = math.copysign(1.0, way_rad)
-    # From whichever end is nearer: the last ramp then ends on the target, whatever the sum of the digits.
+    # From the nearer end: the last ramp then ends on the target, in spite of rounding.
     way = np.where(
         up, 0.5 * limit * since**2, np.where(down, abs(way_rad) - 0.5 * limit * left**2, peak * (since - 0.5 * ramp_s))
     )

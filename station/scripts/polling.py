@@ -4,7 +4,7 @@ from station.errors import sentence
 from station.scripts.script import Script
 
 _READINGS_A_RAMP = 20
-_FEWEST = 3  # readings that tell a ramp's slope
+_FEWEST = 3  # readings needed for a ramp's slope
 MARGIN_S = 0.1
 """By which a ramp may come earlier or later than it is planned."""
 

@@ -26,7 +26,7 @@ from station.scripts.steps.rotate import Rotate
 
 _RAMP_SHARE = 0.4  # of a short turn, for each ramp: a part of every turn is at a steady rate
 _SHORTEST_TURN_S = 1.0
-_TIME_STEP_S = 0.01  # to which times are rounded: what a person would write
+_TIME_STEP_S = 0.01  # to which times are rounded, as a person would write
 _PARALLEL = 1 - 1e-9
 
 

@@ -21,12 +21,12 @@ LONGEST_S = 2 * 3600.0
 """No script longer than this is looked for."""
 _MOST_WAYS = 3  # as many directions span every body rate
 _CYCLES = (1, 2, 3, 4, 6, 8)
-_KEPT = 3  # shapes that are looked at under all of the noise
+_KEPT = 3  # shapes that are computed under all of the noise
 _ROUNDS = 10
 _AGREED = 0.002  # share of a sigma to which steering and prediction agree
 _WORTH = 0.005  # share of time or sigma that something more complicated must save
 _MISSED = 1e-4  # share by which a limit may be missed in a step; the rounds that follow take it away
-_NEAR = 0.05  # shapes this much dearer under white noise are not looked at further
+_NEAR = 0.05  # shapes this much worse under white noise are not considered further
 _COARSE_S = 0.01
 _EASE = math.sqrt(0.5)
 _QUARTER, _EIGHTH = math.pi / 2, math.pi / 4

@@ -28,9 +28,9 @@ from station.scripts.steps.rotate import Rotate
 from station.views.figures import human
 
 _PERIOD_S = 0.1
-_MOST_ROWS = 36_000  # an hour of them; longer runs are looked at in coarser steps
+_MOST_ROWS = 36_000  # an hour of them; longer runs use coarser steps
 _PLATEAU = 0.9  # of the largest rate: above it an axis is taken to be at its steady rate
-_FINEST_DEG = 0.01  # to which rates and turns of a script are told from the readings of the table
+_FINEST_DEG = 0.01  # resolution to which rates and turns of a script are derived from the table's readings
 _SHORTEST_RAMP_S = 0.05
 
 
@@ -111,10 +111,10 @@ def driven_step(table: TableReadings, step: Step) -> Driven:
     steady = np.abs(rate[:, column]) > _PLATEAU * largest
     peak = abs(_rounded(float(np.median(rate[steady, column]))))
     turn = _rounded(float(angle[-1, column] - angle[0, column]))
-    # Of a trapezoid, the integrals of the rate and of its square tell the length of a ramp.
+    # For a trapezoid, the integrals of the rate and of its square give the length of a ramp.
     square = float(np.trapezoid(rate[:, column] ** 2, t_s))
     if not peak or not turn:
-        return Driven(rest=Rest(duration_s, step.label))  # there and back, or read too seldom to say
+        return Driven(rest=Rest(duration_s, step.label))  # there and back, or read too seldom to decide
     way_s = abs(turn) / peak
     ramp_s = min(max(3 * (way_s - square / peak**2), _SHORTEST_RAMP_S), 0.999 * way_s)
     moving_s = way_s + ramp_s

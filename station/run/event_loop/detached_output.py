@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, TextIO, cast
 
-_MOST_WAITING = 1 << 16  # characters; what comes while so many wait is dropped
+_MOST_WAITING = 1 << 16  # characters; further text is dropped while so many wait
 _LAST_WORDS_S = 1.0
 
 
@@ -77,7 +77,7 @@ class _PatientStream:
         """Write queued texts until an empty one comes; a far end that is gone is ignored."""
         errors = self._stream.errors or "replace"
         while text := self._texts.get():
-            with suppress(OSError):  # its far end is gone
+            with suppress(OSError):  # its reader is gone
                 data = memoryview(text.encode(self._stream.encoding, errors))
                 while data:
                     data = data[os.write(self._descriptor, data) :]

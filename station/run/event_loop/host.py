@@ -10,9 +10,9 @@ from station.run.event_loop.loops import PacedLoop
 
 _LATE_S = 0.03  # of the wall, after which a late computer may be why a run fails
 _BEHIND_S = 0.1  # the shortest time that a driver waits for an answer
-_RECENT_S = 2.0  # of the wall: what was late before has no part in a fault
+_RECENT_S = 2.0  # of real time: earlier delays are not related to a fault
 _CROWDED = 0.8  # share of the time in which some program waited for a processor
-_TOLD_S, _TOLD_SHARE = 1.0, 0.1  # for which a paced clock has waited, of the wall, before it is told
+_TOLD_S, _TOLD_SHARE = 1.0, 0.1  # real time by which a paced clock has waited before it is reported
 _PRESSURE = Path("/proc/pressure/cpu")
 _HELP = "close other programs or lower --scale"
 
@@ -48,7 +48,7 @@ class HostWatch:
     def look(self) -> None:
         """Measure how crowded the processors are."""
         now_s = asyncio.get_running_loop().time()
-        with suppress(OSError, ValueError, IndexError):  # not every system tells it
+        with suppress(OSError, ValueError, IndexError):  # not every system reports it
             waited_s = float(_PRESSURE.read_text(encoding="ascii").split("\n", 1)[0].rpartition("total=")[2]) * 1e-6
             self._pressure.append((now_s, waited_s))
             self._forget(self._pressure, now_s)

@@ -155,7 +155,7 @@ def run_to_end(runner: asyncio.Runner, work: Coroutine[Any, Any, T]) -> T:
     try:
         loop = runner.get_loop()
     except BaseException:
-        work.close()  # nobody else will await it
+        work.close()  # never awaited
         raise
     task = loop.create_task(work)
     broken: list[BaseException] = []

@@ -35,7 +35,7 @@ def heeded_signals(stop: Callable[[str], None], hang_up: Callable[[], None] | No
     for number in names:
         try:
             before[number] = signal.signal(number, handle)
-        except ValueError:  # not the main thread: signals are somebody else's
+        except ValueError:  # not the main thread: signals are handled elsewhere
             break
     try:
         yield

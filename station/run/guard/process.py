@@ -88,7 +88,7 @@ async def _guard(order: Order) -> None:
     for packed in order.devices:
         try:
             devices.append(unpacked_device(packed))
-        except Exception as error:  # what stands in a plug-in: the others are guarded all the same
+        except Exception as error:  # errors in a plug-in: the other devices are guarded all the same
             os.write(2, f"station: the guard cannot create a driver: {type(error).__name__}: {error}\n".encode())
     if not devices:
         return
@@ -139,7 +139,7 @@ def _process(pid: int) -> int:
         return -1
     try:
         process = os.pidfd_open(pid)
-    except OSError:  # an old kernel, or it has ended: the pipe tells that
+    except OSError:  # an old kernel, or it has ended: then the pipe tells so
         return -1
     if os.getppid() != pid:  # it has ended, and its number may be another process's
         os.close(process)
@@ -200,7 +200,7 @@ async def _until_safe(order: Order, kind: DeviceKind, device: Any, say: "_Log", 
 async def _tried(way: Callable[[], Coroutine[Any, Any, SafeState]]) -> SafeState:
     try:
         return await way()
-    except Exception as error:  # a driver from outside may raise anything: there is nobody else to make it safe
+    except Exception as error:  # a driver from outside may raise anything, and no other process makes it safe
         return SafeState(trouble=f"defect of the driver ({type(error).__name__}: {error})", seen=False)
 
 

@@ -18,12 +18,12 @@ from station.scripts.steps.rest import Rest
 
 _HOLDING = Script("manual", (Rest(0.0, "holding"),))
 _FIRST_S = 0.7  # that a jog lasts after its first word: a key that is held repeats after half a second or so
-_RENEWED_S = 0.4  # and after each further word: by the host's clock, for it is a person who may be gone
+_RENEWED_S = 0.4  # and after each further command: by the host's clock, as it is the person who may be gone
 _ENDLESS_RAD = 1e6  # where there is no travel: days of turning
 _HOLD_RPS = math.radians(1.0)  # of a move to where the axis stands; a language may know whole deg/s only
 _DEG = math.degrees(1)
 _WORDS = sentence("manual.words")
-_LEAST, _MOST = 1e-6, 1e6  # numbers that a word may have beside 0, in rad, rad/s, rad/s2
+_LEAST, _MOST = 1e-6, 1e6  # numbers that a command may have beside 0, in rad, rad/s, rad/s2
 
 
 class ManualSequencer(Sequencer):

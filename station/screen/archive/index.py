@@ -21,7 +21,7 @@ from estimator.errors import MISSHAPEN
 from station.screen.archive.entries import Entry, File
 from station.screen.memory import is_of_this_user_alone, state_folder
 
-_VERSION = 2  # of what an entry holds: an older index is left to older stations
+_VERSION = 2  # of the content of an entry: an older index is left to older stations
 _PATIENCE_S = 1.0  # for another station, which writes for some milliseconds
 _TOLD = ("when_utc_s", "wrong", "foreign", "devices", "texts", "nis_mean", "units")
 
@@ -75,7 +75,7 @@ def _done(folder: Path, sql: str, rows: Sequence[Sequence[Any]] | None = None) -
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         if not is_of_this_user_alone(path.parent):
-            return None  # SQLite follows links, and writes into what they lead to
+            return None  # SQLite follows links, and writes into their targets
         with closing(sqlite3.connect(path, timeout=_PATIENCE_S)) as index, index:
             index.text_factory = bytes
             index.executescript(packaged_text("station.screen.archive", "index.sql"))

@@ -64,7 +64,7 @@ def read(path: Path, when_utc_s: float, everything: bool) -> Whole:
     recovered first.
     """
     unread = Entry(str(path), when_utc_s)
-    with suppress(RecordingError):  # of a run that goes on, or where nothing can be written: it is shown as it is
+    with suppress(RecordingError):  # of a run in progress, or in a write-protected place: shown unrecovered
         recover(path)
     try:
         # Without HDF5's locks: a session that writes the same file must never find it locked by a reader.
@@ -81,7 +81,7 @@ def read(path: Path, when_utc_s: float, everything: bool) -> Whole:
                 return Whole(entry)
             whole, bench = _whole(entry, file), str(plain(file.attrs.get("bench", "")))
         return _judged(whole, bench)
-    except Exception as error:  # whatever a file made by hand holds, the next one is to be read
+    except Exception as error:  # a file made by hand may hold anything; the next one is still read
         wrong = f"it cannot be read: it is damaged or incomplete ({first_line(error)})"
         return Whole(replace(unread, wrong=wrong))
 
@@ -159,7 +159,7 @@ def _judged(whole: Whole, bench: str) -> Whole:
         found = limit_lines(read_calibration(whole.entry.path, trusted=True), limits)
         lines = [line for line in found if not line.within]
         before, named, after = whole.entry.texts["reason"].partition("; ".join(line.broken for line in lines) or "\0")
-        if named:  # losses and noise first: they are behind what the states miss
+        if named:  # losses and noise first: they may explain the others
             broken = [(line.cells, line.remedy, (line.row, line.state, line.of_u)) for line in worst_first(lines)]
             because = [text.removeprefix("but ") for text in f"{before}{after}".split("; ") if text]
             whole = replace(whole, broken=broken, because=because)

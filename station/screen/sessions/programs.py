@@ -28,7 +28,7 @@ class Answer:
     def reason(self) -> str:
         """Why there is no result, in words."""
         reason = str(self.found.get("reason") or self.said or f"the command ended with code {self.code}")
-        return reason.splitlines()[0].removeprefix("station: ")  # what HDF5 says has more, for its makers
+        return reason.splitlines()[0].removeprefix("station: ")  # HDF5's further lines are for its developers
 
 
 def command_line(arguments: Sequence[str]) -> list[str]:
@@ -117,7 +117,7 @@ class SessionProcess:
                 (os.POSIX_SPAWN_DUP2, self._output.fileno(), 2),
             ],
             setsid=True,
-            setsigdef=(signal.SIGINT, signal.SIGTERM),  # whatever this screen was told to ignore by its parent
+            setsigdef=(signal.SIGINT, signal.SIGTERM),  # even if this screen's parent made it ignore them
         )
         """Number of the process, and of its socket."""
 

@@ -52,7 +52,7 @@ async def fill_in(app: Any, whole: Whole) -> None:
     from station.report.formal import read_formal  # imported by now
 
     begun: dict[str, str] = {}
-    for facts in sources.values():  # what comes first goes before, and lists are not mixed
+    for facts in sources.values():  # the first source wins, and lists are not mixed
         listed = any(field.startswith(_LIST) for field in begun)
         begun |= {f: text for f, text in facts.items() if f not in begun and not (listed and f.startswith(_LIST))}
     entered, chosen, values = {**begun}, "", {**_FORM, "sources": sources, "path": recorded.path}
@@ -81,7 +81,7 @@ async def fill_in(app: Any, whole: Whole) -> None:
         else:
             try:
                 await asyncio.to_thread(write_whole, files[0], toml, replace=True)
-                with suppress(UsageError):  # what is remembered is no loss
+                with suppress(UsageError):  # a failure to store entries does no harm
                     await asyncio.to_thread(write_whole, files[1], toml, replace=True)
                 app.notify(f"{files[0]}: CTRL+P makes report, PDF and DCC with them", title="Kept", markup=False)
                 return

@@ -47,7 +47,7 @@ class PrepareScreen(StationScreen):
         Binding("f6", "look_again", "Check again", key_display="F6"),
         Binding("f7", "start", "START", key_display="F7"),
         Binding("f8", "confirm_serial", show=False),
-        # Before the field sees them: what is typed, or scanned, right after them then goes to the next field.
+        # Before the field gets them, so that text typed or scanned right after them goes to the next field.
         Binding("enter", "enter", priority=True, show=False),
         Binding("tab", "app.focus_next", priority=True, show=False),
         Binding("shift+tab", "app.focus_previous", priority=True, show=False),
@@ -61,13 +61,13 @@ class PrepareScreen(StationScreen):
         self._plan: Answer | None = None
         self._checking = ""
         self._looked_for: tuple[str, str] | None = None
-        self._confirmed = ("", "", "")  # number as entered, number that the device says, why both are right
+        self._confirmed = ("", "", "")  # number as entered, number reported by the device, reason why both are right
         self._run_before: LiveRun | None = None
-        self._chosen: Choices | None = None  # what the fields show
-        self._burst = ""  # what was typed in one go until now
+        self._chosen: Choices | None = None  # choices shown in the fields
+        self._burst = ""  # text typed in one burst so far
         self._burst_at_s = 0.0
         self._burst_pattern = ""  # of serial numbers, by then
-        self._before_burst: tuple[Input | None, str] = None, ""  # the field it went to, and what stood there
+        self._before_burst: tuple[Input | None, str] = None, ""  # the field that got it, and its text before
 
     def body(self) -> ComposeResult:
         """Yield the entries, the blocks of answers, and the chart of the motion."""
@@ -103,7 +103,7 @@ class PrepareScreen(StationScreen):
         if event.input.id == "operator":
             self.station.operator_utc_s = time.time()
         self._take_over()
-        if self._looked_for != self._files():  # else this tells of what a look has taken over before
+        if self._looked_for != self._files():  # otherwise this shows the result of an earlier check
             self._prospect = None
         self.redraw()
 
@@ -210,7 +210,7 @@ class PrepareScreen(StationScreen):
 
     def action_start(self) -> None:
         """Start the run, or report what prevents it; nothing if the screen is too small to be seen."""
-        if self.small:  # nobody starts what cannot be seen
+        if self.small:  # no start by something that cannot be seen
             return
         self._take_over()
         obstacles = self._obstacles()
@@ -268,7 +268,7 @@ class PrepareScreen(StationScreen):
         field, told = self.query_one("#serial", Input), self._told_serial()
         if told and not field.value and self._prospect and matches(self._prospect.serial_pattern, told):
             field.value = told
-            field.select_all()  # what is scanned next, at whatever moment, takes its place
+            field.select_all()  # the next scan, at any time, replaces it
 
     def action_confirm_serial(self) -> None:
         """Ask why a device that reports another number is the right one; the reason is recorded. Nothing if they
@@ -356,7 +356,7 @@ class PrepareScreen(StationScreen):
         looked_at = self.station.mounted and self.station.choices is self._chosen
         if looked_at and (not obstacles or "WRONG" in dict(obstacles)):
             self.station.mounted = False
-            self.action_start()  # or what stands against it is told
+            self.action_start()  # or reports its obstacles
 
     def _drawing(self, name: str) -> Drawing | None:
         motion = self._prospect.motion if self._prospect is not None else None

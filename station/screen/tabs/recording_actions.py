@@ -36,6 +36,6 @@ async def _make(app: Any, recording: Path, suffix: str) -> None:
     answer = await ask([*how, str(recording), "--output", str(file), *["--dcc"] * (suffix == "xml")])
     title, severity = ("NOT written", "error") if answer.code else ("Written", "information")
     app.notify(answer.reason if answer.code else str(file), title=title, severity=severity, markup=False)
-    # Without a desktop a browser would run in this terminal, and nobody could press STOP.
+    # Without a desktop a browser would run in this terminal, and STOP would be out of reach.
     if suffix == "html" and not answer.code and (os.environ.keys() & {"DISPLAY", "WAYLAND_DISPLAY"}):
         app.open_url(file.absolute().as_uri())

@@ -28,7 +28,7 @@ from station.views.figures import told_figures
 
 _MOST_OFFERED = 20
 _LOOKING = "looking for errors that the model misses"
-_NONE, _ALL = "none", "all"  # choices of runs that judge, beside the number of one
+_NONE, _ALL = "none", "all"  # choices of runs that judge, besides the number of one
 _BLOCKS = ("verdict", "states", "change", "model", "record")
 _BUTTONS = (
     ("accept", "Accept  A"),
@@ -280,7 +280,7 @@ class ResultScreen(StationScreen):
         calibrated = next((found for found in whole.entry.gyros if found.name == gyro), None)
         if calibrated is None:
             return drawing
-        # The course is that of the live filter; the figure is that of the calibration, as in the table beside it.
+        # The curve is that of the live filter; the figure is that of the calibration, as in the table beside it.
         state, _, *others = drawing.words
         figure = told_figures(whole.entry.units)[index].figure(calibrated.values[index], calibrated.sds[index])
         return drawing._replace(words=[state, (figure, "line"), *others])

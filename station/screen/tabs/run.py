@@ -25,7 +25,7 @@ _MOST_EVENTS = 24
 _REASON_ROWS = 4
 _NIS_OFF = 0.25
 _WHITE_OFF = 0.2
-_MANY_SIGMAS = 4.0  # by which both are off before anybody is to look
+_MANY_SIGMAS = 4.0  # by which both must be off to be reported
 
 
 class RunScreen(ManualScreen):
@@ -66,7 +66,7 @@ class RunScreen(ManualScreen):
         wrapped = partial(textwrap.wrap, width=max(width, 1), max_lines=_REASON_ROWS, placeholder=" ...")
         shown = {"run": run, "others": self.station.others, "width": width, "wrapped": wrapped, "silence_s": SILENCE_S}
         self._show("progress", templated("progress.rich", {**shown, **self.manual_values()}))
-        if run is None or run.snapshot is None:  # what is there is of the run before
+        if run is None or run.snapshot is None:  # the screen still shows the run before
             for name in ("figures", *_SOURCES, "events"):
                 self._show(name, Text())
             return

@@ -79,7 +79,7 @@ class TrayScreen(StationScreen):
         """Find out how runs ended whose end no screen saw."""
         live = {hello.get("recording") for _, hello in await sessions_there()}
         for spot in [spot for spot in self.station.tray.spots if spot.state == RUNNING and spot.recording not in live]:
-            if not self.station.busy:  # what this screen has just started is in no list yet
+            if not self.station.busy:  # a session that this screen has just started is in no list yet
                 entry = (await self.station.archive.read(Path(spot.recording))).entry
                 self.station.tray.end(Path(spot.recording), entry.texts.get("outcome") or NO_RESULT)
 

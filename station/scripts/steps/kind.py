@@ -14,7 +14,7 @@ from drivers.specs import Key
 from drivers.types import AxisLimits
 from station.errors import ScriptError, sentence
 
-_SAME = 1e-9  # relative; what is nearer than this is the same acceleration
+_SAME = 1e-9  # relative; nearer accelerations count as equal
 _COMMENTS = 44  # the column of comments in a script file
 
 AXIS = Key(name="axis", kind="text", doc="axis", required=True, one_of=("x", "y", "z"))
@@ -200,7 +200,7 @@ class Step(ABC):
         """Whether it turns an axis."""
         return bool(self.demands())
 
-    # What follows is asked by those who make scripts out of others. A kind can do without.
+    # The following methods serve the makers of scripts from other scripts. A kind can do without.
 
     @property
     def ends_at_stated_angles(self) -> bool:
