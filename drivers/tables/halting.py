@@ -18,10 +18,7 @@ _LOOK_S = 0.02
 _TOLD_AGAIN_S = 0.5  # if an axis does not slow down meanwhile
 _WAIT = 50  # time-outs without anything new to be seen
 _TELLS, _HEEDS = 2, 0.98  # an axis that answers but has not slowed down after so many stops ignores them
-_SLOWER_RPS, _IN_A_ROW = (
-    math.radians(0.005),
-    5,
-)  # below the first rate, and so many readings, for an axis that slows down
+_SLOWER_RPS, _IN_A_ROW = math.radians(0.005), 5  # rate drop, and readings, for an axis that slows down
 _LOOKS = 3  # at one that turns without a motion of its controller's, which has nothing to stop then
 
 

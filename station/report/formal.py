@@ -111,9 +111,7 @@ def read_formal(recorded: Recorded, meta: Path | None = None, text: str | None =
     stated = dict(_facts(bench, beside)) | own
     if logo := stated.get("laboratory_logo"):
         if meta in (None, kept) or "laboratory_logo" not in own:
-            stated["laboratory_logo"] = logo = (
-                beside / logo.name
-            )  # no other file of this computer, as others may have made these files
+            stated["laboratory_logo"] = logo = beside / logo.name  # no other file of this computer
         logo_of(logo)
     serial, begun = recorded.text("device_serial"), recorded.begun_utc
     if serial and stated.setdefault("item_serial_number", serial) != serial:
