@@ -86,4 +86,4 @@ def read_text(path: Path, error: type[Exception], wanted: str = "a text file") -
 
 
 def _at_once(path: str, flags: int) -> int:
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # a pipe that nobody writes to makes nobody wait
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # a pipe without a writer does not block

@@ -69,7 +69,7 @@ def table_budget(
         gains.append(np.linalg.solve(information, maps[i]))
     covariances = {kind: np.zeros((len(array), 4, 4)) for kind in KINDS}
     for kind, change in _changes(readings, t_s, w):
-        seen = regressors.T @ change * period_s  # (4, 3): what the output error picks up is p . change
+        seen = regressors.T @ change * period_s  # (4, 3): the output error receives p . change
         for i in range(len(array)):
             shift = gains[i] @ (seen @ array.p[i])
             covariances[kind][i] += np.outer(shift, shift)

@@ -320,7 +320,7 @@ def played(values: Floats, width: float) -> Floats:
     finite = np.flatnonzero(np.isfinite(out))
     x = out[finite]
     # From one instant to the next the play is limited to half a width about the value. Limits one after the other are
-    # limits again, so those over 1, 2, 4, ... instants follow from each other, until all say the same of any start.
+    # limits again, so those over 1, 2, 4, ... instants follow from each other, until all agree for any start.
     low, high = x - 0.5 * width, x + 0.5 * width
     low[:1] = high[:1] = x[:1]
     reach = 1

@@ -31,7 +31,7 @@ from estimator.recordings.recording import Recording
 from estimator.recordings.reference import Poses, TableReadings, Turns
 
 _CHANCE = 4.0  # standard deviations of the scatter of block means
-_NEAR = 0.05  # to which the noise is known beside that
+_NEAR = 0.05  # accuracy of the estimated noise, in addition
 
 
 def calibrate(
@@ -187,7 +187,7 @@ def _gyros(recording: Recording, found: SourceEstimate) -> list[GyroCalibration]
         rests = [*rest_noise(data, reference)] or rests
     gyros = []
     for i, name in enumerate(data.array.names):
-        own = found.lines[i]  # the offset in time, if it was estimated, in place of what the table states of its timing
+        own = found.lines[i]  # the time offset, if it was estimated, replaces the table's stated timing
         kinds = (*own, *(line for line in table[i] if line.name not in {one.name for one in own}))
         states, covariance = decode(found.x[i], np.sum([c.covariance for c in kinds], axis=0))
         gyros.append(

@@ -24,14 +24,14 @@ from estimator.types import Floats
 
 Key = tuple[str, float, str]
 
-_BY_CHANCE = 1e-4  # probability that anything is told of a run in which nothing changes
+_BY_CHANCE = 1e-4  # probability that a run without changes is reported
 _MOST_SPANS = (40, 80)  # parts of a run at most: at first, and where those find something worth a look
 _FEWEST_BLOCKS = 10  # of a part
-_FINE = 3  # waves for each part: what is finer tells next to nothing of it
+_FINE = 3  # waves for each part: finer ones add next to nothing
 _LEAST = 1e-7  # share of all that is known of a state that must be left of a change: less is rounding
 _MOST_NAMED = 3
-_WORTH = 0.75  # of what is told: finer parts, and noise found without the change, make more of it
-_ALIKE = 9.2  # twice the logarithm of the odds, 100, below which two causes are not told apart
+_WORTH = 0.75  # of the limit for a report: finer parts, and noise estimated without the change, raise the score
+_ALIKE = 9.2  # twice the logarithm of the odds, 100, below which two causes are not distinguished
 _WAY = "the gyros and the {} encoder disagreed"
 _DEG = float(np.degrees(1.0))
 _STATES: tuple[Key, ...] = (("k", 1e6, "ppm"), ("b", _DEG, "deg/s"), ("sigma_j", _DEG, "deg"), ("sigma_k", _DEG, "deg"))
@@ -152,7 +152,7 @@ def _worst(key: Key, spans: Floats, edges_s: Floats) -> _Change:
     score, variance = spans
     sigmas = np.abs(score) / np.sqrt(np.where(variance > 0, variance, np.inf))
     first, last = (int(edge) for edge in np.unravel_index(np.argmax(sigmas), sigmas.shape))
-    # One instant is simpler than two, and while an axis rests nothing tells them apart.
+    # One instant is simpler than two, and while an axis rests they cannot be distinguished.
     nearly = max(float(sigmas[first, last]) ** 2 - _ALIKE / 2, 0.0) ** 0.5
     if sigmas[first, -1] >= nearly:
         last = len(edges_s) - 1
@@ -161,7 +161,7 @@ def _worst(key: Key, spans: Floats, edges_s: Floats) -> _Change:
     of_span = size = float(score[first, last] / max(variance[first, last], 1e-300))
     parts, since = len(edges_s) - 1, edges_s - edges_s[0]
     when = f"from {since[first]:.0f} to {since[last]:.0f} s"
-    if first == 0 or last == parts:  # what was so until then is off from then on
+    if first == 0 or last == parts:  # if it lasted until then, it differs from then on
         size, at_s = (size, since[first]) if last == parts else (-size, since[last])
         when = f"from {at_s:.0f} s on,"
     name, factor, unit = key

@@ -183,7 +183,7 @@ class Evidence:
             products = gyro.products[columns[:, None], columns]
             gram = products @ (1 / density)
             covariance = np.linalg.inv(gram[:-1, :-1] + np.diag(np.concatenate([1 / gyro.prior, precision])))
-            left = np.append(-covariance @ gram[:-1, -1], 1.0)  # what of each column is in what is left
+            left = np.append(-covariance @ gram[:-1, -1], 1.0)  # share of each column in the residual
             squares = np.maximum(left @ np.tensordot(left, products, 1), 0.0) / density
             fitted = np.tensordot(np.pad(covariance, ((0, 1), (0, 1))), products, 2) / density
             counts = np.concatenate([stretch.counts for stretch in gyro.stretches])
@@ -241,7 +241,7 @@ class Evidence:
         found = Posterior(asked[:-1].tolist(), [], [])
         of_all = np.sum([said for *_, said in parts], axis=0)
         for chance, inner, gain, left, said in parts:
-            # What the other gyros say of shared terms they say under their own noise.
+            # The other gyros' information on shared terms is taken under their own noise.
             left = left + (of_all - said)
             shared_covariance = np.linalg.inv(left[:, :h, :h] + prior)
             common = (shared_covariance @ left[:, :h, h:])[..., 0]

@@ -47,10 +47,10 @@ _SETTLED_S = 2e-4
 _LARGEST_STEP_S = 0.05  # beyond, a motion is no straight line any more
 _MOST_STEPS = 12
 _KNOWN = 0.2  # sigma of k below which the sign of an output is known
-_TOLD = 3.0  # sigmas from which on a delay is told
-_UNSEEN = 0.7  # of what is expected of a parameter: a larger sigma says that the run did not show it
-_REDUNDANT = 4  # gyros, of which the blocks tell what they say of each other
-_BLOCK_ROWS = 4  # fewer samples do not tell their scatter
+_TOLD = 3.0  # sigmas from which on a delay is reported
+_UNSEEN = 0.7  # of a parameter's expected sigma: a larger one means that the run did not show it
+_REDUNDANT = 4  # gyros whose blocks can be compared with each other
+_BLOCK_ROWS = 4  # fewer samples give no scatter
 
 
 def check_model(model: ErrorModel, recording: Recording) -> None:
@@ -169,7 +169,7 @@ def _aligned(
     the stamps and estimated again until it changes no more. A note names each source that has not settled after
     ``_MOST_STEPS``. At rest, for turns and with a model that holds a delay nothing is moved.
     """
-    # A model that holds a delay tells it itself.
+    # A model with a delay estimates it itself.
     timed = not at_rest(recording.reference) and not isinstance(recording.reference, Turns)
     timed &= model is None or all(known.record.acts is not Acts.STAMPS for known in model.effects)
     begun_s = {name: _delay_by_motion(recording, data) if timed else 0.0 for name, data in sources}
@@ -241,7 +241,7 @@ def _run(recording: Recording, number: int, source: str, data: ImuData) -> Run:
     run = run_of(recording, source, named)
     if run is None:
         raise TooShort(sentence("estimation.short_for_effects", recording=recording.name, source=source))
-    if at_rest(recording.reference):  # Earth rate is too slow to tell k from other effects
+    if at_rest(recording.reference):  # Earth rate is too slow to distinguish k from other effects
         return replace(run, w_rps=np.zeros_like(run.w_rps))
     return run
 
@@ -413,7 +413,7 @@ def _lines(joint: Joint, covariance: Floats) -> tuple[Contribution, ...]:
     known: list[int] = []
     known_before, lines = np.zeros((4, 4)), []
     for name in dict.fromkeys(law.line for law in joint.laws if law.line):
-        # One line after the other: of what two laws can only tell together, each would claim all.
+        # One line after the other: what two laws can only determine together, each would claim all.
         known += [n for n, law in enumerate(joint.laws) if law.line == name]
         through = joint.through(covariance, known)
         lines.append(Contribution(name, through - known_before))
@@ -476,7 +476,7 @@ def _clustered(joint: Joint) -> tuple[list[Floats], list[str]]:
         scores[cluster[first][:, None], place] += np.add.reduceat(rest, first, axis=0)
         precision[place[:4]] = 1 / joint.evidence.gyros[g].prior
     white = np.linalg.inv(information + np.diag(precision))
-    # So few clusters fit so many parameters of a gyro, as far as the data tell these: their scores are too small by it.
+    # A few clusters fit the parameters of a gyro, as far as the data determine these: the scores are too small by that.
     fitted = float(np.trace(white @ information)) / n
     meat = scores.T @ scores * (len(used) / max(len(used) - fitted, len(used) / 4)) + np.diag(precision)
     sandwich, out, notes, grown = white @ meat @ white, list[Floats](), list[str](), list[Floats]()

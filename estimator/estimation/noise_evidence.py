@@ -28,12 +28,12 @@ from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import TableReadings
 from estimator.types import Floats
 
-_SURELY = 0.95  # probability from which on it is told that biases differ from file to file
+_SURELY = 0.95  # probability from which on a report says that biases differ from file to file
 _LEAST_ARW = 1e-9  # rad/s/rtHz, below any gyro
 _ACCELERATING = 0.02  # change of rate from block to block, as a share of the largest rate, that counts as a ramp
 _FEWEST_STEADY = 40
 _ASIDE = 0.1  # weight of ramps while steady rates are fitted
-_ROWS_A_COLUMN = 4  # fewer and what is left of the blocks tells nothing of ramps
+_ROWS_A_COLUMN = 4  # with fewer the residual of the blocks gives no information on ramps
 
 
 class TooShort(RecordingError):
@@ -276,14 +276,14 @@ def _steadied(run: Run, columns: Floats) -> Run:
     ramp = (np.maximum(change, np.append(change[1:], 0.0)) > _ACCELERATING * size)[good]
     if not ramp.any() or (~ramp).sum() < _FEWEST_STEADY:
         return run
-    # What ramps alone show is fitted to them, everything else to steady rates.
+    # Columns that only ramps show are fitted to them, everything else to steady rates.
     states, row, shares = run.state_columns()[:, good], np.where(ramp, _ASIDE, 1.0), []
     for i, own in enumerate(columns[:, good]):
         both, z = np.hstack([states[i], own]) * run.weight[good, None], run.z_rps[good, i] * run.weight[good]
         scale = np.maximum(np.linalg.norm(both, axis=0), 1e-300)
         rest = z - both @ (np.linalg.lstsq(both / scale * row[:, None], z * row, rcond=1e-8)[0] / scale)
         steady = float(np.mean(rest[~ramp] ** 2))
-        # Only what is beyond chance: the mean square of so few has this much scatter of its own.
+        # Only the excess over chance: the mean square of a few values has this much scatter of its own.
         excess = float(np.mean(rest[ramp] ** 2)) - steady * (1 + 2 * np.sqrt(2 / ramp.sum()))
         shares.append(max(excess, 0.0) / max(steady, 1e-30))
     weight = run.weight.copy()

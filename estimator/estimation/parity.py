@@ -66,7 +66,7 @@ def parity(
             continue
         fault = np.abs(residual @ column) / size
         worst = int(np.argmax(fault))
-        alike = np.abs(column @ null) >= 0.999 * size * sizes  # itself, and those that it cannot be told from
+        alike = np.abs(column @ null) >= 0.999 * size * sizes  # itself, and those that it cannot be distinguished from
         checks.append(
             GyroParity(
                 name=name,

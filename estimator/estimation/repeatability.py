@@ -45,7 +45,7 @@ def repeatability(runs: Sequence[Sequence[GyroCalibration]]) -> list[Repeatabili
     for name in names:
         own = [next(g for g in run if g.name == name) for run in runs]
         states = np.array([g.states for g in own])
-        # Another draw in another run; what the table does is the same in all.
+        # Noise is drawn anew in each run; the table's errors are the same in all.
         noise = np.array([np.sqrt(np.diag(g.type_a)) for g in own])
         squares, spread = _moments(states, noise)
         found.append(
@@ -98,7 +98,7 @@ def gauge_study(values: Floats, sd: Floats, parts: Sequence[str], conditions: Se
     sums = np.zeros((*n.shape, x.shape[1]))
     np.add.at(n, index, 1)
     np.add.at(sums, index, x)
-    if np.count_nonzero(n) == len(n):  # each part met one condition: nothing tells them apart
+    if np.count_nonzero(n) == len(n):  # each part met one condition: they cannot be distinguished
         n, sums = n.sum(axis=1, keepdims=True), sums.sum(axis=1, keepdims=True)
     rows, squares = [], []
     factors = ((1,), (0,), ())  # parts, conditions, both: the axes that their groups are summed over
@@ -107,7 +107,7 @@ def gauge_study(values: Floats, sd: Floats, parts: Sequence[str], conditions: Se
         shared = [n.sum(axis=tuple({*group} & {*factor}), keepdims=True) for factor in factors]
         rows.append([*(np.sum(m**2 / size) for m in shared), np.count_nonzero(n.sum(axis=group))])
         squares.append((sums.sum(axis=group, keepdims=True) ** 2 / size[..., None]).sum(axis=(0, 1)))
-    # What the variances of parts, conditions, both and runs add to the squares of each, and these squares.
+    # Contribution of the variances of parts, conditions, both and runs to the squares of each, and these squares.
     a, b = np.array([*rows[:3], [len(x)] * 4]) - rows[3], np.array([*squares[:3], (x**2).sum(axis=0)])
     of_parts, of_conditions, of_both = (row[3] for row in rows[:3])
     kept = [0, 1, 3] if of_conditions > 1 else [0, 3]

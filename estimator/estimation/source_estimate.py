@@ -20,7 +20,7 @@ from estimator.recordings.reference import Poses, Turns
 from estimator.types import Floats
 
 Sources = Sequence[tuple[str, ImuData]]
-_EXCESS = 2.0  # mean square from which on it is told
+_EXCESS = 2.0  # mean square from which on it is reported
 
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
@@ -71,8 +71,8 @@ def estimate_white(recording: Recording, source: str, data: ImuData) -> SourceEs
     """
     gram, m = gram_of(recording, source, data), len(data.array)
     noise = None
-    if isinstance(recording.reference, Turns):  # a few rows: their doubt is stated, not found
-        # The rows are weighted by the noise of the worst channel, so that is what the noise is relative to.
+    if isinstance(recording.reference, Turns):  # a few rows: their uncertainty is stated, not estimated
+        # The rows are weighted by the noise of the worst channel, so the noise is relative to that.
         noise = np.maximum(sample_noise(data).max(), solve(gram, data.array, data.prior).noise_rps)
     found = solve(gram, data.array, data.prior, noise)
     kinds: list[NoiseFound | None] = [None] * m

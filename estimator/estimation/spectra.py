@@ -20,7 +20,7 @@ from estimator.types import Floats
 _BANDS_A_DECADE = 8
 _UNLIKE = 5.0  # over the root of how many frequencies tell it: by so much levels of noise differ that are not the same
 _FEWEST, _FEWEST_TURNS = 10, 2  # blocks of a stretch; of turns each is a row of its own
-_SINGLE = 12  # so many of the lowest frequencies of a stretch have a band of their own
+_SINGLE = 12  # each of the lowest frequencies of a stretch has a band of its own, up to this number
 _WHITE = 0.6  # expected before the data: that a kind of coloured noise is too small to matter
 _STATED_SPREAD = np.log(3.0)  # how far a device's instability may be from its data sheet
 _LEAST = 0.05  # expectation of no coloured noise at most, where the data sheet states some
@@ -348,5 +348,5 @@ def _white(turned: Sequence[Floats], stretches: Sequence[Stretch]) -> float:
     """
     rows = np.vstack([np.sqrt(s.length_s) * part[len(part) // 2 :] for part, s in zip(turned, stretches, strict=True)])
     rest = rows[:, Z] - rows[:, :Z] @ np.linalg.lstsq(rows[:, :Z], rows[:, Z], rcond=1e-10)[0]
-    free = 1 - rows.shape[1] / max(len(rows), 2 * rows.shape[1])  # what the states take of a few rows
+    free = 1 - rows.shape[1] / max(len(rows), 2 * rows.shape[1])  # share of a few rows that the states do not fit
     return float(max(np.median(np.abs(rest)) / 0.6745 / np.sqrt(free), 1e-9))

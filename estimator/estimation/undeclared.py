@@ -39,7 +39,7 @@ _LEAST_COLUMN = 1e-12
 _MOST_NAMED, _NAMED = 3, 0.1  # effects that are named of a state, and the share of its variance that they make
 _TILTED = 0.05  # of gravity: a component that changes by less does so by vibration and drift
 _OF_TIME = frozenset(record.name for record in drift.RECORDS)
-_ASSUMED = frozenset({"temperature", "specific force"})  # what is taken for known where it was not recorded
+_ASSUMED = frozenset({"temperature", "specific force"})  # assumed where it was not recorded
 _OF_B_RPS = float(np.radians(20.0)) * _SHARE
 """Bias to which the sizes of the catalogue belong: those of temperature and gravity are of the sheet (MPU-6050) that
 promises no more than 20 deg/s. A type that promises less is less sensitive to these, too."""
@@ -213,7 +213,7 @@ def _effects(grid: Conditions) -> list[tuple[Effect, float]]:
             effect = record.effect(grid.gimbals, **settings)
             of_temperature = bool(effect.law) and "T" in variables_of(effect.law)
             found.append(((-len(several) or -100, not record.planned, of_temperature), effect, share))
-    # What is one law for certain first, then what several stand for: the order decides the last digits of figures.
+    # Certain laws first, then those that stand for several: the order decides the last digits of figures.
     return [(effect, share) for _, effect, share in sorted(found, key=lambda one: one[0])]
 
 

@@ -80,7 +80,7 @@ def _read_binary(name: str, raw: bytes, record: np.dtype[Any], header_bytes: int
     if count < 1:
         raise RecordingError(sentence("importing.short_record", name=name, size=len(raw), record=record.itemsize))
     rows = np.frombuffer(raw, record, count, header_bytes)
-    with np.errstate(invalid="ignore"):  # what is no number may spell a signalling NaN
+    with np.errstate(invalid="ignore"):  # values that are not numbers may be signalling NaN
         columns = {key: rows[key].astype(np.float64) for key in wanted}
     size = np.concatenate([np.abs(column).ravel() for column in columns.values()])
     if np.mean((size > HUGE) | ((size > 0) & (size < 1 / HUGE))) > _ABSURD_SHARE:

@@ -12,7 +12,7 @@ from estimator.types import Floats, Stamps
 
 _NORM_OFF = 0.05  # an attitude whose length is this far from 1 is a lost one
 _MATRIX = 9  # columns of a rotation matrix
-_LOST_STEPS = 3  # blanks over more than this many usual steps: what happened there is not known
+_LOST_STEPS = 3  # longer blanks, in usual steps: the motion in them is unknown
 _LOST_NS = 150_000_000
 
 

@@ -22,15 +22,15 @@ from estimator.packaged import sentence
 from estimator.recordings.recording import ImuData, Recording
 from estimator.types import Floats
 
-_LEAST_RPS = float(np.radians(0.2))  # rms of a turning that tells anything
+_LEAST_RPS = float(np.radians(0.2))  # rms of the least useful rotation
 _TURNS = 10.0  # times that, of outputs that turn for certain
 _TURNED = 1e-3  # share of the largest variance of body rate from which on a direction counts as turned about
 _SENSED = 0.5  # share of a sense axis that the turning must span
 _FOLLOWS = 0.5  # share of the output's variance that the turning must explain
 _UNIT = 0.05  # how near a factor is to the ratio of two units
-_ALONG = 0.97  # cosine between the axis that the data show and the stated one, beyond which it is told
+_ALONG = 0.97  # cosine between the axis from the data and the stated one, below which it is reported
 _ANOTHER = 0.7  # the same, beyond which the columns or their axes are mixed up
-_WIDER = 2.0  # a prior from the data is this many times what they show
+_WIDER = 2.0  # a prior from the data is this many times their uncertainty
 _NARROW = 0.1  # factors nearer to 1 are scale factor errors, left to k and its usual prior
 
 
@@ -120,7 +120,7 @@ def _of_rows(recording: Recording, data: ImuData) -> list[_Gain | None]:
     mean = gram.products[0, 1:] / total
     covariance = gram.products[1:, 1:] / total - np.outer(mean, mean)
     variance, directions = np.linalg.eigh(covariance[:3, :3])
-    if variance[-1] < _LEAST_RPS**2:  # who turns beside a reference that does not is told
+    if variance[-1] < _LEAST_RPS**2:  # a gyro that turns beside a reference at rest is reported
         loud = np.diag(covariance)[3:] > (_TURNS * _LEAST_RPS) ** 2
         return [_Gain(0.0, float(b), 0.0, None) if own else None for b, own in zip(mean[3:], loud, strict=True)]
     turned = variance > _TURNED * variance[-1]

@@ -33,12 +33,12 @@ from estimator.types import Floats
 
 SOURCE = "imu"
 """Name of the one source of an imported recording."""
-_BESIDE_S = 1.0  # of a reference in a file of its own before and behind the samples that is kept
+_BESIDE_S = 1.0  # of a reference in a file of its own, kept before and behind the samples
 _EQUAL_RPS, _COARSE_SHARE = 1e-9, 1 / 3  # of samples equal to the one before: at 0.28 a step is one sigma
 _GAPS_SHARE = 0.1  # of the rows; where more are further apart the sampling is uneven
-_MOST_ALIKE = 3  # files of which a note is told each by itself, if its numbers differ
+_MOST_ALIKE = 3  # files whose notes are printed one by one, if their numbers differ
 _NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e[-+]?\d+)?")
-_GAP_S = 10.0  # between files that follow each other: longer than what corrects or correlates within one
+_GAP_S = 10.0  # between files that follow each other: longer than any filter or correlation within one
 _UNIT_ROW = {"rad/s": ("rad/s", "rps"), "deg/s": ("deg/s", "dps", "°/s", "degree/s", "degrees/s")}
 
 
@@ -175,7 +175,7 @@ def _readings(reference: Measured, t_s: Floats, values: Floats, notes: list[str]
     """Return instants and rows of a reference without held values, spikes and repetitions, with notes."""
     fresh = _new("the reference", t_s, values, notes)
     t_s, values = t_s[fresh], values[fresh]
-    turned = reference.kind == "angle"  # 359 deg beside 0 is no spike
+    turned = reference.kind == "angle"  # 359 deg after 0 is no spike
     kept, odd = without_odd("reference", t_s, np.hstack([np.cos(values), np.sin(values)]) if turned else values)
     notes += odd
     return t_s[kept], values[kept]

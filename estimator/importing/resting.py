@@ -16,9 +16,9 @@ from estimator.packaged import sentence
 from estimator.types import Floats, least_steps, runs_of
 
 _WINDOW_S = 0.25
-_FEWEST_ROWS = 10  # a window of fewer does not tell its scatter
+_FEWEST_ROWS = 10  # a window of fewer gives no scatter
 _QUIET_TENTH = 0.05  # of the windows, the share that is taken to be at rest for certain
-_SLOW = 0.2  # of the quiet windows, those of the slowest output, which tell the bias from a steady turn
+_SLOW = 0.2  # of the quiet windows, those of the slowest output, which distinguish the bias from a steady turn
 _LOUD = 4.0  # scatter of a window, in that of the quiet ones, beyond which it is motion
 _TILT_RAD = float(np.radians(1.0))  # by which specific force may move within a rest
 _UP_WITHIN = float(np.cos(np.radians(30.0)))  # of a stated pose

@@ -22,7 +22,7 @@ T = TypeVar("T")
 
 _EDGE_ROWS = 3  # least number of samples that show rest at an end
 _WRONG_BY = 0.5  # a gyro whose output turns by this share more or less than stated: wrong axis, unit or angle
-_SENSED = 0.5  # share of an axis that the gyros must span to say how far it turned
+_SENSED = 0.5  # share of an axis that the gyros must span to determine its turn
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,7 +202,7 @@ def _checked_angle(mapping: Mapping, stated: StatedTurns, turned_rad: Floats, tu
                 "no gyro senses the axis of its turn, so its sign cannot be found from the data. State it"
             )
         return angle
-    # What the body turned by, as far as the gyros tell: least squares over their nominal axes.
+    # The turn of the body, as far as the gyros determine it: least squares over their nominal axes.
     measured = float(np.linalg.lstsq(p, turned_rad, rcond=None)[0] @ axis)
     if stated.sign_from_data and measured * angle < 0:
         angle = -angle

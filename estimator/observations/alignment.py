@@ -21,14 +21,14 @@ LONGEST_S = 0.3
 _STEP_S = 0.01  # of the delays that are tried first
 _REFINED = 1e-3  # of two such steps: how closely the best delay is found
 _LENGTH_S, _PERIODS = 0.05, 3  # of an interval: so long, and no fewer sampling periods
-_SLOW_S = 0.5  # means over so long tell how sensitive gyros are to slow motion
+_SLOW_S = 0.5  # length of means that show the gyros' response to slow motion
 _FILTER_S, _HARDLY = 0.2, 1e-3  # time constant of a filter, and how much an expectation of it counts
-_MOST, _FEWEST = 6000, 40  # intervals that are used of a long recording, and without which nothing is told
-_TURNS_RPS = float(np.radians(0.5))  # rms of a body rate that tells a delay
+_MOST, _FEWEST = 6000, 40  # intervals used of a long recording, and the fewest for a result
+_TURNS_RPS = float(np.radians(0.5))  # rms of a body rate that determines a delay
 _FITS = 4.0  # standard deviations from the line beyond which an interval does not count
 _ROUNDS = 2
 _ALLOWED = 0.02  # share of the rate: an interval that is off by less counts, however quiet the others are
-_INNER = 0.7  # of the outputs' range: what is nearer to its ends may be at a limit, and does not count
+_INNER = 0.7  # of the outputs' range: values near its ends may be at a limit, and do not count
 _ENDS = 1e-3  # share of the outputs beyond each end of their range
 _USUAL = 0.9  # quantile of the rates beyond which an interval has no more weight
 _MIDDLE, _AT_MOST = (0.05, 0.95), 0.15  # share of the range of nearly all outputs that an interval may be off
@@ -161,7 +161,7 @@ def _least(columns: Floats, output: Floats, step_s: float) -> Floats:
     size = np.sqrt(np.mean(columns**2, axis=0))
     of_axes = np.max(size[1:].reshape(3, 3), axis=1)  # of the rate, its first and its second differences
     largest = np.concatenate([size[:1], np.repeat(of_axes, 3)])
-    scale = np.where(size > _SEEN * largest, size, np.inf)  # what does not turn has no factor
+    scale = np.where(size > _SEEN * largest, size, np.inf)  # an axis without rotation has no factor
     # Factors of the differences are expected to be those of a filter.
     filtered = np.repeat([_FILTER_S / step_s, 0.5 * (_FILTER_S / step_s) ** 2], 3)
     expected = np.diag(np.concatenate([np.zeros(4), 1 / filtered])) * _HARDLY * float(np.std(output))
@@ -189,7 +189,7 @@ def following(data: ImuData, reference: Reference, site: Site | None) -> Followi
     delay_s = _refined(means, float(tried_s[int(np.argmin(losses))]), inner)
     fits = inner
     for _ in range(_ROUNDS):
-        # Ramps alone may tell the delay: what is off by more than nearly all others is left out, no less.
+        # Ramps alone may determine the delay: only the intervals with the largest errors are left out.
         _, left, _ = _line(means, delay_s, fits)
         fits = _nearer(means, delay_s, left, inner, _FITS * _quantile(left, inner, _USUAL))
         delay_s = _refined(means, delay_s, fits)

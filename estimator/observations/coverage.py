@@ -26,8 +26,8 @@ GEARING = "gearing"
 _SIDE = 0.25  # share of the turning that must lie on each side of a change
 _FAR = 1 / 3  # share of a recording that counts as far apart in time; turning spread evenly over it reaches one half
 _TURNED_RPS = 10 * REST_RPS
-_TURNED_SHARE = 0.05  # of the fastest axis: what is slower may be its leak into another one
-_GAP_STEPS, _GAP_S = 4.0, 1.0  # a reading tells of the time until the next one, but of no more than both
+_TURNED_SHARE = 0.05  # of the fastest axis: slower rotation may be its leak into another axis
+_GAP_STEPS, _GAP_S = 4.0, 1.0  # a reading is valid until the next one, but no longer than both
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -211,7 +211,7 @@ def _turnings(recording: Recording, data: ImuData) -> Iterator[_Turning]:
         end_ns = reference.t_end_ns.astype(np.float64)
         lengths_s = np.maximum(end_ns - start_ns, 1.0)[:, None] * 1e-9
         yield _Turning(start_ns, end_ns, reference.turn_rad / lengths_s)
-    elif isinstance(reference, Poses):  # only the gyros tell what hands did between them
+    elif isinstance(reference, Poses):  # only the gyros measure the turns by hand between them
         rate = np.nan_to_num(data.rate_rps - np.nanmedian(data.rate_rps, axis=0))
         yield _means(data.t_ns.astype(np.float64), rate @ np.linalg.pinv(data.array.p).T)
     elif isinstance(reference, TableReadings):

@@ -18,7 +18,7 @@ CLUSTER_S = 5.0
 FAR_OFF = 0.2
 """A factor this far from 1 is no scale factor error of a gyro but a wrong unit, count or sign."""
 FEWEST_CLUSTERS = 8
-COLOURED = 2.0  # sigmas that grow by more than this are told
+COLOURED = 2.0  # sigmas that grow by more than this are reported
 _TURNED = 1e-3  # share of the largest mean square rate from which on a direction counts as turned about
 _SELDOM = 1e-3  # that k may be off by
 

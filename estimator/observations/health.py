@@ -13,9 +13,9 @@ from estimator.recordings.writing import columns_of
 from estimator.types import Flags, Floats, runs_of
 
 _RUN_S = 0.25  # equal extreme values for longer than this are a limit, not a coincidence
-_UNUSUAL = 5  # a limit holds a value so much longer than values repeat by chance
+_UNUSUAL = 5  # a limit repeats a value so many times longer than chance does
 _MARGIN_S = 0.5  # close to a limit the noise is cut on one side only
-_FILTER_S = 0.02  # beside samples at a limit that a reference shows: what a filter holds of them
+_FILTER_S = 0.02  # around samples at a limit shown by a reference: the memory of a filter
 _DEG = 180 / np.pi
 
 

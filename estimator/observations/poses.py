@@ -19,12 +19,12 @@ from estimator.recordings.recording import ImuData
 from estimator.recordings.reference import Poses
 from estimator.types import Floats
 
-_GAP_STEPS = 3.5  # usual steps: in a longer gap nobody knows how the body turned
-_MEAN_S, _FEWEST = 0.5, 10  # neighbouring means at rest tell the noise; so many of them at the least
+_GAP_STEPS = 3.5  # usual steps: the motion in a longer gap is unknown
+_MEAN_S, _FEWEST = 0.5, 10  # neighbouring means at rest give the noise; the least number of them
 _ITERATIONS = 8
 _SETTLED = 1e-3  # sigmas
-_FACTOR, _SKEW, _OFFSET_MPS2 = 0.03, 0.02, 0.5  # what accelerometers are off by, one sigma
-_LENGTH = 3e-4  # to which an accelerometer gives the length of gravity, as far as a few rests do not tell
+_FACTOR, _SKEW, _OFFSET_MPS2 = 0.03, 0.02, 0.5  # errors of accelerometers, one sigma
+_LENGTH = 3e-4  # accuracy of an accelerometer for the length of gravity, as far as a few rests do not show it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +69,7 @@ def estimate(data: ImuData, poses: Poses, prior: Prior) -> Laid:
     seen = np.vstack(steps) * np.sqrt(width / 2)
     arw = np.sqrt(np.mean(seen**2, axis=0) if len(seen) > _FEWEST else noise**2) * np.sqrt(period_s)
     wander = np.zeros(m)
-    if len(rests) > 1:  # what a bias does from rest to rest it does within a turn as well
+    if len(rests) > 1:  # a bias changes within a turn as it does from rest to rest
         beyond = np.diff(rests, axis=0) ** 2 / 2 - arw**2 * 0.5 * (1 / rest_s[1:] + 1 / rest_s[:-1])[:, None]
         wander = np.sqrt(np.maximum(beyond.mean(axis=0), 0.0))
     known = np.diag(np.tile(1 / prior.variances(), m))
@@ -119,7 +119,7 @@ def directions_up(force_mps2: Floats, *, from_rests: bool) -> tuple[Floats, floa
 
         found = least_squares(left, x)
         x, covariance = found.x, np.linalg.inv(found.jac.T @ found.jac)
-        free = len(force_mps2) - (9 - float(np.trace(covariance)))  # what the rests told of the accelerometer is not
+        free = len(force_mps2) - (9 - float(np.trace(covariance)))  # less what the rests determine of the accelerometer
         squares = doubt**2 * float(np.sum(found.fun[:-9] ** 2))
         doubt = float(np.sqrt((_LENGTH**2 + squares) / (1 + free)))
     roots = np.linalg.cholesky(covariance).T

@@ -25,9 +25,9 @@ MEAN_S = 0.1
 """Length of the means over which an attitude reference is compared: a low pass of 10 Hz on both sides."""
 _CHUNK_ROWS = 65536
 _COARSE = 1e-4  # variance of the errors of a rate reference, in that of the rate, that would lessen the slope
-_COARSE_MEAN = 1e-5  # what is left of it in means
+_COARSE_MEAN = 1e-5  # its share in means
 _MEANS_S = (0.1, 0.2, 0.5, 1.0)
-_FINE = 1.5  # steps of the samples: a reference whose steps are longer does not tell the rate at each sample
+_FINE = 1.5  # steps of the samples: a reference with longer steps does not give the rate at each sample
 _GAP_STEPS = 3.5  # usual steps: a longer gap within a turn leaves it unknown
 
 
@@ -121,7 +121,7 @@ def _rate_rows(reference: RateReadings, data: ImuData) -> Iterator[Observations]
     if length_s:
         yield from _means(data, reference, length_s)
         return
-    at = reference.t_ns[known]  # rates beside a lack of knowledge are not known either
+    at = reference.t_ns[known]  # rates next to unknown ones are unknown as well
     yield from _sampled(data, int(at[0]), int(at[-1]), lambda t_ns: _between(reference, t_ns))
 
 
@@ -226,7 +226,7 @@ def turn_rows(data: ImuData, turns: Turns) -> tuple[Observations, list[int]]:
     """
     t_ns, rate = in_order(data)
     white, quantum = float(sample_noise(data).max()), _quantum(rate)
-    # Where samples are left out, nobody knows how the body turned; few files of a person have even stamps.
+    # Where samples are left out, the motion is unknown; few files made by hand have even stamps.
     left_out = not np.isfinite(data.rate_rps).all() and len(t_ns) > 1
     longest_ns = _GAP_STEPS * float(np.median(np.diff(t_ns))) if left_out else np.inf
     w, y, weight, which = [], [], [], list[int]()

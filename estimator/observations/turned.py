@@ -18,9 +18,9 @@ from estimator.types import Floats
 
 REST_RPS = 2e-3
 """Several times Earth rate: what turns no faster rests."""
-_GAP_STEPS, _GAP_S = 3.5, 0.15  # between readings further apart than both nobody knows what happened
+_GAP_STEPS, _GAP_S = 3.5, 0.15  # between readings further apart than both, the motion is unknown
 _BOX, _BOXES = 9, 3  # steps of the finer grid in a mean over two periods, and how often one is taken
-_UNEVEN = 0.5  # of the usual step: where one is shorter, its own slope says little
+_UNEVEN = 0.5  # of the usual step: the slope of a shorter one is inaccurate
 _AT_ONCE_S = 1e-6  # instants nearer than this are one
 _SLOPE_S = 0.02  # to each side of an instant, over which a turn gives its rate; never less than one reading
 
@@ -62,7 +62,7 @@ class Turned:
         order = order[np.concatenate([[True], np.diff(t_ns[order]) > 0])]
         t_s, rate = np.asarray(t_ns[order] * 1e-9, dtype=np.float64), rate_rps[order]
         step_s = np.diff(t_s)[:, None]
-        bend = np.diff(np.gradient(rate, t_s, axis=0), axis=0) if len(t_s) > 2 else 0.0  # what trapezoids cut off
+        bend = np.diff(np.gradient(rate, t_s, axis=0), axis=0) if len(t_s) > 2 else 0.0  # error of trapezoids
         bend = np.where(np.isfinite(bend), bend, 0.0)
         return cls.of_increments(t_s, 0.5 * (rate[1:] + rate[:-1]) * step_s - bend * step_s**2 / 12, longest_s)
 

@@ -29,7 +29,7 @@ UNSEEN = 0.5
 ALIKE = 0.9
 """Correlation above which two effects are listed as not told apart."""
 _FINEST_S, _MOST_BLOCKS = 1.0, 200  # of the blocks: the work grows with their third power
-_LEAST_SHARE = 1e-12  # of an effect's information: below it what is left of it is rounding
+_LEAST_SHARE = 1e-12  # of an effect's information: a smaller rest is rounding
 _LEADS = 0.1  # a state leads a direction from this share of the largest on; k before b before s_j before s_k
 _ROUNDING = 1e-3
 _SAME_RATE = 1e-6  # of the largest rate: steady rates closer than this are one condition

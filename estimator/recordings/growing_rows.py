@@ -28,7 +28,7 @@ class GrowingRows:
     def append(self, *rows: NDArray[Any]) -> None:
         """Append rows, one array for each column in order. Arrays taken out earlier stay valid."""
         count = len(rows[0])
-        if self._end + count > self._room:  # to new stores, without what is forgotten: who looks at the old may go on
+        if self._end + count > self._room:  # to new arrays, without forgotten rows: views of the old ones stay valid
             self._room = 2 * (len(self) + count)
             for name, store in self._stores.items():
                 self._stores[name] = np.empty((self._room, *store.shape[1:]), store.dtype)

@@ -23,7 +23,7 @@ from estimator.recordings.recording import LAYOUT
 
 try:
     import fcntl
-except ImportError:  # Windows: nothing tells there whether a run still goes on
+except ImportError:  # Windows, where a run in progress cannot be detected
     fcntl = None  # type: ignore[assignment]
 
 ATTRIBUTES, ROWS, ARRIVED = range(3)
@@ -211,7 +211,7 @@ def _entries(payload: bytes) -> list[Entry | None]:
     """Return the entries of an intact record; None for each invalid one."""
     try:
         entries = msgpack.unpackb(payload, ext_hook=_unpacked, strict_map_key=False)
-    except Exception:  # of bytes that anybody may have made; msgpack raises ValueError, TypeError and more
+    except Exception:  # anybody may have made the bytes; msgpack raises ValueError, TypeError and more
         return [None]
     if not isinstance(entries, list):
         return [None]

@@ -80,7 +80,7 @@ def read_all(kind: str, path: Path) -> str | None:
     """Return why a file of this kind cannot be read, or None."""
     try:
         return {"HDF5": read_hdf5, "MATLAB": read_mat}[kind](path)
-    except Exception as error:  # of a damaged file libraries raise whatever their decoders do: zlib.error, ...
+    except Exception as error:  # libraries raise any exception of their decoders for a damaged file: zlib.error, ...
         said = str(error).splitlines()[0] if str(error) else "no detail"
         return f"it is {'' if kind == 'HDF5' else f'no {kind} file, or '}damaged or cut short ({said})"
 

@@ -34,7 +34,7 @@ HOLD_S = 0.4
 LEAST_RPS2 = 0.02
 """Slower changes of rate are no ramps."""
 
-_ANGLE_SD_RAD, _RATE_SD_RPS = 1e-4, 3e-4  # of readings whose instants are known, before their scatter has told
+_ANGLE_SD_RAD, _RATE_SD_RPS = 1e-4, 3e-4  # of readings with known instants, before their scatter is known
 _LEAST_SD = 1e-6  # rad and rad/s: nothing is read better
 _SCALE_SD = 0.05  # of a drive's rate readback
 _LEAST_RPS = 0.0175  # nor are smaller ones
@@ -44,7 +44,7 @@ _ROUNDS, _STEPS = 4, 8
 _MOVES = 1e-12  # s, rad/s, rad: a step that moves no parameter by more ends a round
 _TAIL = 3.0  # a few readings are far off, as a rate that is a mean over a corner
 _INWARD = 0.02  # of a ramp
-_FITS = 3.0  # sigmas rms; what fits worse is no ramp
+_FITS = 3.0  # sigmas rms; a worse fit is no ramp
 _HOPELESS = 100.0  # sigmas rms after the first round: not worth another
 _READINGS_A_CORNER = 5.0
 _HIDDEN = 2.0  # times the largest change between two readings
@@ -148,7 +148,7 @@ def fitted(readings: Readings, first: int, last: int) -> Ramp | None:
             return ramp
         if misfit < least:
             best, least = ramp, misfit
-    return None if best is None else replace(best, sd_s=LONGEST_S)  # none of these is what happened
+    return None if best is None else replace(best, sd_s=LONGEST_S)  # none of these fits
 
 
 def _scatter_sd(t_s: Floats, angle_rad: Floats) -> Floats:
@@ -266,7 +266,7 @@ def _polylines(
     may be zero, for an axis that stands in between.
     """
     t_s, angle_rad, rate_rps, _, window_s = readings
-    # What angles say between two readings is of a shorter time than a rate that is a mean.
+    # The slope of angles between two readings is over a shorter time than a rate that is a mean.
     low, high = max(first - 1, 0), min(last + 1, len(t_s) - 1)
     between_s, rates = between_readings(t_s[low : high + 1], angle_rad[low : high + 1])
     kept = slice(None if cut[0] else 1, None if cut[1] else -1)
@@ -287,7 +287,7 @@ def _polylines(
         ends = np.zeros(len(inner), dtype=np.bool_)
         stands = np.abs(at_rps) <= _NEARLY_STANDS * np.ptp(rate_rps[first : last + 1])
         stands[[0, -1]] = False
-        # Beyond an end that is cut off there are no readings, nor means over what was before it.
+        # Beyond an end that is cut off there are no readings, nor means over earlier rates.
         slopes = np.diff(at_rps) / np.diff(at_s)
         for end, is_cut, beyond_s in ((0, cut[0], t_s[0] - window_s - _BEYOND_S), (-1, cut[1], t_s[-1] + _BEYOND_S)):
             if is_cut:
@@ -309,7 +309,7 @@ def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, las
     """
     t_s, _, _, _, window_s = readings
     k = len(start) // 2 - 1
-    # A corner is somewhere here, even if no reading lies within the ramp; the rest is only kept from being singular.
+    # A corner is somewhere here, even without a reading within the ramp; the rest is only kept from being singular.
     prior = np.full(len(start), 1e-6)
     prior[:k], prior[-1] = 1 / (t_s[last] - t_s[first]), 1 / _SCALE_SD
     prior[held] = 1 / _LEAST_SD
@@ -321,7 +321,7 @@ def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, las
             residual, jacobian, _ = _weighed(p, readings, sd, tail)
             if lap == 1 and np.mean(residual**2) > _HOPELESS**2:
                 return None
-            # What angles and rates are known to is seen in how they scatter, less what the fit took of that.
+            # The accuracy of angles and rates is seen in their scatter, corrected for the number of fitted parameters.
             rows = np.vstack([jacobian, np.diag(prior)])
             taken = np.sum(np.linalg.qr(rows)[0][: len(jacobian)] ** 2, axis=1)
             squares, freedom = (one.reshape(2, -1).sum(axis=1) for one in (residual**2, 1 - taken))
@@ -341,7 +341,7 @@ def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, las
     if not max(float(np.mean(off)), float(np.mean(off[near]))) < _FITS**2:
         return None
     residual, _, doubt = _weighed(p, readings, sd, _TAIL)
-    # A reading at a corner tells nothing of a shorter ramp, whatever its slopes say of a longer one.
+    # A reading at a corner says nothing about a shorter ramp, whatever its slopes say about a longer one.
     shorter = p.copy()
     shorter[[0, k - 1]] += _INWARD * (p[k - 1] - p[0]) * np.array([1, -1]) * ~held[[0, k - 1]]
     slopes = modelled(shorter, t_s, window_s)[2] / doubt[:, None]
@@ -349,14 +349,14 @@ def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, las
     variance = np.sum(np.linalg.inv(factor) ** 2, axis=1)[:k] * max(float(np.mean(residual**2)), 1.0)
     if not np.all(np.isfinite(variance)):  # readings too coarse to keep its corners apart
         return None
-    # A reading of nothing but the time outside the ramp tells how far the rate is from steady, as far as it is known
+    # A reading entirely outside the ramp shows how far the rate is from steady, as far as it is known
     # better than that.
     off_rps, doubt = (residual * doubt)[len(t_s) :], doubt[len(t_s) :]
     inside = (t_s > p[0]) & (t_s < p[k - 1] + window_s)
     share = np.where(inside, 0.0, _RATE_SD_RPS**2 / (_RATE_SD_RPS**2 + doubt**2))
     angle, rate = turned(p, p[:k])
     reading_rps = p[-1] * turned(p, t_s)[1] + share * off_rps
-    # A corner at which the slope hardly changes may be anywhere: it counts by what it does to the rate.
+    # A corner at which the slope hardly changes may be anywhere: its weight is its effect on the rate.
     bends = np.abs(np.diff(np.diff(p[k : 2 * k]) / np.diff(p[:k]), prepend=0.0, append=0.0))
     sd_s = float(np.max(np.sqrt(variance) * bends / bends.max()))
     return Ramp(
@@ -374,7 +374,7 @@ def _weighed(p: Floats, readings: Readings, sd: Floats, tail: float) -> tuple[Fl
     t_s, angle_rad, rate_rps, half_width_s, window_s = readings
     angle, rate, slopes = modelled(p, t_s, window_s)
     off = np.concatenate([angle_rad - angle, rate_rps - p[-1] * rate])
-    # Angle and rate are asked for one after the other: the first may be off by half widths of both.
+    # Angle and rate are read one after the other: the first may be off by half widths of both.
     angles, rates = turned(p, t_s + np.array([[-2.0], [2.0]]) * half_width_s, window_s)
     may = np.abs(np.hstack([angles - angle, p[-1] * (rates - rate)])).max(axis=0)
     known = np.repeat(sd, len(t_s))

@@ -24,7 +24,7 @@ from estimator.types import Floats
 _log = logging.getLogger(__name__)
 
 _MOST_NAMES = 2000  # of groups, columns and attributes
-_ENTRY_BYTES, _PENDING_BYTES = 1000, 1 << 24  # of an entry beside its rows; of rows that are written together
+_ENTRY_BYTES, _PENDING_BYTES = 1000, 1 << 24  # of an entry without its rows; of rows that are written together
 _ROWS_AT_ONCE = 65536
 _PATIENCE_S = 60.0  # for another process that recovers in the same folder
 _MOST_ZEROS = 8
@@ -59,7 +59,7 @@ def recover(path: Path) -> None:
         raise
     except FileNotFoundError:
         return  # another was faster
-    except Exception as error:  # a journal is a file that anybody may have made
+    except Exception as error:  # anybody may have made the journal
         _log.warning(f"{journal} is not used: {first_line(error)}")
 
 
@@ -367,7 +367,7 @@ def _by_arrival(blocks: Sequence[Mapping[str, Any]], timed: Mapping[str, Any] | 
         "arrival_ns": arrival_ns[new],
         "rate_rps": rate_rps[new],
     }
-    for name in timed.keys() - rows.keys():  # a temperature holds until the next is told; else nothing is known
+    for name in timed.keys() - rows.keys():  # a temperature holds until the next one; other columns are unknown
         like = timed[name][-1:]
         unknown = like if name == "temperature_c" else like * np.nan if like.dtype.kind == "f" else like * 0 - 1
         rows[name] = np.repeat(unknown, count, axis=0)

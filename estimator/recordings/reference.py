@@ -34,9 +34,9 @@ ANCHOR_HALF_WINDOW_NS = 3_000_000_000
 """Half of the window over which the angles correct the rates."""
 _STEADY_SHARE, _STEADY_RPS = 0.005, 2e-4  # rates that differ by no more than these together are those of a steady turn
 _ANGLE_SD_RAD = 1e-4  # of an angle whose instant is known
-_RATE_SD_RPS = 3e-4  # what a rate reading is off by before the angles have told
-_SURE_RPS = float(np.radians(0.02))  # to which the doubt of its instant must leave a rate within a ramp known
-_NEAR_NS = 1_000_000  # so near on both sides a change of rate is looked for
+_RATE_SD_RPS = 3e-4  # error of a rate reading before the angles correct it
+_SURE_RPS = float(np.radians(0.02))  # accuracy of a rate within a ramp that its instant's uncertainty must leave
+_NEAR_NS = 1_000_000  # distance on both sides at which a change of rate is searched
 _HALF_SPAN_NS = 10_000_000  # to each side of an acceleration: a mean over it is hardly touched by noise of rates
 _AT_ONCE = 1024  # readings: sums over more lose digits
 _KEPT_NS = 60_000_000_000  # rows and readings: more than windows, ramps and gaps between readings reach back
@@ -188,7 +188,7 @@ class BodyRates:
         step_ns, rates, summed = integrated(self._read, t_ns, rate_rps)
         if np.any(step_ns[not len(self._read) :] <= 0):
             raise RecordingError("the times of the table readings do not increase. Sort them and drop repeats")
-        # Without whole-turn jumps: the summed rate says which turn it is.
+        # Without whole-turn jumps: the integrated rate determines the turn.
         drift = angle_rad - summed
         jumps = np.round(np.diff(np.vstack([drift_of(self._read, drift), drift]), axis=0) / (2 * np.pi))
         angle = angle_rad - 2 * np.pi * np.cumsum(jumps, axis=0)
@@ -232,7 +232,7 @@ class BodyRates:
             elif not is_ramp(self._read["rate"][max(start - 1, 0) : stop]) and (seen or everything):
                 self._append(taken, stop, [])
             elif everything or (seen and times[-1] >= times[stop - 1] + round(WINDOW_S * 1e9) + hold_ns):
-                # What was read soon after, or is a mean, may still hold something of the ramp.
+                # A reading soon after, or a mean, may still contain a part of the ramp.
                 after = changes[stop : int(np.searchsorted(times, times[stop - 1] + hold_ns))]
                 following = min(stop + int(np.argmax(after) if after.any() else len(after)), len(times) - 1)
                 # Of the beginning of the next ramp a mean may know nothing yet.
@@ -322,7 +322,7 @@ class BodyRates:
         steady = np.abs(np.diff(rates, axis=0)) <= _STEADY_RPS + _STEADY_SHARE * np.abs(rate_rps)
         explained = np.abs(unexplained) <= GAP_ANGLE_RAD + doubt
         known_step = known & (step_ns <= GAP_NS) | (np.isfinite(corner_s) | (steady & explained)).all(axis=1)
-        # What happened in a gap is no error of the rates beside it: there the angles alone count.
+        # A step across a gap is no error of the rates beside it: there the angles alone count.
         hidden = np.cumsum(np.where(known_step[:, None], 0.0, unexplained), axis=0)
         summed, drift = summed + hidden, drift - hidden
         self._starts_ns = min(self._starts_ns, int(t_ns[0]))

@@ -56,7 +56,7 @@ class _Prober:
                 elif late.is_set():
                     wrong = f"is damaged: reading it did not end within {limit_s:.0f} s, so its content is unusable"
             except OSError:
-                pass  # it died before it could be asked
+                pass  # it died before the request
             finally:
                 timer.cancel()
                 if wrong is not None:  # or was interrupted: its next answer would be taken for that of the next file

@@ -31,9 +31,9 @@ from estimator.recordings.reserved_space import Ballast
 from estimator.types import Floats
 from estimator.untrusted import harmless
 
-_RESERVE_BYTES = 2_000_000  # kept back on the disk: what is pending, and what HDF5 needs to close a file whole
+_RESERVE_BYTES = 2_000_000  # reserved on the disk: for pending rows, and for HDF5 to close a file completely
 _CLOSING_BYTES = 300_000  # of them, HDF5's own
-_ATTRIBUTES_BYTES = 100_000  # and what attributes need, whatever was left for them
+_ATTRIBUTES_BYTES = 100_000  # and for attributes, in addition
 _PLENTY_BYTES = 100_000_000  # more than another program takes while one block is written
 _CACHE_BYTES = 131_072  # of each dataset: rows go to its end
 TEXT_BYTES = 240
@@ -57,7 +57,7 @@ class RecordingWriter:
         """Whether it has been closed with all that was taken."""
         self.journal: Journal | None = None
         self._unwritten: list[Entry] = []
-        self._noting = threading.Lock()  # ``write_journal`` takes in one thread what others note
+        self._noting = threading.Lock()  # ``write_journal`` takes in one thread the notes of others
         with ExitStack() as undone:
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
@@ -155,7 +155,7 @@ class RecordingWriter:
     def _note(self, kind: int, group: str, values: Mapping[str, Any]) -> None:
         if self.journal is None:
             return
-        if not is_sound((kind, group, values)):  # what is written can be read again
+        if not is_sound((kind, group, values)):  # written entries must be readable again
             raise RecordingError(sentence("recordings.not_held", group=group, names=", ".join(map(str, values))))
         with self._noting:
             self._unwritten.append((kind, group, values))
@@ -248,7 +248,7 @@ class RecordingWriter:
                         self._datasets[path], lengths[path] = self._created(path, rows), len(rows)
                     else:
                         lengths[path] = _extend(self._datasets[path], self._lengths.get(path, 0), rows)
-                # At once: what was interrupted is written over, from where it began, the next time.
+                # At once: an interrupted write is repeated from its beginning the next time.
                 self._lengths, self._pending[group] = {**self._lengths, **lengths}, []
             yield
         self._pending = {group: blocks for group, blocks in self._pending.items() if blocks}

@@ -26,10 +26,10 @@ from estimator.types import Floats
 
 _OTHER_ORDERS = (3, 5, 6)
 _PICKED_UP, _AROUND = float(np.radians(0.5)), float(np.radians(0.05))  # largest sizes without a name, rad/s
-_STEPS = 100  # instants in a run at which a step is looked for first
+_STEPS = 100  # instants in a run at which the search for a step begins
 _LAGS_S = (15.0, 40.0, 120.0)
 _MEMORIES = frozenset({"lag", "play", "last"})
-_STEADY_K = 0.05  # a temperature that changes by less tells of no effect
+_STEADY_K = 0.05  # a temperature that changes by less shows no effect
 _NEAR_S = 5e-3  # a delay nearer than this to where a search begins is found from there
 
 

@@ -27,17 +27,17 @@ from estimator.types import Floats
 Model = Sequence[tuple[Candidate, Term]]
 
 _LARGEST_RPS = float(np.radians(0.5))
-_RARE = -3.0  # log expectation of a law without a name beside the catalogue's
+_RARE = -3.0  # log prior of a law without a name, relative to the catalogue's
 _LONGER = -1.5  # of each further element of it
 _LAGS_S = np.geomspace(4.0, 400.0, 6)
-_SHARES = np.array([0.05, 0.2, 0.5])  # of the range of a variable: plays and bends that are looked for first
+_SHARES = np.array([0.05, 0.2, 0.5])  # of the range of a variable: start values of plays and bends
 _LIMITS = np.array([0.002, 0.02, 0.2])  # of the range of a variable: where its last direction begins to count
 _BENDS = np.geomspace(0.001, 0.5, 5)  # of the range of a rate: near standstill as well as over all of it
 _STARTS = {"share": _SHARES, "limit": _LIMITS, "bend": _BENDS, "small": _SHARES}
 _LARGEST_SCALE = 1e9
 _MOST_LAWS, _LAWS_TRIED = 2, 12
 _MOST_PRUNED = 6  # terms of a law that are tried to be left out; pieces of a function belong together
-_BETWEEN = 1.3  # by so much more a law may explain with a constant between those that it is tried with
+_BETWEEN = 1.3  # factor by which a law may explain more with a constant between its start values
 _CLEARLY = 3.0  # natural logarithm by which a law must be the more probable
 _TRIES = 9.2  # natural logarithm that the choice of a constant costs at most
 _RIVAL = -6.0  # natural logarithm of how much less probable laws may be and still be rivals, a few together
@@ -182,7 +182,7 @@ class Composer:
         model = [(part.candidate, part.term) for part in named]
         best = self._worth(model)
         for _ in range(_MOST_LAWS):
-            # A law may stand beside what was found, or in the place of some of it.
+            # A law may stand beside the effects found, or replace some of them.
             bases = [model, [], *([pair for pair in model if pair is not one] for one in model)]
             tried = []
             for n, base in enumerate(bases):
@@ -274,7 +274,7 @@ class Composer:
             open_constant = law.start is not None
             gain = float(gains[best])
             reach = gain * (_BETWEEN if open_constant else 1.0) + law.log_prior
-            # Of some law it is sure that it is so probable: what cannot come near it needs no constant.
+            # This probability is certain for some law: laws that cannot come near it need no constant.
             missing = max(missing, float(floors[best]) + law.log_prior - _TRIES * open_constant + _RIVAL)
             ranked.append((gain + law.log_prior, reach, options[best]))
         ranked = [one for one in ranked if one[1] > missing]

@@ -41,7 +41,7 @@ Progress = Callable[[float, str], None]
 _SURPRISED = 8.0
 """Sigmas by which the error on a verification run exceeds chance before a verdict is taken back."""
 _VISIBLE = 3.0
-_TOGETHER, _UNKNOWN = 6.0, 0.5  # sigmas of all numbers of an effect together, and what it then is probable by
+_TOGETHER, _UNKNOWN = 6.0, 0.5  # sigmas of all numbers of an effect together, and its probability then
 
 
 def investigate(

@@ -13,9 +13,9 @@ from estimator.tracing.run_columns import RunColumns, of_gyro
 from estimator.tracing.tones.peaks import highest
 from estimator.types import Floats
 
-_NEAR_S = 0.005  # about where its size seems to be an effect is looked for that is exact for its size only
+_NEAR_S = 0.005  # around its apparent size an effect is searched that is exact for its own size only
 _SHORTEST_S = 1e-4  # of a time constant, which is not negative
-_LONGEST_S = 0.3  # of a delay or a time constant: what is slower than this is no such
+_LONGEST_S = 0.3  # of a delay or a time constant: slower effects are not of this kind
 _ROUNDING = 1e-9  # share by which gains of the same columns may differ, scanned with others
 _FIRST_STEP = 0.02  # share of a constant
 _CLOSE = 0.2  # sigmas to which a constant of a law is found
@@ -189,7 +189,7 @@ class Scan:
             return known[key]
 
         low, high = float(start[max(best - 1, 0)]), float(start[min(best + 1, len(start) - 1)])
-        # A law that is gone with another constant has a constant that is known to this share of it.
+        # The constant of a law that changes strongly with it is needed to this accuracy.
         known_to = 1 / np.sqrt(2 * max(gain(float(start[best])), 1.0)) if candidate.law else 0.0
         theta = highest(gain, low, high, _CLOSE * known_to * float(start[best]))
         if gain(theta) < gain(float(start[best])):

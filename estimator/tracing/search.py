@@ -24,11 +24,11 @@ _SET = 0.99  # rivals are as many as share this probability
 _ROUNDS = 12
 _ROOM = 32  # columns for which room is made at once
 _STOP_LOG_PRIOR = 0.0  # nothing more: as likely as all effects together, several times over
-_LOST = 0.3  # share by which the size of a lag may differ from that which it was worked out for
+_LOST = 0.3  # share by which the size of a lag may differ from that of its columns
 _UNEXCITED = 0.5  # sigmas of an effect of the largest plausible size, all gyros and runs together
 _COPIED = 9.0  # squares over noise that a copy of an effect leaves in a gyro, within chance
-_RICH = 0.1  # scale of all effects at once, when it is asked what the noise may be
-_RESOLVED = 0.1  # of the time between readings: shorter delays are not told from how they are interpolated
+_RICH = 0.1  # scale of all effects at once, when the possible noise is determined
+_RESOLVED = 0.1  # of the time between readings: shorter delays are not distinguished from interpolation errors
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,7 +126,7 @@ class Search:
         terms: dict[str, Term] = {}
         suspects: tuple[Suspect, ...] = ()
         chain = [self.evidence.of([])]
-        tones = 0.0  # what they add to the log evidence
+        tones = 0.0  # their contribution to the log evidence
         for turn in range(_ROUNDS):
             model = [terms[name] for name in chosen]
             self._refine(model, chosen)
@@ -159,7 +159,7 @@ class Search:
                 self._barred.add(best)
                 self._scored.clear()
                 if not chosen and not self.heard.parts:
-                    suspects = ()  # what cannot be is no suspect
+                    suspects = ()  # an impossible effect is no suspect
                 continue
             chosen, terms = self._exchanged(chosen, terms)
             chain.append(self.evidence.of([terms[name] for name in chosen]) + tones)
@@ -218,7 +218,7 @@ class Search:
         candidate = self.known[name][0]
         steps_s = [run.step_s for run in self.runs if by_turns(run.recording.reference)]
         if candidate.by_size and steps_s and abs(candidate.theta or 0.0) < _RESOLVED * max(steps_s):
-            return False  # what happens between two readings of another instrument is not known as well as that
+            return False  # the motion between two readings of another instrument is not known well enough
         sizes = self.evidence.posterior([*model, term]).of(term)
         if candidate.by_size and candidate.theta:
             of_it = sizes[:, 0] * candidate.effect.largest[0] / abs(candidate.theta)

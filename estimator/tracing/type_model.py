@@ -8,8 +8,8 @@ from estimator.effects.effect import Settings
 from estimator.tracing.augmented import Augmented, Part
 from estimator.types import Floats
 
-_NEXT = 1.5  # the next gyros may be this much worse than those that were looked at
-_SAME = 0.05  # share by which what has its cause in table, site or clock may differ on another day
+_NEXT = 1.5  # the next gyros may be this much worse than the examined ones
+_SAME = 0.05  # share by which errors caused by table, site or clock may differ on another day
 
 
 def error_model_of(found: Augmented) -> ErrorModel:

@@ -39,7 +39,7 @@ def verdict_of(added: Sequence[str], doubtful: Sequence[Part], unexplained: Unex
     Doubtful effects make it CANNOT_TELL; an unexplained part makes it PARTLY or UNEXPLAINED; otherwise it is ADDED or
     NOTHING.
     """
-    # What leaves as much of its kind as it explains is a part of what is unexplained, and no rival of anything.
+    # An effect that leaves as much of its kind as it explains is a part of the unexplained, and no rival.
     open_ones = [part for part in doubtful if part.share < CERTAIN <= part.probability / part.share]
     rivals = tuple(names for names in rivals_of(open_ones) if len(names) > 1)
     if rivals or (doubtful and not unexplained):

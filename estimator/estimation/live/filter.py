@@ -10,7 +10,7 @@ from estimator.geometry.array import SensorArray
 from estimator.geometry.model import Prior, regressor_maps
 from estimator.types import Floats
 
-_TINY = 1e-9  # in units of the columns, rad/s for most: above their rounding, far below what tells of any state
+_TINY = 1e-9  # in units of the columns, rad/s for most: above their rounding, far below any information on a state
 
 
 @dataclass(frozen=True, slots=True, eq=False)

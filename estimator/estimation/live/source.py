@@ -27,10 +27,10 @@ from estimator.types import Floats, Stamps
 RECENT_S = 30.0
 """What ``History.recent`` looks back on, seconds."""
 
-_KEEP_EVERY = 5  # states are kept every so many-th block
+_KEEP_EVERY = 5  # states are kept after so many blocks
 _RECENT_BLOCKS = round(RECENT_S / BLOCK_S)
-_MARGIN_NS = 100_000_000  # samples may turn out to be so much later than their stamps
-_LARGEST_S = 0.15  # of offsets that are taken off
+_MARGIN_NS = 100_000_000  # samples may be later than their stamps by this
+_LARGEST_S = 0.15  # of offsets that are subtracted
 _SETTLED_S, _MOST_STEPS = 1e-4, 4
 
 
@@ -117,7 +117,7 @@ class LiveSource:
         self.offset_sd_s = 0.0 if effects is not None and effects.holds_delay else expected_sd_s(timing_s)
         further = self.effects.count if self.effects else 0
         self.filter = LiveFilter(array, self.noise_rps, prior, further, self.offset_sd_s)
-        self._offset_s = 0.0  # what is taken off the stamps
+        self._offset_s = 0.0  # subtracted from the stamps
         self.history = History(len(array))
         self._rows = max(round(BLOCK_S * rate_hz), 1)
         self._period_s = 1 / rate_hz
@@ -228,7 +228,7 @@ class LiveSource:
         """
         block = self._block(rates, part)
         for _ in range(_MOST_STEPS):
-            # A ramp may tell that the offset is another than was taken off: then it is looked at again with that.
+            # A ramp may show another offset than was subtracted: then the block is formed again with that.
             if block is None or block[3] is None:
                 break
             found = float(np.clip(self.filter.tried(*block), -_LARGEST_S, _LARGEST_S))

@@ -31,7 +31,7 @@ from estimator.types import Floats
 
 _FEWEST_BLOCKS = 40
 _TILTED = 0.02  # rad by which the direction up differs between poses
-_SENSED = 0.5  # of a turn: what it is off by shows in gyros about its axis
+_SENSED = 0.5  # of a turn: its errors show in gyros about its axis
 _TURN_STEPS = 125  # instants within a turn, or a rest
 
 
@@ -123,7 +123,7 @@ def _run(recording: Recording, source: str, data: ImuData, block_s: float, order
     w[where], z[where], weight[where] = measured.w_rps, measured.z_rps, measured.full
     stretch = np.cumsum(np.diff(index, prepend=index[:1]) > 1).astype(np.intp)
     growth_s = 0.0
-    if not by_turns(recording.reference):  # else what grows with the motion is what the other instrument gets wrong
+    if not by_turns(recording.reference):  # otherwise errors that grow with the motion are the other instrument's
         weight, growth_s = weighed(w, z, weight, stretch)
     t_s = np.asarray(measured.origin_s + (index + 0.5) * length_s, dtype=np.float64)
     steps = max(round(length_s / GRID_S), 1)

@@ -19,15 +19,15 @@ from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import BodyRates, TableReadings
 from estimator.types import Floats
 
-_FINE_S = 0.005  # samples closer than this are taken together where the rate of before is looked up
-_GAP_S = 5.0  # a longer gap ends a stretch: what the noise did meanwhile is not known
+_FINE_S = 0.005  # samples closer than this share one lookup of the earlier rate
+_GAP_S = 5.0  # a longer gap ends a stretch: the noise in it is unknown
 _MOVED_S = 0.1  # where no table makes the motion: hands and shafts turn about within a second
 _TURNS_RAD = 0.5
-_SMOOTH_PERIODS = 10  # in a block: fewer would show what turns are smoothed by
+_SMOOTH_PERIODS = 10  # in a block: with fewer the smoothing of turns would show
 _MOST_BLOCKS = 8000
 _STEADY = 0.02  # change of rate over three blocks, as a share of the largest rate, that is still steady
 _FEWEST = 40
-_SHARED = 1.944  # values that tell as much as one: second differences overlap
+_SHARED = 1.944  # second differences overlap: so many values are worth one
 _BY_CHANCE = 7.5  # natural logarithm of how much more probable growth must be: once in ten thousand by chance
 _LARGEST = np.geomspace(0.1, 300.0, 33)  # growth at the largest rate, over the noise at rest
 _LEAST_RPS = 1e-12
@@ -70,7 +70,7 @@ def means_by_samples(recording: Recording, data: ImuData, block_s: float) -> _Me
     if not len(blocks.index):
         return None
     t_ns = np.concatenate(known)
-    # Every few samples together, by the middle of their instants: what is linear in between has the same means.
+    # Every few samples together, at the mean of their instants: a rate that is linear in between has the same means.
     number = (t_ns - origin_ns) // round(length_s * 1e9)
     first = np.flatnonzero(np.diff(number, prepend=number[0] - 1))
     within = np.arange(len(t_ns)) - np.repeat(first, np.diff(np.append(first, len(t_ns))))
@@ -107,7 +107,7 @@ def means_by_turns(recording: Recording, data: ImuData, block_s: float) -> _Meas
         return None
     gyros, body = Turned.of_rates(data.t_ns, data.rate_rps), Turned.of_reference(recording.reference, recording.site)
     least_s = 2 * _step_s(gyros)
-    if np.abs(body.integral).max() > _TURNS_RAD:  # of a body at rest a few readings tell all
+    if np.abs(body.integral).max() > _TURNS_RAD:  # for a body at rest a few readings suffice
         period_s = max(_step_s(gyros), _step_s(body))
         gyros, body = gyros.smoothed(period_s), body.smoothed(period_s)
         block_s, least_s = min(block_s, _MOVED_S), _SMOOTH_PERIODS * period_s

@@ -26,7 +26,7 @@ def samples_of(run: Run) -> Samples:
         if part.t_ns is not None:
             t.append(np.asarray(part.t_ns * 1e-9, dtype=np.float64))
             z.append(part.y_rps - part.w_rps @ run.array.p.T)
-    each = slice(None, None, run.held)  # of samples that are held, one tells all
+    each = slice(None, None, run.held)  # one of each group of held samples suffices
     return Samples(np.concatenate(t)[each], np.vstack(z)[each], run.array.names)
 
 

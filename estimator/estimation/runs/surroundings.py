@@ -9,7 +9,7 @@ from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import AttitudeReadings, BodyRates, TableReadings
 from estimator.types import Floats
 
-GRID_S = 0.02  # instants at which conditions are worked out, within blocks
+GRID_S = 0.02  # spacing of the instants for conditions, within blocks
 _JUMP, _JUMP_C = 8.0, 0.5  # sigmas, degC
 _SMOOTH_S = 0.2  # accelerometers also feel vibration
 
@@ -99,7 +99,7 @@ def _smooth_temperature(t_s: Floats, temperature_c: Floats, grid_s: Floats) -> F
     noise = float(np.median(np.abs(np.diff(temperature_c)))) / 0.954
     raw = np.interp(inside, t_s, temperature_c)
     smooth = np.where(np.abs(raw - smooth) > np.maximum(_JUMP * noise, _JUMP_C), raw, smooth)
-    # Beyond the first and last mean the temperature goes on as it began and ended.
+    # Beyond the first and last mean the temperature continues in a straight line.
     first = (mean_c[1] - mean_c[0]) / (mean_t[1] - mean_t[0])
     last = (mean_c[-1] - mean_c[-2]) / (mean_t[-1] - mean_t[-2])
     return np.asarray(

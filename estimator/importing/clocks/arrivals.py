@@ -10,7 +10,7 @@ from estimator.recordings.recording import ImuData
 from estimator.recordings.reference import Reference
 from estimator.types import Floats, Stamps
 
-_BETTER = 0.05  # natural logarithm by which what is left must be smaller for stamps to be given up
+_BETTER = 0.05  # natural logarithm by which the residual must be smaller to prefer it to the stamps
 
 Instants = tuple[Stamps, Reference]
 """When the samples of gyros were taken, and a reference."""

@@ -7,10 +7,10 @@ import numpy as np
 from estimator.observations.turned import REST_RPS, Turned
 from estimator.types import Floats
 
-_BLOCK_S, _WINDOWS, _WINDOW_S = 0.1, 60, 5.0  # at most so many windows, none shorter
+_BLOCK_S, _WINDOWS, _WINDOW_S = 0.1, 60, 5.0  # the largest number of windows, and the shortest
 _FEWEST = 8
 _STEP_S, _REACH_S = 0.02, 0.5  # of the delays that are tried
-_ALIKE = 0.05  # share of what a fit takes away
+_ALIKE = 0.05  # share that a fit explains
 _FASTEST = 3e-4  # no two crystals are further apart
 _NEAR_S = (0.02, 0.02, 0.01, 0.01, 0.005, 0.005, 0.002, 0.002, 0.002)  # to each side of a delay, compared in turn
 _TOLD, _TOLD_S = 5.0, 1e-3  # sigmas, and seconds over the whole, from which on clocks run apart
@@ -75,7 +75,7 @@ def clocks_apart(gyros: Turned, body: Turned, p: Floats, *, signed: bool) -> Clo
             n, su, sy, suu, suy, syy = (np.bincount(number, v) for v in (known, u, y, u * u, u * y, y * y))
             n = np.maximum(n, 1.0)
             along = suy - su * sy / n
-            along = np.maximum(along, 0.0) if signed else along  # what turns the other way is not followed
+            along = np.maximum(along, 0.0) if signed else along  # an output of opposite sign does not follow
             total += (syy - sy**2 / n - along**2 / (suu - su**2 / n + 1e-30)) / n
         return total
 

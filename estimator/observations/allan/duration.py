@@ -10,7 +10,7 @@ from estimator.types import Floats
 LONGEST_S = 1e8
 """Three years: what takes longer is not worth a figure."""
 _SHORTEST_MEANS, _STEPS = 32, 60
-_SINGLY = 512  # so many coefficients are summed one by one, those above by bands
+_SINGLY = 512  # so many coefficients are summed one by one, higher ones by bands
 
 
 def record_length_s(noise: NoiseTerms, term: int, share: float) -> float:

@@ -15,9 +15,9 @@ from estimator.types import Floats, Stamps
 RATE, FORCE = "rad/s", "m/s2"
 """Units of what gyros and accelerometers put out."""
 _LONGEST_GAP_S = 1.0  # a longer one ends a stretch
-_GAP_STEPS = 1.5  # so many sampling periods apart, samples between are missing
+_GAP_STEPS = 1.5  # larger distances, in sampling periods, mean missing samples
 _SILENT = 0.5  # share of numbers up to which a sensor is left out, not the rows without its numbers
-_MOST_MISSING = 0.05  # of a stretch: with more, averaging times are no longer what they are said to be
+_MOST_MISSING = 0.05  # of a stretch: with more, averaging times are no longer right
 
 
 @dataclass(frozen=True, slots=True, eq=False)

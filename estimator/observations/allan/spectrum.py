@@ -12,7 +12,7 @@ from estimator.types import Floats
 
 TERMS = ("N", "B", "K")
 """Names of the terms, in the order of every array of them."""
-_SINGLE = 12  # so many of the lowest frequencies have a band of their own
+_SINGLE = 12  # each of the lowest frequencies has a band of its own, up to this number
 _BANDS_A_DECADE = 8
 _IMAGES = 3  # to each side, of frequencies that means of continuous noise fold back
 

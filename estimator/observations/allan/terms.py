@@ -15,10 +15,10 @@ from estimator.observations.allan.spectrum import TERMS, allan_variances, band_o
 from estimator.types import Flags, Floats
 
 _RISE = 3.8415  # of the deviance at the ends of an interval of 95 %: chi-square of one degree of freedom
-_FINEST_S = 0.01  # what is below tells of the sensor's filter and its steps, not of its random walks
+_FINEST_S = 0.01  # shorter times show the sensor's filter and its steps, not its random walks
 _FEWEST = 16  # means of a stretch that counts
 _FLAT_DECADES = 1.0  # a floor shorter than this is no bias instability
-_UNLIKE = 4.5  # sigmas by which an octave differs from what all below it tell
+_UNLIKE = 4.5  # sigmas by which an octave differs from the prediction of all below it
 _LEAST_BANDS = 12  # that are left when the highest octaves are taken away
 
 
@@ -152,7 +152,7 @@ def _trimmed(bands: Bands, hz: Floats, start: Floats) -> tuple[Bands, Floats]:
         octave = (hz > top_hz / 2) & (hz <= top_hz)
         below = bands.select(rows).without(hz > top_hz / 2)
         squares, _ = below.fit(start[rows])
-        share = bands.counts[0, octave].sum() / below.counts[0].sum()  # what is below leaves it open by so much
+        share = bands.counts[0, octave].sum() / below.counts[0].sum()  # the uncertainty of that prediction
         differing = np.abs(_excess(bands.select(rows), squares, octave)) > _UNLIKE * np.sqrt(1 + share)
         rows = rows[differing]
         dropped[rows] |= hz > top_hz / 4

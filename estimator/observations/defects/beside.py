@@ -15,7 +15,7 @@ from estimator.recordings.recording import ImuData
 from estimator.recordings.reference import Poses, Reference, TableReadings, Turns
 from estimator.types import Floats, Stamps
 
-_MOST = 60000  # means of neighbouring samples that a long recording is looked at by
+_MOST = 60000  # means of neighbouring samples, at most, for a long recording
 _GAP_STEPS = 3.5  # usual steps: samples that lie further apart are no neighbours
 _DEAD = 0.1  # length of a row of the line, one for a gyro: less does not follow
 _ALIVE = 0.5  # that of another gyro, which shows that it is not the reference that is dead

@@ -40,7 +40,7 @@ def examined(recording: Recording) -> Examined:
     ordered = {name: in_order(data) for name, data in recording.sources.items()}
     lines = _lines(recording, ordered)
     sources = {name: _source(recording, *pair, lines[name]) for name, pair in ordered.items()}
-    # The reference is one for all sources: what follows it best tells where it is wrong.
+    # All sources have one reference: the one that follows it best shows best where it is wrong.
     told = [(float(line.scatter_rps.min()), name) for name, line in lines.items() if line is not None]
     line = lines[min(told)[1]] if told else None
     if line is None:

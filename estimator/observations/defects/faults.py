@@ -15,8 +15,8 @@ from estimator.types import Floats, least_steps
 _STUCK_S = 0.25
 _FEWEST = 10
 _UNUSUAL = 5  # a value that sticks does so this much longer than values repeat by chance
-_TOGETHER = 0.5  # of the rows in which one gyro sticks: where all do in so many, a source sticks
-_FINE_ROWS = 2  # for so few rows fine outputs keep a value: then one that stays is stuck, whatever the body does
+_TOGETHER = 0.5  # of the rows in which one gyro sticks: if all stick in so many, the source sticks
+_FINE_ROWS = 2  # fine outputs repeat a value in no more rows than these: a longer repetition is stuck, for any motion
 _FEWEST_UPDATES = 20
 _SHORT_SHARE = 0.05  # of the runs of equal rows, how many may be one row long all the same
 _AT_PERIOD = 0.5  # of the runs, how many must last one period of the updates

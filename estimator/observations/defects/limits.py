@@ -17,9 +17,9 @@ _FEWEST = 20  # samples beyond a limit: a few a reading may be wrong by
 _WITHOUT_SPIKES = 9  # samples: so long a wrong reading makes a rate wrong that is a slope over some
 _LIKELIER = 0.1  # share of the squares that a limit leaves of those that a line leaves
 _NEARLY_ALL = 0.9  # of the samples beyond a limit, how many must be at it: a filter takes some time to get there
-_FLAT = 0.25  # scatter at a limit over that of what the outputs should be
+_FLAT = 0.25  # scatter at a limit over that of the expected outputs
 _FAR = 0.05  # share of the limit by which a steady rate must be beyond it: no law of the scale factor makes as much
-_LEAST = 0.02  # share of the limit by which outputs must be beyond it: so much a reading may be wrong by
+_LEAST = 0.02  # share of the limit by which outputs must exceed it: possible error of a reading
 _BELOW = 0.3  # of a limit: between that and the limit outputs follow the rate
 _TOP = 0.05  # share of the range within which a limit lies of the largest output
 

@@ -5,11 +5,11 @@ from numpy.typing import NDArray
 
 from estimator.types import Flags, Floats
 
-_FAR = 60.0  # times what neighbours usually differ by: knocks that others measured reach 50, damaged bytes any size
+_FAR = 60.0  # times the usual difference of neighbours: measured knocks reach 50, damaged bytes any size
 _APART = 0.5  # of the spikes, how many values may lie half as far: the tail of a distribution has more
-_AGREE = 0.25  # of a spike's size, what its neighbours may differ by
+_AGREE = 0.25  # of a spike's size, the largest difference between its neighbours
 _ALONE = 0.6  # of its size, by how much it is off each neighbour, and off the line through the two of each side
-_WITHIN, _BESIDE = 25, 3  # values to each side that tell what is usual, less those next to a spike
+_WITHIN, _BESIDE = 25, 3  # values to each side that show the usual difference, less those next to a spike
 _FEWEST = 100
 _CANDIDATES = 0.01
 _ENOUGH = 10000
@@ -61,7 +61,7 @@ def spikes(column: Floats) -> Flags:
     usual = max(float(np.median(away)), float(np.abs(np.diff(v)).min()))
     level = max(0.5 * _FAR * usual, float(np.quantile(away, 1 - _CANDIDATES)))
     at = np.flatnonzero((away > level) & (np.abs(high - low) < _AGREE * away) & (length <= 2 * np.median(length)))
-    for near, next_one in (before, after):  # where the motion goes on, or turns, is no spike
+    for near, next_one in (before, after):  # no spike where the motion continues or reverses
         for said in (near, 2 * near - next_one):
             at = at[np.abs(v - said)[at] > _ALONE * away[at]]
     if not len(at):

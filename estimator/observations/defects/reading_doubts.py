@@ -10,7 +10,7 @@ _TURNING_RPS = float(np.radians(1.0))
 _GAP = 3.0  # times the usual step between readings
 _FEWEST = 20
 _WELL_S = 1e-3  # to which an instant needs to be known
-_SIGMAS = 5.0  # of what is found and of what is stated, by which a scale must be off
+_SIGMAS = 5.0  # of the estimate and of the stated value, by which a scale must be off
 _UNSTATED = 1e-4  # standard uncertainty of rates of which none is stated: units of registers are rounded
 _STILL_RAD, _STILL_SHARE = float(np.radians(0.02)), 0.01  # by which angles and rates differ while one stands still
 _FEWEST_STILL = 5
@@ -40,7 +40,7 @@ def reading_doubts(readings: TableReadings) -> tuple[str, ...]:
             at = int(beyond.argmax())
             off_deg, at_s = np.degrees(turned[at] - summed[at]), (readings.t_ns[at + 1] - readings.t_ns[0]) * 1e-9
             doubts.append(f"the encoder of axis {axis} jumped by {off_deg:+.2f} deg at {at_s:.1f} s")
-        # Readings of which the instant is known much worse than of most tell nothing of a scale.
+        # Readings with a far more uncertain instant than most give no information on a scale.
         well = width_s <= 2 * np.median(width_s) + _WELL_S
         steady = (
             near & well[1:] & well[:-1] & (beyond <= 0.0) & (np.abs(np.diff(rate)) < 0.1 * most) & (most > _TURNING_RPS)

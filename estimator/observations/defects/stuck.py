@@ -6,9 +6,9 @@ from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import BodyRates, TableReadings
 from estimator.types import Flags, runs_of
 
-_LONG_S, _AWRY_NS = 1.0, 400_000_000  # by the second, stamps may be off the table's: what rests then is not stuck
-_TOGETHER_S, _TOGETHER = 0.05, 8  # samples of so long, at least so many, may be sent, and sent again, together
-# By which what a gyro is turned at changes meanwhile: no resolution is so coarse.
+_LONG_S, _AWRY_NS = 1.0, 400_000_000  # stamps may be off the table's by the second, so that a rest is not "stuck"
+_TOGETHER_S, _TOGETHER = 0.05, 8  # samples of this length, and this number, may be sent and repeated together
+# By which the sensed rate changes meanwhile: no resolution is so coarse.
 _OTHERWISE_RPS = float(np.radians(1.0))
 
 

@@ -16,7 +16,7 @@ from estimator.tracing.search import CERTAIN, Search
 from estimator.types import Floats
 
 _MOST_SETS = 40
-_MATTERS = 1e-2  # share of the probability below which what may act is not averaged over
+_MATTERS = 1e-2  # share of the probability below which an alternative is not averaged over
 
 
 def between_recordings(search: Search, terms: Sequence[Term]) -> Floats:

@@ -173,13 +173,13 @@ def _cross_validated(search: Search, before: Augmented, after: Augmented, true: 
     all_runs, shapes = search.runs, search.evidence.shapes
     if not after.parts:
         return judge(all_runs, 0, before, after, False, drawn(all_runs, 0, before, after, true, misfit))
-    # The models are those of all the data; errors by step hold what a fit without that step would have said.
+    # The models are those of all the data; errors by step are those of a fit without that step.
     weight = search.evidence.noise_weight([part.term for part in after.parts])
     parts = []
     share = {key: squares / FOLDS for key, squares in misfit.items()}
     for mask in by_step(all_runs):
         runs = held(all_runs, mask)
-        # Tones stay as they were found on all steps: a fifth of them says nothing else of a line.
+        # Tones stay as estimated on all steps: a fifth of them gives no other line.
         evidence, terms = together(held(all_runs, [~out for out in mask]), after, shapes)
         old = before.estimated(evidence.posterior([], weight))
         new = after.estimated(evidence.posterior(terms, weight))

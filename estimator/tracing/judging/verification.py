@@ -22,19 +22,19 @@ from estimator.tracing.residuals.origin import shape_of
 from estimator.types import Floats
 
 _PIECE_S, _FEWEST_IN_PIECE = 5.0, 5  # without a table: phases of this length, and no fewer blocks than these
-_RAMP_SHARE = 0.02  # of the steepest acceleration of a run: what counts as a ramp
+_RAMP_SHARE = 0.02  # of the steepest acceleration of a run: the least of a ramp
 _FEWEST = 2
 _DRAWN = 400
 _ROUNDING = 1e-9  # of a correlation: elements that are known only together must not make the factor fail
-_MISFIT_DOF = 50.0  # of what no model fits: coherent with the motion, so far fewer than blocks
-_APART = 1.0  # sigmas of an interval by which models differ, to be told apart by it
+_MISFIT_DOF = 50.0  # of the misfit: coherent with the motion, so far fewer than blocks
+_APART = 1.0  # sigmas of an interval by which models must differ to be compared
 _FEWEST_JUDGED = 20
 _LACKS = ((1, 1.0), (9, 0.1))  # orders of cosines in a phase, and the odds that a model lacks something in them
 _LEAST_SEEN, _MOST_SEEN, _SIZES = 0.03, 3.0, 64  # over the doubt, and over what is shown: sizes of what a model lacks
 _CLEAR = 500.0  # log odds beyond which nothing is open
 Misfit = Mapping[tuple[str, int], float]
 """By gyro and number of a run, what no model fits beyond the noise, summed over blocks, (rad/s)^2."""
-_DIRECTION = 1e-3  # share of a direction that must be left beside the mean to count as another
+_DIRECTION = 1e-3  # share of a direction that must remain beside the mean to count as another
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +184,7 @@ def with_structure(
         (_, most), doubt = _structure(shapes[name], 1)
         chosen = _by_chance(-0.5 * (np.maximum(own.after - most, 0.0) / doubt) ** 2)
         drawn[name] = own.chosen(chosen)
-    # Of means little is expected by chance, so little shows; what is within phases has to be larger.
+    # Chance contributes little to means, so little shows there; structure within phases has to be larger.
     for orders, odds in _LACKS:
         shown = {}
         for name in seen:
@@ -393,7 +393,7 @@ def _basis(difference: Floats, sigma: float) -> Floats:
     size = float(np.linalg.norm(other))
     if n < _FEWEST + 1 or size < _DIRECTION * sigma:
         return mean
-    # Where the difference is nearly constant its mean is what tells; where it changes sign, its shape.
+    # Where the difference is nearly constant its mean distinguishes the models; where it changes sign, its shape.
     if abs(float(difference.mean())) * np.sqrt(n) > size:
         return np.column_stack([other / size, mean])
     return np.column_stack([mean, other / size])
@@ -418,7 +418,7 @@ def _errors(phases: Sequence[_Phase], which: int, whole: Drawn) -> Errors:
     """
     if not phases:
         return Errors(float("nan"), float("nan"), float("nan"))
-    # Where the models agree their intervals hold or fail together; what differs is judged where they do not.
+    # Where the models agree their intervals hold or fail together; they are judged where they differ.
     told = sorted(phases, key=lambda p: -p.apart)
     count = max(sum(p.apart > _APART for p in told), min(_FEWEST_JUDGED, len(told)))
     inside = [p.inside[which] for p in (told[:count] if told[0].apart > 0 else told)]

@@ -13,8 +13,8 @@ from estimator.types import Floats
 Columns = NDArray[np.intp]
 
 _VARIABLES = ("time", "rate", "direction", "angle", "acceleration", "temperature", "gravity")
-_BY_CHANCE = 1e-4  # a dependence more probable than this beside white noise is none
-_INDEPENDENT = 1e-8  # share of a column's squares that must be left beside the others
+_BY_CHANCE = 1e-4  # a dependence more probable than this under white noise does not count
+_INDEPENDENT = 1e-8  # share of a column's squares that must remain beside the others
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ def dependences(
     for variable, group in groups.items():
         power, rank = _taken(gram, group.columns, group.beside, rest)
         left = max(count - rank, 1.0)
-        # So many columns would take up so much of noise: what is beyond that is the dependence.
+        # So many columns explain so much of noise by chance: the rest is the dependence.
         chance = (rank + group.doubt) * max(total - power, 1e-12 * total) / left
         p_value = float(fdtrc(rank, left, power / chance)) if rank else 1.0
         found.append((variable, power - chance, p_value))

@@ -23,7 +23,7 @@ from estimator.types import Floats
 WHITE_DOUBT = 2.33
 """Over the root of half the coefficients: doubt of a white noise's variance that their median gave."""
 _SEEN = 0.05  # a direction that gyros see by less than this share of another is not common to them
-_BANDS = (1, 4, 16, 64)  # all frequencies, and so many times fewer: slow errors stand out among the slow
+_BANDS = (1, 4, 16, 64)  # all frequencies, and these fractions of them: slow errors stand out among the slow
 _BEYOND = 5.0  # sigmas
 _LEAST_OWN = 0.01  # share of the power that misalignment of the axes leaves outside of the common part at most
 _FEWEST_BLOCKS = 10

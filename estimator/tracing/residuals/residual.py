@@ -168,7 +168,7 @@ def _judged(
     ends = np.cumsum([regressors.count, *(other.mean.shape[1] for other in models)])
     own = np.arange(ends[m], ends[m + 1])
     rest = int(ends[-1]) + m
-    # A fit takes away so many squares; to runs it was not fitted to, its doubt adds as many.
+    # A fit removes so many squares; for runs that were not fitted, its uncertainty adds as many.
     fitted = _doubt(model, name, gram, own)
     expected = max(gyro.blocks + fitted if held_back else gyro.blocks - fitted, 1.0)
     nis_sd = float(np.sqrt(2 / expected + WHITE_DOUBT**2 / (0.5 * gyro.blocks)))
@@ -218,7 +218,7 @@ def _spectrum(gyro: _Gyro, parts: Sequence[Floats]) -> Spectrum:
     hz = np.concatenate([s.frequency_hz[1:] for s in gyro.stretches])
     noise = np.concatenate([2 * gyro.arw**2 * shape[1:] for shape in gyro.shapes])
     density = noise * np.concatenate([part[1:] for part in parts]) ** 2
-    lowest = np.sort(hz)[:_FEWEST_IN_BAND][-1]  # of single coefficients the spectrum says nothing
+    lowest = np.sort(hz)[:_FEWEST_IN_BAND][-1]  # single coefficients say nothing about the spectrum
     _, band = np.unique(np.floor(_BANDS_A_DECADE * np.log10(np.maximum(hz, lowest))), return_inverse=True)
     counts = np.bincount(band)
     return Spectrum(*(np.bincount(band, values) / counts for values in (hz, density, noise)))

@@ -10,7 +10,7 @@ from estimator.tracing.augmented import Augmented, Part
 from estimator.tracing.residuals.residual import Residual
 from estimator.types import Floats
 
-_FAINT = 0.1  # share of what is beyond the noise, 5 % of its size
+_FAINT = 0.1  # share of the power beyond the noise, 5 % of its size
 _MOST_HELD = 6  # samples for which a logger may keep a value, or between which it may interpolate
 _RESOLVED = 2.0  # of one over the length of a run: nearer than this frequencies are one
 _ALIKE = 0.98  # cosine of the angle between the sizes that two lines have in the gyros

@@ -22,7 +22,7 @@ class Heard:
     def __init__(self, runs: Sequence[Run], evidence: Evidence) -> None:
         """Begin without tones; ``evidence`` is of the same runs."""
         self._runs, self._evidence = runs, evidence
-        # Beside another instrument that moves no tone is looked for (``find_tone``): its samples are not worked out.
+        # Beside another moving instrument no tone is searched (``find_tone``): its samples are not computed.
         self._samples = [] if any(run.by_another for run in runs) else [samples_of(run) for run in runs]
         self.parts: list[Part] = []
 

@@ -17,18 +17,18 @@ from estimator.types import Floats
 
 Waves = NDArray[np.complex128]
 
-_LOWEST_HZ = 0.05  # below it a tone is told from slow effects by them, not by its line
-_LOWEST_BY_HAND_HZ = 5.0  # below it hands move what they hold, and a reference that is off by it shows it
+_LOWEST_HZ = 0.05  # below it a tone is distinguished from slow effects by these, not by its line
+_LOWEST_BY_HAND_HZ = 5.0  # below it hands move the body, and an error of the reference shows
 _FLOOR_BINS = 60  # the noise about a line is the median over so many frequencies to each side
 _STEPS = 12
 _WORTH = 0.3
 _FEWEST_CYCLES = 20
 _PARTS = 4
 _GAP_S = 1.0  # between samples: means of both sides are not those of one piece
-_CYCLES_A_PIECE = 3.0  # fewer within a piece without a gap are no line, but what the bias does from piece to piece
+_CYCLES_A_PIECE = 3.0  # fewer within a piece without a gap are no line, but changes of the bias from piece to piece
 _FEWEST = 256
 _RAMP = 0.02  # share of the steepest acceleration
-_COHERENT = 0.75  # of what parts of a run show each by itself, a tone shows as much with one phase
+_COHERENT = 0.75  # least share of the power of single parts of a run that a tone shows with one phase for all
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +51,7 @@ def find_tone(runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequen
     chance may give such a line, or if it does not last through the runs.
     """
     if any(run.by_another for run in runs):
-        return None  # what moves the body moves its reference: of a line in their difference nobody knows whose it is
+        return None  # the reference moves with the body: a line in their difference may be of either
     samples = [_steady(run, s) for run, s in zip(runs, samples, strict=True)]
     if min(len(s.t_s) for s in samples) < _FEWEST:
         return None
@@ -81,11 +81,11 @@ def find_tone(runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequen
 
     amplitudes = sum(len(s.names) for s in samples)
     if float(gammaincc(amplitudes, total[peak])) * usable.sum() > _WORTH:
-        return None  # chance alone gives such a line: what follows costs more than the search for it
+        return None  # chance alone gives such a line: the next steps cost more than the search for it
     width = 1 / span_s
     variances = [floor[peak] for floor in floors]
 
-    @cache  # both kinds of tone are looked for at the same frequencies first
+    @cache  # both kinds of tone are first computed at the same frequencies
     def turning(frequency_hz: float) -> list[Waves]:
         return _turning(frequency_hz, samples, rests)
 
