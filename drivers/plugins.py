@@ -94,15 +94,15 @@ def _changed_by_others(path: Path) -> str:
     except OSError:
         return ""  # a missing file is reported when it is loaded
     for place, state in reversed(seen):
-        what = "it" if place == path.absolute() else str(place)
+        place_text = "it" if place == path.absolute() else str(place)
         if state.st_uid not in (0, os.geteuid()):
-            return f"{what} belongs to {_user(state.st_uid)}"
+            return f"{place_text} belongs to {_user(state.st_uid)}"
         if stat.S_ISLNK(state.st_mode) or (stat.S_ISDIR(state.st_mode) and state.st_mode & stat.S_ISVTX):
             continue
         if state.st_mode & stat.S_IWOTH:
-            return f"every user of this computer may write to {what}"
+            return f"every user of this computer may write to {place_text}"
         if state.st_mode & stat.S_IWGRP and not _private(state.st_gid, state.st_uid):
-            return f"a group of users may write to {what}"
+            return f"a group of users may write to {place_text}"
     return ""
 
 
@@ -196,12 +196,12 @@ class Registry(Mapping[str, T]):
         if not entries:
             own = self._own[name]
             return import_module(own).SPEC if isinstance(own, str) else own
-        what = f"entry point {name} of {self._group} ({entries[0].value})"
-        record = _guarded(what, "", entries[0].load)
+        origin = f"entry point {name} of {self._group} ({entries[0].value})"
+        record = _guarded(origin, "", entries[0].load)
         if not isinstance(record, self._kind):
-            raise PluginError(f"{what}: {type(record).__name__} is no {self._kind.__name__}")
+            raise PluginError(f"{origin}: {type(record).__name__} is no {self._kind.__name__}")
         if (called := getattr(record, "name", "")) != name:
-            raise PluginError(f"{what}: it is called {called}. Register it by that name")
+            raise PluginError(f"{origin}: it is called {called}. Register it by that name")
         return record
 
     def tried(self) -> dict[str, T | PluginError]:

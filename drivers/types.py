@@ -182,7 +182,7 @@ class LinkCounts:
     @property
     def text(self) -> str:
         """All that is not zero, in words."""
-        return ", ".join(f"{count} {what.replace('_', ' ')}" for what, count in asdict(self).items() if count)
+        return ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in asdict(self).items() if count)
 
 
 @dataclass(slots=True)

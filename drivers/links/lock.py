@@ -182,9 +182,9 @@ def _check_unlocked(path: str) -> None:
 def _holder(file: int) -> str:
     """Return in words who holds a locked file: the user is the file's owner, the rest the holder's own text."""
     text = os.pread(file, _HOLDER_BYTES, 0).decode("utf-8", "replace")
-    said = _HOLDER.fullmatch("".join(letter if letter.isprintable() else "?" for letter in text))
+    match = _HOLDER.fullmatch("".join(letter if letter.isprintable() else "?" for letter in text))
     user = _user(os.fstat(file).st_uid)
-    return f"process {said[1]} of {user} ({said[2]})" if said else f"a program of {user}"
+    return f"process {match[1]} of {user} ({match[2]})" if match else f"a program of {user}"
 
 
 def _user(uid: int) -> str:

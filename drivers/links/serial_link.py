@@ -233,8 +233,8 @@ class _Reader:
 
     def _end_inbox(self) -> None:
         if not self._closing.is_set():
-            what = "closed the connection" if _is_url(self._url) else "is gone: unplugged or without power"
-            self._inbox.end(f"serial port {self._url} {what}")
+            reason = "closed the connection" if _is_url(self._url) else "is gone: unplugged or without power"
+            self._inbox.end(f"serial port {self._url} {reason}")
 
 
 def _drop_backlog(port: Any) -> None:

@@ -60,8 +60,8 @@ class Table:
                     self.homing.discard(axis)
             if self.homing and loop.time() > deadline:
                 await self._give_up_homing()
-                said = f"axis {', '.join(sorted(self.homing))} did not complete homing within {_HOMING_LIMIT_S:.0f} s"
-                raise DeviceRefused(self._device, said)
+                reason = f"axis {', '.join(sorted(self.homing))} did not complete homing within {_HOMING_LIMIT_S:.0f} s"
+                raise DeviceRefused(self._device, reason)
             await asyncio.sleep(poll_s)
 
     async def _give_up_homing(self) -> None:

@@ -47,8 +47,8 @@ class _Axis:
     @property
     def heedless(self) -> bool:
         """Whether it got several stops and slows no more (it may tremble), or turns without a motion to stop."""
-        told = self.tells >= _TELLS and len(self._rates_rps) == _IN_A_ROW  # a slow link needs time for its readings
-        return self.astray >= _LOOKS or (told and self._slowest_rps > min(_TURNS_RPS, _HEEDS * self._first_rps))
+        enough = self.tells >= _TELLS and len(self._rates_rps) == _IN_A_ROW  # a slow link needs time for its readings
+        return self.astray >= _LOOKS or (enough and self._slowest_rps > min(_TURNS_RPS, _HEEDS * self._first_rps))
 
     def see(self, state: AxisState) -> bool:
         """Add a reading; return whether it shows that the axis slows down or stands.
@@ -117,15 +117,15 @@ async def bring_to_rest(
     waiting = [_Axis(name) for name in axes]
     while True:
         failures: list[DeviceError] = []
-        told = []
+        stopping = []
         for axis in tuple(waiting):
             with kept(failures):
                 await tell(axis.name)
-                told.append(axis)
-        for axis in told:
+                stopping.append(axis)
+        for axis in stopping:
             axis.news_s = loop.time()
-        while told and loop.time() < min(axis.news_s for axis in told) + _TOLD_AGAIN_S:
-            for axis in tuple(told):
+        while stopping and loop.time() < min(axis.news_s for axis in stopping) + _TOLD_AGAIN_S:
+            for axis in tuple(stopping):
                 try:
                     if axis.see(await read(axis.name)):
                         seen_s = axis.news_s = loop.time()
@@ -136,17 +136,17 @@ async def bring_to_rest(
                     waiting.append(waiting.pop(waiting.index(axis)))  # the others first
                     break
                 if axis.stands:
-                    told.remove(axis)
+                    stopping.remove(axis)
                     waiting.remove(axis)
             # Axes that have not got a stop must not wait until the others stand, nor until one is given up.
-            if failures or any(axis.astray >= _LOOKS for axis in told):
+            if failures or any(axis.astray >= _LOOKS for axis in stopping):
                 break
-            await asyncio.sleep(_LOOK_S if told else 0.0)
+            await asyncio.sleep(_LOOK_S if stopping else 0.0)
         if not waiting:
             return f"{', '.join(axes)} seen at rest {loop.time() - began_s:.2f} s after the stop began"
-        for axis in told:
+        for axis in stopping:
             axis.tells += 1
-        heedless = [axis for axis in told if axis.heedless and not failures]
+        heedless = [axis for axis in stopping if axis.heedless and not failures]
         if heedless or loop.time() > seen_s + _WAIT * timeout_s:
             raise _not_at_rest(device, heedless or waiting, failures)
         await asyncio.sleep(_LOOK_S)
@@ -157,13 +157,13 @@ def _not_at_rest(device: str, axes: Sequence[_Axis], failures: Sequence[DeviceEr
     failure.
     """
     now_s = asyncio.get_running_loop().time()
-    said = "; ".join(axis.text(now_s) for axis in axes)
+    readings = "; ".join(axis.text(now_s) for axis in axes)
     if failures:
         kind = BadReply if isinstance(failures[0], BadReply) else LinkLost
-        return kind(device, f"{failures[0].message}; {said}: look at the table")
+        return kind(device, f"{failures[0].message}; {readings}: look at the table")
     if all(axis.contradicts_itself for axis in axes):
-        return DeviceRefused(device, f"told to stop, {said}: its readings do not show whether it is at rest")
-    return DeviceRefused(device, f"told to stop, {said}: it keeps turning. Cut its power")
+        return DeviceRefused(device, f"told to stop, {readings}: its readings do not show whether it is at rest")
+    return DeviceRefused(device, f"told to stop, {readings}: it keeps turning. Cut its power")
 
 
 async def first_look(table: Turntable, *, take_over: bool) -> None:

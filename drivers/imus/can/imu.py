@@ -110,10 +110,10 @@ class ChannelSignals:
         self.counter = reader(channel.counter, "count") if channel.counter is not None else None
         self.time = reader(channel.time, "time") if channel.time is not None else None
         self.wrap, self.step = channel.wrap, channel.step
-        for part, what in ((self.rates, "rates"), (self.acceleration, "accelerations")):
+        for part, quantities in ((self.rates, "rates"), (self.acceleration, "accelerations")):
             if len({signal.key for signal in part}) > 1:
                 names = ", ".join(signal.name for signal in part)
-                raise DeviceError(device, sentence("imu.in_several", names=names, what=what, dbc=dbc.name))
+                raise DeviceError(device, sentence("imu.in_several", names=names, what=quantities, dbc=dbc.name))
         if self.counter is not None and self.time is not None:
             raise DeviceError(device, f"{self.counter.name} and {self.time.name}: give a counter or a time, not both")
         for signal in (self.counter, self.time):
@@ -404,8 +404,8 @@ class _Source:
     def _held(self, temperature_c: Floats) -> Floats:
         """Return the temperature at each sample: the last one received."""
         known = np.concatenate([[self._temperature_c], temperature_c])
-        told = np.maximum.accumulate(np.where(np.isnan(known), 0, np.arange(len(known))))
-        held = known[told]
+        latest = np.maximum.accumulate(np.where(np.isnan(known), 0, np.arange(len(known))))
+        held = known[latest]
         self._temperature_c = float(held[-1])
         return np.asarray(held[1:])
 

@@ -223,8 +223,8 @@ class Stim300Imu(OneSource[ByteLink]):
         if configuration.accelerometer:
             known = {range_g for range_g in ranges if range_g is not None}
             if len(known) != 1 or self._wanted_range_g not in (None, *known):
-                said = ", ".join(f"{range_g} g" for range_g in sorted(known)) or "an unknown range"
-                self._refuse(f"has accelerometers of {said}", f"{self._wanted_range_g or 'one range for all'} g", "")
+                text = ", ".join(f"{range_g} g" for range_g in sorted(known)) or "an unknown range"
+                self._refuse(f"has accelerometers of {text}", f"{self._wanted_range_g or 'one range for all'} g", "")
             self._accel = accel_unit_mps2(configuration.accel_unit, known.pop(), self._rate_hz)
 
     def _refuse(self, found: str, wanted: str, command: str) -> None:

@@ -117,10 +117,10 @@ class GalilFraming:
     def token(self) -> Token:
         """Return a token with a new word. Its leading CR terminates a line that was cut off on its way."""
         word = f"T{secrets.token_hex(4).upper()}".encode()
-        said = re.compile(rb':?[ \r\n]*(?<!")' + word + rb"[ ]*\r\n:")
+        pattern = re.compile(rb':?[ \r\n]*(?<!")' + word + rb"[ ]*\r\n:")
 
         def find(received: bytes) -> tuple[int, int] | None:
-            found = said.search(received)
+            found = pattern.search(received)
             return found.span() if found else None
 
         return Token(b'\rMG "' + word + b'"\r', find)

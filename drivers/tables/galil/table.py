@@ -224,16 +224,16 @@ class GalilTable(LineTable):
         switches = await self._switches(axis)
         stop = round(await self._number("SC", axis))
         known = self._known_stops.get(axis) == stop
-        what = ""
+        reason = ""
         if switches.motor_off and axis in self._powered:
-            what = "its motor has switched off"
+            reason = "its motor has switched off"
         elif switches.motor_off and stop in galil.FATAL_STOPS and not known:
-            what = "its motor was switched off by a fault"
+            reason = "its motor was switched off by a fault"
         elif not switches.motor_off and switches.error_exceeded:
-            what = "its following error is too large"
+            reason = "its following error is too large"
         elif not switches.motor_off and stop in galil.LIMIT_STOPS and not known:
-            what = "it ran into a limit"
-        fault = f"axis {axis}: {what} (SC {stop}, {galil.stop_text(stop)}; TS {switches.word})" if what else ""
+            reason = "it ran into a limit"
+        fault = f"axis {axis}: {reason} (SC {stop}, {galil.stop_text(stop)}; TS {switches.word})" if reason else ""
         return switches, stop, fault
 
     async def _switches(self, axis: str) -> galil.Switches:
@@ -293,8 +293,8 @@ class GalilTable(LineTable):
         if acceleration > allowed:
             least = math.degrees(acceleration / own.counts_per_turn * TURN)
             raise DeviceRefused(self._device, sentence("table.gentlest", axis=axis, counts=acceleration, dps2=least))
-        for what in ("AC", "DC"):
-            await self._tell(f"{what}{own.address}={acceleration}")
+        for command in ("AC", "DC"):
+            await self._tell(f"{command}{own.address}={acceleration}")
 
     def _rate(self, axis: str, rate_rps: float, acceleration_rps2: float) -> int:
         """Return a rate in counts/s; DeviceRefused beyond the limits, which the controller does not know, or below half

@@ -211,14 +211,14 @@ class ModbusLine:
         sent once.
         """
         if self._tcp.wrong:
-            said = f"sent an answer for {request.register} that violates Modbus: {self._tcp.wrong}"
-            return BadReply(self._device, f"{_who(request)} {said}")
-        said = f"does not answer within {within_s:g} s{'' if once else ' after two requests'}"
+            reason = f"sent an answer for {request.register} that violates Modbus: {self._tcp.wrong}"
+            return BadReply(self._device, f"{_who(request)} {reason}")
+        reason = f"does not answer within {within_s:g} s{'' if once else ' after two requests'}"
         heard = "; what arrives is late, damaged or unrelated" if self._rtu.heard else ""
         if (code := self._rtu.refusal) is not None:
-            said = f"refused all requests within {within_s:g} s"
+            reason = f"refused all requests within {within_s:g} s"
             heard = f": Modbus exception {code}, {_EXCEPTIONS.get(code, 'unknown exception')}"
-        return LinkLost(self._device, f"{_who(request)} {said}{heard}")
+        return LinkLost(self._device, f"{_who(request)} {reason}{heard}")
 
     async def _hear_out(self) -> None:
         """Wait a little for the reply to a request that was cancelled, if one is outstanding, as a stop cancels all of
@@ -358,8 +358,8 @@ class ModbusLine:
             raise self._gone()
 
     def _gone(self) -> LinkLost:
-        said = f"the connection to {_text(self._address)} is gone"
-        return LinkLost(self._device, f"{said}: {self._ended}" if self._ended else said)
+        reason = f"the connection to {_text(self._address)} is gone"
+        return LinkLost(self._device, f"{reason}: {self._ended}" if self._ended else reason)
 
     def _now(self) -> float:
         return asyncio.get_running_loop().time()
