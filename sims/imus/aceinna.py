@@ -92,8 +92,8 @@ class AceinnaDevice:
             if self._held[aceinna.PACKET_TYPES][1] & aceinna.PACKETS[name]:
                 message = self._messages[name]
                 ranged = zip(message.signals, fields, strict=True)
-                told = {signal.name: np.clip(value, signal.minimum, signal.maximum) for signal, value in ranged}
-                self._send(parameter_group(message.frame_id), message.encode(told))
+                limited = {signal.name: np.clip(value, signal.minimum, signal.maximum) for signal, value in ranged}
+                self._send(parameter_group(message.frame_id), message.encode(limited))
 
     def _answer(self, wanted: bytes, destination: int, host: int) -> None:
         """Answer a request, written by the standard (low byte first) or in Aceinna's way, or refuse it.

@@ -56,10 +56,10 @@ class CanNodes:
             force = self._setup.force_mps2(at)[0] if self._feels else np.zeros(3)
             with_temperature = sample % every == 0 or not self._rarely
             temperature_c = self._setup.gyros.temperature_c(start) if with_temperature else math.nan
-            told = _Told(sample, device_s, temperature_c, force)
+            sent = _Told(sample, device_s, temperature_c, force)
             times = self.faults.times_to_send()
             for node in self._nodes:
-                messages = node.messages(rates[node.gyros], told, with_temperature=with_temperature)
+                messages = node.messages(rates[node.gyros], sent, with_temperature=with_temperature)
                 for message in messages * times:
                     self._bus.send(message)
 

@@ -40,7 +40,7 @@ class Settings:
     def configuration(self) -> Configuration:
         """Return the configuration datagram of these settings."""
         layout = LAYOUTS[self.identifier]
-        told = Configuration.of(
+        configuration = Configuration.of(
             rate_hz=self.rate_hz,
             accelerometer=layout.accelerometer,
             inclinometer=layout.inclinometer,
@@ -52,7 +52,7 @@ class Settings:
             accel_range_g=self.accel_range_g,
             revision=self.revision,
         )
-        data = bytearray(told.data)
+        data = bytearray(configuration.data)
         data[3] |= (self.stop_bits == 2) << 3 | _PARITIES.index(self.parity) << 1 | self.terminated
         data[5], data[6] = self.gyro_filter * 0x11, self.gyro_filter << 4
         return Configuration(bytes(data))
@@ -120,8 +120,8 @@ def utility_reply(own: Settings, line: bytes) -> UtilityMessage | None:
         act(*given)
     except Refused:
         return UtilityMessage(True, (name, "5"))
-    said = _KNOWN["utility"][name].format(*map(str.upper, given), own=own)
-    return UtilityMessage(True, (name, "0", *(said.split(",") if said else ())))
+    text = _KNOWN["utility"][name].format(*map(str.upper, given), own=own)
+    return UtilityMessage(True, (name, "0", *(text.split(",") if text else ())))
 
 
 def _one_of(code: str, known: Collection[str]) -> str:

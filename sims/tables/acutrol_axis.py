@@ -21,7 +21,7 @@ class AcutrolAxisTwin:
         self._table, self._axis, self._wrapped = table, axis, wrapped
         data = table.data[axis]
         self.most = {"rate": math.degrees(data.max_rate_rps), "acceleration": math.degrees(data.max_acceleration_rps2)}
-        self.limits = {(what, mode): self.most[what] for what in self.most for mode in LIMITED_MODES}
+        self.limits = {(quantity, mode): self.most[quantity] for quantity in self.most for mode in LIMITED_MODES}
         self.mode = "off"
         self.powered = False
         """Whether the interlock is closed."""

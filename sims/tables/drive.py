@@ -54,7 +54,7 @@ class Drive:
     def read(self, register: str) -> float:
         """Return the present value of a register."""
         self._update()
-        told: dict[str, Callable[[], float]] = {
+        readers: dict[str, Callable[[], float]] = {
             "statusword": self._statusword,
             "controlword": lambda: self._controlword if self._written is None else self._written,
             "position": lambda: self._table.encoder_turns(self._axis),
@@ -62,7 +62,7 @@ class Drive:
             "error_code": self._error_code,
             self._interlock[0]: lambda: 0 if self._table.interlock_open else self._interlock[1],
         }
-        return told[register]() if register in told else self.values[register]
+        return readers[register]() if register in readers else self.values[register]
 
     def write(self, register: str, value: float) -> None:
         """Write a register; a controlword acts when the drive samples it, a target rate at once in velocity mode.

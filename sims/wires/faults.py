@@ -171,7 +171,7 @@ def device_faults(table: Mapping[str, object], gyros: int, where: str) -> tuple[
 
 def wire_faults(table: Mapping[str, object], where: str) -> WireFaults:
     """Return the wire faults in [twin.NAME.fault] for a device of another kind; HiddenError if invalid."""
-    refuse_unknown(table, {key_of(what): what for what in fields(WireFaults)}, where)
+    refuse_unknown(table, {key_of(described): described for described in fields(WireFaults)}, where)
     return _read(WireFaults, table, where)
 
 
@@ -363,7 +363,7 @@ def _share(random: np.random.Generator, share: float) -> bool:
 
 def _split(table: Mapping[str, object], kinds: tuple[type, type], where: str) -> tuple[dict[str, object], ...]:
     """Return the parts of a table that belong to each of two kinds; keys of both go to the first."""
-    known = [{key_of(what): what for what in fields(kind)} for kind in kinds]
+    known = [{key_of(described): described for described in fields(kind)} for kind in kinds]
     refuse_unknown(table, known[0] | known[1], where)
     first = {key: value for key, value in table.items() if key in known[0]}
     return first, {key: value for key, value in table.items() if key not in first}

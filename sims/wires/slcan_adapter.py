@@ -91,8 +91,8 @@ class SlcanAdapter(LineDevice):
         if name == "F" and self.is_open:
             flags, self._flags = self._flags, 0
             return f"F{flags:02X}\r".encode()
-        told = {"V": f"V{self._version}", "N": f"N{self._serial}"}.get(name)
-        return BELL if told is None else told.encode() + CR
+        answer = {"V": f"V{self._version}", "N": f"N{self._serial}"}.get(name)
+        return BELL if answer is None else answer.encode() + CR
 
     def _set_up(self, name: str, rest: str) -> bytes:
         """Open or close the channel, or carry out a setting that is allowed only while closed; return CR, or BELL if

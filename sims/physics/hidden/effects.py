@@ -46,8 +46,8 @@ class Hidden:
         effects: list[object] = []
         for name, kind in KINDS.items():
             if name in tables:
-                said = tables[name]
-                several = enumerate(said) if isinstance(said, list | tuple) else [("", said)]
+                value = tables[name]
+                several = enumerate(value) if isinstance(value, list | tuple) else [("", value)]
                 effects.extend(read(kind, one, f"{name}.{place}".rstrip(".")) for place, one in several)
         temperature = read(Temperature, tables["temperature"], "temperature") if "temperature" in tables else None
         return cls(tuple(effects), temperature, _devices(tables.get("devices")))

@@ -76,13 +76,13 @@ def read(kind: type[T], table: object, name: str) -> T:
     declared = {key_of(f): f for f in fields(kind) if f.metadata}  # type: ignore[arg-type]
     refuse_unknown(table, declared, name)
     values = {}
-    for key, what in declared.items():
+    for key, described in declared.items():
         if key in table:
             try:
-                values[what.name] = _value(table[key], what)
+                values[described.name] = _value(table[key], described)
             except HiddenError as error:
                 raise HiddenError(f"{name}.{key}: {error}") from None
-        elif what.default is MISSING:
+        elif described.default is MISSING:
             raise HiddenError(f"{name}: {key} is missing")
     return kind(**values)
 
@@ -102,27 +102,27 @@ def for_gyros(effect: T, count: int) -> T:
     HiddenError if there are neither one nor ``count`` numbers.
     """
     arrays = {}
-    for what in fields(effect):  # type: ignore[arg-type]
-        if what.metadata.get("each"):
-            value = np.asarray(getattr(effect, what.name), dtype=np.float64)
+    for described in fields(effect):  # type: ignore[arg-type]
+        if described.metadata.get("each"):
+            value = np.asarray(getattr(effect, described.name), dtype=np.float64)
             if value.ndim and value.shape != (count,):
-                name = f"{getattr(effect, 'name', '')}.{key_of(what)}"
+                name = f"{getattr(effect, 'name', '')}.{key_of(described)}"
                 raise HiddenError(f"{name}: {value.size} values for {count} gyros: give one for all, or one each")
-            arrays[what.name] = np.broadcast_to(value, (count,))
+            arrays[described.name] = np.broadcast_to(value, (count,))
     return replace(effect, **arrays) if arrays else effect  # type: ignore[type-var]
 
 
 def check(effect: object) -> None:
     """Check every number of an effect; HiddenError if one is not finite, other than by default, or out of its range."""
-    for what in fields(effect):  # type: ignore[arg-type]
-        if "like" not in what.metadata:
+    for described in fields(effect):  # type: ignore[arg-type]
+        if "like" not in described.metadata:
             continue
-        value = np.asarray(getattr(effect, what.name), dtype=np.float64)
-        least, most = what.metadata["least"], what.metadata.get("most")
-        finite = np.isfinite(value).all() or np.all(value == what.default)
+        value = np.asarray(getattr(effect, described.name), dtype=np.float64)
+        least, most = described.metadata["least"], described.metadata.get("most")
+        finite = np.isfinite(value).all() or np.all(value == described.default)
         if not finite or (least is not None and np.any(value < least)) or (most is not None and np.any(value > most)):
             wanted = "a number" if least is None else f"{least:g} or more"
-            name = f"{getattr(effect, 'name', '')}.{key_of(what)}".lstrip(".")
+            name = f"{getattr(effect, 'name', '')}.{key_of(described)}".lstrip(".")
             raise HiddenError(f"{name}: give 0 % to 100 %" if most is not None else f"{name}: must be {wanted}")
 
 

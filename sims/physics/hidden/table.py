@@ -89,8 +89,8 @@ class EncoderEccentricity(OfTable):
         true = angle_rad
         for _ in range(_NEWTON_STEPS):
             wave = self.order * true + self.phase_rad
-            said = true + self.size_rad * (np.sin(wave) - np.sin(self.phase_rad))
-            true = true - (said - angle_rad) / (1 + self.order * self.size_rad * np.cos(wave))
+            reported = true + self.size_rad * (np.sin(wave) - np.sin(self.phase_rad))
+            true = true - (reported - angle_rad) / (1 + self.order * self.size_rad * np.cos(wave))
         return np.asarray(true)
 
 
@@ -169,8 +169,8 @@ class TableFaults:
 
     def true_angles(self, axis: str, angles: Angles, started_s: float) -> Angles:
         """Return a function that gives the true angles of an axis whose encoder indicates ``angles``."""
-        its = [e for e in self.effects if isinstance(e, TableReading) and e.axis == axis and e.followed]
-        shifts = [effect.shift(angles, started_s) for effect in its]
+        effects = [e for e in self.effects if isinstance(e, TableReading) and e.axis == axis and e.followed]
+        shifts = [effect.shift(angles, started_s) for effect in effects]
 
         def true(t_s: Floats) -> Floats:
             angle_rad = self.true_angle(axis, angles(t_s))
