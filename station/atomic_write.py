@@ -72,8 +72,8 @@ def write_whole(
     UsageError. UsageError, with the reason, if the file cannot be written; what was there is unchanged then.
     """
     if path.exists() and (not replace or not path.is_file()):
-        what = "exists already and is not overwritten" if path.is_file() else "is not a file"
-        raise UsageError(f"{path} {what}: give another name")
+        reason = "exists already and is not overwritten" if path.is_file() else "is not a file"
+        raise UsageError(f"{path} {reason}: give another name")
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

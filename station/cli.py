@@ -176,8 +176,8 @@ def make_parser() -> argparse.ArgumentParser:
     """Return the parser of the command line; no library is imported for it."""
     parser = _Station(prog="station", description=_TYPED["description"], epilog=_TYPED["epilog"])
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=_Parser)
-    for name, said in COMMANDS.items():
-        _add_command(commands, name, said)
+    for name, described in COMMANDS.items():
+        _add_command(commands, name, described)
     return parser
 
 

@@ -113,10 +113,10 @@ def _frame(table: Table) -> tuple[Frames, list[Any]]:
     signals = []
     for name in own["fields"].remaining():
         of = own["fields"].table(name)
-        told = of.read_all("description.field")
-        kind, big = told["type"], (told["byte_order"] or order) == "big"
-        at = _place(of, told["at"], int(kind[1:]), size)
-        signals.append(signal(name, at, kind, big, told["scale"], told["offset"]))
+        field = of.read_all("description.field")
+        kind, big = field["type"], (field["byte_order"] or order) == "big"
+        at = _place(of, field["at"], int(kind[1:]), size)
+        signals.append(signal(name, at, kind, big, field["scale"], field["offset"]))
     return framing, signals
 
 

@@ -91,7 +91,7 @@ class _Bar(Bar):
     def count(self, failed: int) -> None:
         """Count one item more; ``failed`` of all so far failed."""
         self._done += 1
-        said = f"{failed} failed" if failed else ""
-        line = f"{self._label}: {self._done} of {self._total}  {said}".rstrip()
+        text = f"{failed} failed" if failed else ""
+        line = f"{self._label}: {self._done} of {self._total}  {text}".rstrip()
         due = self._done * _PLAIN_LINES // self._total > (self._done - 1) * _PLAIN_LINES // self._total
-        self._tell(line, 0.0, due, completed=self._done, failed=said)
+        self._tell(line, 0.0, due, completed=self._done, failed=text)

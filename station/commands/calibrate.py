@@ -112,8 +112,8 @@ def command_calibrate(arguments: argparse.Namespace) -> int:
         files = f"{len(skipped)} file{'s' if len(skipped) > 1 else ''}"
         shown = ", ".join(Path(name).name for name in skipped[:_MOST_SKIPPED])
         more = f" and {len(skipped) - _MOST_SKIPPED} more" if len(skipped) > _MOST_SKIPPED else ""
-        told = f"skipped {files} of the station that hold{'' if len(skipped) > 1 else 's'} no recording: {shown}{more}"
-        tell(harmless(told), sys.stderr if arguments.json else sys.stdout)
+        note = f"skipped {files} of the station that hold{'' if len(skipped) > 1 else 's'} no recording: {shown}{more}"
+        tell(harmless(note), sys.stderr if arguments.json else sys.stdout)
     return worst
 
 
@@ -222,8 +222,8 @@ def _print(ends: Sequence[End], *, in_lines: bool, details: bool) -> int:
         _print_overview(judged, folder)
         counts = Counter(str(end.verdict.outcome) for _, end in judged)
         counts["not estimated"] = len(ends) - len(judged)
-        told = ", ".join(f"{count} {what}" for what, count in counts.items() if count)
-        tell(f"{len(ends)} recordings: {told}")
+        text = ", ".join(f"{count} {outcome}" for outcome, count in counts.items() if count)
+        tell(f"{len(ends)} recordings: {text}")
     else:
         for name, end in judged:
             printing.print_result(end.verdict, end.calibration, Path(name), end.units, details=details)
@@ -287,5 +287,5 @@ def _reasons(verdict: Verdict) -> list[str]:
     if verdict.broken:
         first, *others = (line.broken for line in verdict.broken)
         return [*verdict.because, f"{first}, and {len(others)} more limits exceeded" if others else first]
-    told = verdict.reason.replace("; but ", "; ").split("; ")
-    return told[1:] if verdict.outcome in _ESTIMATED else told  # the first line is that of every such run
+    reasons = verdict.reason.replace("; but ", "; ").split("; ")
+    return reasons[1:] if verdict.outcome in _ESTIMATED else reasons  # the first line is that of every such run

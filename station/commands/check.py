@@ -49,8 +49,8 @@ def command_check(arguments: argparse.Namespace) -> int:
     computer += watch.findings()
     well = not any(device.wrong for device in found) and not any(finding.wrong for finding in computer)
     if arguments.json:
-        told = [asdict(finding) for finding in computer]
-        print(json.dumps({"ok": well, "devices": json_object(found), "computer": told}))
+        findings = [asdict(finding) for finding in computer]
+        print(json.dumps({"ok": well, "devices": json_object(found), "computer": findings}))
     else:
         print_rendered(stdout(), "station.render", "check.rich", {"bench": bench, "found": found})
         print_computer(computer)

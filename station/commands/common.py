@@ -99,10 +99,10 @@ def _run(arguments: argparse.Namespace) -> int:
                 print_rendered(stdout(), "station.render", "moved.rich", {"moves": asyncio.run(moved(path))})
     if bench.after_run:
         sys.stdout.flush()  # the result is printed by then, however long the program takes
-        told = {"bench": bench.station, "script": script.name, "operator": operator, "serial_number": serial}
+        context = {"bench": bench.station, "script": script.name, "operator": operator, "serial_number": serial}
         if sys.stderr.isatty():
             tell(f"after_run: {bench.after_run[0]} receives the result", sys.stderr)
-        problem = tell_program(bench.after_run, {**_run_object(result), **told})
+        problem = tell_program(bench.after_run, {**_run_object(result), **context})
         if problem:
             tell(f"note: after_run: {problem}; the result is in {path}", sys.stderr)
     return result.verdict.outcome.exit_code
@@ -192,8 +192,8 @@ async def drive(
         session = Session(opened, script, path, options, on_progress=progress.show, on_event=on_event)
         if host is None:
             return await session.run()
-        told = {key: getattr(options, key) for key in ("time_scale", "operator", "device_serial", "manual")}
-        await host.begin(session, {**introduction(bench, bench_file, script, path, session.gyros), **told})
+        shown_options = {key: getattr(options, key) for key in ("time_scale", "operator", "device_serial", "manual")}
+        await host.begin(session, {**introduction(bench, bench_file, script, path, session.gyros), **shown_options})
         result = await session.run()
         with suppress(asyncio.CancelledError):  # the table's last state is reported whatever comes now
             await host.end(_run_object(result))

@@ -103,8 +103,8 @@ def _units(heard: Heard) -> str:
         worst = int(np.argmax(np.abs(off_rps)))
         if not abs(off_rps[worst]) < _LITTLE_RPS:
             true_dps, off_dps = math.degrees(along[worst] * _RATE_RPS), math.degrees(off_rps[worst])
-            said = f"gyro {worst + 1} says {true_dps + off_dps:.2f} deg/s while it turns at {true_dps:.2f} deg/s"
-            return f"{said}: check unit, scale and sign, and the order of axes"
+            wrong = f"gyro {worst + 1} says {true_dps + off_dps:.2f} deg/s while it turns at {true_dps:.2f} deg/s"
+            return f"{wrong}: check unit, scale and sign, and the order of axes"
     return ""
 
 
@@ -128,8 +128,8 @@ def _clock(heard: Heard) -> str:
 def _complete(heard: Heard) -> str:
     for counts, t_s, *_ in heard.sources():
         if counts.lost or counts.corrupt or abs(len(t_s) / ((t_s[-1] - t_s[0]) * heard.imu.rate_hz) - 1) > 0.01:
-            said = f"byte by byte {len(t_s)} samples came, {counts.lost} were lost, {counts.corrupt} corrupt"
-            return f"{said}: keep incomplete frames until the rest arrives"
+            wrong = f"byte by byte {len(t_s)} samples came, {counts.lost} were lost, {counts.corrupt} corrupt"
+            return f"{wrong}: keep incomplete frames until the rest arrives"
     return ""
 
 
@@ -156,8 +156,8 @@ def _undamaged(heard: Heard) -> str:
 
 def _unplugged(heard: Heard) -> str:
     ended, heard.error = heard.error, None
-    told = "without an error" if ended is None else f"with {_told(ended)}"
-    return "" if isinstance(ended, LinkLost) else f"it ended {told}: do not catch LinkLost of its link"
+    ending = "without an error" if ended is None else f"with {_told(ended)}"
+    return "" if isinstance(ended, LinkLost) else f"it ended {ending}: do not catch LinkLost of its link"
 
 
 async def _motion(opened: OpenBench) -> str:
@@ -170,9 +170,9 @@ async def _motion(opened: OpenBench) -> str:
         await asyncio.sleep(1.0)
         then = await table.read(axis)
         turned_rps = (then.angle_rad - first.angle_rad) / (then.angle_t_ns - first.angle_t_ns) * 1e9
-        for what, rate_rps in (("rate", then.rate_rps), ("angle", turned_rps)):
+        for quantity, rate_rps in (("rate", then.rate_rps), ("angle", turned_rps)):
             if abs(rate_rps - _RATE_RPS) > 0.01 * _RATE_RPS:
-                return f"axis {axis}, told to turn at 20 deg/s, turns at {math.degrees(rate_rps):.2f} by its {what}"
+                return f"axis {axis}, told to turn at 20 deg/s, turns at {math.degrees(rate_rps):.2f} by its {quantity}"
         await table.move(axis, -0.5, _RATE_RPS, _RAMP_RPS2)
         until_s = loop.time() + 60.0
         while not (await table.status(axis)).target_reached and loop.time() < until_s:
@@ -430,18 +430,18 @@ def command_conformance(arguments: argparse.Namespace) -> int:
         raise UsageError(
             f"{not_one_of(name, known)}; or give a .py with an ImuSpec or a TableSpec, or a .toml that describes an IMU"
         )
-    told, off = [], set[str]()
+    rows, off = [], set[str]()
     for spec, suite in [(one, suite) for one in found for suite in suites_of(one)]:
         skipped = suite in ("clock", "garbage") and spec.name in off
         wrong = "it needs correct rates, and units fails" if skipped else complaint(spec, suite, plugins, described)
-        told.append({"device": spec.name, "suite": suite, "wrong": wrong})
+        rows.append({"device": spec.name, "suite": suite, "wrong": wrong})
         off |= {spec.name} if wrong and suite == "units" else set()
         if not arguments.json:
             word = "skip" if skipped else "FAIL" if wrong else "pass"
             tell(f"{word}  {spec.name}, {suite}{': ' if wrong else ''}{wrong}")
-    well, unmet = not any(finding["wrong"] for finding in told), [one.name for one in found if not one.checked_against]
+    well, unmet = not any(finding["wrong"] for finding in rows), [one.name for one in found if not one.checked_against]
     if arguments.json:
-        print(json.dumps({"ok": well, "findings": told, "experimental": unmet}))
+        print(json.dumps({"ok": well, "findings": rows, "experimental": unmet}))
     elif unmet:
         tell(
             f"EXPERIMENTAL: {', '.join(unmet)}; checked_against of the spec lists the external devices "

@@ -44,8 +44,8 @@ def command_export(arguments: argparse.Namespace) -> int:
     except OSError as error:
         raise UsageError(f"{arguments.recording} cannot be read: {error.strerror or error}") from None
     if arguments.json:
-        told = {"file": arguments.output, "format": arguments.format, "not_held": list(written.not_held)}
-        print(json.dumps({**told, "notes": exported.cautions}))
+        result = {"file": arguments.output, "format": arguments.format, "not_held": list(written.not_held)}
+        print(json.dumps({**result, "notes": exported.cautions}))
     elif arguments.output == _STDOUT:
         sys.stdout.flush()
         text = written.text
@@ -77,8 +77,8 @@ def _export_series(arguments: argparse.Namespace) -> int:
         print(text, end="")
     else:
         write_whole(Path(arguments.output), text, replace=arguments.force)
-        told = {"file": arguments.output, "series": arguments.series}
-        print(json.dumps(told) if arguments.json else f"series {arguments.series}: {arguments.output}")
+        result = {"file": arguments.output, "series": arguments.series}
+        print(json.dumps(result) if arguments.json else f"series {arguments.series}: {arguments.output}")
     return Outcome.PASS.exit_code
 
 

@@ -84,8 +84,8 @@ def improve(arguments: argparse.Namespace, bench: Bench, script: Script) -> int:
         return _refuse(_why_not(search, bench, wanted, gyros), arguments.json)
     check(found.script, bench.table.limits)
     improved = Improved(script, wanted, found, gyros, time.perf_counter() - began_s)
-    told = {"improved": improved, "bench": bench}
-    write_whole(path, script_text(found.script, rendered("station.commands", "improved_origin.txt", told)))
+    result = {"improved": improved, "bench": bench}
+    write_whole(path, script_text(found.script, rendered("station.commands", "improved_origin.txt", result)))
     if arguments.json:
         print(json.dumps(improved_object(improved, path)))
     else:

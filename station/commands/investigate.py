@@ -62,18 +62,18 @@ def command_investigate(arguments: argparse.Namespace) -> int:
         script_file = script_file or free_path(Path(_NEXT_FILE))
         write_next(script_file, following, limits)
     written = None if following is None else script_file
-    what = investigation_view(found, written, fitted, judging)
+    view = investigation_view(found, written, fitted, judging)
     if model is not None:
-        write_investigation(model, found, what)
+        write_investigation(model, found, view)
     if picture is not None:
         draw_investigation(picture, found)
     if arguments.json:
-        print(json.dumps({**what, "output": arguments.output, "plot": arguments.plot}))
+        print(json.dumps({**view, "output": arguments.output, "plot": arguments.plot}))
     else:
         print_investigation(found, following, written)
         if following is None and exit_code_of(found.finding):
             print(f"no next script: {_why_none(recordings, limits)}")
-            for line in what.get("record_next", []):
+            for line in view.get("record_next", []):
                 print(f"next, record a run that shows {line}")
         for kind, path in (("picture", picture), ("results", model)):
             if path is not None:

@@ -156,10 +156,10 @@ def _folder(name: str | None) -> Path:
 
 def _report(loop: Loop, as_json: bool) -> int:
     """Write the investigation, print the result, and return its exit code."""
-    found, what = loop.rounds[-1].found, loop_object(loop)
-    write_investigation(loop.folder / "investigation.h5", found, what)
+    found, result = loop.rounds[-1].found, loop_object(loop)
+    write_investigation(loop.folder / "investigation.h5", found, result)
     if as_json:
-        print(json.dumps(what))
+        print(json.dumps(result))
     else:
         print_loop(loop)
     return exit_code_of(found.finding)

@@ -134,9 +134,9 @@ def _print_documents(report: "Report", html: Path, made: Sequence[str | None], s
     if standing.warning:
         tell(harmless(standing.warning))
     print(f"report: {html}")
-    for what, path in zip(("PDF", "digital calibration certificate"), made, strict=True):
+    for document, path in zip(("PDF", "digital calibration certificate"), made, strict=True):
         if path:
-            print(f"{what}: {path}")
+            print(f"{document}: {path}")
     for step in steps:
         tell(f"next: {step}")
 

@@ -127,19 +127,20 @@ def _read(path: Path) -> Recording:
 
 def _identity(path: Path, recording: Recording, gyros: Sequence[GyroCalibration]) -> dict[str, str]:
     """Return the identity of the gyros as texts of one line each, by name; empty ones are left out."""
-    told = recording.attributes
+    attributes = recording.attributes
     with h5py.File(path, "r") as file:
         kinds = [_kind(file[f"imu/{gyro.source}"].attrs) for gyro in gyros]
     named = {
-        "device": ", ".join(dict.fromkeys(gyro.device for gyro in gyros if gyro.device)) or told.get("device", ""),
+        "device": ", ".join(dict.fromkeys(gyro.device for gyro in gyros if gyro.device))
+        or attributes.get("device", ""),
         "model": ", ".join(dict.fromkeys(filter(None, kinds))),
-        "serial number": told.get("device_serial", ""),
-        "operator": told.get("operator", ""),
-        "station": told.get("station", ""),
-        "script": told.get("script", ""),
+        "serial number": attributes.get("device_serial", ""),
+        "operator": attributes.get("operator", ""),
+        "station": attributes.get("station", ""),
+        "script": attributes.get("script", ""),
         "measured (UTC)": _measured_utc(recording),
-        "outcome": " ".join(str(told[key]) for key in ("outcome", "reason") if key in told),
-        "software version": told.get("software_version", ""),
+        "outcome": " ".join(str(attributes[key]) for key in ("outcome", "reason") if key in attributes),
+        "software version": attributes.get("software_version", ""),
         "recording": path.name,
         "sha256 of the recording": file_sha256(path),
     }

@@ -126,11 +126,13 @@ def _of_law(law: str, places: int) -> tuple[str, int]:
         """Return a function call as text for a C-like program; functions with a memory take the next places in it."""
         nonlocal places
         if name not in _PLACES:
-            told = f"{inner}, {constant}" if constant else inner
-            return f"{ {'abs': 'fabs', 'sign': '{sign}'}.get(name, name) }({told})"
+            arguments = f"{inner}, {constant}" if constant else inner
+            return f"{ {'abs': 'fabs', 'sign': '{sign}'}.get(name, name) }({arguments})"
         place, places = places, places + _PLACES[name]
-        told = {"lag": f"exp(-step / {constant}), 1e300", "play": f"1.0, 0.5 * {constant}"}.get(name, constant or "0.0")
-        return f"{{{'last' if name == 'last' else 'follow'}}}{place}, i, {inner}, {told})"
+        arguments = {"lag": f"exp(-step / {constant}), 1e300", "play": f"1.0, 0.5 * {constant}"}.get(
+            name, constant or "0.0"
+        )
+        return f"{{{'last' if name == 'last' else 'follow'}}}{place}, i, {inner}, {arguments})"
 
     written = law_terms(law, _SCALAR, call)
     column = "[{}]" if len(written) > 1 else ""

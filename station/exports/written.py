@@ -87,9 +87,9 @@ def head(exported: Exported, what: str, not_held: Sequence[str], mark: str) -> l
 def from_template(form: str, exported: Exported, dropped: Mapping[str, str], **values: Any) -> Written:
     """Return a file made from the template of a format; its first lines say what it lacks and leaves to be done."""
     values |= {"numbers": lambda row: ", ".join(map(number, row)), "delay_s": exported.compensation.delay_s}
-    what, *notes = rendered("station.exports", f"{form}.jinja", {"head": (), **values}).splitlines()
+    purpose, *notes = rendered("station.exports", f"{form}.jinja", {"head": (), **values}).splitlines()
     not_held = [*notes, *lines_of(dropped)]
-    values["head"] = head(exported, what, not_held, "#")
+    values["head"] = head(exported, purpose, not_held, "#")
     return Written(rendered("station.exports", f"{form}.jinja", values), tuple(not_held))
 
 

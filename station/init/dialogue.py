@@ -48,8 +48,8 @@ class Dialogue:
 
     def choose(self, question: str, options: Mapping[str, str], proposed: str) -> str:
         """Return one of ``options``, by its name or an unambiguous beginning; all are shown with their descriptions."""
-        for name, what in options.items():
-            self.say(f"    {name:<12} {what}")
+        for name, meaning in options.items():
+            self.say(f"    {name:<12} {meaning}")
 
         def one_of(answer: str) -> None:
             if len(_meant(answer, options)) != 1:

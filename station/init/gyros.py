@@ -67,7 +67,7 @@ def ask_description(dialogue: Dialogue, imu: Data, folder: Path) -> Data:
     count = len(load_description(chosen, folder).channels[0].rates)
     if count != GYROS["triad"]:
         dialogue.say(f"  How are its {count} gyros arranged?")
-        fitting = {kind: what for kind, what in _ARRAYS.items() if GYROS.get(kind, count) == count}
+        fitting = {kind: meaning for kind, meaning in _ARRAYS.items() if GYROS.get(kind, count) == count}
         geometry, _ = _ask_geometry(dialogue, dialogue.choose("array", fitting, next(iter(fitting))), count)
         imu = {key: value for key, value in imu.items() if key != "array"} | geometry
     return {**imu, "description": chosen}

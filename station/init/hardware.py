@@ -24,8 +24,8 @@ def serial_ports() -> list[SerialFound]:
     for port in sorted(list_ports.comports(), key=lambda port: str(port.device)):
         name = str(port.device)
         link = f"serial://{name}" if name.startswith("/") else f"serial:{name}"
-        said = str(port.description or "")
-        found.append(SerialFound(link, "" if said in ("n/a", name) else said, port.vid is not None))
+        description = str(port.description or "")
+        found.append(SerialFound(link, "" if description in ("n/a", name) else description, port.vid is not None))
     return sorted(found, key=lambda port: not port.plugged_in)
 
 

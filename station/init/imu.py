@@ -50,8 +50,8 @@ def ask_imu(dialogue: Dialogue, links: Links, folder: Path, protocol: str, link:
     if spec.signals_of_dbc and dialogue.asks:
         imu = ask_gyros(dialogue, imu, folder, checked)
     imu = ask_key(dialogue, imu, _KEYS["rate"], checked=checked)
-    for name, what in (("arw", "angle random walk"), ("bias_instability", "bias instability")):
-        imu["datasheet"] = ask_key(dialogue, imu["datasheet"], _KEYS[name], f"{what} of the data sheet")
+    for name, meaning in (("arw", "angle random walk"), ("bias_instability", "bias instability")):
+        imu["datasheet"] = ask_key(dialogue, imu["datasheet"], _KEYS[name], f"{meaning} of the data sheet")
     return imu
 
 

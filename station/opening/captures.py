@@ -253,9 +253,9 @@ def _galil_record(header: bytes) -> tuple[np.dtype[Any] | None, str]:
         first = 4 + general + planes * plane
         if (size := first + len(axes) * block) == int.from_bytes(header[2:], "little"):
             places = {"time": ("<u2", 4)} | {
-                f"{axis}.{what}": ("<i4", first + number * block + at)
+                f"{axis}.{quantity}": ("<i4", first + number * block + at)
                 for number, axis in enumerate(axes)
-                for what, at in (("reference", 4), ("position", 8), ("auxiliary", 16))
+                for quantity, at in (("reference", 4), ("position", 8), ("auxiliary", 16))
             }
             formats, offsets = zip(*places.values(), strict=True)
             return np.dtype({"names": [*places], "formats": formats, "offsets": offsets, "itemsize": size}), family

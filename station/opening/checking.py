@@ -152,7 +152,7 @@ async def _check_table(opened: OpenBench, device: OpenDevice, time_scale: float)
         async with asyncio.timeout(_OPEN_S * max(time_scale, 1.0)):
             await table.open()
             check.identity = await table.identify()
-        told = await _orders(table, bench.table.gimbals)
+        orders = await _orders(table, bench.table.gimbals)
         enabled = []
         for axis in bench.table.gimbals:
             status = await table.status(axis)
@@ -186,8 +186,8 @@ async def _check_table(opened: OpenBench, device: OpenDevice, time_scale: float)
                 check.wrong.append(
                     elsewhere if status.enabled else f"axis {axis} turns at {dps:.2f} deg/s. Stop it first"
                 )
-        if told and enabled:
-            check.wrong += await _others(table, bench.table.gimbals, told, time_scale)
+        if orders and enabled:
+            check.wrong += await _others(table, bench.table.gimbals, orders, time_scale)
         slow = sum(axis.round_trip_s for axis in check.axes)
         if slow * bench.table.poll_rate_hz > 1:
             check.wrong.append(sentence("check.too_slow", slow_ms=slow * 1e3, poll_rate_hz=bench.table.poll_rate_hz))
@@ -261,8 +261,8 @@ async def _check_imu(opened: OpenBench, device: OpenDevice, time_scale: float) -
     if silent:
         corrupt = sum(source.counts(name).corrupt for name in silent)
         heard = f", but {corrupt} unknown or damaged frames" if corrupt else ""
-        said = f"no samples from {', '.join(silent)} in {LISTEN_S:g} s{heard}. Is it powered and sending?"
-        check.wrong += [said, _LOOK_AT_IMU]
+        complaint = f"no samples from {', '.join(silent)} in {LISTEN_S:g} s{heard}. Is it powered and sending?"
+        check.wrong += [complaint, _LOOK_AT_IMU]
     for name in source.names:
         if name not in silent:
             source_check = _source(source, name, blocks[name], time_scale)
@@ -345,16 +345,16 @@ def _complaints(config: ImuConfig, check: SourceCheck, counted: bool) -> Iterato
     lost = f"{check.lost} of {whole} samples"
     cables = "check cable, baud rate and load of this computer"
     if abs(check.rate_hz / config.rate_hz - 1) > _RATE_OFF:
-        said = f"{who} sends at {check.rate_hz:.1f} Hz, but the bench file says {config.rate_hz:g} Hz. Correct one"
+        complaint = f"{who} sends at {check.rate_hz:.1f} Hz, but the bench file says {config.rate_hz:g} Hz. Correct one"
         whole_hz = check.rate_hz * whole / check.samples
         if not counted and abs(whole_hz / config.rate_hz - 1) < 2 * _RATE_OFF:
-            said += f", or, if {lost} were lost, {cables}"
-        yield said
+            complaint += f", or, if {lost} were lost, {cables}"
+        yield complaint
     elif check.lost or check.corrupt:
         yield f"{prefix}{lost} lost, {check.corrupt} corrupt: {cables}"
     for i, mean in enumerate(check.mean_rps):
         if math.isnan(mean):
             yield f"{prefix}gyro {i + 1} sends no valid rate. Is the device starting up, or defective?"
         elif abs(mean) > math.radians(20.0):
-            said = f"{prefix}gyro {i + 1} reads {math.degrees(mean):.1f} deg/s at rest"
-            yield f"{said}. Do unit and scale match the bench file?"
+            complaint = f"{prefix}gyro {i + 1} reads {math.degrees(mean):.1f} deg/s at rest"
+            yield f"{complaint}. Do unit and scale match the bench file?"

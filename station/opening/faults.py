@@ -26,8 +26,8 @@ def read_faults(of_table: Any, truths: Table, bench: Bench) -> BenchFaults:
         fault, wire = table_faults(of_table, bench.table.gimbals, "twin.fault")
         devices, wires = {}, {"table": wire}
         for imu in bench.imus:
-            said = truths.again().table(imu.name, optional=True).value("fault", {})
-            devices[imu.name], wires[imu.name] = device_faults(said, len(imu.array), f"twin.{imu.name}.fault")
+            stated = truths.again().table(imu.name, optional=True).value("fault", {})
+            devices[imu.name], wires[imu.name] = device_faults(stated, len(imu.array), f"twin.{imu.name}.fault")
         for other in bench.others:
             section = truths.table(other.name, optional=True)
             wires[other.name] = wire_faults(section.value("fault", {}), f"twin.{other.name}.fault")

@@ -42,11 +42,13 @@ class Reopening:
         before, after = (astuple(one) for one in (self._known.setdefault(name, now), now))
         if any(old != new for old, new in zip(before, after, strict=True) if old and new):
             other = "a different device" if before[:-1] != after[:-1] else "the same device with other settings"
-            told = [
+            identities = [
                 f"{_said(Identity(*one))}{f', set to {one[-1]}' * (before[:-1] == after[:-1])}"
                 for one in (before, after)
             ]
-            raise DeviceFault(name, f"{other} answers now: when the run began it was {told[0]}, now it is {told[1]}")
+            raise DeviceFault(
+                name, f"{other} answers now: when the run began it was {identities[0]}, now it is {identities[1]}"
+            )
         if any(old and not new for old, new in zip(before, after, strict=True)):
             raise LinkLost(name, "the device no longer identifies itself")
         return now

@@ -66,18 +66,18 @@ class Serving:
         """
         config, wire = self._twins.bench.table, self._twins.wire("table")
         addresses = {name: axis.address for name, axis in config.axes.items()}
-        said = {"protocol": config.protocol, "watchdog_s": self._twins.watchdog_s}
+        settings = {"protocol": config.protocol, "watchdog_s": self._twins.watchdog_s}
         if config.spec.opens_links:
-            said |= {"protocol": f"{config.protocol}-{'rtu' if wire == 'serial' else 'tcp'}", "unit_ids": addresses}
+            settings |= {"protocol": f"{config.protocol}-{'rtu' if wire == 'serial' else 'tcp'}", "unit_ids": addresses}
         else:
-            said["axes"] = addresses
+            settings["axes"] = addresses
         if wire == "serial":
-            return {"link": await self._pty("table", self._twins.table_device), **said}
+            return {"link": await self._pty("table", self._twins.table_device), **settings}
         if config.spec.opens_links:
             server = await self._twins.serve_table((self._host, port))
             bound = server.transport.sockets[0].getsockname()
-            return {"link": f"tcp://{bound[0]}:{bound[1]}", **said}
-        return {"link": await self._tcp("table", self._twins.table_device, port), **said}
+            return {"link": f"tcp://{bound[0]}:{bound[1]}", **settings}
+        return {"link": await self._tcp("table", self._twins.table_device, port), **settings}
 
     async def imu(self, imu: ImuConfig) -> dict[str, Any]:
         """Serve a device under test."""

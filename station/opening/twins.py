@@ -58,10 +58,10 @@ class Twins:
         self.watchdog_s = bench.twin.watchdog_s * max(time_scale, 1.0)  # it waits for a host
         loop = asyncio.get_running_loop()
         truths = bench.twin.truths.again()
-        told = truths.read("bench.power_on", each=len(bench.table.gimbals))
+        settings = truths.read("bench.power_on", each=len(bench.table.gimbals))
         axes = {
             name: AxisData(axis.limits.rate_rps, axis.limits.acceleration_rps2, axis.counts_per_turn, angle)
-            for (name, axis), angle in zip(bench.table.axes.items(), told["start"], strict=True)
+            for (name, axis), angle in zip(bench.table.axes.items(), settings["start"], strict=True)
         }
         self._hidden = hidden_of(bench)
         faults = self._hidden.table if self._hidden is not None else TableFaults()
@@ -76,8 +76,8 @@ class Twins:
             heading_rad=heading,
             directions=faults.directions(bench.table.gimbals),
         )
-        self._wires = self._read_wires(told["wires"])
-        self._faults = read_faults(told["fault"], truths, bench)
+        self._wires = self._read_wires(settings["wires"])
+        self._faults = read_faults(settings["fault"], truths, bench)
         self._truths = {imu.name: truth_of(truths, imu) for imu in bench.imus}
         truths.done()
         if (fault := self._faults.table) is not None:

@@ -50,9 +50,9 @@ def _outcome(row: Mapping[str, Any]) -> str:
 def _moved(row: Mapping[str, Any]) -> str:
     """Return in a line which states of a recording moved, in sigmas of both runs."""
     moves = row["moved"]
-    told = [f"{move['state'].partition('_r')[0]} of {move['gyro']} {move['sigmas']:+.1f}" for move in moves]
+    parts = [f"{move['state'].partition('_r')[0]} of {move['gyro']} {move['sigmas']:+.1f}" for move in moves]
     more = f" and {len(moves) - _MOST_MOVES} more" if len(moves) > _MOST_MOVES else ""
-    return f"[yellow]![/] {escape(row['file'])} moved: {escape(', '.join(told[:_MOST_MOVES]))}{more} (combined sigmas)"
+    return f"[yellow]![/] {escape(row['file'])} moved: {escape(', '.join(parts[:_MOST_MOVES]))}{more} (combined sigmas)"
 
 
 def _width(table: Table, console: Console) -> int:

@@ -78,9 +78,9 @@ def required_words(plan: Plan) -> list[str]:
     """Return the required sigma of each state as text, in the unit of the state; "-" where none is required."""
     limits, found = plan.bench.limits, []
     for figure, sd, written in zip(state_figures(limits.units), limits.sds, limits.written_sds, strict=True):
-        said = split_quantity(written)
-        if said is not None and said[1] == figure.unit:
-            found.append(written.removesuffix(said[1]).rstrip())
+        quantity = split_quantity(written)
+        if quantity is not None and quantity[1] == figure.unit:
+            found.append(written.removesuffix(quantity[1]).rstrip())
         else:
             found.append(f"{sd * figure.factor:.4g}" if math.isfinite(sd) else "-")
     return found

@@ -48,12 +48,12 @@ def print_all(console: Console, shown: Iterable[Shown]) -> None:
 
     A line with ``soft_wrap`` or ``no_wrap`` is left as it is.
     """
-    for what, how in shown:
-        if isinstance(what, str) and not how.keys() & {"soft_wrap", "no_wrap"}:
-            for line in _wrapped(what, console, markup=how.get("markup", True)):
+    for item, how in shown:
+        if isinstance(item, str) and not how.keys() & {"soft_wrap", "no_wrap"}:
+            for line in _wrapped(item, console, markup=how.get("markup", True)):
                 console.print(line, **{key: value for key, value in how.items() if key != "markup"})
         else:
-            console.print(what, **how)
+            console.print(item, **how)
 
 
 def _wrapped(line: str, console: Console, *, markup: bool) -> list[Text]:

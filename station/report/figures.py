@@ -71,7 +71,9 @@ def figure(value: float, unit: Unit, text: str, source: str | None = None, times
         "data-h5": source,
         "data-times": times,
     }
-    named = (Markup(' {}="{}"').format(name, what) for name, what in beside.items() if what is not None)
+    named = (
+        Markup(' {}="{}"').format(name, value_text) for name, value_text in beside.items() if value_text is not None
+    )
     return Markup("<data{}>{}</data>").format(Markup("").join(named), text)
 
 

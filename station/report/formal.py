@@ -84,8 +84,8 @@ class Formal:
     @property
     def approved(self) -> bool:
         """Whether it is approved as the bench requires."""
-        said = (normalize("NFKC", who or "").casefold() for who in (self.certificate_approved_by, self.operator))
-        by, made = ("".join(filter(str.isalpha, who)) for who in said)  # only the letters are compared
+        names = (normalize("NFKC", who or "").casefold() for who in (self.certificate_approved_by, self.operator))
+        by, made = ("".join(filter(str.isalpha, who)) for who in names)  # only the letters are compared
         return not self.approved_by_another or by not in ("", made)
 
 
@@ -181,8 +181,10 @@ def _check_dates(top: Table, stated: Mapping[str, Any], begun: datetime | None) 
     for first, then in combinations((field for field in _ORDER if stated.get(field)), 2):
         if (stated[first] - stated[then]).days > ("performed_date" in (first, then)):
             own, other = (first, then) if then == "performed_date" else (then, first)
-            told = [f"{field.replace('_', '.', 1)}{sign} {stated[field]}" for field, sign in ((own, ":"), (other, ","))]
-            raise top.fail_at(f"{' and '.join(told)}, are in the wrong order. Correct one")
+            dates = [
+                f"{field.replace('_', '.', 1)}{sign} {stated[field]}" for field, sign in ((own, ":"), (other, ","))
+            ]
+            raise top.fail_at(f"{' and '.join(dates)}, are in the wrong order. Correct one")
 
 
 def _facts(top: Table, folder: Path) -> Iterator[tuple[str, Any]]:

@@ -59,8 +59,8 @@ def read_traced(path: Path | None, recorded: Recorded) -> Traced | None:
     where = path or recorded.path
     if path is not None:
         probe(path)
-    told = "its investigation cannot be read ({}). Investigate again"
-    with laid_out(where, told), h5py.File(where, "r") as file:
+    message = "its investigation cannot be read ({}). Investigate again"
+    with laid_out(where, message), h5py.File(where, "r") as file:
         if "investigation" not in file:
             if path is None:
                 return None

@@ -246,9 +246,9 @@ def draw_investigation(path: Path, found: Investigation) -> None:
             row[0].set_ylabel(f"{view.gyro}, °/h")
         for panel in panels[:-1].ravel():
             panel.set_xlabel("")
-        what = ", ".join(words(added.effect) for added in found.added)
+        effects = ", ".join(words(added.effect) for added in found.added)
         kind = "verification" if views[0].verification else "in-sample"
-        verdict = f"{found.finding}: {what}" if what else str(found.finding)
+        verdict = f"{found.finding}: {effects}" if effects else str(found.finding)
         figure.suptitle(f"Error of the compensated rate, {kind} run {views[0].run} ({verdict})", fontsize=8)
         labelled = (panel.get_legend_handles_labels()[::-1] for panel in panels[0])
         legend = {label: line for labels, lines in labelled for label, line in zip(labels, lines, strict=True)}

@@ -153,8 +153,8 @@ def read_recorded(path: Path) -> Recorded:
     recording = read_recording(path)
     if not any(len(data.t_ns) for data in recording.sources.values()):
         raise RecordingError(f"{path} holds no samples, so there is nothing to report")
-    told = "its results do not have the layout of the station: {}"
-    with laid_out(path, told), h5py.File(path, "r") as file:
+    message = "its results do not have the layout of the station: {}"
+    with laid_out(path, message), h5py.File(path, "r") as file:
         calibration = None
         if "calibration" in file or recording.attributes.get("outcome") not in _MAY_LACK_ESTIMATE:
             calibration = read_calibration(path, trusted=True)

@@ -221,8 +221,8 @@ class Acquisition:
             except DeviceError:
                 raise
             except Exception as error:  # a driver from outside may raise anything
-                what = f"the series of its driver failed ({type(error).__name__}: {error})"
-                raise DeviceFault(device.name, what) from error
+                reason = f"the series of its driver failed ({type(error).__name__}: {error})"
+                raise DeviceFault(device.name, reason) from error
 
     async def acquire(self, imu: OpenImu) -> None:
         """Record the samples of a device until cancelled; a lost link is reopened while nothing turns."""
@@ -442,7 +442,7 @@ def _accelerometer_axes(array: SensorArray) -> Floats:
 
 
 def _link_attributes(prefix: str, counts: LinkCounts) -> dict[str, Any]:
-    return {f"{prefix}link_{what}": count for what, count in asdict(counts).items()}
+    return {f"{prefix}link_{name}": count for name, count in asdict(counts).items()}
 
 
 def identity_attributes(prefix: str, identity: Identity) -> dict[str, Any]:

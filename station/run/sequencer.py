@@ -175,8 +175,8 @@ class Sequencer:
     def _record_standing(self) -> None:
         """Record the standstill that has ended as a part of the step, if there was one."""
         if self._standing is not None and self._in_parts:
-            what, began_s = self._standing
-            self._record(f"{self.label}: {what}" if what else self.label, began_s)
+            label, began_s = self._standing
+            self._record(f"{self.label}: {label}" if label else self.label, began_s)
         self._standing = None
 
     def _record(self, label: str, began_s: float) -> None:

@@ -428,13 +428,13 @@ class Session:
         if isinstance(first, asyncio.CancelledError):
             return Verdict(Outcome.ABORTED, self._reason or "cancelled")
         _log.debug("the run ended by what no device did", exc_info=first)
-        what = f"{type(first).__name__}: {first}"
+        reason = f"{type(first).__name__}: {first}"
         if isinstance(first, MemoryError | OSError):
             need = "more memory" if isinstance(first, MemoryError) else "its disk and its ports checked"
-            return Verdict(Outcome.ABORTED, f"this computer failed and needs {need} ({what})")
+            return Verdict(Outcome.ABORTED, f"this computer failed and needs {need} ({reason})")
         at = traceback.extract_tb(first.__traceback__)[-1:]
         where = "".join(f" ({Path(frame.filename).name}, line {frame.lineno})" for frame in at)
-        return Verdict(Outcome.ABORTED, f"defect of the station, please report it: {what}{where}")
+        return Verdict(Outcome.ABORTED, f"defect of the station, please report it: {reason}{where}")
 
     def _outlive(self) -> None:
         if not self._terminal_gone and not self._acquisition.closed:
@@ -464,9 +464,9 @@ def _attributes(bench: OpenBench, script: Script, options: RunOptions) -> dict[s
     if config.site is not None:
         attributes["site_latitude_rad"] = config.site.latitude_rad
         attributes["site_heading_rad"] = config.site.heading_rad
-    told: dict[str, Any] = {"operator": options.operator, "device_serial": options.device_serial}
-    told |= {"plugins": sorted({*config.plugins, *script.plugins}), "model_sha256": model_sha256(options.model)}
-    attributes |= {key: value for key, value in told.items() if value}
+    found: dict[str, Any] = {"operator": options.operator, "device_serial": options.device_serial}
+    found |= {"plugins": sorted({*config.plugins, *script.plugins}), "model_sha256": model_sha256(options.model)}
+    attributes |= {key: value for key, value in found.items() if value}
     loop = asyncio.get_running_loop()
     if is_virtual(loop):  # runs that begin alike are alike, to the last byte; a simulated clock has no place in the day
         begun = repr((attributes, script, options.reset_fault, options.end_early))

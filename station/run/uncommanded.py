@@ -103,7 +103,7 @@ class MotionGuard:
             raise UntrueReadings("table", untrue)
         if not self._off(axis, state):
             return
-        told = self._commanded(axis)
+        command = self._commanded(axis)
         turned_rad, took_s = state.angle_rad - first.angle_rad, (state.angle_t_ns - first.angle_t_ns) * 1e-9
         rate_dps = math.degrees(max(turned_rad / took_s, state.rate_rps, key=abs))
         does = f"turns at {rate_dps:.1f} deg/s"
@@ -112,24 +112,24 @@ class MotionGuard:
             does = f"reports a rate of {rate_dps:.1f} deg/s and a position that changed by {turned_deg:.2f} deg"
             does = f"{does} in {took_s:.2f} s: it turns, or its readings are frozen or wrong"
         if abs(rate_dps) < math.degrees(_RATE_RPS):
-            off_deg = math.degrees(told.off_rad(state.angle_rad))
+            off_deg = math.degrees(command.off_rad(state.angle_rad))
             does = f"stands {off_deg:+.2f} deg from where it should be (it was turned, or its encoder has jumped)"
-        raise DeviceFault("table", f"axis {axis} {does}; {_was_told(told)}")
+        raise DeviceFault("table", f"axis {axis} {does}; {_was_told(command)}")
 
     def _off(self, axis: str, state: AxisState) -> bool:
         """Return whether a reading is outside the commanded angles or rate; its noise and the time since the command
         count.
         """
-        told = self._commanded(axis)
+        command = self._commanded(axis)
         # A mean rate is evidence on this command only if its whole interval came after it.
-        if state.rate_t_ns - state.rate_window_ns // 2 >= told.since_s * 1e9:
+        if state.rate_t_ns - state.rate_window_ns // 2 >= command.since_s * 1e9:
             noise_rps = math.sqrt(self._noise_rps2[axis])
-            if abs(state.rate_rps) > _RATE_SHARE * told.rate_rps + _RATE_RPS + _SIGMAS * noise_rps:
+            if abs(state.rate_rps) > _RATE_SHARE * command.rate_rps + _RATE_RPS + _SIGMAS * noise_rps:
                 return True
-            if not told.rate_rps:
+            if not command.rate_rps:
                 self._noise_rps2[axis] += _FORGET * (state.rate_rps**2 - self._noise_rps2[axis])
-        judged = state.angle_t_ns >= told.since_s * 1e9
-        return judged and abs(told.off_rad(state.angle_rad)) > _ANGLE_RAD + _LATE_S * told.rate_rps
+        judged = state.angle_t_ns >= command.since_s * 1e9
+        return judged and abs(command.off_rad(state.angle_rad)) > _ANGLE_RAD + _LATE_S * command.rate_rps
 
     def _untrue(self, axis: str, state: AxisState) -> str:
         """Add a reading, and return in words how those of the last moments contradict the course or each other, "" if
@@ -137,12 +137,12 @@ class MotionGuard:
 
         "", too, while the readings do not yet span the time needed to decide.
         """
-        told, limits = self._commanded(axis), self._table.limits[axis]
+        command, limits = self._commanded(axis), self._table.limits[axis]
         readings = self._readings[axis]
         if not readings or state.angle_t_ns > readings[-1].angle_t_ns:
             readings.append(state)
         until_s = state.angle_t_ns * 1e-9
-        late_s, window_s = _patience_s(told, limits)
+        late_s, window_s = _patience_s(command, limits)
         round_trips_s = 4 * state.half_width_ns * 1e-9
         mean_s = 2 * state.rate_window_ns * 1e-9  # two means, one after the other
         window_s = max(window_s - round_trips_s, _SHORTEST_WINDOW_S, mean_s)
@@ -153,9 +153,9 @@ class MotionGuard:
         if until_s - from_s < window_s:
             return ""
         way = _Way(tuple(readings), limits.resolution_rad)
-        for found in (self._stands(axis, told, late_s + round_trips_s, way), self._contradicts(axis, way)):
+        for found in (self._stands(axis, command, late_s + round_trips_s, way), self._contradicts(axis, way)):
             if found:
-                return f"axis {axis} {found}; {_was_told(told)}"
+                return f"axis {axis} {found}; {_was_told(command)}"
         return ""
 
     def _stands(self, axis: str, told: Commanded, late_s: float, way: "_Way") -> str:

@@ -27,8 +27,8 @@ def parse(text: object, kind: str) -> float:
         raise QuantityError(f"{text!r} is not a number with a unit. Write for instance {example}")
     number, unit = found
     if unit not in units:
-        what = f"unit {unit!r} does not measure {kind}" if unit else "a unit is missing"
-        raise QuantityError(f"{text!r}: {what}; use one of {known}")
+        problem = f"unit {unit!r} does not measure {kind}" if unit else "a unit is missing"
+        raise QuantityError(f"{text!r}: {problem}; use one of {known}")
     value = number * unit_size(unit)[0]
     if not math.isfinite(value):
         raise QuantityError(f"{text!r} is too large a number")

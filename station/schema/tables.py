@@ -36,10 +36,10 @@ class Table(StrictTable):
 
     def fail_at(self, message: str) -> Exception:
         """Return the error for a message that begins with its place in the file: "tone.1.size: ..."."""
-        where, _, what = message.partition(": ")
+        where, _, problem = message.partition(": ")
         *way, key = (int(part) if part.isdigit() else part for part in where.split("."))
         place = type(self)({}, tuple(way), self._text, self._file, self._error)
-        return place.fail(str(key), what)
+        return place.fail(str(key), problem)
 
     def read(
         self, section: str, folder: Path = Path(), *, each: int = 1, **made: Callable[[str, Path], Any]

@@ -138,12 +138,12 @@ class StationApp(App[None]):
 
         Stops the session that is shown, or one about to be started; if none is shown, all running sessions.
         """
-        told, self._told_by_key = self._told_by_key, False
+        sent, self._told_by_key = self._told_by_key, False
         mounted, self.mounted = self.mounted, False
         if self.workers.cancel_group(self, "start") or mounted:
             self.notify("the run was not started", title="STOP", severity="warning")
         if self._link is not None and self.busy:
-            if not (told or self._link.stop()):
+            if not (sent or self._link.stop()):
                 self.notify("the session cannot be reached: use the emergency stop of the table", severity="error")
         elif self.shown is None:
             self.work(self._stop_all, "sessions")
@@ -218,8 +218,8 @@ class StationApp(App[None]):
         """Start and follow a session for the prepared run; say so if one runs on this bench already, or if it fails."""
         others = await sessions_on(prospect.bench, self.choices.bench)
         if self.busy or others:
-            said = f"process {others[0]}" if others else "it is on F3"
-            self.notify(f"a session is already running on this bench: {said}", title="Not started", severity="error")
+            session = f"process {others[0]}" if others else "it is on F3"
+            self.notify(f"a session is already running on this bench: {session}", title="Not started", severity="error")
             return
         choices = self.choices.by_hand(prospect.all_twins) if prospect.manual else self.choices
         recording = await asyncio.to_thread(lambda: choices.new_recording().absolute())
@@ -389,8 +389,8 @@ class StationApp(App[None]):
         """Complete the state of a session that ended without a message from its recording."""
         entry = (await self.archive.read(recording)).entry
         self.tray.end(recording, entry.texts.get("outcome") or NO_RESULT)
-        said = entry.wrong or f"{entry.texts.get('outcome', '')}  {entry.texts.get('reason', '')}"
-        run.trouble = f"{run.trouble}. Its recording: {said}"
+        reason = entry.wrong or f"{entry.texts.get('outcome', '')}  {entry.texts.get('reason', '')}"
+        run.trouble = f"{run.trouble}. Its recording: {reason}"
 
     def take_recording(self) -> tuple[Path, bool] | None:
         """Return the recording that is to be shown and was not yet, and whether it is of a run that has just ended."""
@@ -412,16 +412,16 @@ class StationApp(App[None]):
         """Show the run's state in the bars; if the run is settled, a line on the recording that is shown."""
         with suppress(ScreenStackError):
             below = next((screen for screen in self.screen_stack if isinstance(screen, StationScreen)), None)
-            run, said = self.shown, ""
+            run, line = self.shown, ""
             if below is not None and (run is None or run.settled):
-                said = below.said_of_recording
+                line = below.said_of_recording
                 if run is not None and not below.shows(run.recording):
                     run = None  # a run that has ended is not shown
             for bar in (bar for screen in self.screen_stack for bar in screen.query(StopBar)):
-                bar.show(run, self.others, said)
+                bar.show(run, self.others, line)
             if below is not None and below.small:
                 for small in below.query(Small):  # none before it is laid out
-                    small.show_run(run, said)
+                    small.show_run(run, line)
 
     def _watch_terminal(self) -> None:
         """End the process if the terminal is gone: a killed server of the screen sends no message."""

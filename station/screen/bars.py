@@ -48,8 +48,10 @@ class TopBar(Static):
     def __init__(self, mode: str) -> None:
         """``mode`` is the screen's own."""
         names = [
-            f"[bold reverse] {key} {name} [/]" if mode == its else f"[@click=app.switch_mode('{its}')] {key} {name} [/]"
-            for its, key, name in SCREENS
+            f"[bold reverse] {key} {name} [/]"
+            if mode == screen_name
+            else f"[@click=app.switch_mode('{screen_name}')] {key} {name} [/]"
+            for screen_name, key, name in SCREENS
         ]
         super().__init__(" ".join(names) + "   [dim]Ctrl+Q quits[/]", id="top")
 

@@ -142,15 +142,15 @@ def _axes_drawing(run: LiveRun, snapshot: Snapshot) -> Drawing:
     words: list[tuple[str, str]] = []
     for place, axis in enumerate(snapshot.axes):
         radius, at, style = 1.0 - place * _GIMBALS_APART, axis.angle_rad, styles[axis.name]
-        turns, told = axis.state == "turning" and not run.at_rest, [(f"{axis.name} {number(at * _DEG, 1)}°", style)]
+        turns, position = axis.state == "turning" and not run.at_rest, [(f"{axis.name} {number(at * _DEG, 1)}°", style)]
         curves.append(_arc(radius, 0.0, 2 * math.pi, style if turns else "mark"))
         goal = axis.target_rad
         if turns and math.isfinite(goal):
             curves.append(_arc(radius, at, min(max(goal, at - 2 * math.pi), at + 2 * math.pi), "line"))
-            told += [(f"to {number(goal * _DEG, 0)}°", "line"), (f"{number(axis.rate_rps * _DEG, 1)}°/s", style)]
+            position += [(f"to {number(goal * _DEG, 0)}°", "line"), (f"{number(axis.rate_rps * _DEG, 1)}°/s", style)]
         hand = radius, radius - _GIMBALS_APART
         curves.append(Curve([-r * math.sin(at) for r in hand], [r * math.cos(at) for r in hand], style))
-        words = [*told, *words] if turns else [*words, *told]
+        words = [*position, *words] if turns else [*words, *position]
     return Drawing([("axes", ""), *words], curves, dial=True)
 
 

@@ -105,8 +105,8 @@ def what_shows(found: Investigation) -> list[str]:
     names = [name for own in found.rivals for name in own]
     if not names:
         names = [suspect.effect for suspect in found.suspects[:_MOST_SUSPECTS]]
-    told = [f"{readable(name)}: {known[name].shown_by}" for name in dict.fromkeys(names) if name in known]
-    return [line for line in told if not line.endswith(": ")]
+    motions = [f"{readable(name)}: {known[name].shown_by}" for name in dict.fromkeys(names) if name in known]
+    return [line for line in motions if not line.endswith(": ")]
 
 
 def is_investigation(found: Mapping[str, Any]) -> bool:

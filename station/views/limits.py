@@ -51,9 +51,9 @@ class LimitLine:
         if self.note:
             return f"{self.gyro} is not estimated: {self.note}"
         if self.unit is not None:
-            what = f"{self.gyro} sigma of {self.what}" if self.of_u else f"{self.gyro} {self.what}"
+            quantity = f"{self.gyro} sigma of {self.what}" if self.of_u else f"{self.gyro} {self.what}"
             found, most = self._shown(self.high, self.unit.unit, self.unit.factor)
-            return f"{what} {found} > {most}"
+            return f"{quantity} {found} > {most}"
         if self.what == SAMPLES_LOST:
             found, most = self._shown(self.high, "%", 100.0)
             return f"{found} of the samples lost > {most}"
@@ -67,17 +67,17 @@ class LimitLine:
         """
         if self.note or not math.isfinite(self.value):
             return f"{self.gyro} {self.what}", self.note or "not known", "", ""
-        unit, factor, what = "", 1.0, self.what
+        unit, factor, quantity = "", 1.0, self.what
         if self.unit is not None:
             unit, factor = self.unit.unit, self.unit.factor
-            what = f"{self.gyro} {'± of ' * self.of_u}{self.what}"
-        elif what == SAMPLES_LOST:
+            quantity = f"{self.gyro} {'± of ' * self.of_u}{self.what}"
+        elif quantity == SAMPLES_LOST:
             unit, factor = "%", 100.0
-        bound = self.low if what == MEAN_NIS and self.value < self.low else self.high
+        bound = self.low if quantity == MEAN_NIS and self.value < self.low else self.high
         found, most = self._shown(bound, unit, factor)
         ratio = abs(self.value) / bound if bound else math.inf
         by = f"{ratio:.0f} times" if ratio > 2 else f"{abs(ratio - 1) * 100:.2g} %"
-        return what, found, most, by if math.isfinite(ratio) else ""
+        return quantity, found, most, by if math.isfinite(ratio) else ""
 
     def _shown(self, bound: float, unit: str, factor: float) -> tuple[str, str]:
         """Return the value in a unit and the bound as it was written, with the bound in that unit too if it was in

@@ -43,7 +43,9 @@ def _header(exported: Exported, real: str, prefix: str) -> Written:
     """Return the C99 header, in type ``real`` and with names that begin with ``prefix``, and what it leaves out."""
     terms = terms_of(exported.compensation)
     not_held = _cautions(exported, terms)
-    what = f"{prefix}_correct: outputs of {len(exported.gyros)} gyros (rad/s) to the rate of their body (rad/s). C99."
+    purpose = (
+        f"{prefix}_correct: outputs of {len(exported.gyros)} gyros (rad/s) to the rate of their body (rad/s). C99."
+    )
     samples, rates = _vectors(exported, terms)
     text = _function_text(
         "header.jinja",
@@ -53,7 +55,7 @@ def _header(exported: Exported, real: str, prefix: str) -> Written:
         {"value": "(", "sign": f"{prefix}_sign"}
         | {axis: f"{prefix}_{axis}" for axis in AXIS_TABLES}
         | {name: f"{prefix}_{name}(state, " for name in ("follow", "last")},
-        head=[f" *{_said(line.removeprefix(' *'))}" for line in head(exported, what, not_held, " *")],
+        head=[f" *{_said(line.removeprefix(' *'))}" for line in head(exported, purpose, not_held, " *")],
         said=list(map(_said, _arguments_said(exported, terms))),
         p=prefix,
         upper=prefix.upper(),
@@ -81,14 +83,14 @@ def _macros(exported: Exported) -> list[tuple[str, str, str]]:
         "RECORDING": ("recording", "file that the calibration is from"),
         "RECORDING_SHA256": ("sha256 of the recording", "hash of that file"),
     }
-    macros = [(name, _c_string(exported.identity.get(key, "")), what) for name, (key, what) in texts.items()]
+    macros = [(name, _c_string(exported.identity.get(key, "")), meaning) for name, (key, meaning) in texts.items()]
     low_c, _, high_c = exported.seen.temperature_c
     limits = {
         "RATE_MAX_RPS": (exported.seen.largest_rps, "largest rate that a gyro was calibrated at, rad/s"),
         "TEMPERATURE_MIN_C": (low_c, "lowest temperature during the calibration, degC"),
         "TEMPERATURE_MAX_C": (high_c, "highest temperature during the calibration, degC"),
     }
-    macros += [(name, f"({number(value)})", what) for name, (value, what) in limits.items() if np.isfinite(value)]
+    macros += [(name, f"({number(value)})", meaning) for name, (value, meaning) in limits.items() if np.isfinite(value)]
     return macros
 
 
@@ -129,7 +131,7 @@ def write_python(exported: Exported) -> Written:
     terms = terms_of(exported.compensation)
     not_held = _cautions(exported, terms)
     call = "Correction().correct" if terms.keeps_state else "correct"
-    what = f"{call}(...): outputs of {len(exported.gyros)} gyros (rad/s) to the rate of their body (rad/s)."
+    purpose = f"{call}(...): outputs of {len(exported.gyros)} gyros (rad/s) to the rate of their body (rad/s)."
     text = _function_text(
         "module.jinja",
         exported,
@@ -138,7 +140,7 @@ def write_python(exported: Exported) -> Written:
         {"value": "_value(lambda: ", "sign": "_sign"}
         | {axis: axis.upper() for axis in AXIS_TABLES}
         | {name: f"self._{name}(" for name in ("follow", "last")},
-        head=head(exported, what, not_held, "#"),
+        head=head(exported, purpose, not_held, "#"),
         said=[line.replace("\\", "/").replace('"""', "'''") for line in _arguments_said(exported, terms)],
         names=list(exported.compensation.array.names),
         simple="_solve" if terms.of(Acts.RATE) else "_invert",

@@ -79,10 +79,10 @@ def quantity(line: LimitLine) -> tuple[str, Unit, str | None]:
 def written(line: LimitLine) -> Markup:
     """Return the upper bound of a limit as in the bench file; without its unit if that is the column's."""
     _, unit, _ = quantity(line)
-    said = split_quantity(line.written)
-    if said is None:
+    parsed = split_quantity(line.written)
+    if parsed is None:
         return stated(line.high, unit)
-    text = line.written.removesuffix(said[1]).rstrip() if typographic(said[1]) == unit.name else line.written
+    text = line.written.removesuffix(parsed[1]).rstrip() if typographic(parsed[1]) == unit.name else line.written
     return figure(line.high, unit, typographic(text))
 
 

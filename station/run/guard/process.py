@@ -106,22 +106,22 @@ async def _station_dies(pid: int) -> bool:
     Death shows at the pipe and, on Linux, at the process: a forked child of the station may keep the pipe open.
     """
     loop = asyncio.get_running_loop()
-    told, ended = asyncio.Event(), asyncio.Event()
+    woken, ended = asyncio.Event(), asyncio.Event()
     os.set_blocking(0, False)
-    loop.add_reader(0, told.set)
+    loop.add_reader(0, woken.set)
     process = _process(pid)
 
     def see_end() -> None:
         loop.remove_reader(process)
         ended.set()
-        told.set()
+        woken.set()
 
     if process >= 0:
         loop.add_reader(process, see_end)
     armed = False
     while True:
-        await told.wait()
-        told.clear()
+        await woken.wait()
+        woken.clear()
         words, closed = _words()
         if DISMISS in words:
             return False

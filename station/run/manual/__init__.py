@@ -179,7 +179,7 @@ class ManualSequencer(Sequencer):
             if reached and abs(angle_rad - before_rad) < ON_TARGET_RAD:
                 break
             if asyncio.get_running_loop().time() > now_s + ramp_s + OVERDUE_S:
-                said = f"axis {axis} should be at rest, but is not at {angle_rad * _DEG:.2f} deg"
-                raise DeviceRefused("table", said)
+                reason = f"axis {axis} should be at rest, but is not at {angle_rad * _DEG:.2f} deg"
+                raise DeviceRefused("table", reason)
         await self._table.move(axis, angle_rad, _HOLD_RPS, step.acceleration_rps2)  # a rate of zero may drift
         return angle_rad

@@ -43,9 +43,9 @@ def load(folder: Path) -> dict[File, Entry]:
     try:
         sound = [row for *row, checksum in rows if checksum == _checksum(row)]
         about = json.loads(b"[%b]" % b",".join(row[3] for row in sound))
-        for (path, mtime_ns, size, _, figures), told in zip(sound, about, strict=True):
-            told["devices"] = tuple(told["devices"])
-            entry = Entry(top + os.fsdecode(path), figures=figures, **told)
+        for (path, mtime_ns, size, _, figures), more in zip(sound, about, strict=True):
+            more["devices"] = tuple(more["devices"])
+            entry = Entry(top + os.fsdecode(path), figures=figures, **more)
             found[entry.file, mtime_ns, size] = entry
     finally:
         gc.enable()
@@ -56,8 +56,8 @@ def keep(folder: Path, entries: Mapping[File, Entry]) -> bool:
     """Add entries to the index of a folder; return whether that succeeded."""
     rows = []
     for file, entry in entries.items():
-        told = json.dumps({name: getattr(entry, name) for name in _TOLD})
-        rows.append([os.fsencode(os.path.relpath(file[0], folder)), *file[1:], told.encode(), entry.figures])
+        as_json = json.dumps({name: getattr(entry, name) for name in _TOLD})
+        rows.append([os.fsencode(os.path.relpath(file[0], folder)), *file[1:], as_json.encode(), entry.figures])
     sql = "REPLACE INTO recordings VALUES (CAST(? AS TEXT), ?, ?, CAST(? AS TEXT), CAST(? AS TEXT), ?)"
     return _done(folder, sql, [[*row, _checksum(row)] for row in rows]) is not None
 

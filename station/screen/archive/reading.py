@@ -48,8 +48,8 @@ def accept(path: Path, attributes: Mapping[str, str]) -> str:
             os.fsync(file.fileno())
         copy.replace(path)
     except (OSError, RecordingError) as error:
-        said = error.strerror if isinstance(error, OSError) else str(error).rpartition("cannot be written: ")[2]
-        return f"it cannot be written and is unchanged ({said})"
+        reason = error.strerror if isinstance(error, OSError) else str(error).rpartition("cannot be written: ")[2]
+        return f"it cannot be written and is unchanged ({reason})"
     finally:
         if made:
             copy.unlink(missing_ok=True)

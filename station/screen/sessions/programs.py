@@ -51,11 +51,11 @@ async def ask(arguments: Sequence[str], on_line: Callable[[str], None] = lambda 
     assert process.stdout is not None
     assert process.stderr is not None
     try:
-        said, out = await asyncio.gather(_listen(process.stderr, on_line), process.stdout.read())
+        messages, out = await asyncio.gather(_listen(process.stderr, on_line), process.stdout.read())
         code = await process.wait()
     finally:
         await _end(process)
-    return Answer(code, _object(out), said)
+    return Answer(code, _object(out), messages)
 
 
 async def _listen(stream: asyncio.StreamReader, on_line: Callable[[str], None]) -> str:

@@ -30,8 +30,8 @@ class Tray:
         """Load the stored tray of a bench: ``bench`` is the absolute path of its file, empty for the built-in one."""
         self.bench, self.spots = bench, list[TrayItem]()
         with suppress(*MISSHAPEN):
-            told = load_state(_FILE)[bench]
-            self.spots = [TrayItem(*(str(spot.get(key, "")) for key in TrayItem.__slots__)) for spot in told]
+            stored = load_state(_FILE)[bench]
+            self.spots = [TrayItem(*(str(spot.get(key, "")) for key in TrayItem.__slots__)) for spot in stored]
 
     @property
     def next(self) -> TrayItem | None:

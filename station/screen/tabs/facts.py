@@ -111,9 +111,9 @@ def _stated(whole: Whole) -> tuple["Recorded", tuple[Path, Path], Mapping[str, M
     )
     station = hashlib.sha256(recorded.text("station").encode()).hexdigest()
     kept, last = kept_facts(recorded.path), state_folder() / f"certificate-{station[:20]}.toml"
-    told = {field: recorded.text(name) for field, name in _RECORDED.items()}
-    told["performed.date"] = str(recorded.begun_utc.date()) if recorded.begun_utc else ""
-    found = {"recording": {field: text for field, text in told.items() if text}}
+    recorded_facts = {field: recorded.text(name) for field, name in _RECORDED.items()}
+    recorded_facts["performed.date"] = str(recorded.begun_utc.date()) if recorded.begun_utc else ""
+    found = {"recording": {field: text for field, text in recorded_facts.items() if text}}
     found["bench file"] = _texts(recorded.text("bench"))
     if kept.is_file():
         return recorded, (kept, last), {"kept": _texts(read_text(kept, UsageError)), **found}

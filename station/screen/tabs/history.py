@@ -179,8 +179,8 @@ def _cells(entry: Entry) -> list[Text]:
     """Return the cells of an entry; an unreadable one has its reason in place of the outcome."""
     outcome = entry.texts.get("outcome", "")
     ended = Text(outcome or "-", OUTCOME_STYLES.get(outcome, ""))
-    told = [entry.device, *(entry.texts.get(key, "") for key in ("script", "operator", "accepted_by"))]
+    cells = [entry.device, *(entry.texts.get(key, "") for key in ("script", "operator", "accepted_by"))]
     if entry.wrong:
-        ended, told = Text("UNREADABLE", "red"), ["-"] * 4
-    device, script, operator, accepted = map(Text, told)
+        ended, cells = Text("UNREADABLE", "red"), ["-"] * 4
+    device, script, operator, accepted = map(Text, cells)
     return [Text(entry.when), device, script, ended, operator, accepted, Text(entry.path.name)]

@@ -265,23 +265,22 @@ class PrepareScreen(StationScreen):
 
     def _suggest(self) -> None:
         """Fill in the serial number reported by the only device under test, if none was entered and it matches."""
-        field, told = self.query_one("#serial", Input), self._told_serial()
-        if told and not field.value and self._prospect and matches(self._prospect.serial_pattern, told):
-            field.value = told
+        field, reported = self.query_one("#serial", Input), self._told_serial()
+        if reported and not field.value and self._prospect and matches(self._prospect.serial_pattern, reported):
+            field.value = reported
             field.select_all()  # the next scan, at any time, replaces it
 
     def action_confirm_serial(self) -> None:
         """Ask why a device that reports another number is the right one; the reason is recorded. Nothing if they
         agree.
         """
-        entered, told = self.station.choices.serial, self._told_serial()
-        if told and entered and entered != told:
-            question = (
-                f"The device reports {told}, but you entered {entered}. Why are both right? (Also for the certificate.)"
-            )
+        entered, device = self.station.choices.serial, self._told_serial()
+        if device and entered and entered != device:
+            both = f"The device reports {device}, but you entered {entered}"
+            question = f"{both}. Why are both right? (Also for the certificate.)"
 
             def keep(reason: str | None) -> None:
-                self._confirmed = entered, told, reason or ""
+                self._confirmed = entered, device, reason or ""
                 self._take_over()
                 self.redraw()
 
@@ -315,9 +314,11 @@ class PrepareScreen(StationScreen):
         age_s = time.time() - self.station.operator_utc_s
         if prospect is not None and choices.operator and age_s > prospect.shift_s:
             found.append(("WRONG", f"is the operator still {choices.operator}? Press Enter in the field to confirm"))
-        told = self._told_serial()
-        if told and choices.serial and choices.serial != told and not choices.serial_reason:
-            found.append(("WRONG", f"the device reports serial no. {told}: correct it, or confirm with a reason (F8)"))
+        reported = self._told_serial()
+        if reported and choices.serial and choices.serial != reported and not choices.serial_reason:
+            found.append(
+                ("WRONG", f"the device reports serial no. {reported}: correct it, or confirm with a reason (F8)")
+            )
         if prospect is None:
             found.append(("WAIT", "bench and script are being read (Enter)"))
             return found

@@ -175,16 +175,16 @@ class ResultScreen(StationScreen):
             path, {"accepted_by": self.station.choices.operator, "accepted_utc": now}
         )
         if wrong:
-            said = f"NOT ACCEPTED: {wrong}"
+            outcome = f"NOT ACCEPTED: {wrong}"
         else:
             certificate = await asyncio.to_thread(free_path, path.with_suffix(".html"))
             answer = await ask(["report", str(path), "--output", str(certificate)])
-            said = f"accepted; certificate: {certificate}"
+            outcome = f"accepted; certificate: {certificate}"
             if answer.code:
-                said = f"accepted, but NO CERTIFICATE: {answer.reason}"
+                outcome = f"accepted, but NO CERTIFICATE: {answer.reason}"
         whole = await self.station.archive.read(path)
         if path == self.recording:
-            self._busy, self._said, self._whole = "", said, whole
+            self._busy, self._said, self._whole = "", outcome, whole
             self.redraw()
 
     def action_facts(self) -> None:
@@ -254,8 +254,8 @@ class ResultScreen(StationScreen):
         shown: dict[str, RenderableType] = {}
         if whole is not None and not whole.entry.wrong:
             values |= {"entry": whole.entry, "last": last_comparable(whole.entry, self._same), "moves": self._moves}
-            told = ("states", "change", "record") if whole.entry.gyros else ("record",)
-            shown = {name: templated(f"{name}.rich", values) for name in told}
+            blocks = ("states", "change", "record") if whole.entry.gyros else ("record",)
+            shown = {name: templated(f"{name}.rich", values) for name in blocks}
             if whole.entry.gyros:
                 lines = self._model or [Text("I looks for errors beyond the four states", "dim")]
                 shown["model"] = Group(Text("Investigation", "bold underline"), *lines)
@@ -301,4 +301,4 @@ def _investigation(found: Mapping[str, Any]) -> list[RenderableType]:
         shown = None
     if shown is None:
         return [Text("damaged, or written by another version of the station: I investigates again", "yellow")]
-    return [Text.from_markup(what, emoji=False) if isinstance(what, str) else what for what, _ in shown]
+    return [Text.from_markup(line, emoji=False) if isinstance(line, str) else line for line, _ in shown]
