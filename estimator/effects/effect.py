@@ -268,9 +268,9 @@ class Effect:
     def acts(self) -> Acts | None:
         """How it is corrected; None if it is not.
 
-        By its law: effects that need neither rate nor acceleration are subtracted; those with acceleration, temperature
-        change or memory are computed once from the motion, as iteration must not repeat them; all others are solved
-        with the rate.
+        Without a law, or with no correction, as its record says. Else by the law: effects that need neither rate nor
+        acceleration are subtracted; those with acceleration, temperature change or memory are computed once from the
+        motion, as iteration must not repeat them; all others are solved with the rate.
         """
         if self.record.left_out or not self.law:
             return self.record.acts

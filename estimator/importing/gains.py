@@ -109,7 +109,10 @@ def _gain(p: Floats, basis: Floats, slope: Floats, follows: float, offset_rps: f
 
 
 def _of_rows(recording: Recording, data: ImuData) -> list[_Gain | None]:
-    """Return gains from rows of a reference that cannot show a delay: turns, or a body at rest."""
+    """Return gains from rows of a reference that cannot show a delay: turns, or a body at rest.
+
+    All are None with fewer than four rows. At rest only gyros that report rotation have one, of slope 0.
+    """
     m = len(data.array)
     gram = Gram.empty(m)
     for part in observations(recording, data):

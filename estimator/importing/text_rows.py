@@ -97,7 +97,11 @@ class _Body:
         )
 
     def hint(self) -> str:
-        """Return what to write in the mapping so that more lines can be read."""
+        """Return what to write in the mapping so that more lines can be read.
+
+        In this order: names of columns for a heading that is too short or long, the other decimal mark, the form of the
+        stamps; else the advice to check the format or repair the file.
+        """
         widths = Counter(len(_fields(line, self.format)) for _, line in self.lines)
         width, count = widths.most_common(1)[0]
         if width != len(self.header) and width > 1 and count > (1 - BROKEN_SHARE) * len(self.lines):

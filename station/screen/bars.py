@@ -103,7 +103,10 @@ class Small(Lines):
 
 
 def _lines(run: LiveRun | None, said: str) -> list[Text]:
-    """Return lines about a run, the most important first; one line on the outcome once it has ended."""
+    """Return lines about a run, the most important first; one line on the outcome once it has ended.
+
+    Without a run the line is ``said``, or that no session runs; "starting" before the first snapshot.
+    """
     if run is None:
         return [Text(said or "no session runs", style="bold")]
     if run.outcome:
