@@ -1,8 +1,8 @@
-"""What can go wrong with a device, by whose fault it is."""
+"""Errors of devices, sorted by who is responsible."""
 
 
 class DeviceError(Exception):
-    """Something about a device: ``device`` is its name on the bench, ``message`` what is said without that name."""
+    """An error of a device: ``device`` is its name on the bench, ``message`` the text without that name."""
 
     def __init__(self, device: str, message: str) -> None:
         """Keep the device's name and the message apart, too."""

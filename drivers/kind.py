@@ -1,4 +1,4 @@
-"""A kind of device as one record: its section of the bench file, its protocols, what ready and safe mean for it.
+"""A kind of device as one record: its section of the bench file, its protocols, its ready and safe states.
 
 ``drivers.kinds`` lists those of the station; a package or a file brings others. The station loops over kinds.
 """
@@ -19,14 +19,16 @@ _FIRST = "table"  # the kind that is made safe before all others
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SafeState:
-    """How a device was left: ``trouble`` says what went wrong, empty if it is safe; ``seen``: it was seen to be."""
+    """How a device was left: ``trouble`` says what went wrong, empty if safe; ``seen`` whether the safe state was
+    observed.
+    """
 
     trouble: str
     seen: bool
 
 
 class MakeSafe(Protocol):
-    """What makes a device safe at the end of a run, and after the death of the station that drove it."""
+    """Function that makes a device safe at the end of a run, or after the station that drove it has died."""
 
     def __call__(
         self,
@@ -37,19 +39,21 @@ class MakeSafe(Protocol):
         unconfirmed: Callable[[str], None],
         untrue_readings: bool = False,
     ) -> Coroutine[Any, Any, SafeState]:
-        """Make it safe, whatever has become of its link.
+        """Make the device safe, in whatever state its link is.
 
         ``unconfirmed(trouble)`` is called if the usual way was not confirmed, before a harder one is tried. With
-        ``untrue_readings`` nothing that the device says is believed. ``time_scale`` is how fast the clock runs.
+        ``untrue_readings`` nothing that the device reports is believed. ``time_scale`` is how fast the loop's clock
+        runs.
         """
 
 
 async def make_safe(
     device: Any, /, *, time_scale: float, unconfirmed: Callable[[str], None], untrue_readings: bool = False
 ) -> SafeState:
-    """Make a device safe by its driver's ``make_safe``, again and again for 15 s, each time on a new connection.
+    """Call the driver's ``make_safe``, repeatedly for 15 s, each time on a new connection, until it succeeds.
 
-    One whose driver has no ``make_safe`` is left as it is.
+    A driver without ``make_safe`` is left alone. The first failure is passed to ``unconfirmed``. ``untrue_readings`` is
+    not used here.
     """
     if not isinstance(device, MadeSafe):
         return SafeState(trouble="", seen=False)
@@ -67,7 +71,9 @@ async def make_safe(
 
 
 async def tried(what: Coroutine[Any, Any, object], limit_s: float | None) -> str:
-    """Do what makes a device safe; return in words what went wrong, "" if nothing. None: it ends by itself."""
+    """Await ``what``; return the message of a DeviceError or time-out, empty if it succeeded. ``limit_s`` None: no
+    limit.
+    """
     try:
         async with asyncio.timeout(limit_s):
             await what
@@ -84,17 +90,17 @@ async def _nothing(device: Any, settings: Mapping[str, Any]) -> None:
 class DeviceKind:
     """A kind of device.
 
-    ``name`` is its section of the bench file, [[name]], or [name] where a bench has but one (``single``); ``what`` says
-    in words what it is. ``protocols`` are the records of those that are known, ``keys`` stand in its section beside
-    name, protocol, link, timeout and used.
+    ``name`` is its section of the bench file: [[name]], or [name] where a bench has at most one (``single``); ``what``
+    describes it. ``protocols`` are the records of known protocols. ``keys`` stand in its section beside name, protocol,
+    link, timeout and used.
 
-    ``ready(driver, settings)`` brings it to where a run needs it, given the values of ``keys``, and returns when it is
-    there. Before anything is done, a driver that ``ChecksSetPoint`` is asked about the value of the key ``set_point``.
+    ``ready(driver, settings)`` brings the device to the state that a run needs, given the values of ``keys``, and
+    returns when it is reached. Before anything is done, a driver that is a ``ChecksSetPoint`` is asked about the value
+    of the key ``set_point``.
 
-    Where ``safe_order`` is a number it is made safe on every way out, the least number first, and its link is held
-    against other programs; ``made_safe`` is what is then said of it. The table comes first, at 0.
-
-    ``wires`` are what a twin may be served on, the usual one first.
+    A device with a ``safe_order`` is made safe on every way out, lowest number first (the table has 0), and its link is
+    locked against other programs; ``made_safe`` is the message then. ``wires`` are the links on which a twin may be
+    served, the usual one first.
     """
 
     name: str
@@ -117,7 +123,9 @@ class DeviceKind:
             )
 
     async def refusal(self, device: Any, settings: Mapping[str, Any]) -> str:
-        """Return why an open device would not take its set point of ``settings``; empty if it would, or cannot tell."""
+        """Return why an open device would refuse its set point in ``settings``; empty if it would not, or cannot
+        tell.
+        """
         if not self.set_point or not isinstance(device, ChecksSetPoint):
             return ""
         return await device.refused(settings[self.set_point])

@@ -1,4 +1,4 @@
-"""Texts and tables that ship beside the modules; among them sentences that people read, ``sentences.toml``."""
+"""Texts and tables in packages; among them the sentences for users, ``sentences.toml``."""
 
 import tomllib
 from functools import cache, partial
@@ -13,12 +13,12 @@ def packaged_text(package: str, name: str) -> str:
 
 @cache
 def packaged_toml(package: str, name: str) -> dict[str, Any]:
-    """Return what a TOML file that ships in a package holds; it is read once and must not be changed."""
+    """Return the content of a TOML file in a package; it is read once and must not be changed."""
     return tomllib.loads(packaged_text(package, name))
 
 
 def packaged_codes(package: str, device: str, kind: str) -> dict[int, str]:
-    """Return what the numbers mean that a device answers with, from the codes.toml of a package."""
+    """Return the meanings of a device's numeric answers, from the codes.toml of a package."""
     return {int(code): text for code, text in packaged_toml(package, "codes.toml")[device][kind].items()}
 
 
@@ -28,5 +28,5 @@ def sentence_of(tables: dict[str, dict[str, str]], key: str, /, **values: object
     return tables[table][name].format(**values)
 
 
-# Read at once: a fault must be told even where no file can be opened any more.
+# Read at once: a fault must be reported even where no file can be opened any more.
 sentence = partial(sentence_of, packaged_toml("drivers", "sentences.toml"))

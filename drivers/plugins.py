@@ -1,4 +1,4 @@
-"""What comes in kinds, by name: built in, by the entry points of installed packages, or out of Python files."""
+"""Registries of records by name: built in, from entry points of installed packages, or from Python files."""
 
 import os
 import stat
@@ -25,14 +25,16 @@ _MOST_STEPS = 1000  # of folders and links on the way to a file
 
 
 class PluginError(ValueError):
-    """Something from outside cannot be used; one line with its name, the place and the reason."""
+    """A plug-in cannot be used; the message is one line with its name, the place and the reason."""
 
 
 def load_files(paths: Iterable[Path] = ()) -> list[ModuleType]:
-    """Import the files that ``GIVEN`` names and these, each once; PluginError if that fails.
+    """Import the files named in the environment variable ``GIVEN`` and in ``paths``, each once; PluginError if one
+    fails.
 
-    The operator has named those of ``GIVEN``. These others a bench file names, or they stand beside it: they must be
-    files that nobody but the operator and the administrator can change, and so must all that leads to them.
+    The operator named those in ``GIVEN``, which must be full paths. ``paths`` come from a bench file or stand beside
+    it: neither they nor any folder or link on the way may be writable by anybody but the operator and the
+    administrator.
     """
     given = [Path(file) for file in os.environ.get(GIVEN, "").split(os.pathsep) if file]
     if here := [str(path) for path in given if not path.is_absolute()]:  # the working folder decides nothing
@@ -50,12 +52,12 @@ def load_files(paths: Iterable[Path] = ()) -> list[ModuleType]:
 
 
 def load_file(path: Path) -> ModuleType:
-    """Import a Python file, again only if it has changed since; PluginError if that fails.
+    """Import a Python file; return the module loaded before if its text is unchanged. PluginError if that fails.
 
-    A bench and its script bring the same file: the records of both have to be the same objects.
+    A bench and its script may name the same file: both must get the same objects.
     """
     text: bytes | None = None
-    with suppress(OSError):  # what is not there, or cannot be read, is told below
+    with suppress(OSError):  # missing and unreadable files are reported below
         if not stat.S_ISREG(path.stat().st_mode):
             raise PluginError(f"plug-in {path}: it is a pipe, a folder or a device, not a Python file")
         text = path.read_bytes()
@@ -66,6 +68,7 @@ def load_file(path: Path) -> ModuleType:
         return known
 
     def run() -> ModuleType:
+        """Execute the file as module ``name`` and return it; ImportError if it is not a Python file."""
         spec = spec_from_file_location(name, path)
         if spec is None or spec.loader is None:
             raise ImportError("it is not a Python file")
@@ -78,33 +81,35 @@ def load_file(path: Path) -> ModuleType:
 
 
 def _changed_by_others(path: Path) -> str:
-    """Return how another user than this one and root could change what is behind a name, empty if none could.
+    """Return how a user other than this one and root could replace the file at ``path``; empty if none could.
 
-    Whoever may write to a folder can rename what is in it, also a folder or a link on the way to the file. A folder
-    with the sticky bit, such as /tmp, lets nobody replace what others own. A group of the user alone, which many
-    systems make for each user, is the user.
+    Checks every folder and link on the way, since whoever may write to a folder can rename its contents. Folders with
+    the sticky bit, such as /tmp, are accepted, and so is a group with no member but the user. Empty for a missing file
+    and on systems other than POSIX.
     """
     if os.name != "posix":
         return ""
     try:
         seen = [(place, place.lstat()) for place in _on_the_way(path)]
     except OSError:
-        return ""  # what is not there is told by who loads it
+        return ""  # a missing file is reported when it is loaded
     for place, state in reversed(seen):
-        what = "it" if place == path.absolute() else str(place)
+        place_text = "it" if place == path.absolute() else str(place)
         if state.st_uid not in (0, os.geteuid()):
-            return f"{what} belongs to {_user(state.st_uid)}"
+            return f"{place_text} belongs to {_user(state.st_uid)}"
         if stat.S_ISLNK(state.st_mode) or (stat.S_ISDIR(state.st_mode) and state.st_mode & stat.S_ISVTX):
             continue
         if state.st_mode & stat.S_IWOTH:
-            return f"every user of this computer may write to {what}"
+            return f"every user of this computer may write to {place_text}"
         if state.st_mode & stat.S_IWGRP and not _private(state.st_gid, state.st_uid):
-            return f"a group of users may write to {what}"
+            return f"a group of users may write to {place_text}"
     return ""
 
 
 def _on_the_way(path: Path) -> Iterator[Path]:
-    """Yield every folder and link that leads to a file, and the file; OSError for one that is not there."""
+    """Yield every folder and symbolic link that leads to a file, then the file; OSError if one is missing or links
+    loop.
+    """
     left = [*reversed(path.absolute().parts)]
     here = Path(left.pop())
     yield here
@@ -136,7 +141,7 @@ def _user(uid: int) -> str:
 
 
 def _private(gid: int, uid: int) -> bool:
-    """Return whether a group has no member but this user."""
+    """Return whether a group is the user's own: same name, primary group, no other member."""
     import grp
     import pwd
 
@@ -150,7 +155,7 @@ def _private(gid: int, uid: int) -> bool:
 
 
 def origin_of(module: ModuleType) -> str:
-    """Return what recordings and models keep of a file: its name and hash."""
+    """Return the words by which recordings and models name a plug-in file: its name and hash."""
     path = Path(str(module.__file__))
     return f"the plug-in {path.name} (sha256 {sha256(path.read_bytes()).hexdigest()[:12]})"
 
@@ -161,16 +166,16 @@ def records_of(module: ModuleType, kind: type[T]) -> list[T]:
 
 
 class Registry(Mapping[str, T]):
-    """Records of one kind by their ``name``. A module is imported when its record is asked for, not before."""
+    """Records of one type by their ``name``; the module of a record is imported when the record is first looked up."""
 
     def __init__(self, kind: type[T], group: str, own: Mapping[str, str | T]) -> None:
-        """``own`` are the built-in ones, or modules that hold them as SPEC; ``group`` is that of entry points."""
+        """``own`` are the built-in records, or modules with them as SPEC; ``group`` is the group of entry points."""
         self._kind, self._group, self._own = kind, group, own
 
     def beside(self, modules: Iterable[ModuleType], kind: str = "") -> "Registry[T]":
-        """Return the registry with the records in these modules, too, of one ``kind`` if records have such.
+        """Return this registry with the records defined in ``modules`` added; PluginError if a name is taken.
 
-        PluginError for a name that is taken.
+        If ``kind`` is given, records with another ``kind`` are left out.
         """
         own = dict(self._own)
         for record in (record for module in modules for record in records_of(module, self._kind)):
@@ -181,23 +186,26 @@ class Registry(Mapping[str, T]):
         return Registry(self._kind, self._group, own)
 
     def __getitem__(self, name: str) -> T:
-        """Return a record; KeyError if there is none of this name, PluginError if it is damaged or there are two."""
+        """Return the record ``name``, importing it; KeyError if there is none.
+
+        PluginError if two have this name, or an installed one fails to load, is of the wrong type or has another name.
+        """
         entries = list(self._installed.select(name=name))
         if len(entries) + (name in self._own) > 1:
             raise self._taken(name)
         if not entries:
             own = self._own[name]
             return import_module(own).SPEC if isinstance(own, str) else own
-        what = f"entry point {name} of {self._group} ({entries[0].value})"
-        record = _guarded(what, "", entries[0].load)
+        origin = f"entry point {name} of {self._group} ({entries[0].value})"
+        record = _guarded(origin, "", entries[0].load)
         if not isinstance(record, self._kind):
-            raise PluginError(f"{what}: {type(record).__name__} is no {self._kind.__name__}")
+            raise PluginError(f"{origin}: {type(record).__name__} is no {self._kind.__name__}")
         if (called := getattr(record, "name", "")) != name:
-            raise PluginError(f"{what}: it is called {called}. Register it by that name")
+            raise PluginError(f"{origin}: it is called {called}. Register it by that name")
         return record
 
     def tried(self) -> dict[str, T | PluginError]:
-        """Return every record, or why it cannot be used."""
+        """Return each record by name, or the PluginError of one that cannot be used."""
         found: dict[str, T | PluginError] = {}
         for name in self:
             try:
@@ -216,7 +224,7 @@ class Registry(Mapping[str, T]):
         return iter(dict.fromkeys((*self._own, *(entry.name for entry in self._installed))))
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of records."""
         return len(list(iter(self)))
 
     @property
@@ -233,9 +241,12 @@ def _announced(group: str, _path: tuple[str, ...]) -> EntryPoints:
 
 
 def _guarded(what: str, file: str, run: Callable[[], T]) -> T:
+    """Return ``run()``; any exception becomes a PluginError with ``what``, the line in ``file`` and the first line of
+    it.
+    """
     try:
         return run()
-    except (Exception, SystemExit) as error:  # whatever stands in it
+    except (Exception, SystemExit) as error:  # anything may be in the file
         lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
         line = error.lineno if isinstance(error, SyntaxError) else lines[-1] if lines else None
         reason = (str(error).splitlines() or [""])[0]

@@ -1,4 +1,4 @@
-"""The seams to hardware, and what some devices can do beside. Nothing inherits from these to plug in."""
+"""The interfaces to hardware, and optional abilities of devices. Plug-ins need not inherit from these."""
 
 from collections.abc import AsyncIterator, Mapping, Sequence
 from typing import Protocol, runtime_checkable
@@ -19,7 +19,7 @@ from drivers.types import (
 
 
 class Openable(Protocol):
-    """A link, a source, a table: what can be closed and opened again."""
+    """A link, source or table that can be closed and opened again."""
 
     async def open(self) -> None:
         """Open; LinkLost if it is not there."""
@@ -29,18 +29,18 @@ class Openable(Protocol):
 
 
 class Device(Openable, Protocol):
-    """A driver of any kind: what can be opened again, and says what it is."""
+    """A driver of any kind: it can be reopened and identifies itself."""
 
     async def identify(self) -> Identity:
-        """Ask what it is, after ``open``; empty where it cannot be asked."""
+        """Return the device's identity, after ``open``; empty where it cannot be asked."""
 
 
 @runtime_checkable
 class MadeSafe(Openable, Protocol):
-    """A device that has to be left in a safe state."""
+    """A device that must be left in a safe state."""
 
     async def make_safe(self) -> None:
-        """Bring it to its safe state and see that it is there, whatever has become of the link; else DeviceError.
+        """Bring the device to its safe state and confirm it, whatever the state of the link; else DeviceError.
 
         A link that is lost, or was never opened, is opened first.
         """
@@ -48,7 +48,7 @@ class MadeSafe(Openable, Protocol):
 
 @runtime_checkable
 class ChecksSetPoint(Protocol):
-    """A device that can tell, without acting, whether it could take a set point."""
+    """A device that can tell, without acting, whether it would accept a set point."""
 
     async def refused(self, set_point: float) -> str:
         """Return why it would not take this set point (SI, temperatures in degC), empty if it would."""
@@ -56,7 +56,7 @@ class ChecksSetPoint(Protocol):
 
 @runtime_checkable
 class AppendsSeries(Protocol):
-    """A device that measures something by itself, for columns of its own in the recording."""
+    """A device that measures something itself and appends columns to the recording."""
 
     @property
     def columns(self) -> Mapping[str, str]:
@@ -80,10 +80,10 @@ class FrameLink(Openable, Protocol):
     """A CAN bus."""
 
     async def receive(self) -> list[Frame]:
-        """Return the frames that have come since the last call, waiting for the first; LinkLost if gone."""
+        """Return the frames since the last call, waiting for the first; LinkLost if the bus is gone."""
 
     def send(self, frame: Frame) -> None:
-        """Send a frame, whatever its stamp; LinkLost if the bus does not take it."""
+        """Send a frame, whatever its stamp; LinkLost if the bus refuses it."""
 
 
 class Turntable(Openable, Protocol):
@@ -97,10 +97,10 @@ class Turntable(Openable, Protocol):
     """Axes that ``home`` turns and that are not there yet."""
 
     async def open(self) -> None:
-        """Connect and see that every axis answers; an axis that is enabled is told nothing by that."""
+        """Connect and check that every axis answers; nothing changes on an axis that is enabled."""
 
     async def identify(self) -> Identity:
-        """Ask the controller what it is; empty where it cannot be asked."""
+        """Return the controller's identity; empty where it cannot be asked."""
 
     async def enable(self) -> None:
         """Bring every axis to holding position under power."""
@@ -109,7 +109,7 @@ class Turntable(Openable, Protocol):
         """Find the home position of every axis; their angles count from there."""
 
     async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
-        """Turn at a rate until told otherwise."""
+        """Turn at a rate until the next command."""
 
     async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
         """Start towards an angle from home (turns are not wrapped) with a trapezoid of rate."""
@@ -121,11 +121,11 @@ class Turntable(Openable, Protocol):
         """Get condition and fault."""
 
     async def stop(self) -> str:
-        """Bring every axis to rest by a controlled stop, whatever has become of the link, and say what was seen.
+        """Bring every axis to rest by a controlled stop, whatever the state of the link, and return what was seen.
 
-        A link that is lost, or on which the last request was not answered, is opened again at once. Every axis is told,
-        the one that was moved last first, and watched until it stands. DeviceError, after some ten seconds without
-        news, tells what was seen last of those that may still turn.
+        A link that is lost, or on which the last request was not answered, is reopened at once. Every axis gets the
+        stop, the one that was moved last first, and is watched until it stands. DeviceError, after some ten seconds
+        without news, with the last readings of axes that may still turn.
         """
 
     async def abort(self) -> None:
@@ -139,7 +139,7 @@ class Turntable(Openable, Protocol):
 
 
 class ImuSource(Openable, Protocol):
-    """A device under test, or a part of one, that gives samples by itself."""
+    """A device under test, or a part of one, that sends samples without being asked."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -152,7 +152,7 @@ class ImuSource(Openable, Protocol):
         """Get how the clock of one source lies to the loop's; None while that is not known."""
 
     async def identify(self) -> Identity:
-        """Ask the device what it is, after ``open`` and before ``blocks``; empty where it cannot be asked."""
+        """Return the device's identity, after ``open`` and before ``blocks``; empty where it cannot be asked."""
 
     def blocks(self) -> AsyncIterator[tuple[str, ImuBlock]]:
         """Yield (source name, block) as they come; LinkLost when the link ends."""
@@ -163,7 +163,7 @@ class ImuSource(Openable, Protocol):
 
 @runtime_checkable
 class EarlySource(Protocol):
-    """An IMU source that holds samples back until it can time them, and tells before what has arrived."""
+    """An IMU source that holds samples back until it can time them, and reports arrivals before that."""
 
     def arrived(self) -> list[tuple[str, Stamps, Floats]]:
         """Return source name, arrivals (n,) in ns and rates (n, m) of samples that came since the last call.
@@ -174,7 +174,7 @@ class EarlySource(Protocol):
 
 @runtime_checkable
 class TellsOrders(Protocol):
-    """A table whose drives can be asked what they were told last, whoever that was."""
+    """A table whose drives report the last command they were given, by whatever program."""
 
     async def orders(self, axis: str) -> Mapping[str, float]:
-        """Return the registers, by name, in which a drive keeps what it was told."""
+        """Return by name the registers in which a drive keeps its last commands."""

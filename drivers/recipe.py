@@ -12,9 +12,10 @@ from drivers.specs import DeviceSpec
 
 
 def packed_device(kind: DeviceKind, spec: DeviceSpec, setup: Any, link: Any) -> bytes:
-    """Return what makes a driver (``spec.make(setup, link)``) in another process of this program and user.
+    """Return a pickle from which ``unpacked_device`` rebuilds a driver in another process of this program and user.
 
-    ``link`` must not have been opened. An error of ``pickle`` if an option of a plug-in cannot be copied.
+    ``setup`` and ``link`` are the arguments of ``spec.make``; ``link`` must not have been opened. Files of plug-ins
+    that are needed are included by path. An error of ``pickle`` if an option of a plug-in cannot be copied.
     """
     plugins = sorted({file for record in (kind, spec) if (file := _plugin_of(record))})
     # Two layers: the values may be of classes that are known once the plug-ins have been imported.
@@ -22,9 +23,9 @@ def packed_device(kind: DeviceKind, spec: DeviceSpec, setup: Any, link: Any) -> 
 
 
 def unpacked_device(data: bytes) -> tuple[DeviceKind, Any]:
-    """Return the kind and the driver, not open yet, with all that they need imported.
+    """Return the kind and the driver, not open yet, of a ``packed_device``, after importing its plug-ins.
 
-    PluginError if a plug-in cannot be imported.
+    PluginError if a plug-in cannot be imported. ``data`` must come from this program: it is unpickled.
     """
     plugins, rest = pickle.loads(data)
     modules = [load_file(Path(file)) for file in plugins]
@@ -35,7 +36,7 @@ def unpacked_device(data: bytes) -> tuple[DeviceKind, Any]:
 
 
 def _plugin_of(record: Any) -> str:
-    """Return the Python file that brought a record to this process; empty if it is built in or installed."""
+    """Return the Python file that defines a record in this process; empty if it is built in or installed."""
     for name, module in list(sys.modules.items()):
         if name.startswith("station_plugin_") and any(value is record for value in vars(module).values()):
             return str(Path(str(module.__file__)).absolute())

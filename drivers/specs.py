@@ -1,4 +1,4 @@
-"""A device as one record: what it is called, how it is reached, what a bench file says of it, how its driver is made.
+"""A device as one record: its name, its links, its keys in a bench file, and how its driver is made.
 
 Such a record stands in the folder of its device, plain facts in spec.toml, the rest beside its driver. The kind of the
 device (``drivers.kind.DeviceKind``) has a registry that names them.
@@ -16,16 +16,18 @@ from drivers.types import AxisLimits
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """A key of a file that a person writes, as of a device in a bench file, with a line that says what it means.
+    """A key in a file written by a person, such as a device's section of a bench file, with a line that explains it.
 
-    ``kind`` is "text", "texts", "pattern", "path", "link", "date", "flag", "integer", "number", "table", "tables",
-    "any", or what a quantity measures ("time", "angle"); its value is then in SI. Without a ``default`` it may be left
-    out (None), unless it is ``required``. ``one_of`` are the values that it may have; ``bound`` of a number is
-    "above_zero", "not_negative", or "0 to 253", of a text "not_blank"; ``told`` is said of others, with {} for them. Of
-    an ``each`` there may be one for all, or a list of one each. ``read`` makes something else of a text, given the
-    folder of the file; its ValueError is told. ``station init`` asks for the value of one that is ``asked``, and shows
-    an ``example`` of one that it leaves out. It becomes the ``field``, if that has another name; a table has the
-    sections that it is ``of``, and a .toml that a text names those of the ``file``, which is checked before it is read.
+    - ``kind`` is "text", "texts", "pattern", "path", "link", "date", "flag", "integer", "number", "table", "tables",
+      "any", or the quantity measured ("time", "angle"), whose value is then in SI.
+    - Without a ``default`` the key may be left out (None), unless it is ``required``.
+    - ``one_of`` lists the allowed values; ``bound`` of a number is "above_zero", "not_negative" or "0 to 253", of a
+      text "not_blank"; ``told`` is the message for any other value, with {} for it.
+    - ``each``: one value for all, or a list with one for each.
+    - ``read(text, folder)`` converts a text; the message of its ValueError is shown.
+    - ``station init`` asks for the value if ``asked``, and writes ``example`` as a comment for one it leaves out.
+    - ``field`` is the name of the attribute, if it differs from ``name``. A table has the sections ``of``; a .toml file
+      that a text names has those of ``file``, and is checked before it is read.
     """
 
     name: str
@@ -47,7 +49,7 @@ class Key:
 
 @dataclass(frozen=True, slots=True)
 class ProposedImu:
-    """What ``station init`` proposes, quantities as in a bench file; the noise is typical of its kind."""
+    """Values that ``station init`` proposes, quantities as in a bench file; the noise is typical of the kind."""
 
     name: str
     rate: str
@@ -58,10 +60,10 @@ class ProposedImu:
 
 @dataclass(frozen=True, slots=True)
 class ImuSetup:
-    """What the bench says of one IMU, for its driver.
+    """The bench file's settings of one IMU, for its driver.
 
-    ``options`` are the values of the protocol's keys, ``signals`` those on a CAN bus where a DBC describes them.
-    ``timeout_s`` is for one try of a question, of which there are two.
+    ``options`` are the values of the protocol's keys, ``signals`` those on a CAN bus where a DBC describes them. A
+    request is tried twice, each time for ``timeout_s``.
     """
 
     name: str
@@ -73,10 +75,10 @@ class ImuSetup:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeviceSetup:
-    """What the bench says of one device, for its driver and for its twin.
+    """The bench file's settings of one device, for its driver and its twin.
 
     ``options`` are the values of the protocol's keys, ``settings`` those of the kind's. A request is tried twice, each
-    for ``timeout_s``.
+    time for ``timeout_s``.
     """
 
     name: str
@@ -89,13 +91,13 @@ class DeviceSetup:
 class DeviceSpec:
     """A protocol of devices of one ``kind``.
 
-    ``what`` says which devices speak it, ``link`` is an example of one. It is on a CAN bus (``on_can``), or on a byte
-    link with this ``baud`` rate and ``tcp_port`` if the link states none; ``keys`` stand in its section of the bench
-    file. ``make(setup, link)`` returns the driver on a FrameLink, a ByteLink or, where it ``opens_links`` itself, at an
-    address: (host, port) or SerialPort.
+    ``what`` says which devices speak it, ``link`` is an example of one. It runs on a CAN bus (``on_can``), or on a byte
+    link with the ``baud`` rate and ``tcp_port`` that hold if the link states none. ``keys`` stand in the device's
+    section of the bench file. ``make(setup, link)`` returns the driver on a FrameLink or ByteLink; a protocol that
+    ``opens_links`` itself gets an address instead: (host, port) or SerialPort.
 
-    ``twin(setup, write)`` makes the twin of a device from outside the station; those of the station's own devices are
-    in ``sims``. ``checked_against`` names what others made that driver and twin have met.
+    ``twin(setup, write)`` makes the twin of a device from outside the station; twins of the station's own devices are
+    in ``sims``. ``checked_against`` names independent programs or captures that driver and twin were tested with.
     """
 
     name: str
@@ -113,7 +115,7 @@ class DeviceSpec:
 
     @property
     def said(self) -> str:
-        """What it is; EXPERIMENTAL first, where it has met nothing that somebody else made."""
+        """What the device is; EXPERIMENTAL first if it was never checked against anything made by others."""
         return f"{'' if self.checked_against else 'EXPERIMENTAL: '}{self.what}"
 
 
@@ -121,11 +123,10 @@ class DeviceSpec:
 class ImuSpec(DeviceSpec):
     """A protocol of devices under test.
 
-    ``rates_hz`` are the legal rates, any if empty; where
-    an option decides, they are by the value of the key ``rates_by``. ``gyros`` is how many it has, None if that is
-    said by its signals: the bench file then maps those of a DBC (``signals_of_dbc``), or names a description
-    (``described``). ``temperature`` says whether each sample has one. ``sims.imus.registry`` has its twin by ``family``
-    if that is not the name.
+    ``rates_hz`` are the legal rates, any if empty; where an option decides, a mapping by the value of the key
+    ``rates_by``. ``gyros`` is the number of gyros, None if the signals decide: the bench file then maps signals of a
+    DBC (``signals_of_dbc``) or names a description (``described``). ``temperature`` says whether each sample has one.
+    ``sims.imus.registry`` has its twin by ``family``, if that is not the name.
     """
 
     kind: str = "imu"
@@ -140,7 +141,9 @@ class ImuSpec(DeviceSpec):
     family: str = ""
 
     def refused_rate(self, rate_hz: float, options: Mapping[str, Any]) -> str:
-        """Return which rates a device with these options has, if this is none of them, else nothing."""
+        """Return a sentence with the legal rates of a device with these options if ``rate_hz`` is none of them, else
+        "".
+        """
         chosen = [options[self.rates_by]] if isinstance(self.rates_hz, Mapping) else []
         legal_hz = self.rates_hz[chosen[0]] if isinstance(self.rates_hz, Mapping) else self.rates_hz
         if not legal_hz or rate_hz in legal_hz:
@@ -152,9 +155,9 @@ class ImuSpec(DeviceSpec):
 
 @dataclass(frozen=True, slots=True)
 class AxisSetup:
-    """One axis of a table: its ``address`` at the controller, encoder counts a turn, limits, values of its own keys.
+    """One axis of a table: ``address`` at the controller, encoder counts per turn, limits, values of its own keys.
 
-    ``link`` is that of a drive with one of its own, else empty; a driver is given the Address that it means.
+    ``link`` is that of a drive with its own link, else empty; a driver gets the resolved Address.
     """
 
     address: int | str
@@ -166,9 +169,9 @@ class AxisSetup:
 
 @dataclass(frozen=True, slots=True)
 class TableSetup:
-    """What the bench says of the table, for its driver: axes outermost first, values of the protocol's keys.
+    """The bench file's settings of the table, for its driver: axes outermost first, values of the protocol's keys.
 
-    A request is tried twice, each for ``timeout_s``.
+    A request is tried twice, each time for ``timeout_s``.
     """
 
     axes: Mapping[str, AxisSetup]
@@ -180,12 +183,12 @@ class TableSetup:
 class TableSpec(DeviceSpec):
     """A protocol of tables.
 
-    ``address`` is the key of an axis that says which it is at the controller, None where there is
-    but one; ``station init`` proposes ``addresses`` and ``proposed_counts`` a turn, which must be given unless 0.
-    ``axis_keys`` stand in the table of each axis. ``acceleration_step`` in counts/s2 is what accelerations are
-    multiples of. Where it ``opens_links`` itself, an axis may have one of its own. ``refused(axis, link)`` says why an
-    axis cannot be as it is described, empty if it can. ``limits_trip`` is of its twin: whether drives know a limit
-    switch only as a reason to trip.
+    ``address`` is the key of an axis with its address at the controller, None where there is a single one; ``station
+    init`` proposes ``addresses`` and ``proposed_counts`` per turn, which must be given unless 0. ``axis_keys`` stand in
+    the table of each axis. ``acceleration_step`` (counts/s2) is the unit of which accelerations are multiples. Where
+    the protocol ``opens_links`` itself, an axis may have its own link. ``refused(axis, link)`` says why an axis cannot
+    be as described, empty if it can. ``limits_trip`` is about its twin: whether drives treat a limit switch as a reason
+    to trip.
     """
 
     kind: str = "table"
@@ -204,7 +207,10 @@ S = TypeVar("S", bound=DeviceSpec)
 
 
 def described(kind: type[S], package: str, keys: Mapping[str, Any] | None = None, **more: Any) -> S:
-    """Return the record whose plain facts are in spec.toml of a package; ``keys`` adds to those of its keys."""
+    """Return the record of type ``kind`` from spec.toml of a package; values in ``more`` override those of the file.
+
+    ``keys`` maps names of keys to further fields of these keys, such as functions that a file cannot hold.
+    """
     facts = {**packaged_toml(package, "spec.toml"), **more}
     for part in {"keys", "axis_keys"}.intersection(column.name for column in fields(kind)):
         facts[part] = tuple(Key(**key, **(keys or {}).get(key["name"], {})) for key in facts.get(part, ()))

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     """Instants in ns."""
     Flags = NDArray[np.bool_]
     Octets = NDArray[np.uint8]
-else:  # names alone: whoever only talks to a table, as the guard of a run does, does without the 10 MB of numpy
+else:  # names alone: programs that only control a table, as the guard does, save the 10 MB of numpy
     Floats = Ints = Stamps = Flags = Octets = Any
 
 _Told = tuple[float, float, float]
@@ -21,11 +21,11 @@ _Told = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
-    """How a device's clock lies to the loop's.
+    """How a device's clock relates to the loop's.
 
-    ``offset_s`` is loop time less device time now, with the least delay in it; ``drift_ppm`` how much it grows,
-    above zero for a device clock that is slow; both with standard uncertainties, in which the least delay, being
-    unknowable, has no part. ``jitter_rms_s`` is what arrivals scatter about their mean.
+    ``offset_s`` is loop time minus device time now, including the least transmission delay; ``drift_ppm`` is its
+    growth, positive for a device clock that is slow. The standard uncertainties of both leave out the least delay,
+    which cannot be known. ``jitter_rms_s`` is the scatter of arrivals about their mean.
     """
 
     offset_s: float
@@ -47,10 +47,10 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class AxisLimits:
-    """What an axis may be asked for. ``travel_rad``: the angles from home that it stays between, None for all.
+    """What an axis may be commanded to do. ``travel_rad``: angles from home between which it stays, None for unlimited.
 
-    ``acceleration_step_rps2``: the controller takes multiples of it only, and the one below what it is given.
-    ``resolution_rad``: the angle by which readings differ at least, 0 where that is not known.
+    ``acceleration_step_rps2``: the controller rounds accelerations down to a multiple of it. ``resolution_rad``: the
+    least difference between readings, 0 where unknown.
     """
 
     rate_rps: float
@@ -62,10 +62,10 @@ class AxisLimits:
 
 @dataclass(frozen=True, slots=True)
 class AxisState:
-    """Readback of one axis: angle and rate, each with the middle of its own round trip, and its half-width.
+    """Readings of one axis: angle and rate, each with the middle of its own round trip, and half the longer round trip.
 
-    A controller that only tells a mean rate gives the time that it is the mean of as ``rate_window_ns``; the rate's
-    instant is then the middle of that.
+    A controller that only reports a mean rate gives its averaging time as ``rate_window_ns``; the instant of the rate
+    is then the middle of that.
     """
 
     angle_t_ns: int
@@ -77,7 +77,10 @@ class AxisState:
 
     @classmethod
     def told(cls, angle: _Told, rate: _Told, window_s: float = 0.0) -> Self:
-        """Return the state of two round trips: when each was sent and here (s of the loop), and what it told."""
+        """Return the state from two round trips, each (sent, arrived, value) with times in s of the loop.
+
+        ``window_s`` is the time over which the controller averages the rate.
+        """
         angle_s, rate_s = ((sent_s + here_s) / 2 for sent_s, here_s, _ in (angle, rate))
         half_width_s = max(here_s - sent_s for sent_s, here_s, _ in (angle, rate)) / 2
         at_ns, rate_ns, half_ns, mean_ns = (
@@ -95,9 +98,9 @@ class AxisState:
 
 @dataclass(frozen=True, slots=True)
 class AxisStatus:
-    """Condition of one axis; ``fault`` is the device's own text, ``caution`` what else to know; empty if nothing.
+    """Condition of one axis; ``fault`` is the device's own text, ``caution`` a further remark; empty if there is none.
 
-    ``interlock``: that an interlock or emergency stop keeps it from moving; empty, too, where no protocol tells.
+    ``interlock``: an interlock or emergency stop that blocks motion; empty, too, where the protocol does not report it.
     """
 
     enabled: bool
@@ -109,7 +112,7 @@ class AxisStatus:
 
     @property
     def trouble(self) -> str:
-        """Why the axis must not be moved, empty if it may be."""
+        """Why the axis must not be moved, empty if it may."""
         return "; ".join(filter(None, (self.fault, self.interlock)))
 
 
@@ -117,9 +120,9 @@ class AxisStatus:
 class ImuBlock:
     """Samples of one source.
 
-    ``t_ns`` (n,) when each was taken, on the loop's clock; ``arrival_ns`` (n,) when it was here; ``rate_rps``
-    (n, m); ``temperature_c`` (n,), NaN before the first is known; ``counter`` (n,) the device's own count and
-    ``accel_mps2`` (n, 3), where there are such.
+    ``t_ns`` (n,) is when each was taken, ``arrival_ns`` (n,) when it arrived, both on the loop's clock; ``rate_rps``
+    (n, m); ``temperature_c`` (n,), NaN before the first is known; ``counter`` (n,), the device's own count, and
+    ``accel_mps2`` (n, 3), where the device has them.
     """
 
     t_ns: Stamps
@@ -132,10 +135,10 @@ class ImuBlock:
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """What a device says it is; empty where its protocol does not say.
+    """What a device reports about itself; empty where its protocol does not report it.
 
-    ``settings`` is how it is set, in whatever form it says that, where its samples depend on it and the driver does not
-    set it. It is no part of who the device is.
+    ``settings`` describes its configuration, in any form, where samples depend on it and the driver does not set it. It
+    is not part of the device's identity.
     """
 
     model: str = ""
@@ -146,7 +149,7 @@ class Identity:
 
 @dataclass(slots=True)
 class SourceCounts:
-    """What a source lost, got twice, got late (two periods and 50 ms after its time), or had to throw away."""
+    """Samples of a source that were lost, repeated, late (two periods and 50 ms after their time) or discarded."""
 
     samples: int = 0
     lost: int = 0
@@ -157,10 +160,11 @@ class SourceCounts:
 
 @dataclass(slots=True)
 class LinkCounts:
-    """What went over a link since its device was built, bytes or CAN frames, and what went wrong: only that compares.
+    """Traffic of a link since its device was built, in bytes or CAN frames, and its errors; meaningful by comparison
+    only.
 
-    Answers that did not come in time, came too late, damaged, malformed or with a number that was not asked; bytes that
-    were ``discarded`` as they answered nothing; error frames of CAN, and those of them that tell of a bus that is off.
+    Answers that timed out, came too late, were damaged, malformed or had a number that was not asked for; bytes
+    ``discarded`` as they answered nothing; error frames of CAN, and those that report bus-off.
     """
 
     opened: int = field(default=0, compare=False)
@@ -178,7 +182,7 @@ class LinkCounts:
     @property
     def text(self) -> str:
         """All that is not zero, in words."""
-        return ", ".join(f"{count} {what.replace('_', ' ')}" for what, count in asdict(self).items() if count)
+        return ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in asdict(self).items() if count)
 
 
 @dataclass(slots=True)

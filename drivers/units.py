@@ -28,7 +28,7 @@ def split_quantity(text: str) -> tuple[float, str] | None:
 
 @cache
 def unit_size(text: str) -> tuple[float, Powers]:
-    """Return the factor to SI of a unit, and its powers; ValueError if it is none."""
+    """Return the factor to SI of a unit such as "deg/s2", and its four powers; ValueError if it is not a unit."""
     if len(text) > _LONGEST:  # brackets within brackets
         raise ValueError(text[:_LONGEST])
     words, at = [], 0
@@ -46,7 +46,10 @@ def unit_size(text: str) -> tuple[float, Powers]:
 
 
 def _product(words: Iterator[str], word: str) -> tuple[float, Powers, str]:
-    """Read factors between * and /, each with a power behind it, up to a word that is none."""
+    """Read factors joined by * and /, each a unit or a bracket with an optional power, starting with ``word``.
+
+    Return the factor to SI, the powers and the first word that does not belong. ValueError for an unknown unit.
+    """
     factor, powers, sign = 1.0, _NONE, 1.0
     while True:
         if word == "(":

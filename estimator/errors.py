@@ -6,7 +6,7 @@ class EstimatorError(Exception):
 
 
 def first_line(error: BaseException) -> str:
-    """Return the first line of what an error says, else its kind: what HDF5 says has more, for its makers."""
+    """Return the first line of an error's text, else its type; HDF5's further lines are for its developers."""
     return str(error).splitlines()[0] if str(error) else type(error).__name__
 
 
@@ -15,7 +15,7 @@ MISSHAPEN = (OSError, AttributeError, TypeError, ValueError, LookupError, Arithm
 
 
 class GeometryError(EstimatorError):
-    """A sensor array that is no array: singular, not of unit axes, or with skewed triads."""
+    """An impossible sensor array: singular, axes that are not unit vectors, or skewed triads."""
 
 
 class RecordingError(EstimatorError):

@@ -1,4 +1,4 @@
-"""Tables that ship beside the modules; among them sentences that people read, ``sentences.toml``."""
+"""Tables in packages; among them the sentences for users, ``sentences.toml``."""
 
 import tomllib
 from functools import cache
@@ -8,7 +8,7 @@ from typing import Any
 
 @cache
 def packaged_toml(package: str, name: str) -> dict[str, Any]:
-    """Return what a TOML file that ships in a package holds; it is read once and must not be changed."""
+    """Return the content of a TOML file in a package; it is read once and must not be changed."""
     return tomllib.loads(files(package).joinpath(name).read_text(encoding="utf-8"))
 
 

@@ -16,7 +16,7 @@ _SHOWN = np.array([1e6, np.degrees(3600), np.degrees(3600), np.degrees(3600)])
 
 
 def plot_rates(recording: Recording, axes: "Axes | None" = None) -> "Axes":
-    """Draw the outputs of all gyros over time, in deg/s."""
+    """Draw the outputs of all gyros over time, in deg/s; return the axes, new ones by default."""
     axes = _axes(axes)
     start_ns = min(data.t_ns[0] for data in recording.sources.values())
     for data in recording.sources.values():
@@ -27,7 +27,7 @@ def plot_rates(recording: Recording, axes: "Axes | None" = None) -> "Axes":
 
 
 def plot_states(calibration: Calibration, state: int = 0, axes: "Axes | None" = None) -> "Axes":
-    """Draw one state (0 to 3: k, b, sigma_j, sigma_k) of every gyro with its 95 % interval."""
+    """Draw one state (0 to 3: k, b, sigma_j, sigma_k) of every gyro with its 95 % interval; return the axes."""
     axes = _axes(axes)
     values = [gyro.states[state] * _SHOWN[state] for gyro in calibration.gyros]
     halves = [1.96 * gyro.sd[state] * _SHOWN[state] for gyro in calibration.gyros]
@@ -37,7 +37,9 @@ def plot_states(calibration: Calibration, state: int = 0, axes: "Axes | None" = 
 
 
 def plot_errors(found: Investigation, axes: "Axes | None" = None) -> "Axes":
-    """Draw the rms error of every gyro's compensated rate before and after an investigation, in deg/h."""
+    """Draw the rms error of every gyro's compensated rate before and after an investigation, in deg/h; return the
+    axes.
+    """
     axes = _axes(axes)
     at = np.arange(len(found.gyros))
     for shift, name, errors in (

@@ -25,10 +25,9 @@ _DEPTH = {"[": 1, "{": 1, "]": -1, "}": -1}
 
 
 class StrictTable:
-    """One table of a TOML file. Values are taken out by key; ``done`` complains of what nobody took.
+    """One table of a TOML file. Values are taken by key; ``done`` raises an error for keys that nobody took.
 
-    All complaints are errors of the class given, and name file, line, table and key. A key without a default must be
-    there.
+    All errors are of the given class, and name file, line, table and key. A key without a default is required.
     """
 
     def __init__(
@@ -40,7 +39,10 @@ class StrictTable:
 
     @classmethod
     def parse(cls, text: str, file: str, error: type[Exception]) -> Self:
-        """Read a text; ``file`` names it in complaints. The given error if it is no TOML, or nested beyond reason."""
+        """Return the top table of a TOML text; ``file`` names it in errors.
+
+        ``error`` if the text is invalid or nested too deeply. Keys of many parts are refused before the slow parser.
+        """
         try:
             if any(len(_STEP.findall(key)) > _DEEPEST for key in _KEY_ENDS.split("".join(text.split(" ")))):
                 raise RecursionError  # the parser would take hours over such a key
@@ -53,14 +55,14 @@ class StrictTable:
 
     @classmethod
     def load(cls, path: Path, error: type[Exception], wanted: str = "a TOML file") -> Self:
-        """Read a file; the given error if it cannot be read or is no TOML.
+        """Read a file; ``error`` if it cannot be read or is no TOML.
 
-        ``wanted`` is what the error asks for if a recording is given.
+        ``wanted`` names the expected file in the error for a recording.
         """
         return cls.parse(read_text(path, error, wanted), str(path), error)
 
     def again(self) -> Self:
-        """Return this table as it is now, for somebody else to take from."""
+        """Return a copy of this table in its present state, for another reader."""
         return type(self)(self._data, self._path, self._text, self._file, self._error)
 
     def fail(self, key: str | None, message: str) -> Exception:
@@ -72,7 +74,7 @@ class StrictTable:
         return self._error(f"{where}: {name}: {message}" if name else f"{where}: {message}")
 
     def has(self, key: str) -> bool:
-        """Return whether the key is there and not taken yet."""
+        """Return whether the key is present and not taken yet."""
         self._known.append(key)
         return key in self._data
 
@@ -82,13 +84,15 @@ class StrictTable:
         return " ".join(value.split()) if isinstance(value, str) else ""
 
     def remaining(self) -> tuple[str, ...]:
-        """Return the keys that nobody took yet."""
+        """Return the keys that are not taken yet."""
         return tuple(self._data)
 
     def number(
         self, key: str, default: float | None = None, *, positive: bool = False, least: float = -inf, most: float = inf
     ) -> float:
-        """Take a plain number, above zero or not beyond a least and a most one if so said."""
+        """Take a finite number, if so stated above zero or between ``least`` and ``most``; the table's error
+        otherwise.
+        """
 
         def convert(value: object) -> float:
             number = float(typed(value, (int, float), "a number"))
@@ -108,7 +112,7 @@ class StrictTable:
         return self.take(key, default, lambda value: bool(typed(value, (bool,), "true or false")))
 
     def string(self, key: str, default: str | None = None, *, one_of: Iterable[str] | None = None) -> str:
-        """Take a text, one of a few if so given."""
+        """Take a text, one of a few if ``one_of`` is given; the table's error otherwise."""
 
         def convert(value: object) -> str:
             text = str(typed(value, (str,), "a text"))
@@ -119,7 +123,7 @@ class StrictTable:
         return self.take(key, default, convert)
 
     def strings(self, key: str, default: tuple[str, ...] | None = None) -> tuple[str, ...]:
-        """Take a list of texts, or one."""
+        """Take a list of texts, or a single text, as a tuple; the table's error for an empty list or anything else."""
 
         def convert(value: object) -> tuple[str, ...]:
             listed = [value] if isinstance(value, str) else value
@@ -130,11 +134,11 @@ class StrictTable:
         return self.take(key, default, convert)
 
     def value(self, key: str, default: Any = None) -> Any:
-        """Take whatever is there, or the default."""
+        """Take any value of the key, or the default."""
         return self._data.pop(key, default) if self.has(key) else default
 
     def table(self, key: str, *, optional: bool = False) -> Self:
-        """Take a table within this one."""
+        """Take the table ``key``; an empty one if it is missing and ``optional``, else the table's error."""
         if not self.has(key) and not optional:
             raise self.fail(None, f"table [{'.'.join(str(p) for p in (*self._path, key))}] is missing")
         data = self._data.pop(key, {})
@@ -150,7 +154,9 @@ class StrictTable:
         return [self._within(d, key, i) for i, d in enumerate(data)]
 
     def done(self, also: Iterable[str] = ()) -> None:
-        """Complain of the first key that nobody took; ``also`` are keys that could have stood here."""
+        """Raise the table's error for the first key that nobody took; ``also`` are keys that would be known in other
+        cases.
+        """
         for key in self._data:
             known = sorted({*self._known, *also})
             if key in known:
@@ -163,7 +169,9 @@ class StrictTable:
         return type(self)(data, (*self._path, *path), self._text, self._file, self._error)
 
     def stated(self, keys: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-        """Take the plain keys that a file of keys declares, by the fields that they become; degrees become radians."""
+        """Take the plain keys declared in ``keys``; return the values by field. Degrees become radians, choices their
+        values.
+        """
         found = {}
         for key, says in keys.items():
             kind, bounds = says["kind"], {name: says[name] for name in ("positive", "least", "most") if name in says}
@@ -179,13 +187,17 @@ class StrictTable:
         return found
 
     def whole(self, read: Callable[[Self], T]) -> T:
-        """Return what is made of this table, of which every key must have been taken."""
+        """Return the result of ``read`` for this table; the table's error if a key was not taken."""
         found = read(self)
         self.done()
         return found
 
     def take(self, key: str, default: T | None, convert: Callable[[object], T]) -> T:
-        """Take what ``convert`` makes of a value; what its ValueError says becomes a complaint."""
+        """Take a key and return ``convert(value)``, or ``default`` if it is missing; with default None the key is
+        required.
+
+        The message of a ValueError of ``convert`` becomes the table's error.
+        """
         self._known.append(key)
         if key not in self._data:
             if default is None:
@@ -199,7 +211,7 @@ class StrictTable:
             raise self.fail(key, str(error)) from None
 
     def _line(self, key: str | None) -> int | None:
-        """Return the line that brings the key, or else this table, into the file."""
+        """Return the line in the file of the key, or else of this table; None if neither is found."""
         path = (*self._path, *([key] if key else []))
         name = next((part for part in reversed(path) if isinstance(part, str)), None)
         if name is None or not _leads(path, self._text):
@@ -211,7 +223,7 @@ class StrictTable:
 
 
 def _check_depth(value: object, left: int = _DEEPEST) -> None:
-    """Raise RecursionError if tables and lists are nested deeper than anybody would; ValueError for texts that harm."""
+    """Raise RecursionError if tables and lists are nested too deeply, ValueError for a text with control characters."""
     if not left:
         raise RecursionError
     if isinstance(value, str) and "\N{REPLACEMENT CHARACTER}" in harmless(value.replace("\r", "")):
@@ -228,7 +240,7 @@ def _leads(path: tuple[str | int, ...], text: str) -> bool:
 
 
 def _statement_ends(text: str) -> list[int]:
-    """Return where the statements of a text end: at ends of lines outside brackets and long strings."""
+    """Return the ends of the statements of a TOML text: line ends outside brackets and long strings, and its end."""
     depth, ends = 0, list[int]()
     for token in _TOKEN.finditer(text):
         depth += _DEPTH.get(token[0], 0)
@@ -238,7 +250,7 @@ def _statement_ends(text: str) -> list[int]:
 
 
 def not_one_of(text: str, choices: Iterable[str]) -> str:
-    """Return what is said of a name that is none of these: which there are, and the nearest."""
+    """Return the text of an error for an unknown name: the possible names, and the nearest."""
     names = list(choices)
     close = difflib.get_close_matches(text, names, 1)
     return f"{text!r} is not one of {', '.join(names)}" + (f"; did you mean {close[0]}?" if close else "")

@@ -22,7 +22,7 @@ _HARMFUL = dict.fromkeys(
 
 
 def harmless(text: str) -> str:
-    """Return a text without what steers a terminal (C0, C1) or turns its direction, and what no encoding can say.
+    """Return a text without control characters of terminals (C0, C1), direction marks, and unencodable characters.
 
     Line feeds and tabs are kept.
     """
@@ -30,14 +30,15 @@ def harmless(text: str) -> str:
 
 
 def read_json(text: str) -> Any:
-    """Return what a JSON text holds, its texts harmless: JSON can spell any character with six harmless ones.
+    """Return the value of a JSON text, its texts made harmless, as JSON escapes can hold any character.
 
-    ValueError or RecursionError if it is none.
+    ValueError or RecursionError if it is not JSON.
     """
     return _cleaned(json.loads(text))
 
 
 def _cleaned(value: Any) -> Any:
+    """Return a JSON value with all texts and keys made harmless."""
     if isinstance(value, str):
         return harmless(value)
     if isinstance(value, list):
@@ -50,10 +51,10 @@ def _cleaned(value: Any) -> Any:
 def read_bytes(
     path: Path, error: type[Exception], most_bytes: int = MOST_DATA_BYTES, name: str = "", wanted: str = ""
 ) -> bytes:
-    """Return a file's content; the error given if it is none, cannot be read, or is larger than anybody would make.
+    """Return a file's content; ``error`` if it is not a regular file, cannot be read, or has more than ``most_bytes``.
 
-    ``name`` is what errors call it; by default its path. ``wanted`` says which file a person should give in place of a
-    recording, for instance "a bench file (.toml)"; without it a recording is read like any other file.
+    ``name`` stands for the path in messages. ``wanted`` names the expected file, for instance "a bench file (.toml)": a
+    recording (HDF5) is then refused.
     """
     name = name or str(path)
     try:
@@ -71,7 +72,10 @@ def read_bytes(
 
 
 def read_text(path: Path, error: type[Exception], wanted: str = "a text file") -> str:
-    """Return a text file in UTF-8, with or without byte order mark; lines end with a line feed. As ``read_bytes``."""
+    """Return a UTF-8 text file, with or without byte order mark; line ends become line feeds.
+
+    ``error`` for other encodings and as ``read_bytes``; ``wanted`` names the expected file there.
+    """
     content = read_bytes(path, error, MOST_TEXT_BYTES, wanted=wanted)
     try:
         text = content.decode("utf-8-sig")
@@ -82,4 +86,4 @@ def read_text(path: Path, error: type[Exception], wanted: str = "a text file") -
 
 
 def _at_once(path: str, flags: int) -> int:
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # a pipe that nobody writes to makes nobody wait
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # a pipe without a writer does not block

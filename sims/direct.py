@@ -21,7 +21,7 @@ _OF_TEMPERATURE = 84  # a seed of its own, so that the gyros' noise does not dep
 
 @dataclass(frozen=True, slots=True)
 class TimedMove:
-    """Go to an angle from home, beginning at an instant."""
+    """A move to an angle from home that starts at a given instant."""
 
     start_s: float
     axis: str
@@ -32,7 +32,7 @@ class TimedMove:
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class DirectRun:
-    """Readings of the table (k, gimbals), outputs (n, m) and temperature readings (n,) of the gyros."""
+    """Readings of the table (k, gimbals), and outputs (n, m) and temperature readings (n,) of the gyros."""
 
     table_t_ns: Stamps
     angle_rad: Floats
@@ -59,10 +59,11 @@ def direct_run(
     hidden: Hidden | None = None,
     started_s: float = 0.0,
 ) -> DirectRun:
-    """Return what a table that carries out these moves, and gyros on it, would report.
+    """Return the readings of a table that carries out ``moves``, and of the gyros on it, computed without wires or
+    drivers.
 
-    Angles are whole encoder counts; rates are exact, as a drive's own set-point is. The clock that temperature and
-    ``hidden`` effects follow stands at ``started_s`` when the run begins.
+    Angles are rounded to encoder counts; rates are exact, as a drive's set point is. The bench clock, which temperature
+    and ``hidden`` effects follow, is at ``started_s`` when the run begins.
     """
     table = hidden.table if hidden is not None else TableFaults()
     motions = {axis: AxisMotion(0.0, _NO_LIMIT, _NO_LIMIT) for axis in gimbals}
@@ -102,7 +103,7 @@ def direct_run(
 
 
 def _read(motion: AxisMotion, read: Motion, t_s: Floats) -> tuple[Floats, Floats]:
-    """Return angles and rates (n,) of an axis as they are read; the short way where they are read as they are."""
+    """Return angles and rates (n,) of an axis as the faulty table reads them; computed at once if it has no fault."""
     if read == motion.at:
         return motion.angles(t_s), motion.rates(t_s)
     angle, rate = np.array([*map(read, t_s.tolist())]).T
@@ -110,7 +111,7 @@ def _read(motion: AxisMotion, read: Motion, t_s: Floats) -> tuple[Floats, Floats
 
 
 def _read_temperature(gyros: GyroArray, t_s: Floats, seed: tuple[int, ...]) -> Floats:
-    """Return temperatures (n,) as a node tells them: read once a second, with a little noise, in whole counts."""
+    """Return temperatures (n,) as a node reports them: read once a second, with a little noise, in whole counts."""
     seconds, since = np.unique(np.floor(t_s / _READ_EVERY_S), return_inverse=True)
     noise = _TEMPERATURE_NOISE_C * np.random.default_rng(seed).standard_normal(len(seconds))
     read = gyros.temperatures_c(seconds * _READ_EVERY_S) + noise

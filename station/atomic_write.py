@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all, and are not written over unasked."""
+"""Writing files completely or not at all, and never over another file unless asked to."""
 
 import os
 import tempfile
@@ -20,9 +20,9 @@ def check_new_file(path: Path, option: str) -> None:
 
 
 def check_new_recording(path: Path) -> None:
-    """Check, before anything is opened, that no file of that name is there; UsageError if one is.
+    """Check, before any device is opened, that ``path`` is neither a file nor a folder; UsageError if it is.
 
-    The folder may be missing: it is made with the recording.
+    Its folder may be missing: it is created with the recording.
     """
     if path.is_dir():
         raise UsageError(f"--output {path} is a folder. Name a file in it, for instance {path / 'run.h5'}")
@@ -47,9 +47,9 @@ def _check_folder(path: Path, option: str) -> None:
 
 
 def free_path(path: Path, *, beside: Sequence[str] = ()) -> Path:
-    """Return the path, or one with a number that is free: nothing is ever overwritten.
+    """Return ``path``, or the same name with the lowest number that makes it free, so that nothing is overwritten.
 
-    ``beside`` are more suffixes with which it must be free.
+    ``beside`` are further suffixes with which the name must be free.
     """
     number, found = 1, path
     while any(found.with_suffix(suffix).exists() for suffix in (path.suffix, *beside)):
@@ -66,15 +66,14 @@ def new_recording(folder: Path) -> Path:
 def write_whole(
     path: Path, text: str | bytes, *, replace: bool = False, verify: Callable[[Path], object] | None = None
 ) -> None:
-    """Write bytes, or a text as UTF-8; with ``replace`` in place of a file that is there.
+    """Write bytes, or a text as UTF-8, through a temporary file that gets its name only when complete.
 
-    ``verify`` is shown the file before it has its name, in the same folder, and may refuse it with UsageError.
-
-    Raises UsageError, which says why, if that cannot be done; what was there is then as it was.
+    An existing file is overwritten only with ``replace``. ``verify(part)`` may reject the temporary file with
+    UsageError. UsageError, with the reason, if the file cannot be written; what was there is unchanged then.
     """
     if path.exists() and (not replace or not path.is_file()):
-        what = "exists already and is not overwritten" if path.is_file() else "is not a file"
-        raise UsageError(f"{path} {what}: give another name")
+        reason = "exists already and is not overwritten" if path.is_file() else "is not a file"
+        raise UsageError(f"{path} {reason}: give another name")
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

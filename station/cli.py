@@ -1,4 +1,4 @@
-"""The command line; ``commands.toml`` holds what can be typed, other modules do it."""
+"""The command line: ``commands.toml`` defines commands and options, other modules carry them out."""
 
 import argparse
 import codecs
@@ -36,7 +36,9 @@ COMMANDS: dict[str, dict[str, Any]] = _TYPED["commands"]
 
 
 class _Forms:
-    """Forms of export as choices: those of packages are named, and none is refused, for a file may bring it."""
+    """Names of the export formats, those of packages included, as choices; any name is accepted, as a file may provide
+    it.
+    """
 
     def __contains__(self, name: object) -> bool:
         return True
@@ -60,7 +62,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 class _Station(_Parser):
-    """The parser above the commands: its help lists them in the order of work."""
+    """The parser above the commands; its help lists them in the order of work."""
 
     def format_help(self) -> str:
         parts = [f"{self.description}\n\nusage: station COMMAND [options]; station COMMAND --help says what it takes\n"]
@@ -71,9 +73,10 @@ class _Station(_Parser):
 
 
 def _take(parser: argparse._ActionsContainer, spelled: str, help: str, **more: Any) -> None:
-    """Add what is typed: a name in capitals says that a value follows, as in "--output -o FILE"; else it is a flag.
+    """Add one option or argument to a parser from its description in the TOML file.
 
-    "bench BENCH" is an argument by its place; ``more`` goes to argparse, its type by name.
+    A last word in capitals in ``spelled`` means that a value follows ("--output -o FILE"); otherwise it is a flag.
+    "bench BENCH" is a positional argument. ``more`` is passed to argparse, with the type by its name.
     """
     names = spelled.split()
     if len(names) > 1 and not names[-1].startswith("-"):
@@ -90,11 +93,14 @@ def _take(parser: argparse._ActionsContainer, spelled: str, help: str, **more: A
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command; return its exit code: 0 pass, 1 fail, 2 wrong usage, 3 aborted, 4 device fault."""
+    """Run a command; return its exit code: 0 pass, 1 fail, 2 wrong usage, 3 aborted, 4 device fault.
+
+    ``argv`` defaults to the arguments of the process. 2, too, if the system lacks something or stdout was closed.
+    """
     _spell_out()
     parser, typed = make_parser(), sys.argv[1:] if argv is None else list(argv)
     arguments = parser.parse_args(typed)
-    arguments.parser, arguments.typed = parser, typed  # what a shell completes; what a browser's screen is begun with
+    arguments.parser, arguments.typed = parser, typed  # for a shell's completion; for the start of a browser's screen
     # Before any command imports numpy. Matrices here are small: threads of the linear algebra library gain nothing,
     # and on a busy machine they wait for each other for seconds.
     if missing := missing_facility():
@@ -105,13 +111,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     command = "ui" if getattr(arguments, "ui", False) else arguments.command
     try:
         return _carry_out(command, arguments)
-    except BrokenPipeError:  # whoever read stdout is gone
+    except BrokenPipeError:  # the reader of stdout is gone
         sys.stderr.close()
         return EXIT_USAGE
 
 
 def _carry_out(command: str, arguments: argparse.Namespace) -> int:
-    """Call the function of a command and return its exit code; an error of the station's own is printed."""
+    """Import and call the function of a command; return its exit code. Errors of the station are printed, others
+    raised.
+
+    Effects of plug-ins are registered first. Ctrl-C gives 3, lack of memory or threads 2.
+    """
     module = None
     try:
         # The libraries behind the commands cost a second: --help does without.
@@ -131,7 +141,9 @@ def _carry_out(command: str, arguments: argparse.Namespace) -> int:
 
 
 def _spell_out() -> None:
-    """Have what an output cannot encode, in ASCII or any other, stand there in other letters."""
+    """Make stdout and stderr replace characters that they cannot encode: a few by words such as "deg", others by
+    "?".
+    """
     words = {"±": "+-", "…": "...", "°": "deg", "µ": "u", "→": "->", "–": "-"}
 
     def in_other_letters(error: UnicodeError) -> tuple[str, int]:
@@ -145,9 +157,9 @@ def _spell_out() -> None:
 
 
 def _refuse(error: Exception, module: ModuleType | None, arguments: argparse.Namespace) -> int:
-    """Say on stderr why there is no result, and as JSON an empty one; return the exit code.
+    """Print the error on stderr and, with --json, an empty result on stdout; return 4 for a device, else 2.
 
-    A command whose result has other keys than a calibration's has ``refused(reason, arguments)``, which makes it.
+    A command whose result has its own keys makes the empty result with ``refused(reason, arguments)``.
     """
     tell(f"station: {harmless(str(error))}", sys.stderr)
     fault = isinstance(error, DeviceError)
@@ -164,13 +176,15 @@ def make_parser() -> argparse.ArgumentParser:
     """Return the parser of the command line; no library is imported for it."""
     parser = _Station(prog="station", description=_TYPED["description"], epilog=_TYPED["epilog"])
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=_Parser)
-    for name, said in COMMANDS.items():
-        _add_command(commands, name, said)
+    for name, described in COMMANDS.items():
+        _add_command(commands, name, described)
     return parser
 
 
 def _add(parser: argparse._ActionsContainer, options: Sequence[Any]) -> None:
-    """Add options: what ``_take`` takes, the name of shared ones, or a table of some that exclude each other."""
+    """Add options to a parser: a list for ``_take``, the name of a shared group, or a table of mutually exclusive
+    ones.
+    """
     for option in options:
         if isinstance(option, str):
             _add(parser, _TYPED["shared"][option])
@@ -189,12 +203,16 @@ def _add_command(commands: "argparse._SubParsersAction[_Parser]", name: str, sai
 
 
 def _number(kind: type[float], fits: Callable[[float], bool], wrong: str) -> Callable[[str], float]:
+    """Return a converter for argparse that accepts numbers of type ``kind`` for which ``fits`` is true; else
+    ``wrong``.
+    """
+
     def read(text: str) -> float:
         if not fits(value := kind(text)):
             raise argparse.ArgumentTypeError(wrong)
         return value
 
-    read.__name__ = "whole number" if kind is int else "number"  # what argparse calls it
+    read.__name__ = "whole number" if kind is int else "number"  # the name that argparse prints
     return read
 
 

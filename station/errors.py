@@ -1,4 +1,4 @@
-"""What the station itself refuses, before anything moves, and the words for it, ``sentences.toml``."""
+"""Errors of the station before anything moves, and their sentences, ``sentences.toml``."""
 
 from functools import partial
 
@@ -16,7 +16,7 @@ class UsageError(Exception):
 
 
 class BenchError(UsageError):
-    """A bench file that says something impossible; the message names file, line and key."""
+    """An invalid bench file; the message names file, line and key."""
 
 
 class ScriptError(UsageError):

@@ -16,7 +16,6 @@ LONG_FUNCTIONS = {  # mathematics and tables: in parts they would be harder to c
     "estimator/estimation/joint.py: _estimated",
     "estimator/importing/clocks/timefit.py: fit_times",
     "estimator/tracing/investigate.py: _conclude",
-    "station/opening/simulate.py: simulate",
 }
 LONG_MODULES = {  # for the same reason, by a few lines
     "estimator/estimation/joint.py",

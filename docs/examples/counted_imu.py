@@ -16,7 +16,7 @@ from drivers.imus.one_source import OneSource
 from drivers.protocols import ByteLink
 from drivers.specs import ImuSetup, ImuSpec, Key, ProposedImu
 from drivers.types import ByteChunk, Identity, ImuBlock, SourceCounts
-from sims.imus.registry import Ride
+from sims.imus.registry import ImuTwinSetup
 from sims.wires.burst import burst_of
 
 FRAME = np.dtype([("sync", "<u2"), ("count", "<u2"), ("rate", "<i2", 3), ("temperature", "<i2"), ("crc", ">u2")])
@@ -98,7 +98,7 @@ class CountedImu(OneSource[ByteLink]):
 class CountedTwin:
     """The twin: the same bytes from simulated gyros."""
 
-    def __init__(self, ride: Ride, write: Callable[[bytes], None]) -> None:
+    def __init__(self, ride: ImuTwinSetup, write: Callable[[bytes], None]) -> None:
         self._ride, self._write = ride, write
         self._lsb_rps = ride.options["resolution"]
 

@@ -14,7 +14,7 @@ from drivers.requests.exchange import Framed, Token
 from drivers.specs import TableSetup, TableSpec
 from drivers.tables.line_table import LineTable
 from drivers.types import AxisState, AxisStatus, Identity
-from sims.tables.registry import Seat
+from sims.tables.registry import TableTwinSetup
 from sims.wires.line_controller import LineDevice
 
 ANSWER = re.compile(rb"(\d+) (ok|no) ?([^\n]*)\n")
@@ -106,7 +106,7 @@ class NumberedTwin(LineDevice):
 
     ends, skipped = b"\n", b""
 
-    def __init__(self, seat: Seat, write: Callable[[bytes], None]) -> None:
+    def __init__(self, seat: TableTwinSetup, write: Callable[[bytes], None]) -> None:
         super().__init__(write)
         self._table, self._on = seat.table, set[str]()
 

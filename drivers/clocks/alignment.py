@@ -18,20 +18,20 @@ from drivers.types import Alignment, Flags, Floats, Stamps
 _BUCKET_S = 1.0
 _BUCKETS = 120  # two minutes: short against the drift of a quartz that warms up
 _FEWEST = 3  # buckets to put a line through; before, the earliest arrival of all counts
-_DRIFT_SD = 100e-6  # of quartzes as they are sold: what a drift is taken for until arrivals tell
+_DRIFT_SD = 100e-6  # of common quartzes: the assumed drift until arrivals determine it
 _MOST_DRIFT = 0.05  # an oscillator without a quartz
 _SLEW = 1e-3  # how fast the line may move: 1 ms a second,
-_SETTLE_S, _SETTLE_AT_FIRST_S = 3.0, 0.5  # or as fast as it takes to be there in so many seconds,
+_SETTLE_S, _SETTLE_AT_FIRST_S = 3.0, 0.5  # or as fast as needed to arrive within so many seconds,
 _AT_FIRST = 10  # the shorter time in so many buckets,
 _SLEW_AT_MOST = 0.02  # but no faster
 _SLEW_AT_ONCE = 0.5  # the fastest that lets no time run backwards
-_SWITCH = 0.5  # the mean has to be so much better known than the earliest before it is preferred, and back
+_SWITCH = 0.5  # the mean must be known this much better than the earliest to be preferred, and back
 _OUTLIER = 4.0  # in standard deviations
 
 
 @dataclass(slots=True)
 class _Bucket:
-    """One second of arrivals; excess is arrival less device time, in s."""
+    """One second of arrivals. Excess (s) is arrival time minus device time."""
 
     end_s: float
     count: int = 0
@@ -78,7 +78,7 @@ def _earliest(at_s: Floats, excess: Floats) -> tuple[float, float]:
 
 @dataclass(kw_only=True, frozen=True, slots=True)
 class _Line:
-    """A line through points, ``scatter`` the standard deviation of one about it."""
+    """A straight line fitted to points; ``scatter`` is the standard deviation of a single point about it."""
 
     at_s: float
     value: float
@@ -95,15 +95,17 @@ class _Line:
 
 
 class HostFit:
-    """Line from device time (s) to host time (ns), moved so slowly that times never jump nor run backwards."""
+    """Fitted line from device time (s) to host time (ns), corrected so slowly that times neither jump nor run
+    backwards.
+    """
 
     def __init__(self) -> None:
-        """Start with nothing known."""
+        """Start without data: no line, no alignment, drift limited to ``most_drift``."""
         self.most_drift = _MOST_DRIFT
         """What a drift is never taken to be above."""
         self._origin_ns: int | None = None
         self._seen_s = 0.0  # device time up to which times have been given
-        # The line in use: the line wanted, and what is left of the one before.
+        # The line in use: the line wanted, plus the remaining difference to the line before.
         self._at_s, self._value, self._slope = 0.0, 0.0, 0.0
         self._rest, self._rest_from_s, self._rest_lasts_s = 0.0, 0.0, 1.0
         self._drifted, self._drifted_at_s = 0.0, 0.0
@@ -117,7 +119,7 @@ class HostFit:
 
     @property
     def known(self) -> bool:
-        """Whether anything has been taken in."""
+        """Whether any arrival has been added."""
         return self._origin_ns is not None
 
     @property
@@ -129,6 +131,7 @@ class HostFit:
         return self._alignment
 
     def _aligned(self, fitted: _Line) -> Alignment:
+        """Return the alignment at the newest sample, from the line in use and the uncertainties of ``fitted``."""
         return Alignment(
             offset_s=(self._origin_ns or 0) * 1e-9 + self._line(self._seen_s),
             drift_ppm=self._slope * 1e6,
@@ -139,14 +142,17 @@ class HostFit:
 
     @property
     def _jitter_s(self) -> float:
-        # What a drift adds within a second is no jitter.
+        # The change by drift within a second is not jitter.
         variance = median(np.array([b.variance for b in self._buckets])) - (self._slope * _BUCKET_S) ** 2 / 12
         return math.sqrt(max(variance, 0.0))
 
     def add(self, device_s: Floats, arrival_ns: Stamps, trusted: Flags | None = None) -> None:
-        """Take in arrivals of samples taken at these device times; times asked for thereafter are of these samples.
+        """Update the fit with samples: device times (n,) in s and arrival times (n,) in ns; must be called before
+        ``time_ns``.
 
-        The earliest count of those ``trusted`` (n,) to have their place, where there are such.
+        Arrivals are gathered in buckets of one second. While there are few buckets, an arrival that is earlier than the
+        line pulls the line down at once; later each finished bucket triggers a new fit. ``trusted`` (n,) marks samples
+        whose place is certain: where a bucket has any, its earliest arrival is taken from these.
         """
         excess = self.excess_of(device_s, arrival_ns)
         if not self._started:
@@ -211,7 +217,7 @@ class HostFit:
         return self._value + self._slope * (device_s - self._at_s) + self._rest * left
 
     def _aim(self, at_s: float, value: float, slope: float, slew: float) -> None:
-        """Go over to another line, from what has been given times already and no faster than ``slew``."""
+        """Change to another line, starting at the last value given out and no faster than ``slew``."""
         self._drifted += self._slope * (self._seen_s - self._drifted_at_s)
         self._drifted_at_s = self._seen_s
         rest = self._line(self._seen_s) - (value + slope * (self._seen_s - at_s))
@@ -219,6 +225,12 @@ class HostFit:
         self._rest, self._rest_from_s, self._rest_lasts_s = rest, self._seen_s, max(abs(rest) / slew, 1e-9)
 
     def _fit(self, now_s: float) -> None:
+        """Fit lines through the earliest and the mean arrivals of the buckets, and steer the line in use towards the
+        better.
+
+        The line of earliest arrivals is the default. The mean takes over, at a constant distance, where its uncertainty
+        at ``now_s`` is clearly less. The correction is spread over the settling time, within limits of its rate.
+        """
         mean = _line_through([b.mean for b in self._buckets], self.most_drift)
         # The earliest of n cannot be trusted to scatter less than jitter / n: polls in step with samples seem to.
         known_to = self._jitter_s / median(np.array([b.count for b in self._buckets]))
@@ -240,10 +252,11 @@ class HostFit:
 
 
 def _line_through(points: list[tuple[float, float]], most_drift: float, known_to: float = 0.0) -> _Line:
-    """Return a line through points (t, y) of which a few may be far above or below all others.
+    """Fit a line robustly through ``points`` (t, y), some of which may lie far off.
 
-    Least squares without outliers, begun from the median of the slopes of well separated pairs (Theil-Sen); the
-    slope is a priori zero within a quartz's drift. A point's standard deviation is ``known_to`` at the least.
+    Starts from the median slope of well separated pairs (Theil-Sen), then three rounds of least squares without
+    outliers, with a prior of zero on the slope and its size limited to ``most_drift``. ``known_to`` is a lower limit
+    for the standard deviation of one point.
     """
     t, y = np.array(points).T
     half = (len(t) + 1) // 2

@@ -1,4 +1,4 @@
-"""How late samples come, learned from those that have come, and what it says of samples that were lost."""
+"""How late samples arrive, learned from past ones, and how many samples were lost to judge by that."""
 
 import math
 
@@ -8,15 +8,15 @@ from drivers.clocks.alignment import median
 from drivers.types import Flags, Floats
 
 _KEPT = 4096
-_OVER_S = 60.0  # what was learned longer ago is forgotten
+_OVER_S = 60.0  # older arrivals are forgotten
 _FEWEST = 100
 _ROUGH = 512
 _HIDDEN_DRIFT = 1e-4
 _HIDING = 0.6  # jitter, in periods, that hides single losses
 _HIDING_SHARE = 0.3  # or where no more than these waited for no other
 _RELEARN_S = 2.0
-_HALF_LIFE_S = 10.0  # of what is known of the share of samples that wait for none, and of their correlation
-_FLOOR = 0.003  # density of what never comes, of the highest
+_HALF_LIFE_S = 10.0  # of the estimated share of samples that wait for none, and of their correlation
+_FLOOR = 0.003  # density of impossible delays, over the highest
 _EARLY_COST, _MOST_EARLY_COST = 1.0, 20.0  # in nats a bin of the histogram, beyond its ends
 _LATE_COST, _MOST_LATE_COST = 0.2, 3.0
 _LEAST_WEIGHT = 0.1
@@ -24,7 +24,7 @@ _LITTLE_PERIODS = 0.03
 
 
 class _Newest:
-    """The newest so many rows, in any order."""
+    """Ring buffer of the newest rows; their order is not kept."""
 
     def __init__(self, most: int, columns: int) -> None:
         self._kept = np.empty((most, columns))
@@ -45,10 +45,10 @@ class _Newest:
 
 
 class Lateness:
-    """Histogram of the excess (arrival less device time, in s) of samples that waited for no other.
+    """Histogram of the excess (arrival time minus device time, s) of samples that did not wait for another one.
 
-    A sample that arrives together with the next one waited for it, in a buffer or for a poll; it only says that
-    its time was not later.
+    A sample that arrives together with the next one waited for it, in a buffer or for a poll. It only shows that it was
+    not taken later.
     """
 
     PROOF = 32
@@ -57,7 +57,7 @@ class Lateness:
     """How long samples are held at the most for the sake of jitter, in a steady rhythm."""
 
     def __init__(self, period_s: float) -> None:
-        """Know nothing yet of samples that are taken every ``period_s``."""
+        """Start without data, for samples that are taken every ``period_s``."""
         self._period_s = period_s
         self._seen = _Newest(_KEPT, 2)  # device time and excess
         self._rough = _Newest(_ROUGH, 1)  # changes of excess from one to the next
@@ -84,7 +84,7 @@ class Lateness:
 
     @property
     def hidden_drift(self) -> float:
-        """The most that a drift may be taken for, where jitter hides losses, which would pass for drift; else 0."""
+        """Largest drift to assume where jitter may hide losses, which would look like drift; else 0."""
         if len(self._rough) < _FEWEST:
             return 0.0
         jitter_s = median(np.abs(self._rough.rows[:, 0]))
@@ -101,21 +101,28 @@ class Lateness:
         return min(max(self.PROOF, round(8 * (1 + jitter**2) / self._share)), longest)
 
     def guess(self, excess: Floats, least_s: float) -> None:
-        """Learn from the first samples, of which some may have been lost: an edge and what they scatter above it."""
+        """Make a first histogram from early samples, some of which may have been lost.
+
+        ``excess`` (n,) in s, ``least_s`` the least of it. The scatter is estimated robustly against single losses and
+        doubled samples; the histogram is that of an exponential distribution which begins one scatter below
+        ``least_s``.
+        """
         if len(excess) < 2:
             excess = np.zeros(2)
         at = np.arange(len(excess)) - (len(excess) - 1) / 2
         slope = max(float(at @ excess) / float(at @ at), 0.0)
-        # What was lost or doubled makes the first of these too large, and not the second.
+        # Lost or repeated samples make the first of these too large, but not the second.
         level = float((excess - slope * at).std())
         steps = 2.0 * float(np.median(np.abs(np.diff(excess))))
         rms_s = max(min(level, steps), 0.05 * self._period_s)
         self._learn(least_s - rms_s * np.log(1 - (np.arange(1000) + 0.5) / 1000))
 
     def add(self, device_s: Floats, excess: Floats, own: Flags, drifted_s: float, drift: float) -> None:
-        """Learn from samples whose place is known; ``own`` are those that waited for no other.
+        """Add samples whose place is known; ``excess`` (n,) in s. Only those marked in ``own`` (n,) waited for no
+        other.
 
-        ``drifted_s`` is what of the excess is drift at the last of them, ``drift`` how that grows in a second.
+        ``drifted_s`` is the part of the excess due to clock drift at the last sample, ``drift`` its growth per second.
+        The histogram is computed anew only when enough new samples have come.
         """
         keep = 0.5 ** (len(own) * self._period_s / _HALF_LIFE_S)
         self._own, self._all = keep * self._own + float(own.sum()), keep * self._all + len(own)
@@ -126,7 +133,7 @@ class Lateness:
         if len(excess) > 1:
             self._rough.add((excess[1:] - excess[:-1])[:, None])
             about = np.clip(excess - drifted_s, self._low, self._high) - self._middle
-            # Next to what is far less than a period nothing is late, together or not.
+            # Delays far below a period do not count as late, together or not.
             little = len(about) * (_LITTLE_PERIODS * self._period_s) ** 2
             self._square = keep * self._square + float(about[1:] @ about[1:]) + little
             self._lagged = keep * self._lagged + float(about[1:] @ about[:-1])
@@ -137,6 +144,11 @@ class Lateness:
             self._learn(all_excess - drifted_s - drift * (at - newest_s))
 
     def _learn(self, excess: Floats) -> None:
+        """Compute the histogram, its costs and its statistics from ``excess`` (n,) in s, drift removed.
+
+        Neighbouring samples that are late together count as less than two: the correlation between them lowers the
+        weight.
+        """
         low, high = (float(v) for v in np.percentile(excess, [1.0, 99.0]))
         inner = excess[(excess >= low) & (excess <= high)]
         rms_s = max(float(inner.std()), 1e-6)
@@ -157,7 +169,11 @@ class Lateness:
         self._costs = -np.log(density / density.max() + _FLOOR)
 
     def costs(self, excess: Floats, own: Flags) -> Floats:
-        """Return how unlikely each excess (n, k) is, in nats; rows (n,) that are not ``own`` only if too early."""
+        """Return the cost (n, k) in nats of each excess (n, k): the negative log of its likelihood, limited on both
+        sides.
+
+        Rows that are not marked in ``own`` (n,) cost something only where they are too early.
+        """
         likeliest = self._first + (int(self._costs.argmin()) + 0.5) * self._width
         excess = np.where(own[:, None] | (excess < likeliest), excess, likeliest)
         bins = np.floor((excess - self._first) / self._width).astype(np.int64)
@@ -168,9 +184,10 @@ class Lateness:
         return np.asarray(cost * self._weight)
 
     def steady(self, excess: Floats) -> bool:
-        """Return whether the rhythm has been steady lately: while a sender catches up, lateness proves nothing.
+        """Return whether the mean excess has been constant lately; while a sender catches up, lateness proves nothing.
 
-        ``excess`` are samples that waited for no other, with losses taken into account.
+        ``excess`` (n,) in s are samples that waited for no other, losses taken into account. False while there are too
+        few or nothing has been learned.
         """
         half = max(round(self.hold * self._share / 2), 1)
         if len(excess) < 2 * half or self._rms_s is None:

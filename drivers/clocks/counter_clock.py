@@ -19,7 +19,7 @@ _NEAR_WHOLE = 0.05
 
 @dataclass(slots=True)
 class CounterClock:
-    """Times of samples that carry a wrapping counter of a known tick, of which a sample may take any number."""
+    """Sample times from a wrapping counter with a known tick; a sample may advance it by any number of ticks."""
 
     tick_s: float
     modulus: int
@@ -37,11 +37,13 @@ class CounterClock:
         return self.fit.alignment
 
     def stamp(self, counter: Stamps, arrival_ns: Stamps) -> tuple[Flags, Stamps]:
-        """Return which samples are new (n,), and the times in ns of those.
+        """Return which samples are new, as flags (n,), and the times in ns of the new ones, for counters and arrivals
+        (n,).
 
-        Gaps longer than the counter's wrap are resolved by the arrival of the last sample: what was queued
-        comes together, and the last of it waited least. A count that goes on as if nothing were missing may have missed
-        a whole wrap, or the sender is late: where arrivals jitter, that is a loss only if it stays late.
+        Repeated counters are counted and dropped. Gaps longer than the counter's wrap are resolved by the arrival of
+        the last sample, which waited least. A count that continues without a gap may have missed a whole wrap, or its
+        sender is late: where arrivals jitter, a loss is counted only if the lateness persists. If a time is impossible,
+        the clock restarts.
         """
         if not len(counter):
             return np.zeros(0, dtype=np.bool_), np.empty(0, dtype=np.int64)
@@ -71,7 +73,7 @@ class CounterClock:
         return keep, t_ns
 
     def restart(self) -> None:
-        """Take the next count for that of a device that has begun anew; what it missed is told by arrivals."""
+        """Treat the next count as that of a restarted device; arrivals then tell what was missed."""
         self._last, self.fit, self._least_s = -1, HostFit(), math.inf
 
     @property
@@ -79,7 +81,10 @@ class CounterClock:
         return self.tick_s * self.ticks_per_sample
 
     def _look_for_wraps(self, device_s: float, lateness_s: float) -> None:
-        """Count whole wraps as lost when all samples have come late by that for a while."""
+        """Count whole wraps as lost if every sample of the last while came late by about that much.
+
+        ``device_s`` and ``lateness_s`` are of the newest samples; a decision is made once in ``_PROOF_S``.
+        """
         if self._least_s == math.inf:
             self._since_s = device_s
         self._least_s = min(self._least_s, lateness_s)
@@ -97,6 +102,11 @@ class CounterClock:
         return self.fit.known and self.fit.lateness(device_s, arrival_ns) < -_IMPOSSIBLY_EARLY_S
 
     def _count_lost(self, step: Stamps, arrival_ns: int) -> None:
+        """Count the samples missing between new counters; ``step`` (n,) are their differences in ticks.
+
+        After a restart there is no last counter: the gap in arrival times before ``arrival_ns`` stands for the first
+        step.
+        """
         if self._last < 0:
             if self._last_arrival_ns is not None:
                 gap = round((arrival_ns - self._last_arrival_ns) * 1e-9 / self._period_s)
@@ -106,9 +116,9 @@ class CounterClock:
         self.counts.lost += int(np.maximum(missing, 0).sum())
 
     def _unwrap(self, counter: Stamps, last_arrival_ns: int) -> tuple[Stamps, bool]:
-        """Return counts that go on over the wrap, and whether each is one sample on from the one before.
+        """Return counters continued over wraps (n,), and whether each is exactly one sample after the one before.
 
-        A step just short of a whole wrap is one backwards.
+        A step just short of a whole wrap counts as one backwards. Whole wraps are added where arrival times show them.
         """
         if self._last < 0 or self._last_arrival_ns is None:
             before = start = int(counter[0])
@@ -131,7 +141,7 @@ class CounterClock:
         return unwrapped + self.modulus * wraps, even and not wraps
 
     def _are_wraps(self, behind: float) -> bool:
-        """Return whether so many wraps are plainly those of a gap: whole ones, and arrivals jitter by far less."""
+        """Return whether ``behind`` is clearly a whole number of wraps, given the jitter of the arrivals."""
         known = self.fit.alignment
         jitter = 3 * known.jitter_rms_s / (self.modulus * self.tick_s) if known is not None else 0.0
         return abs(behind - round(behind)) < _NEAR_WHOLE + jitter < 2 * _NEAR_WHOLE

@@ -7,9 +7,9 @@ from typing import Any
 
 
 def loop_scale(loop: asyncio.AbstractEventLoop) -> float:
-    """Return how many seconds of the loop's clock pass in one of the wall's; 1 for a loop that does not say.
+    """Return how many seconds of the loop's clock pass in one real second; 1 for a loop without a scale.
 
-    What waits for a host, and not for physics, is stretched by it.
+    Times that a host takes, and not physics, are multiplied by it.
     """
     return float(getattr(loop, "scale", 1.0))
 
@@ -21,7 +21,7 @@ def call_from_thread(loop: asyncio.AbstractEventLoop, function: Callable[..., No
 
 
 def settle(future: asyncio.Future[Any], result: Any) -> None:
-    """Give a future that still waits its result, or its exception if that is one."""
+    """Set the result of a future, or its exception if ``result`` is one; do nothing if the future is done already."""
     if future.done():
         return
     if isinstance(result, Exception):

@@ -15,29 +15,29 @@ _MOST_STATES = 400
 _GROUPS = 64
 _LOST_FIRST = 0.004  # share of samples that are lost, until it is known
 _ONE_OF_LOSSES = 0.8  # share of the losses of one sample among all
-_LONG_GAP = 0.95  # longer losses: each sample more is so much less likely
+_LONG_GAP = 0.95  # for longer losses, each further sample is less likely by this factor
 _REPEATED = 0.02  # share of samples like the one before that are the one before
 _CERTAIN = 0.999
 _UNLIKELY = 1e-4
-_MOST_DRIFT = 2e-3  # a larger one would not be told from losses
+_MOST_DRIFT = 2e-3  # a larger one could not be distinguished from losses
 _LEAST_STEP = 0.1  # in periods
 _TOO_EARLY_PERIODS, _TOO_EARLY_S = 5.0, 0.05  # nothing arrives before it was taken
 
 
 class RegularClock:
-    """Times of samples that carry no counter and are known to be taken regularly.
+    """Times of samples without a counter that are known to be taken regularly.
 
-    Samples are held back a little while, because only what follows tells a late sample from a lost one: after
-    a loss all later samples keep coming a period late, after a stall they catch up. A doubled sample shows in
-    that all later ones keep coming a period early; it is dropped where two neighbours are equal.
+    Samples are held back for a short while, because only later samples tell a late one from a lost one: after a loss
+    all later samples keep coming a period late, after a stall they catch up. After a doubled sample all later ones come
+    a period early; it is dropped where two neighbours are equal.
 
-    Where arrivals jitter by less than the period each loss can be placed, a few samples later. Where they jitter
-    by more, a sample's place is given as its mean over all that may have happened (forward-backward smoothing of
-    a hidden Markov chain), at the latest ``Lateness.LONGEST_S`` later; losses are then right in number.
+    Where arrivals jitter by less than the period, each loss can be placed a few samples later. Where they jitter by
+    more, a sample's place is its mean over all possible losses (forward-backward smoothing of a hidden Markov chain),
+    at the latest ``Lateness.LONGEST_S`` later; the number of losses is then right.
 
-    A sender that falls behind for seconds looks like one that loses. When it catches up, samples seem to come before
-    they were taken. The clock then begins anew, and drops those whose times would run back: as many as have been
-    counted as lost meanwhile.
+    A sender that falls behind for seconds looks like one that loses samples. When it catches up, samples seem to come
+    before they were taken. The clock then starts anew and drops as many samples as were counted as lost meanwhile,
+    whose times would run backwards.
     """
 
     HOLD = 8
@@ -46,7 +46,7 @@ class RegularClock:
     """How many are held at the most, should the rhythm not come back; or a second's, where that is more."""
 
     def __init__(self, period_s: float, counts: SourceCounts) -> None:
-        """Start empty, for samples that come every ``period_s`` on average."""
+        """Start empty, for samples every ``period_s`` on average; losses and repeats are added to ``counts``."""
         self._period_s = period_s
         self._counts = counts
         self._most = max(self.MOST, round(1 / period_s))
@@ -58,6 +58,9 @@ class RegularClock:
         self._begin()
 
     def _begin(self) -> None:
+        """Forget the clock fit, the lateness and the place in the rhythm; held samples and the last time given are
+        kept.
+        """
         self._fit = HostFit()
         self._lateness = Lateness(self._period_s)
         self._next = 0  # place of the first held sample, if nothing was lost
@@ -70,7 +73,10 @@ class RegularClock:
 
     @property
     def alignment(self) -> Alignment | None:
-        """The device's clock against the loop's; None in the first seconds."""
+        """The device's clock relative to the loop's; None in the first seconds.
+
+        Where jitter hides single losses, the uncertainties include a drift that could hide behind them.
+        """
         found = self._fit.alignment
         hidden = self._lateness.hidden_drift
         if found is None or not hidden:
@@ -83,21 +89,26 @@ class RegularClock:
         )
 
     def add(self, arrival_ns: int, values: Floats | float, raw: bytes) -> None:
-        """Take in one sample, a number or a row (k,); ``raw`` is what equal samples share."""
+        """Add one sample, a number or a row (k,); equal samples have equal ``raw`` bytes."""
         self._held.append((arrival_ns, values, raw))
 
     def restart(self) -> None:
-        """Begin anew after a break, whose length tells how many were lost; nothing must be held any more."""
+        """Begin anew after a break, whose length tells how many samples were lost; no sample may be held any more."""
         self._begin()
         self._resumed_ns = self._last_arrival_ns
 
     @property
     def due(self) -> bool:
-        """Whether enough is held for ``ready`` to give something."""
+        """Whether enough samples are held for ``ready`` to return some."""
         return len(self._held) >= max(2 * self.HOLD, self._look_again)
 
     def ready(self, *, everything: bool = False) -> tuple[Stamps, Stamps, Floats] | None:
-        """Return (t_ns, arrival_ns, values) of the samples that can be timed, or None while too few are held."""
+        """Return (t_ns, arrival_ns, values) of the samples that can be timed; None if there are none yet.
+
+        With ``everything`` all held samples are timed, those too that would wait for later ones. Samples whose time
+        would not be later than the last one given are dropped. If samples come before they can have been taken, the
+        clock starts anew.
+        """
         if not self._held or not (self.due or everything):
             return None
         arrival = np.array([row[0] for row in self._held], dtype=np.int64)
@@ -132,7 +143,11 @@ class RegularClock:
         return early_s > max(_TOO_EARLY_PERIODS * self._period_s, _TOO_EARLY_S)
 
     def _search(self, excess: Floats, own: Flags) -> "_Search":
-        """Look for what has been lost or doubled; if nothing is known yet of lateness, guess, and guess better."""
+        """Search for lost and doubled samples among ``excess`` (n,) in s; ``own`` marks samples that waited for no
+        other.
+
+        While no lateness has been learned, a first search gives a better guess of it, and a second search uses that.
+        """
         equal = self._equal()
         if not self._lateness.learned:
             self._lateness.guess(excess[own], self._least(excess))
@@ -141,6 +156,7 @@ class RegularClock:
         return self._searched(excess, own, equal)
 
     def _searched(self, excess: Floats, own: Flags, equal: Flags) -> "_Search":
+        """Search once with the present lateness; ``equal`` marks samples that repeat the one before."""
         return _Search(
             lateness=self._lateness,
             period_s=self._period_s,
@@ -152,12 +168,15 @@ class RegularClock:
         )
 
     def _equal(self) -> Flags:
-        """Return which of the held samples are like the one before."""
+        """Return which of the held samples equal the one before."""
         raws = [self._last_raw, *(row[2] for row in self._held)]
         return np.array([now == before for before, now in pairwise(raws)])
 
     def _least(self, excess: Floats) -> float:
-        """Return the excess of samples that are not late, as far as it is known."""
+        """Return the excess (s) of samples that are not late, or the best guess of it while nothing has been learned.
+
+        If the first samples contain a doubled one, only those up to it are used, as all later ones seem early.
+        """
         if self._lateness.learned:
             return self._lateness.least_s
         if self._given:
@@ -168,6 +187,11 @@ class RegularClock:
         return float(excess[: int(equal[1:].argmax()) + 1].min())  # after one that is doubled, all seem early
 
     def _time_ns(self, place: Floats, arrival: Stamps, own: Flags, known: Flags) -> Stamps:
+        """Return the times (n,) in ns of samples with known places, after both fits and the counts have been updated.
+
+        ``place`` (n,) in periods, ``known`` marks places that are certain, ``own`` samples that waited for no other.
+        After a break in reading, the pause itself counts as lost samples.
+        """
         device_s = place * self._period_s
         drifted_s = float(self._fit.drifted(device_s[-1:])[0])
         self._lateness.add(device_s, self._fit.excess_of(device_s, arrival), own, drifted_s, self._fit.drift)
@@ -178,7 +202,7 @@ class RegularClock:
         self._given += len(place)
         self._counts.samples += len(place)
         self._counts.late += int(np.count_nonzero(lateness_s > max(LATE_PERIODS * self._period_s, LATE_S)))
-        if self._resumed_ns is not None:  # nobody counted meanwhile: the pause tells
+        if self._resumed_ns is not None:  # not counted meanwhile: the pause gives the number
             missed = round((int(arrival[0]) - self._resumed_ns) * 1e-9 / self._period_s) - 1
             self._lost_before += max(missed, 0)
             self._resumed_ns = None
@@ -188,7 +212,13 @@ class RegularClock:
         return t_ns
 
     def _places(self, arrival: Stamps, own: Flags, *, certain: bool, everything: bool) -> tuple[Floats, Flags, Flags]:
-        """Return the place in the rhythm of each sample that can be timed, whether it is certain, and which to keep."""
+        """Return, for the samples that can be timed, their places in the rhythm, which are certain, and which held ones
+        to keep.
+
+        All three are empty while later samples are needed. If everything came in time, no search is made. ``certain``
+        makes a decision now, ``everything`` leaves nothing held. Flags ``kept`` are of the held samples; the other two
+        are of the kept.
+        """
         place = self._next + np.arange(len(arrival), dtype=np.float64)
         device_s = place * self._period_s
         excess = self._fit.excess_of(device_s, arrival) - self._fit.drifted(device_s)
@@ -232,10 +262,10 @@ class RegularClock:
 
 
 class _Search:
-    """What has been lost or doubled among samples, by how late they came.
+    """Lost and doubled samples, inferred from how late samples came.
 
-    State of the chain: by how many samples each is further on than if none had been lost or doubled before. Where
-    jitter is many periods, samples go in groups.
+    State of the hidden Markov chain: by how many places a sample is ahead of where it would be without losses or
+    repeats. Where jitter is many periods, samples are treated in groups.
     """
 
     def __init__(
@@ -249,6 +279,13 @@ class _Search:
         before: Floats,
         lost_share: float,
     ) -> None:
+        """Run the search: ``mean`` (n,) of the places lost before each sample, which are ``certain``, ``repeats`` to
+        drop.
+
+        ``excess`` (n,) in s, ``own`` and ``equal`` (n,) mark samples that waited for no other and that repeat the one
+        before; ``before`` are the probabilities of 0, 1, 2 ... losses before the first, ``lost_share`` that of a loss
+        per sample.
+        """
         back = min(int(equal.sum()), 8)
         most = min(max(lateness.most_lost(excess[own]), len(before) + 1), _MOST_STATES)
         self._states = np.arange(-back, most + 1)
@@ -272,7 +309,11 @@ class _Search:
         self.repeats = np.array([self._starts[g] + int(equal[self._starts[g] :].argmax()) for g in groups], dtype=int)
 
     def cut(self, take: int) -> tuple[int, int, Floats]:
-        """Return how many samples end with a whole group, and what is lost before the next: a number, and more."""
+        """Return what is known of the losses at a cut: (samples before it, fewest plausible losses, probabilities).
+
+        The cut is at ``take`` samples, rounded down to whole groups, at least one; all samples if there are no more
+        than that. The probabilities are those of 0, 1, 2 ... losses more than the fewest, without implausible ends.
+        """
         groups = len(self._starts) if take >= len(self.mean) else max(take // self._group, 1)
         taken = min(groups * self._group, len(self.mean))
         shares = self._forward[groups - 1]
@@ -282,10 +323,11 @@ class _Search:
 
 
 def _smooth(weights: Floats, start: Floats, twice: Flags, lost_share: float) -> tuple[Floats, Floats, Floats]:
-    """Return what each state's probability is (n, k) by all weights, and by those so far; and of a repeat (n,).
+    """Return the probabilities of each state (n, k) given all data, those given data so far (n, k), and of a repeat
+    (n,).
 
-    ``weights`` (n, k) are likelihoods of what was seen in each state, ``start`` (k,) the probabilities before. A
-    loss goes up from state to state, a repeat, where ``twice``, down by one.
+    ``weights`` (n, k) are likelihoods of the observations in each state, ``start`` (k,) the probabilities before. A
+    loss moves up by any number of states; a repeat, possible only where ``twice`` (n,), moves down by one.
     """
     count = len(start)
     up = np.subtract.outer(np.arange(count), np.arange(count)).T

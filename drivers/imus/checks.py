@@ -1,4 +1,4 @@
-"""Checksums and CRCs by their parameters, as the catalogue of parametrised CRC algorithms (G. Cook) gives them."""
+"""Checksums and CRCs by their parameters, in the form of the catalogue of parametrised CRC algorithms (G. Cook)."""
 
 from dataclasses import dataclass
 from functools import cache, reduce
@@ -9,10 +9,10 @@ _MIRRORED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """A check of 8 bits or more: ``kind`` is "crc", "sum", "negated sum", "xor" or "fletcher".
+    """A checksum of 8 bits or more: ``kind`` is "crc", "sum", "negated sum", "xor" or "fletcher".
 
-    All else is of CRCs. A Fletcher check is the sum of the bytes, then the sum of all sums on the way, half the bits
-    each.
+    The other fields are for CRCs. A Fletcher checksum is the sum of the bytes, then the sum of all partial sums, each
+    in half of the bits.
     """
 
     kind: str
@@ -23,7 +23,7 @@ class Check:
     xorout: int = 0
 
     def of(self, data: bytes) -> int:
-        """Return the check over these bytes."""
+        """Return the checksum of ``data``."""
         if self.kind == "crc":
             return self._crc(data)
         if self.kind == "xor":
@@ -42,7 +42,7 @@ class Check:
 
 @cache
 def _table(bits: int, polynomial: int) -> tuple[int, ...]:
-    """Return what each byte that is shifted out does to a CRC."""
+    """Return the 256 entries of a CRC's lookup table, for the byte that is shifted out."""
     values = []
     for byte in range(256):
         value = byte << bits - 8

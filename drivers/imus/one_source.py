@@ -1,4 +1,4 @@
-"""What drivers of devices with a link of their own have in common."""
+"""Common parts of drivers for devices with a link of their own."""
 
 from typing import Generic, TypeVar
 
@@ -8,7 +8,7 @@ L = TypeVar("L", bound=Openable)
 
 
 class OneSource(Generic[L]):
-    """A device on a link of its own: one source of its name, unless it says that it has more."""
+    """A device on its own link, with a single source of the same name, unless a subclass says otherwise."""
 
     def __init__(self, device: str, link: L) -> None:
         """Take the link, which is not open yet."""

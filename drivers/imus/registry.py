@@ -1,4 +1,4 @@
-"""The protocols of devices under test, by the name that a bench file gives them, those of devices.toml first."""
+"""The protocols of devices under test, by their name in bench files, those of devices.toml first."""
 
 from drivers.packaged import packaged_toml
 from drivers.plugins import Registry

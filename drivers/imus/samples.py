@@ -1,8 +1,8 @@
-"""Samples of one source on a bus of frames: what arrives piece by piece, put together and timed.
+"""Samples of one source on a bus of frames: assembled from their messages, and timed.
 
-A source has one leading message, which carries its rates. What else belongs to a sample (accelerometer, counter,
-time) may be in that message or in others. Frames of one instant win the bus in the order of their identifiers, so
-a message of a smaller one is looked for just before the leading frame, a message of a larger one just after it.
+A source has one leading message, which carries its rates. What else belongs to a sample (accelerometer, counter, time)
+may be in that message or in others. Frames of one instant win the bus in the order of their identifiers, so a message
+of a smaller one is looked for just before the leading frame, a message of a larger one just after it.
 """
 
 from collections.abc import Iterable
@@ -16,7 +16,7 @@ from drivers.types import Flags, Floats, ImuBlock, Stamps
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """A frame's data with its place in the order of arrival and its arrival in ns."""
+    """The data of a frame with its place in the order of arrival and its arrival time in ns."""
 
     order: int
     t_ns: int
@@ -24,15 +24,15 @@ class Piece:
 
 
 class Companion:
-    """Frames that go with the leading ones: at most one with each."""
+    """Frames that belong to the leading ones: at most one to each."""
 
     def __init__(self, *, follows: bool) -> None:
-        """``follows`` tells whether it comes after the leading frame of its instant, or before it."""
+        """``follows``: the message comes after the leading frame of its instant, else before it."""
         self.follows = follows
         self._pieces: list[Piece] = []
 
     def add(self, piece: Piece) -> None:
-        """Take in one."""
+        """Add one message."""
         self._pieces.append(piece)
 
     def reached(self, order: int) -> bool:
@@ -40,9 +40,11 @@ class Companion:
         return bool(self._pieces) and self._pieces[-1].order > order
 
     def matched(self, before: int, lead: list[int], after: int) -> tuple[Flags, list[bytes]]:
-        """Return which leading frames (n,) have one, and the data of these.
+        """Return which leading frames (n,) have a companion, and the data of these companions.
 
-        ``before`` and ``after`` are the places of the leading frames before the first and after the last.
+        ``lead`` are the places of the leading frames in the order of arrival; ``before`` and ``after`` those of the
+        leading frames before the first and after the last. Of several candidates the one nearest in time is taken: the
+        first after its frame if the companion follows, else the last before it.
         """
         own = np.array([piece.order for piece in self._pieces], dtype=np.int64)
         edges = np.array([*lead, after] if self.follows else [before, *lead], dtype=np.int64)
@@ -53,11 +55,13 @@ class Companion:
         return found, [self._pieces[i].data for i in chosen[found]]
 
     def idle(self) -> None:
-        """Drop what no leading frame can have any more, while none has come: all but the newest, or all."""
+        """Drop the messages that no leading frame can match any more: all if they follow it, else all but the
+        newest.
+        """
         self._pieces = [] if self.follows else self._pieces[-1:]
 
     def forget(self, order: int) -> None:
-        """Drop what no leading frame after this place can have; of what is kept for later, only the newest."""
+        """Drop the messages up to place ``order``, except the newest if later ones may need it."""
         kept = [piece for piece in self._pieces if piece.order > order]
         self._pieces = kept if self.follows else kept[-1:]
 
@@ -65,7 +69,11 @@ class Companion:
 def regular_block(
     clock: RegularClock, rows: Iterable[tuple[int, Floats, bytes]], gyros: int, *, everything: bool = False
 ) -> ImuBlock | None:
-    """Give the clock rows as ``block_of`` takes them, and return those that can be timed, or None."""
+    """Add rows (arrival in ns, values, raw bytes) to the clock; return a block of the samples that can be timed, or
+    None.
+
+    Values are as ``block_of`` expects them. ``everything`` times the samples that the clock would hold back, too.
+    """
     for arrival_ns, values, raw in rows:
         clock.add(arrival_ns, values, raw)
     ready = clock.ready(everything=everything)
@@ -73,7 +81,9 @@ def regular_block(
 
 
 def block_of(t_ns: Stamps, arrival_ns: Stamps, values: Floats, gyros: int, counter: Stamps | None = None) -> ImuBlock:
-    """Return a block of rows: rates of the gyros, temperature, and three accelerations where there are such."""
+    """Return a block from rows of values (n, k): rates of the gyros, temperature, then three accelerations if
+    present.
+    """
     accel = values[:, gyros + 1 :] if values.shape[1] > gyros + 1 else None
     return ImuBlock(
         t_ns=t_ns,

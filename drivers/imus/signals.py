@@ -44,14 +44,15 @@ def parameter_group(identifier: int) -> int:
 
 
 def message_key(message: Any) -> MessageKey:
-    """Return what tells a message: an 11-bit and a 29-bit id of the same number are two."""
+    """Return the key of a message: its id, and whether that has 29 bits, as equal ids of both kinds differ."""
     return int(message.frame_id), bool(message.is_extended_frame)
 
 
 class SignalReader:
-    """One signal of one message, in SI units (temperatures in degC).
+    """Reader of one signal of one message, in SI units (temperatures in degC).
 
-    ``key`` and ``name`` are message and signal; ``bits`` of the raw number, ``scale`` of its least one in SI.
+    ``key`` identifies the message, ``name`` the signal; ``bits`` is the length of the raw number, ``scale`` the value
+    of its least significant bit in SI.
     """
 
     def __init__(
@@ -65,10 +66,10 @@ class SignalReader:
         unit: str = "",
         saturates: bool = False,
     ) -> None:
-        """Find ``MESSAGE.Signal``; DeviceError if there is none or it cannot be that quantity.
+        """Look up ``MESSAGE.Signal`` in cantools' database; DeviceError if it is missing or unsuitable.
 
-        ``quantity`` is one of ``UNITS``, or "count" for a plain number; ``unit`` counts before the DBC's own, for
-        files that are silent. What ``saturates`` has no value at the ends of the DBC's range: the true one is beyond.
+        ``quantity`` is a key of ``UNITS``, or "count" for a plain number; ``unit`` takes precedence over the DBC's own.
+        With ``saturates``, values at the ends of the DBC's range count as missing, as the true value may be beyond.
         """
         message_name, _, signal_name = name.partition(".")
         try:
@@ -116,7 +117,11 @@ class SignalReader:
         return word.astype(np.int64)
 
     def values(self, data: Octets) -> Floats:
-        """Return the values (n,) in SI of frames (n, length); NaN where there is none."""
+        """Return the values (n,) in SI of frames (n, length); NaN where a frame has no valid value.
+
+        That is the case where the signal is not multiplexed into the frame, for J1939's codes above the range, and at
+        the ends of the range of a saturating signal.
+        """
         word = self._word(data)
         if self._float:
             number = word.astype(np.uint32).view(np.float32) if self.bits == 32 else word.view(np.float64)
@@ -160,7 +165,11 @@ def _place(signal: Any) -> tuple[int, int, str]:
 
 
 def _unit(device: str, where: str, quantity: str, text: str) -> tuple[float, float]:
-    """Return the size of a unit in SI, and what is then to be taken off."""
+    """Return the size of a unit in SI, and the offset to subtract after scaling (273.15 for K); DeviceError if it is
+    unknown.
+
+    ``where`` is for the message. A count has size 1 and no unit.
+    """
     if quantity == "count":
         return 1.0, 0.0
     unit, known = plain_unit(text), UNITS[quantity]

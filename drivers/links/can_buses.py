@@ -1,9 +1,9 @@
-"""Buses of python-can, opened so that they can be read at the rate of a full bus and say when they are gone.
+"""Buses of python-can that can be read at the rate of a full bus and report when they are gone.
 
-python-can's own slcan reads one byte a call, half a core for four gyros at 1 kHz, and breaks off at a damaged line;
-its socketcand takes a server that has hung up for one that is silent, and tries a refused connection for ten
-seconds at full speed. These two are put right here, and an interface of the kernel that is down is refused; all
-others are python-can's as they are.
+python-can's own slcan reads one byte a call, half a core for four gyros at 1 kHz, and breaks off at a damaged line; its
+socketcand takes a server that has hung up for one that is silent, and tries a refused connection for ten seconds at
+full speed. These two are put right here, and an interface of the kernel that is down is refused; all others are
+python-can's as they are.
 """
 
 import os
@@ -27,13 +27,16 @@ Raw = tuple[int, bool, bytes]
 
 
 def open_bus(interface: str, channel: str, options: dict[str, Any]) -> can.BusABC:
-    """Open a bus in python-can's terms; raises whatever python-can raises where it cannot."""
+    """Open a CAN bus by python-can's names of interface and channel; python-can's own exceptions pass through.
+
+    slcan and socketcand use the faster readers below. OSError if a socketcan interface is down.
+    """
     if interface == "slcan":
         return SlcanBus(channel, **options)
     if interface == "socketcand":
         return SocketcandBus(channel, **options)
     bus = can.Bus(interface=interface, channel=channel, **options)
-    # Linux binds a socket to an interface that is down, and says so afterwards, once.
+    # Linux binds a socket to an interface that is down, and reports this once, afterwards.
     kernel: Any = bus
     if interface == "socketcan" and (code := kernel.socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)):
         bus.shutdown()
@@ -42,7 +45,7 @@ def open_bus(interface: str, channel: str, options: dict[str, Any]) -> can.BusAB
 
 
 class SlcanBus(slcanBus):
-    """A Lawicel adapter on a serial port, read in chunks: all bytes that wait at once."""
+    """A Lawicel adapter on a serial port, read in chunks of all waiting bytes."""
 
     def __init__(self, channel: str, **options: Any) -> None:
         """Take python-can's options for slcan; the port itself never waits."""
@@ -52,14 +55,18 @@ class SlcanBus(slcanBus):
         self.serialPortOrig.write_timeout = _HANDSHAKE_S
 
     def shutdown(self) -> None:
-        """Close the adapter's channel and the port; the port also where the adapter is gone."""
+        """Close the adapter's channel and the port; the port even if the adapter is gone."""
         try:
             super().shutdown()
         finally:
             self.serialPortOrig.close()
 
     def frames(self, timeout: float | None) -> list[Raw]:
-        """Return the data frames of all lines that have come; what else there is is dropped. Waits for the first."""
+        """Return the data frames received, waiting up to ``timeout`` for the first bytes; CanOperationError if the port
+        fails.
+
+        Other lines, such as remote frames and answers, are dropped. Damaged lines are counted in ``malformed``.
+        """
         if timeout != 0:
             self._wait(timeout)
         try:
@@ -96,7 +103,7 @@ class SocketcandBus(can.BusABC):
     """One bus of a socketcand server, in raw mode over TCP."""
 
     def __init__(self, channel: str, host: str, port: int = SOCKETCAND_PORT, **options: Any) -> None:
-        """Connect and open the server's bus ``channel``; OSError or CanError if it does not let us in."""
+        """Connect to the server and open its bus ``channel`` in raw mode; OSError or CanError if that fails."""
         self.malformed = 0
         """Frames that could not be read."""
         self._rest = b""
@@ -127,7 +134,11 @@ class SocketcandBus(can.BusABC):
         self._stream.close()
 
     def frames(self, timeout: float | None) -> list[Raw]:
-        """Return the data frames that have come, waiting for the first."""
+        """Return the data frames received, waiting up to ``timeout`` for the first; CanOperationError if the connection
+        ends.
+
+        Other elements are dropped. Damaged frames are counted in ``malformed``.
+        """
         found: list[Raw] = []
         early, self._early = self._early, []
         if not early and not select.select([self._stream], [], [], timeout)[0]:
@@ -137,7 +148,7 @@ class SocketcandBus(can.BusABC):
             if len(parts) not in (5, 6) or parts[1] != "frame":
                 continue
             try:
-                float(parts[3])  # a stamp that is none tells of damage
+                float(parts[3])  # an invalid stamp means damage
                 data = bytes.fromhex(parts[4]) if len(parts) == 6 else b""
                 found.append((int(parts[2], 16), len(parts[2]) != 3, data))
             except ValueError:
@@ -145,7 +156,10 @@ class SocketcandBus(can.BusABC):
         return found
 
     def _elements(self) -> list[str]:
-        """Receive once; return the whole elements ``< ... >`` that have come, and keep the beginning of the next."""
+        """Receive once and return the complete elements ``< ... >``; keep the beginning of the next one.
+
+        CanOperationError if the connection fails or the server has closed it.
+        """
         try:
             data = self._stream.recv(_READ_LIMIT)
         except OSError as error:
@@ -159,7 +173,7 @@ class SocketcandBus(can.BusABC):
         return [part[part.rfind(b"<") :].decode("ascii", "replace") + ">" for part in whole]
 
     def _expect(self, word: str, early: list[str]) -> list[str]:
-        """Wait for a word of the server; return what came after it."""
+        """Wait for a word of the server and return the elements after it; CanInitializationError for another word."""
         while not early:
             early = self._elements()
         if early[0] != f"< {word} >":

@@ -24,17 +24,17 @@ _WAIT_S = 0.1
 _SEND_LIMIT_S = 0.1
 _MOST_AT_ONCE = 500
 _BUS_OFF = 0x40  # in the identifier of an error frame (linux/can/error.h)
-_MOST_WAITING = 100_000  # ten seconds of a full bus; what is older and nobody has asked for is missed as lost samples
+_MOST_WAITING = 100_000  # ten seconds of a full bus; older frames are dropped, and count as lost samples
 
 
 class CanLink:
-    """Frames of one bus, stamped on arrival by a thread of its own, so that stamps do not wait for the loop.
+    """Frames of one CAN bus, stamped on arrival by a separate thread, so that stamps do not wait for the event loop.
 
-    Interface "memory" is the bus within this loop and has no thread.
+    Interface "memory" is a bus within this event loop and has no thread.
     """
 
     def __init__(self, device: str, interface: str, channel: str, options: dict[str, Any]) -> None:
-        """Name the bus in python-can's terms; it is opened by ``open``."""
+        """Store python-can's names and options of the bus; ``open`` opens it."""
         self._device, self._interface, self._channel = device, interface, channel
         self._options = options
         self._bus: can.BusABC | None = None
@@ -48,11 +48,11 @@ class CanLink:
 
     @property
     def malformed(self) -> int:
-        """Number of lines that began like a frame and could not be read, for interfaces that speak in text."""
+        """Number of lines that began like a frame but could not be read, for text interfaces; else 0."""
         return int(getattr(self._bus, "malformed", 0))
 
     async def open(self) -> None:
-        """Open the bus; LinkLost if python-can cannot, or not within five seconds."""
+        """Open the bus in a thread that then reads it; LinkLost if that fails or takes more than five seconds."""
         self._closing.clear()
         self._ended = ""
         if self._interface == "memory":
@@ -60,7 +60,7 @@ class CanLink:
             return
         loop = asyncio.get_running_loop()
         opened: asyncio.Future[can.BusABC] = loop.create_future()
-        # A daemon, not an executor's thread: what hangs in a driver must not keep the program from ending.
+        # A daemon, not an executor's thread: a driver that hangs must not keep the program from ending.
         self._thread = threading.Thread(
             target=self._run, args=(loop, opened, self._closing), name=f"can {self._device}", daemon=True
         )
@@ -74,23 +74,25 @@ class CanLink:
         except asyncio.CancelledError:
             self._give_up()
             raise
-        except Exception as error:  # interfaces raise what their vendors' libraries raise
+        except Exception as error:  # interfaces raise any exception of their vendors' libraries
             self._give_up()
             raise LinkLost(self._device, sentence("link.no_can", channel=self._named, why=_plain(error))) from None
 
     async def receive(self) -> list[Frame]:
-        """Return the frames since the last call, waiting for the first; LinkLost when the bus is gone."""
+        """Return the frames since the last call, waiting for the first; LinkLost once the bus is gone and no frame is
+        left.
+        """
         while not self._frames:
             if self._ended:
                 raise LinkLost(self._device, self._ended)
             self._wake.clear()
-            self._waiting = True  # before the look at what has come, so that the thread cannot miss it
+            self._waiting = True  # before checking for frames, so that the thread cannot miss it
             if not self._frames and not self._ended:
                 await self._wake.wait()
         return [self._frames.popleft() for _ in range(len(self._frames))]
 
     def send(self, frame: Frame) -> None:
-        """Send a frame; LinkLost if the bus does not take it within 0.1 s."""
+        """Send a frame; LinkLost if the bus is not open or does not accept the frame within 0.1 s."""
         if self._bus is None:
             raise LinkLost(self._device, f"{self._named} is not open")
         message = can.Message(arbitration_id=frame.identifier, is_extended_id=frame.extended, data=frame.data)
@@ -100,12 +102,12 @@ class CanLink:
             raise LinkLost(self._device, f"{self._named} does not accept frames ({_plain(error)})") from None
 
     def end(self, reason: str) -> None:
-        """Let the reader know that the bus is gone."""
+        """Mark the link as ended, for ``reason``, and wake up the reader."""
         self._ended = reason
         self._wake.set()
 
     def close(self) -> None:
-        """Leave the bus; twice is once."""
+        """Close the bus and wait a short time for its thread; harmless if it is closed already."""
         thread = self._give_up()
         if thread is not None and thread is not threading.current_thread():
             thread.join(2 * _WAIT_S + _SEND_LIMIT_S)
@@ -114,7 +116,7 @@ class CanLink:
         self._bus = None
 
     def _end_if_read(self, closing: threading.Event, reason: str) -> None:
-        """End, unless the thread that says so has been told to leave, perhaps for a new one."""
+        """End the link, unless the reading thread was told to leave meanwhile, perhaps for a new one."""
         if not closing.is_set():
             self.end(reason)
 
@@ -123,7 +125,7 @@ class CanLink:
         return f"CAN bus {self._interface}:{self._channel}"
 
     def _give_up(self) -> threading.Thread | None:
-        """Tell the thread to leave the bus, as soon as it has it; each thread has an event of its own."""
+        """Tell the reading thread to leave the bus, and return it; each thread has its own event."""
         thread, self._thread = self._thread, None
         self._closing.set()
         self._closing = threading.Event()
@@ -137,7 +139,11 @@ class CanLink:
     def _run(
         self, loop: asyncio.AbstractEventLoop, opened: asyncio.Future[can.BusABC], closing: threading.Event
     ) -> None:
-        """Open the bus, read it, leave it: all of it here, because opening may take seconds."""
+        """Open the bus, read it and shut it down, all in the thread, as opening may take seconds.
+
+        ``opened`` gets the bus or the exception. If reading fails later, the link ends with that reason, unless
+        closing.
+        """
         try:
             bus = open_bus(self._interface, self._channel, self._options)
         except Exception as error:
@@ -149,10 +155,15 @@ class CanLink:
         except Exception as error:  # as above
             call_from_thread(loop, self._end_if_read, closing, f"{self._named} failed ({_plain(error)})")
         finally:
-            with suppress(Exception):  # an adapter that is gone cannot be told to close
+            with suppress(Exception):  # an adapter that is gone cannot be closed
                 bus.shutdown()
 
     def _read(self, loop: asyncio.AbstractEventLoop, bus: can.BusABC, closing: threading.Event) -> None:
+        """Read frames until ``closing`` is set, stamp them in loop time, and wake up ``receive``.
+
+        Frames of slcan and socketcand are read in batches, which have one stamp. Interfaces that the kernel stamps are
+        corrected for the age of the frame. Error frames and bus-off are counted for all other interfaces.
+        """
         scale = loop_scale(loop)
         by_kernel = self._interface in _STAMPED_BY_KERNEL
         if isinstance(bus, (SlcanBus, SocketcandBus)):
@@ -189,7 +200,7 @@ def _frame(message: can.Message, t_ns: int) -> Frame | None:
 
 
 def _plain(error: BaseException) -> str:
-    """Return what went wrong in one line; python-can's own texts may carry a whole traceback."""
+    """Return the cause of an error in one line; python-can's own texts may hold a traceback."""
     cause = error.__cause__ or error
     lines = str(cause).strip().splitlines()
     return lines[0] if lines else type(cause).__name__

@@ -1,4 +1,4 @@
-"""A link that counts what goes over it."""
+"""A link that counts its traffic."""
 
 from typing import Any
 
@@ -18,7 +18,7 @@ class CountedLink:
         self.counts.opened += 1
 
     async def receive(self) -> Any:
-        """Return what comes next; LinkLost when the other end is gone."""
+        """Return the next bytes or frames, and count them; LinkLost when the other end is gone."""
         found = await self._link.receive()
         self.counts.received += len(found.data if isinstance(found, ByteChunk) else found)
         return found

@@ -10,10 +10,10 @@ _MOST_BYTES = 1 << 22  # half a minute of the fastest serial line
 
 
 class Inbox:
-    """Chunks in their order, and the end of the link. What nobody takes is dropped, oldest first."""
+    """Queue of received chunks and the end of the link. When too much waits, the oldest chunks are dropped."""
 
     def __init__(self, device: str) -> None:
-        """Start empty."""
+        """Start empty and open."""
         self._device = device
         self._chunks: deque[ByteChunk] = deque()
         self._bytes = 0
@@ -22,13 +22,13 @@ class Inbox:
         """Why nothing more will come; empty while it may."""
 
     def begin(self) -> None:
-        """Forget what was there, for a link that is opened again."""
+        """Drop all chunks, for a link that is opened again."""
         self._chunks.clear()
         self._bytes = 0
         self.ended = ""
 
     def put(self, chunk: ByteChunk) -> None:
-        """Add a chunk; after the end nothing comes, until the link is opened again."""
+        """Append a chunk; ignored after the end of the link. Beyond ``_MOST_BYTES`` the oldest chunks are dropped."""
         if self.ended:
             return
         self._chunks.append(chunk)
@@ -48,7 +48,7 @@ class Inbox:
         raise LinkLost(self._device, reason)
 
     async def get(self) -> ByteChunk:
-        """Return the next chunk; LinkLost when there is none and none will come."""
+        """Return the next chunk, waiting for it; LinkLost once the link has ended and no chunk is left."""
         while not self._chunks:
             if self.ended:
                 raise LinkLost(self._device, self.ended)

@@ -25,10 +25,10 @@ _HOLDER = re.compile(r"(\d{1,10}) (.*)", re.DOTALL)
 
 @asynccontextmanager
 async def held(device: str, link: str, default_port: int | None, what: str) -> AsyncIterator[tuple[int, ...]]:
-    """Hold a link while this lasts; DeviceRefused, which names the holder, if another program or user does.
+    """Hold the lock of a link while this context lasts; DeviceRefused, naming the holder, if somebody else has it.
 
-    ``what`` is said of this program to whoever comes second. Yields the descriptors of the locked files, none on
-    systems without flock, which hold nothing. A process that is given these keeps the lock if this one dies.
+    ``what`` describes this program to whoever comes second. Yields the descriptors of the locked files: a process that
+    inherits them keeps the lock if this one dies. Without flock (Windows) nothing is locked and none are yielded.
     """
     with ExitStack() as stack:
         names = await _names(link, default_port) if sys.platform != "win32" else ()
@@ -37,7 +37,7 @@ async def held(device: str, link: str, default_port: int | None, what: str) -> A
 
 @contextmanager
 def inherited(files: Sequence[int], what: str) -> Iterator[None]:
-    """Hold on, while this lasts, to what a process held that has died; ``files`` are its descriptors (``held``)."""
+    """Hold the locks that a dead process held, for the duration; ``files`` are its descriptors (``held``)."""
     with ExitStack() as stack:
         for file in files:
             _sign(stack, file, what)
@@ -45,9 +45,10 @@ def inherited(files: Sequence[int], what: str) -> Iterator[None]:
 
 
 def check_own(path: str, file: int) -> None:
-    """Check that an open file is a regular one of this user, and has this name and no other; OSError if not.
+    """Check that ``path`` still names the open file ``file``, a regular one of this user with no second name; OSError
+    if not.
 
-    Where others can write to the folder, what has the name may be a link to some other file of this user.
+    Where others can write to the folder, the name may lead to a different file of this user.
     """
     named = os.lstat(path)
     _check_is_own(path, named)
@@ -56,7 +57,10 @@ def check_own(path: str, file: int) -> None:
 
 
 async def _names(link: str, default_port: int | None) -> list[str]:
-    """Return what a link leads to: a device, or each address of its host, where all of this machine are one."""
+    """Return the names to lock for a link: the real path of a serial device, or each address of its host with the port.
+
+    All addresses of this machine have one name. A host that cannot be resolved is named as it is written.
+    """
     url = urlsplit(link)
     if url.scheme == "serial":
         return [os.path.realpath(url.path)]
@@ -77,9 +81,9 @@ def _is_ours(family: int, address: object) -> bool:
 
 
 def _lock(stack: ExitStack, device: str, link: str, name: str, what: str) -> int:
-    """Lock this user's file of a name until the stack is closed; return its descriptor.
+    """Lock this user's file for ``name`` until the stack is closed; return its descriptor.
 
-    DeviceRefused if it is locked already or cannot be, or if another user's is.
+    DeviceRefused if this user's file or that of another user is locked already, or if the lock cannot be taken.
     """
     import fcntl
 
@@ -104,23 +108,28 @@ def _lock(stack: ExitStack, device: str, link: str, name: str, what: str) -> int
 
 
 class _InUse(BlockingIOError):
-    """A link is held by another user; its argument says by whom."""
+    """Another user holds the link; the argument says who."""
 
 
 def _open_own(path: str) -> int:
-    """Open this user's lock file, which is made if it is missing; OSError for anything else that has its name."""
+    """Open this user's lock file for reading and writing, creating it if missing; OSError if its name is anything else.
+
+    A new file is readable by all, whatever the umask.
+    """
     flags = os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     try:
         file = os.open(path, flags | os.O_CREAT | os.O_EXCL, 0o644)
     except FileExistsError:
         _check_is_own(path, os.lstat(path))  # also before it is opened: opening a device may do something
         return os.open(path, flags)
-    os.fchmod(file, 0o644)  # whatever the umask: others are to see whether it is locked
+    os.fchmod(file, 0o644)  # regardless of the umask: others must see whether it is locked
     return file
 
 
 def _check_is_own(path: str, found: os.stat_result) -> None:
-    """Check that what has a name is a file of this user without another name; OSError that says what to do."""
+    """Check that ``found`` is a regular file of this user without a second name; OSError that says how to remove it if
+    not.
+    """
     if stat.S_ISLNK(found.st_mode):
         wrong = "is a symbolic link"
     elif not stat.S_ISREG(found.st_mode):
@@ -138,7 +147,7 @@ def _check_is_own(path: str, found: os.stat_result) -> None:
 
 
 def _other_files(folder: str, stem: str) -> Iterator[str]:
-    """Yield the lock files of other users for a link: regular files, each of the user whose number is in its name."""
+    """Yield the paths of other users' lock files for a link: regular files that belong to the user in their name."""
     named = re.compile(rf"{re.escape(stem)}\.(\d{{1,10}})\.lock")
     for entry in sorted(os.listdir(folder)):
         match = named.fullmatch(entry)
@@ -152,7 +161,10 @@ def _other_files(folder: str, stem: str) -> Iterator[str]:
 
 
 def _check_unlocked(path: str) -> None:
-    """Check that another user's file is not locked; nothing is written to it. _InUse, or OSError if that is unknown."""
+    """Check that another user's lock file is not locked, without writing to it; a missing file counts as unlocked.
+
+    _InUse if it is locked; OSError if the file cannot be opened.
+    """
     import fcntl
 
     try:
@@ -168,11 +180,11 @@ def _check_unlocked(path: str) -> None:
 
 
 def _holder(file: int) -> str:
-    """Return in words who holds a locked file: the user is the file's owner, the rest is what its holder wrote."""
+    """Return in words who holds a locked file: the user is the file's owner, the rest the holder's own text."""
     text = os.pread(file, _HOLDER_BYTES, 0).decode("utf-8", "replace")
-    said = _HOLDER.fullmatch("".join(letter if letter.isprintable() else "?" for letter in text))
+    match = _HOLDER.fullmatch("".join(letter if letter.isprintable() else "?" for letter in text))
     user = _user(os.fstat(file).st_uid)
-    return f"process {said[1]} of {user} ({said[2]})" if said else f"a program of {user}"
+    return f"process {match[1]} of {user} ({match[2]})" if match else f"a program of {user}"
 
 
 def _user(uid: int) -> str:
@@ -185,9 +197,9 @@ def _user(uid: int) -> str:
 
 
 def _sign(stack: ExitStack, file: int, what: str) -> None:
-    """Write into a locked file of this user who holds it; when the stack is closed, it is empty and unlocked.
+    """Write the process id and ``what`` into the locked file; closing the stack empties and unlocks it.
 
-    Where nothing can be written it is locked all the same: others can fill the disk of the folder.
+    A failure to write is ignored, as others can fill the disk: the lock holds all the same.
     """
     import fcntl
 
@@ -199,7 +211,7 @@ def _sign(stack: ExitStack, file: int, what: str) -> None:
 
 
 def _folder() -> str:
-    """Return the folder that all users of this machine may write to, each their own files; the same for each user."""
+    """Return the first shared folder that is world-writable with the sticky bit; the last of the list if none is."""
     for name in _SHARED:
         with suppress(OSError):
             mode = os.stat(name).st_mode

@@ -8,13 +8,14 @@ from drivers.types import ByteChunk
 
 
 class MemoryLink:
-    """One end of a wire in memory; bytes written at one end arrive at the other in the same instant.
+    """One end of a wire in memory; bytes written at one end arrive at the other at the same instant.
 
-    Bytes written to a wire that nobody holds at its other end are gone, as on a cable; ``receive`` tells.
+    Bytes are lost without an error while the wire is unplugged or either end is closed, as on a cable; ``receive`` then
+    raises LinkLost at that end.
     """
 
     def __init__(self, device: str, send: Callable[[bytes], None] | None = None) -> None:
-        """Make an end whose bytes go to ``send``; what comes from there is given to ``deliver``."""
+        """Create an end that sends its bytes to ``send`` and gets those passed to ``deliver``."""
         self._device = device
         self._inbox = Inbox(device)
         self._send = send
@@ -22,7 +23,7 @@ class MemoryLink:
         self._closed = False
 
     async def open(self) -> None:
-        """Take hold of this end, after ``close`` again; LinkLost while the wire is unplugged."""
+        """Open this end, also after ``close``; LinkLost while the wire is unplugged."""
         self._inbox.begin()
         self._closed = False
         if self._unplugged:

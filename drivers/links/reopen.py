@@ -1,4 +1,4 @@
-"""Opening again what was lost, with more and more patience."""
+"""Reopening of lost links, with growing pauses."""
 
 import asyncio
 from collections.abc import Awaitable, Callable
@@ -10,7 +10,7 @@ from drivers.protocols import Openable
 
 @dataclass(frozen=True, slots=True)
 class BackOff:
-    """Pauses between tries: the first, doubled each time up to the longest; given up after the limit (s)."""
+    """Pauses between attempts: the first one, doubled each time up to the longest; give up after the limit (s)."""
 
     first_s: float = 0.1
     longest_s: float = 5.0
@@ -20,10 +20,11 @@ class BackOff:
 async def reopen(
     lost: Openable, back_off: BackOff | None = None, seen: Callable[[], Awaitable[object]] | None = None
 ) -> int:
-    """Close and open until it opens; return how many tries it took, LinkLost when the limit is over.
+    """Close and open ``lost`` until it opens; return the number of attempts; LinkLost once ``back_off.limit_s`` is
+    over.
 
-    ``seen`` looks at what was opened, and may find it lost again. What a device answers otherwise (a fault, a refusal)
-    is raised at once: it is back, and says so.
+    ``seen``, if given, checks the opened link; its LinkLost counts as a failed attempt. Any other error, such as a
+    fault or a refusal, is raised at once: the device is back and says so.
     """
     limits = back_off or BackOff()
     loop = asyncio.get_running_loop()

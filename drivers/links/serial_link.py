@@ -21,7 +21,7 @@ from drivers.types import ByteChunk
 
 _MOST_AT_ONCE = 65536
 _BACKLOG_S, _BACKLOG_LOOK_S = 0.3, 0.002
-_LOOK_S = 0.1  # how often the thread looks whether it should end, where it cannot be woken
+_LOOK_S = 0.1  # how often the thread checks whether it should end, where it cannot be woken
 _WRITE_LIMIT_S = 0.2
 _OPEN_LIMIT_S = 10.0
 _CLOSE_LIMIT_S = 0.5
@@ -37,10 +37,10 @@ class SerialLink:
     def __init__(
         self, device: str, url: str, baud: int, *, parity: str = "N", stop_bits: float = 1, gather_s: float = 0.0
     ) -> None:
-        """Name the port; it is opened by ``open``. Eight data bits; ``parity`` N, E, O, M or S.
+        """Store the settings of the port, eight data bits, ``parity`` N, E, O, M or S; ``open`` opens it.
 
-        With ``gather_s`` bytes of a stream are handed over so seldom, by the wall's clock, which saves most of its
-        cost; what comes after a pause of that length is handed over at once.
+        With ``gather_s`` received bytes are handed over at most once in that time (wall clock), which saves most of the
+        cost of a stream. What comes after a pause of that length is handed over at once.
         """
         self._device, self._url, self._gather_s = device, url, gather_s
         self._settings: dict[str, Any] = {"baudrate": baud, "parity": parity, "stopbits": stop_bits}
@@ -48,7 +48,9 @@ class SerialLink:
         self._reader: _Reader | None = None
 
     async def open(self) -> None:
-        """Open the port and start to read; LinkLost if it cannot be opened."""
+        """Open the port and start reading it in a thread; LinkLost if it cannot be opened or not in time. Reopens an
+        open one.
+        """
         self.close()
         self._inbox.begin()
         loop = asyncio.get_running_loop()
@@ -63,16 +65,19 @@ class SerialLink:
         except TimeoutError:
             self.close()
             raise LinkLost(self._device, f"serial port {self._url} did not open within {_OPEN_LIMIT_S:g} s") from None
-        except Exception as error:  # pyserial has no common kind for what a port can have wrong
+        except Exception as error:  # pyserial has no common base class for errors of a port
             self.close()
             raise LinkLost(self._device, f"cannot open serial port {self._url}: {_why_not(self._url, error)}") from None
 
     async def receive(self) -> ByteChunk:
-        """Return the next bytes; LinkLost when the port is gone."""
+        """Return the next bytes; LinkLost once the port is gone."""
         return await self._inbox.get()
 
     def write(self, data: bytes) -> None:
-        """Send bytes; LinkLost if the port is gone or does not take them within 0.2 s."""
+        """Send bytes; LinkLost if the port is not open, has ended, is gone, or does not accept all bytes within 0.2 s.
+
+        After a failed write the link has ended.
+        """
         if self._reader is None or self._inbox.ended:
             raise LinkLost(self._device, self._inbox.ended or f"serial port {self._url} is not open")
         try:
@@ -91,29 +96,31 @@ class SerialLink:
 
 
 class _StuckError(OSError):
-    """A port has not taken all bytes in time."""
+    """The port did not accept all bytes in time."""
 
 
 class _Reader:
-    """One opening of a port: its thread, from opening to closing it."""
+    """One opening of a port: the thread that opens, reads and closes it."""
 
     def __init__(
         self, url: str, settings: dict[str, Any], gather_s: float, loop: asyncio.AbstractEventLoop, inbox: Inbox
     ) -> None:
+        """Start the thread; ``opened`` completes when the port is open or has failed to open."""
         self._url, self._settings, self._gather_s, self._loop = url, settings, gather_s, loop
         self._inbox = inbox
         self._port: Any = None
         self._closing = threading.Event()
         self._woken, self._wakes = socket.socketpair()
         self.opened: asyncio.Future[None] = loop.create_future()
-        # A daemon: what hangs in a driver must not keep the program from ending.
+        # A daemon: a driver that hangs must not keep the program from ending.
         self._thread = threading.Thread(target=self._run, name=f"serial {url}", daemon=True)
         self._thread.start()
 
     def write(self, data: bytes) -> None:
-        """Send bytes; OSError, a _StuckError of it if some are left after 0.2 s.
+        """Send bytes; OSError if the port is gone, _StuckError if bytes are left after 0.2 s.
 
-        pyserial also raises for a host that stalled after all had been written.
+        pyserial itself raises even where all bytes were written before the host stalled; hence the loop on the
+        descriptor.
         """
         if not self._waits_on_descriptor:
             self._port.write(data)
@@ -130,37 +137,44 @@ class _Reader:
                 select.select([], [descriptor], [], max(ends_s - time.monotonic(), 0.0))
 
     def end(self) -> None:
-        """Let the thread close the port; a port of this machine is closed on return, others soon after."""
+        """Let the thread close the port; wait for that for a port of this machine, not for one behind a URL."""
         self._closing.set()
         with suppress(OSError):
             self._wakes.send(b"x")
         if self._port is not None and not _is_url(self._url):
             self._thread.join(_CLOSE_LIMIT_S)
         if self.opened.done() and not self.opened.cancelled():
-            self.opened.exception()  # whoever gave up waiting does not want to know
+            self.opened.exception()  # not needed if the caller has given up waiting
         else:
             self.opened.cancel()
 
     def _run(self) -> None:
+        """Open the port, report that or the error to ``opened``, read until the end, and close the port.
+
+        An error while reading ends the inbox.
+        """
         try:
             port = self._open()
-        except Exception as error:  # handed over to whoever opens
+        except Exception as error:  # raised again by the caller of ``open``
             call_from_thread(self._loop, settle, self.opened, error)
         else:
             self._port = port
             call_from_thread(self._loop, settle, self.opened, None)
             try:
                 self._read(port)
-            except Exception:  # pyserial raises many kinds for a port that has gone
+            except Exception:  # pyserial raises many kinds for a port that is gone
                 call_from_thread(self._loop, self._end_inbox)
             _close(port)
         self._woken.close()
         self._wakes.close()
 
     def _open(self) -> Any:
+        """Open the port with pyserial, exclusively, and drop the backlog of a local one; pyserial's exceptions pass
+        through.
+        """
         import serial
 
-        # Whoever has a descriptor waits on that; to change the time-out later would set up the line once more.
+        # With a descriptor, wait on that; changing the time-out later would set up the line once more.
         settings = dict(self._settings, timeout=0 if self._waits_on_descriptor else _LOOK_S, exclusive=True)
         if not self._url.startswith("rfc2217:"):  # pyserial's rfc2217 knows no limit for writing
             settings["write_timeout"] = _WRITE_LIMIT_S
@@ -171,6 +185,9 @@ class _Reader:
         return port
 
     def _read(self, port: Any) -> None:
+        """Put received bytes into the inbox until closing, gathered for ``gather_s``; exceptions of the port pass
+        through.
+        """
         wait, take = self._ways(port)
         handed_over = time.monotonic()
         while not self._closing.is_set():
@@ -183,7 +200,7 @@ class _Reader:
             try:
                 while len(data) < _MOST_AT_ONCE and (more := take()):
                     data += more
-            finally:  # what came before the end still counts
+            finally:  # bytes received before the end still count
                 handed_over = time.monotonic()
                 call_from_thread(self._loop, self._put, ByteChunk(round(self._loop.time() * 1e9), data))
 
@@ -193,9 +210,11 @@ class _Reader:
         return scheme == "socket" or (scheme not in ("rfc2217", "loop") and os.name != "nt")
 
     def _ways(self, port: Any) -> tuple[Callable[[], bytes], Callable[[], bytes]]:
-        """Return how to wait for first bytes, and how to take what else has come, without waiting."""
+        """Return two functions: one waits for the first bytes, empty if woken up; one takes what else has come without
+        waiting.
+        """
         if not self._waits_on_descriptor:
-            # A buffer that tells how much is in it; on sockets in_waiting only tells whether there is anything.
+            # A buffer with a count of its bytes; on sockets in_waiting only tells whether there are any.
             return lambda: bytes(port.read(1)), lambda: bytes(port.read(min(port.in_waiting, _MOST_AT_ONCE)))
         descriptor = port.fileno()
 
@@ -214,12 +233,16 @@ class _Reader:
 
     def _end_inbox(self) -> None:
         if not self._closing.is_set():
-            what = "closed the connection" if _is_url(self._url) else "is gone: unplugged or without power"
-            self._inbox.end(f"serial port {self._url} {what}")
+            reason = "closed the connection" if _is_url(self._url) else "is gone: unplugged or without power"
+            self._inbox.end(f"serial port {self._url} {reason}")
 
 
 def _drop_backlog(port: Any) -> None:
-    """Drop what came before anybody listened: it has no time. A buffer behind the port's own may fill it again."""
+    """Discard bytes received before opening, as their time is unknown; look several times, as a second buffer may
+    refill.
+
+    Ends after three empty looks or ``_BACKLOG_S``.
+    """
     ends = time.monotonic() + _BACKLOG_S
     empty = 0
     while empty < 3 and time.monotonic() < ends:
@@ -243,7 +266,7 @@ def _is_url(url: str) -> bool:
 
 
 def _why_not(url: str, error: Exception) -> str:
-    """Say in plain words why a port could not be opened, and what to do."""
+    """Return in words why a port could not be opened, and what to do about it."""
     text = str(error)
     if isinstance(error, ValueError):
         return f"{text}; write a device such as /dev/ttyUSB0, socket://host:port or rfc2217://host:port"

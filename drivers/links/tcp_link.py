@@ -9,12 +9,12 @@ from drivers.types import ByteChunk
 
 _READ_LIMIT = 65536
 _MOST_UNSENT = 1 << 18
-# A peer that has lost its power says nothing: ask after two silent seconds, give it up five seconds later.
+# A peer without power is silent: probe after two silent seconds, give up five seconds later.
 _KEEPALIVE = {"TCP_KEEPIDLE": 2, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 5}
 
 
 class TcpLink:
-    """A TCP stream without delay, whose peer is asked whether it is still there when it says nothing."""
+    """A TCP stream without delay, with keep-alive probes while the peer is silent."""
 
     def __init__(self, device: str, host: str, port: int, timeout_s: float) -> None:
         """Name the peer; it is connected by ``open`` within ``timeout_s``."""
@@ -24,7 +24,7 @@ class TcpLink:
         self._ended = ""
 
     async def open(self) -> None:
-        """Connect; LinkLost if nobody listens."""
+        """Connect, closing an open connection first; LinkLost if nobody listens or answers within the time-out."""
         self.close()
         peer = f"{self._host}:{self._port}"
         try:
@@ -38,7 +38,7 @@ class TcpLink:
         _set_up(self._writer.get_extra_info("socket"))
 
     async def receive(self) -> ByteChunk:
-        """Return the next bytes; LinkLost when the peer has closed."""
+        """Return the next bytes; LinkLost if the link is not open, fails or was closed by the peer."""
         if self._reader is None:
             raise LinkLost(self._device, self._ended or "the link is not open")
         try:
@@ -50,7 +50,7 @@ class TcpLink:
         return ByteChunk(round(asyncio.get_running_loop().time() * 1e9), data)
 
     def write(self, data: bytes) -> None:
-        """Send bytes; LinkLost if the peer is gone or takes no more."""
+        """Send bytes; LinkLost if the link is not open, is closing, or holds too many unsent bytes."""
         if self._writer is None:
             raise LinkLost(self._device, self._ended or "the link is not open")
         if self._writer.is_closing():

@@ -1,10 +1,10 @@
-"""One request at a time on a byte link, and answers that are surely the answers to their requests.
+"""One request at a time on a byte link, and answers that surely belong to their requests.
 
-Languages of plain lines put no number on an answer. As long as every request got its answer in time, the next
-bytes answer the next request: the stream is *in step*. After a time-out, a malformed answer, a cancel or a byte
-that nobody asked for it is *in doubt*: what comes next may belong to an older request. It is then brought back
-by a token, a request whose answer cannot be anything else's. A controller answers in order, so all that comes
-before the answer to the token is old: it is discarded and counted.
+Languages of plain lines put no number on an answer. As long as every request got its answer in time, the next bytes
+answer the next request: the stream is *in step*. After a time-out, a malformed answer, a cancel or a byte that nobody
+asked for it is *in doubt*: what comes next may belong to an older request. It is then brought back by a token, a
+request whose answer cannot be anything else's. A controller answers in order, so all that comes before the answer to
+the token is old: it is discarded and counted.
 """
 
 import asyncio
@@ -19,15 +19,17 @@ from drivers.protocols import ByteLink
 from drivers.requests.turn import Turn
 from drivers.types import LinkCounts
 
-_LONGEST_ANSWER = 4096  # bytes; what is longer is no answer
+_LONGEST_ANSWER = 4096  # bytes; longer data are not an answer
 _ATTEMPTS = 2
 _MALFORMED_AT_MOST = 3  # answers to one request that are none, before it is given up
-_KEEP_LOOKING_FOR_TOKEN = 512  # bytes in which a token's answer is looked for
+_KEEP_LOOKING_FOR_TOKEN = 512  # bytes that are searched for a token's answer
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """The text of an answer without its framing, and when its request was sent and it was here, in loop time."""
+    """The text of an answer without its framing, with the loop times at which the request was sent and the answer
+    arrived.
+    """
 
     text: str
     refused: bool
@@ -38,7 +40,7 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class Framed:
-    """An answer found at the beginning of the bytes received; ``length`` bytes of them are its own."""
+    """An answer at the beginning of the bytes received; it takes ``length`` of them."""
 
     text: str
     refused: bool
@@ -47,7 +49,7 @@ class Framed:
 
 @dataclass(frozen=True, slots=True)
 class Token:
-    """A request with an answer of its own: ``find`` tells from where to where that is in the bytes received."""
+    """A request with an unmistakable answer; ``find`` returns where that begins and ends in the bytes received."""
 
     request: bytes
     find: Callable[[bytes], tuple[int, int] | None]
@@ -75,7 +77,7 @@ class Framing(Protocol):
 
 
 class UnexpectedReply(BadReply):
-    """An answer that its request cannot have, several times over; ``text`` is what the controller said."""
+    """Repeated answers that do not fit the request; ``text`` is the last of them."""
 
     def __init__(self, device: str, message: str, text: str) -> None:
         """Keep the controller's own text."""
@@ -84,21 +86,21 @@ class UnexpectedReply(BadReply):
 
 
 class Unanswered(LinkLost):
-    """The controller is there, but whether it has carried out a request that must not be repeated is not known."""
+    """The controller answers, but it is unknown whether it carried out a request that must not be repeated."""
 
 
 class _MalformedError(Exception):
-    """An answer that is none; its text is what there was of it."""
+    """An answer that fits no pattern; the argument is its text."""
 
 
 class Exchange:
-    """Requests and answers on a link; a controller that does not answer is known after two time-outs."""
+    """Requests and answers on a link; a controller counts as silent after two time-outs."""
 
     def __init__(self, device: str, link: ByteLink, framing: Framing, timeout_s: float) -> None:
-        """Each request is tried twice, ``timeout_s`` each time; getting back in step is part of that time."""
+        """Prepare for requests of two attempts of ``timeout_s`` each, resynchronisation included."""
         self._device, self._link, self._framing, self._timeout_s = device, link, framing, timeout_s
         self._turn = Turn()
-        self._in_doubt = True  # a serial line may hold answers to whoever asked before
+        self._in_doubt = True  # a serial line may hold answers to an earlier program
         self._silence_s = float("-inf")  # when the controller was last found silent
         self._failed = False  # since the link was opened, and not answered since
         self._heard = b""  # last
@@ -111,10 +113,10 @@ class Exchange:
         await self.get_in_step()
 
     async def tell_all(self, lines: Iterable[str]) -> None:
-        """Send lines at once, asking nothing first: for stopping. LinkLost if the link cannot be opened.
+        """Send lines at once without waiting for any answer, as for stopping; LinkLost if the link cannot be opened.
 
-        If it is lost, or the last request was not answered, that is on a new connection. An empty line goes before
-        them, which ends one that was cut on its way.
+        After a failed request or write the link is opened anew first. An empty line goes ahead, which ends a line that
+        was cut off on its way.
         """
         data = b"".join(map(self._framing.request, ("", *lines)))
         async with self._turn:
@@ -132,10 +134,12 @@ class Exchange:
         self._link.close()
 
     async def ask(self, line: str, pattern: re.Pattern[str], *, repeat: bool = True) -> Answer:
-        """Send a request and return its answer, which matches ``pattern`` whole or is a refusal.
+        """Send a request and return its answer, which matches ``pattern`` in full or is a refusal.
 
-        With ``repeat`` false the request is sent at most once. LinkLost if there is no answer, Unanswered if
-        there is none to a request sent once, UnexpectedReply if what came was no answer to it.
+        ``repeat`` false: the request is sent at most once. Before a new attempt, and after a malformed answer, the
+        exchange is resynchronised. LinkLost if no answer comes in two attempts; Unanswered if a request sent once has
+        none although the controller is there; UnexpectedReply after several malformed answers, or one where it must not
+        be repeated.
         """
         arrived = asyncio.get_running_loop().time()
         async with self._turn:
@@ -167,7 +171,10 @@ class Exchange:
             raise self._silent(f"to {line!r}")
 
     async def get_in_step(self, line: str | None = None) -> bytes:
-        """Send a request, if one is given, and a token; return what came before its answer; LinkLost if none comes."""
+        """Send ``line`` if given, then a token; return the bytes received before the token's answer.
+
+        LinkLost if no answer to the token comes in two attempts.
+        """
         arrived = asyncio.get_running_loop().time()
         async with self._turn:
             self._write(b"" if line is None else self._framing.request(line))
@@ -205,6 +212,11 @@ class Exchange:
             await self._resync()
 
     async def _once(self, line: str, pattern: re.Pattern[str], repeated: bool) -> Answer:
+        """Send the request once and return its answer; _MalformedError if the bytes do not fit, or more follow the
+        answer.
+
+        Waits without limit: the caller sets a time-out. After a refusal the next request is asked in step again.
+        """
         sent_s = asyncio.get_running_loop().time()
         self._write(self._framing.request(line))
         received = b""
@@ -220,7 +232,7 @@ class Exchange:
         beyond = received[framed.length :]
         if beyond.strip(self._framing.idle) or not (framed.refused or pattern.fullmatch(framed.text)):
             raise self._malformed(received)
-        # A refusal is one character, which noise can be: what it is about is asked in step.
+        # A refusal is one character, which may be noise: its reason is requested in step.
         self._in_doubt, self._failed = framed.refused, False
         return Answer(framed.text, framed.refused, repeated, sent_s, chunk.t_ns * 1e-9)
 
@@ -229,7 +241,7 @@ class Exchange:
         return _MalformedError(received.decode("ascii", "replace").strip())
 
     async def _resync(self) -> bytes:
-        """Return the last of what came before the answer to a token."""
+        """Send tokens until an answer is followed by silence; return the last bytes received before that answer."""
         before = b""
         while True:
             token = self._framing.token()
@@ -249,9 +261,9 @@ class Exchange:
             before += after
 
     async def _waiting(self, for_s: float = 0.0) -> bytes:
-        """Return what has come without being asked for, listening for so long."""
+        """Return bytes received without a request within ``for_s`` seconds, by default those that are already here."""
         received = b""
-        await asyncio.sleep(0)  # lets a socket hand over what it already has
+        await asyncio.sleep(0)  # lets a socket deliver bytes that it already has
         try:
             async with asyncio.timeout(for_s):
                 while len(received) <= _LONGEST_ANSWER:

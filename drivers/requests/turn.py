@@ -5,12 +5,12 @@ from typing import Any, Literal
 
 
 class Turn(asyncio.Lock):
-    """A lock that is free again when the task that held it has ended, however that came: no stop must wait for it."""
+    """A lock that is free again when its holding task has ended in any way, so that no stop waits for it."""
 
     _holder: asyncio.Task[Any] | None = None
 
     async def acquire(self) -> Literal[True]:
-        """Wait for the others."""
+        """Wait for the lock; one whose holder is done, or is the current task itself, is released first."""
         this = asyncio.current_task()
         if self._holder is not None and (self._holder.done() or self._holder is this):
             self.release()

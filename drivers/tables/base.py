@@ -1,4 +1,4 @@
-"""What drivers of tables have in common, whatever their controllers speak."""
+"""Common parts of table drivers, for any language of the controller."""
 
 import asyncio
 from collections.abc import Awaitable, Callable, Mapping
@@ -12,12 +12,12 @@ _HOMING_LIMIT_S = 60.0
 
 
 class Table:
-    """Axes with their limits, and the steps that every controller takes alike."""
+    """Axes with their limits, and the procedures that all controllers share."""
 
     def __init__(self, device: str, limits: Mapping[str, AxisLimits], timeout_s: float) -> None:
         """``limits`` are by axis; a request is tried twice, each for ``timeout_s``."""
         self._device, self.limits, self._timeout_s = device, limits, timeout_s
-        self._moved = ""  # the axis that was told last to move
+        self._moved = ""  # the axis of the last motion command
         self.homing: set[str] = set()  # axes that were sent home and are not there yet
 
     async def status(self, axis: str) -> AxisStatus:
@@ -25,7 +25,7 @@ class Table:
         raise NotImplementedError
 
     async def reset_fault(self) -> None:
-        """Clear the fault of every axis that has one; DeviceFault if one stays."""
+        """Clear the fault of every axis that has one; DeviceFault if an axis is still in fault afterwards."""
         for axis in self.limits:
             if not (await self.status(axis)).fault:
                 continue
@@ -44,14 +44,14 @@ class Table:
         return status
 
     async def _at_home(self, axis: str) -> bool:
-        """Return whether an axis that was sent home is there; DeviceFault if it is in fault."""
+        """Return whether an axis that was sent home has arrived; DeviceFault if it is in fault."""
         status = await self.status(axis)
         if status.trouble:
             raise DeviceFault(self._device, status.trouble)
         return status.target_reached
 
     async def _wait_for_home(self, poll_s: float) -> None:
-        """Ask all axes until each is at home; after a minute ``_give_up_homing`` and DeviceRefused."""
+        """Poll all axes until each is at home; after a minute call ``_give_up_homing`` and raise DeviceRefused."""
         loop = asyncio.get_running_loop()
         deadline = loop.time() + _HOMING_LIMIT_S
         while self.homing:
@@ -60,8 +60,8 @@ class Table:
                     self.homing.discard(axis)
             if self.homing and loop.time() > deadline:
                 await self._give_up_homing()
-                said = f"axis {', '.join(sorted(self.homing))} did not complete homing within {_HOMING_LIMIT_S:.0f} s"
-                raise DeviceRefused(self._device, said)
+                reason = f"axis {', '.join(sorted(self.homing))} did not complete homing within {_HOMING_LIMIT_S:.0f} s"
+                raise DeviceRefused(self._device, reason)
             await asyncio.sleep(poll_s)
 
     async def _give_up_homing(self) -> None:
@@ -73,6 +73,8 @@ class Table:
         read: Callable[[str], Awaitable[AxisState]],
         idle: Callable[[str], Awaitable[bool]] | None = None,
     ) -> str:
-        """Tell each axis to stop, the one that was moved last first, and return what was seen."""
+        """Stop all axes, the one moved last first, wait until they stand, and return what was seen; see
+        ``bring_to_rest``.
+        """
         axes = sorted(self.limits, key=lambda axis: axis != self._moved)
         return await bring_to_rest(self._device, axes, tell, read, self._timeout_s, idle)

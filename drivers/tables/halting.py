@@ -1,4 +1,4 @@
-"""Bringing a table to rest whatever has become of its link, and keeping hands off one that somebody else turns."""
+"""Bringing a table to rest whatever the state of its link, and avoiding a table that another program turns."""
 
 import asyncio
 import math
@@ -13,18 +13,18 @@ from drivers.types import AxisState
 
 AT_REST_RPS = math.radians(0.02)
 _TURNS_RPS = math.radians(0.05)  # at first contact: a servo that holds may tremble
-_STILL_RAD = math.radians(0.02)  # between two looks
+_STILL_RAD = math.radians(0.02)  # between two readings
 _LOOK_S = 0.02
 _TOLD_AGAIN_S = 0.5  # if an axis does not slow down meanwhile
 _WAIT = 50  # time-outs without anything new to be seen
-_TELLS, _HEEDS = 2, 0.98  # an axis that answers and has not slowed down since so many tells heeds none
-_SLOWER_RPS, _IN_A_ROW = math.radians(0.005), 5  # below what it was, and looks, before an axis has slowed down
+_TELLS, _HEEDS = 2, 0.98  # an axis that answers but has not slowed down after so many stops ignores them
+_SLOWER_RPS, _IN_A_ROW = math.radians(0.005), 5  # rate drop, and readings, for an axis that slows down
 _LOOKS = 3  # at one that turns without a motion of its controller's, which has nothing to stop then
 
 
 @contextmanager
 def kept(failures: list[DeviceError]) -> Iterator[None]:
-    """Keep what fails within, so that it keeps nothing else from being tried."""
+    """Collect device errors raised within, so that the caller can go on with the other axes."""
     try:
         yield
     except (LinkLost, BadReply, DeviceRefused) as error:
@@ -35,6 +35,7 @@ class _Axis:
     """What was seen of an axis since it was told to stop."""
 
     def __init__(self, name: str) -> None:
+        """Start without readings."""
         self.name = name
         self.stands = self.turns = False
         self.tells = self.astray = 0
@@ -45,12 +46,15 @@ class _Axis:
 
     @property
     def heedless(self) -> bool:
-        """Whether it was told often enough and slows no more (it may tremble), or turns without a motion to stop."""
-        told = self.tells >= _TELLS and len(self._rates_rps) == _IN_A_ROW  # a slow link takes its time for looks
-        return self.astray >= _LOOKS or (told and self._slowest_rps > min(_TURNS_RPS, _HEEDS * self._first_rps))
+        """Whether it got several stops and slows no more (it may tremble), or turns without a motion to stop."""
+        enough = self.tells >= _TELLS and len(self._rates_rps) == _IN_A_ROW  # a slow link needs time for its readings
+        return self.astray >= _LOOKS or (enough and self._slowest_rps > min(_TURNS_RPS, _HEEDS * self._first_rps))
 
     def see(self, state: AxisState) -> bool:
-        """Take a reading in; return whether it tells that the axis slows down or stands."""
+        """Add a reading; return whether it shows that the axis slows down or stands.
+
+        Slowing down means several readings in a row clearly below the slowest rate so far: single ones may be noise.
+        """
         self.turns = self._last is not None and abs(state.angle_rad - self._last.angle_rad) > _STILL_RAD
         still = self._last is not None and not self.turns
         rate_rps = abs(state.rate_rps)
@@ -61,7 +65,7 @@ class _Axis:
             self._rates_rps.append(rate_rps)
         self._last = state
         self.stands = rate_rps <= AT_REST_RPS and still
-        # Against what it was when that was last said: a gentle ramp takes its time to show, and noise has low readings.
+        # Compared with the rate at the last stop: a gentle ramp needs time to show, and noise has low readings.
         slows = len(self._rates_rps) == _IN_A_ROW and max(self._rates_rps) < self._slowest_rps - _SLOWER_RPS
         if slows:
             self._slowest_rps, self.tells = max(self._rates_rps), 0
@@ -70,7 +74,7 @@ class _Axis:
 
     @property
     def contradicts_itself(self) -> bool:
-        """Whether it reports a rate, and a position that has not changed since it was told."""
+        """Whether it reports a rate, but a position that has not changed since the stop."""
         if self._first is None or self._last is None:
             return False
         return (
@@ -78,6 +82,9 @@ class _Axis:
         )
 
     def text(self, now_s: float) -> str:
+        """Return in words the last reading of the axis and its age, or that its rate and angle contradict each
+        other.
+        """
         if self._last is None:
             return f"axis {self.name} no longer reports its state"
         if self.contradicts_itself:
@@ -95,29 +102,30 @@ async def bring_to_rest(
     timeout_s: float,
     idle: Callable[[str], Awaitable[bool]] | None = None,
 ) -> str:
-    """Tell all axes to stop, in this order, watch until they stand, and return in words what was seen.
+    """Tell all axes to stop, in the given order, wait until they stand, and return in words what was seen.
 
-    ``tell`` sends the stop to one axis, over a link that it opens again if that is lost. What fails with one keeps
-    no other from being told: it is told again once the others have been, and so is what is not seen to slow down.
-    ``idle`` asks whether the controller carries out no motion of an axis: a stop does nothing if that turns.
-    It ends when an axis that answers does not slow down for about a second, however long the others take, or after
-    ten seconds (at a ``timeout_s`` of 0.2 s) in which nothing new is seen. LinkLost, BadReply if something else
-    answered, or DeviceRefused if an axis turns on; each with what was seen last of each axis that may still turn.
+    ``tell`` sends the stop to one axis and reopens its link if that is lost. A failure with one axis does not delay the
+    others: it is told again after them, and so is an axis that is not seen to slow down. ``idle`` asks whether the
+    controller carries out no motion of an axis; if that axis turns all the same, a stop is of no use.
+
+    Gives up when an axis that answers does not slow down for about a second, or after ten seconds (at a ``timeout_s``
+    of 0.2 s) without news. LinkLost, BadReply if something else answered, or DeviceRefused if an axis keeps turning;
+    the message has the last reading of each axis that may still turn.
     """
     loop = asyncio.get_running_loop()
     began_s = seen_s = loop.time()
     waiting = [_Axis(name) for name in axes]
     while True:
         failures: list[DeviceError] = []
-        told = []
+        stopping = []
         for axis in tuple(waiting):
             with kept(failures):
                 await tell(axis.name)
-                told.append(axis)
-        for axis in told:
+                stopping.append(axis)
+        for axis in stopping:
             axis.news_s = loop.time()
-        while told and loop.time() < min(axis.news_s for axis in told) + _TOLD_AGAIN_S:
-            for axis in tuple(told):
+        while stopping and loop.time() < min(axis.news_s for axis in stopping) + _TOLD_AGAIN_S:
+            for axis in tuple(stopping):
                 try:
                     if axis.see(await read(axis.name)):
                         seen_s = axis.news_s = loop.time()
@@ -128,36 +136,41 @@ async def bring_to_rest(
                     waiting.append(waiting.pop(waiting.index(axis)))  # the others first
                     break
                 if axis.stands:
-                    told.remove(axis)
+                    stopping.remove(axis)
                     waiting.remove(axis)
-            # Who has not been told must not wait until the others stand, nor until all hope for one is gone.
-            if failures or any(axis.astray >= _LOOKS for axis in told):
+            # Axes that have not got a stop must not wait until the others stand, nor until one is given up.
+            if failures or any(axis.astray >= _LOOKS for axis in stopping):
                 break
-            await asyncio.sleep(_LOOK_S if told else 0.0)
+            await asyncio.sleep(_LOOK_S if stopping else 0.0)
         if not waiting:
             return f"{', '.join(axes)} seen at rest {loop.time() - began_s:.2f} s after the stop began"
-        for axis in told:
+        for axis in stopping:
             axis.tells += 1
-        heedless = [axis for axis in told if axis.heedless and not failures]
+        heedless = [axis for axis in stopping if axis.heedless and not failures]
         if heedless or loop.time() > seen_s + _WAIT * timeout_s:
             raise _not_at_rest(device, heedless or waiting, failures)
         await asyncio.sleep(_LOOK_S)
 
 
 def _not_at_rest(device: str, axes: Sequence[_Axis], failures: Sequence[DeviceError]) -> DeviceError:
-    """Return the error that says what was seen last of axes that may still turn, and what to do."""
+    """Return the error for axes that may still turn: the last readings and what to do. Its type follows the first
+    failure.
+    """
     now_s = asyncio.get_running_loop().time()
-    said = "; ".join(axis.text(now_s) for axis in axes)
+    readings = "; ".join(axis.text(now_s) for axis in axes)
     if failures:
         kind = BadReply if isinstance(failures[0], BadReply) else LinkLost
-        return kind(device, f"{failures[0].message}; {said}: look at the table")
+        return kind(device, f"{failures[0].message}; {readings}: look at the table")
     if all(axis.contradicts_itself for axis in axes):
-        return DeviceRefused(device, f"told to stop, {said}: its readings do not show whether it is at rest")
-    return DeviceRefused(device, f"told to stop, {said}: it keeps turning. Cut its power")
+        return DeviceRefused(device, f"told to stop, {readings}: its readings do not show whether it is at rest")
+    return DeviceRefused(device, f"told to stop, {readings}: it keeps turning. Cut its power")
 
 
 async def first_look(table: Turntable, *, take_over: bool) -> None:
-    """See at first contact that nobody else drives the table; DeviceRefused, or ``stop`` it to ``take_over``."""
+    """Check at first contact that nobody else drives the table: DeviceRefused if an enabled axis turns.
+
+    With ``take_over`` the table is stopped instead.
+    """
     for axis in table.limits:
         rate_rps = (await table.read(axis)).rate_rps
         if abs(rate_rps) <= _TURNS_RPS or not (await table.status(axis)).enabled:

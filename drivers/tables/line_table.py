@@ -1,4 +1,4 @@
-"""What drivers of tables have in common whose controllers speak lines of text."""
+"""Common parts of drivers for tables whose controllers use lines of text."""
 
 import math
 import re
@@ -14,13 +14,13 @@ from drivers.types import AxisState
 
 
 class LineTable(Table):
-    """A table whose controller speaks lines of text."""
+    """A table whose controller accepts lines of text."""
 
     _done = re.compile("")
     """What a command is answered with that is carried out."""
 
     def __init__(self, setup: TableSetup, link: ByteLink, framing: Framing) -> None:
-        """Take what the bench says, the link, which is not open yet, and how requests and answers stand in bytes."""
+        """Take the bench's settings, a link that is not open yet, and the framing of requests and answers."""
         super().__init__("table", {name: axis.limits for name, axis in setup.axes.items()}, setup.timeout_s)
         self._exchange = Exchange(self._device, link, framing, setup.timeout_s)
         self.counts = self._exchange.counts
@@ -36,7 +36,9 @@ class LineTable(Table):
         read: Callable[[str], Awaitable[AxisState]],
         idle: Callable[[str], Awaitable[bool]] | None = None,
     ) -> str:
-        """Bring all axes to rest by the lines that stop one, and return what was seen (``bring_to_rest``)."""
+        """Stop all axes with the lines that ``lines(axis)`` returns, and return what was seen; see
+        ``bring_to_rest``.
+        """
         return await self._bring_to_rest(lambda axis: self._exchange.tell_all(lines(axis)), read, idle)
 
     async def _tell(self, line: str) -> None:

@@ -1,4 +1,4 @@
-"""The way to rest: what ends every run, and what the guard does after a run that could not do it."""
+"""The way to rest: the end of every run, and the guard's action after a run that could not do it."""
 
 import asyncio
 from collections.abc import Callable
@@ -12,15 +12,16 @@ _STEP_LIMIT_S = 15.0
 async def make_safe(
     table: Turntable, /, *, time_scale: float, unconfirmed: Callable[[str], None], untrue_readings: bool = False
 ) -> SafeState:
-    """Stop a table, abort its motions if it is not seen to stop, and take its power off.
+    """Stop a table, abort its motions if it is not seen to stop, and switch its power off; raises nothing.
 
     ``unconfirmed(trouble)`` is called if the controlled stop was not confirmed, before the abort. With
-    ``untrue_readings`` nothing that the table says of the stop is believed: its power stays on for the braking time.
+    ``untrue_readings`` nothing that the table reports of the stop is believed: its power stays on for the longest
+    braking time, and no abort is sent. Power is switched off in any case, even if the table may then coast.
     """
     trouble = await tried(table.stop(), None)
     aborted = ""
     if untrue_readings:
-        # What was seen of the stop is worth nothing, and an axis that is let go in motion may coast.
+        # Confirmations of the stop are worthless, and an axis whose power is cut in motion may coast.
         limits = table.limits.values()
         await asyncio.sleep(max(axis.rate_rps / axis.acceleration_rps2 for axis in limits))
         trouble = "the table was told to stop, but its readings cannot show that it is at rest: check it"

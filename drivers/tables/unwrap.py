@@ -1,12 +1,12 @@
-"""Angles of a table that tells them within one turn, counted on over the turns."""
+"""Angles of a table that reports them within one turn, counted over all turns."""
 
 
 class Unwrapper:
-    """Puts each reading on the turn where the axis must be by its rate.
+    """Continues angles over full turns, using the rate to find the right turn.
 
-    Right as long as readings are so close together that the mean of two rates tells the way between them to
-    less than half a turn. A table that once tells a turn or more does not tell angles within one turn; from
-    then on it is believed.
+    Right as long as readings are so close together that the mean of two rates predicts the angle between them to less
+    than half a turn. A table that once reports a turn or more counts turns itself: its angles are then used as they
+    are.
     """
 
     def __init__(self, turn: float) -> None:
@@ -21,11 +21,13 @@ class Unwrapper:
         return self._last[0] if self._last is not None else float("-inf")
 
     def restart(self) -> None:
-        """Forget the turns: the next reading is taken as told, within half a turn of zero."""
+        """Forget the turns: the next reading counts as within half a turn of zero."""
         self._last = None
 
     def place(self, t_s: float, told: float, rate: float) -> float:
-        """Return the angle counted on."""
+        """Return the continuous angle for a reading: time (s), reported angle and rate, both in the unit of the
+        turn.
+        """
         self._counts_turns |= abs(told) >= self._turn * 1.0001
         expected = 0.0
         if self._last is not None:

@@ -19,7 +19,11 @@ def applied(
     temperature_c: Floats | None,
     accel_mps2: Floats | None,
 ) -> Any:
-    """Return the rate of the body; arguments, answer and errors are those of ``Calibration.apply``."""
+    """Return the body rate; arguments and result are those of ``Calibration.apply``.
+
+    A frame is reduced to the gyros' columns and comes back as a frame. CompensationError for missing columns, another
+    shape, lengths that differ, or missing times that an effect needs.
+    """
     names = compensation.array.names
     is_frame = hasattr(outputs_rps, "columns")
     if is_frame:

@@ -1,4 +1,4 @@
-"""The table's own uncertainty in the states of a gyro: type B contributions, combined as the GUM says.
+"""The table's own uncertainty in the states of a gyro: type B contributions, combined according to the GUM.
 
 Each imperfection of the table is put into the body rate that the estimate believes in, at the size of its standard
 uncertainty, and what the states move by is its contribution (GUM 5.1.3: sensitivity times standard uncertainty).
@@ -28,14 +28,14 @@ UNMEASURED = "unmeasured_conditions"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contribution:
-    """One line of the budget of a gyro: its covariance (4, 4) in the states [k, b, s_j, s_k]."""
+    """One line of a gyro's budget: its covariance (4, 4) in the states [k, b, s_j, s_k]."""
 
     name: str
     covariance: Floats
 
     @property
     def u(self) -> Floats:
-        """Standard uncertainty that it gives each state (4,)."""
+        """Standard uncertainty of each state (4,) from this line."""
         return np.sqrt(np.diag(self.covariance))
 
 
@@ -50,9 +50,10 @@ def merged(lines: Sequence[Contribution]) -> tuple[Contribution, ...]:
 def table_budget(
     readings: TableReadings, site: Site | None, array: SensorArray, prior: Prior, arw_rps_rthz: Floats
 ) -> list[tuple[Contribution, ...]]:
-    """Return the contributions of the table for each gyro; none if the table states no uncertainty.
+    """Return the contributions of the table for each gyro; none if the table states no uncertainty or has too few
+    readings.
 
-    ``arw_rps_rthz`` (m,) only decides what the prior weighs against the data, as in the estimate itself.
+    ``arw_rps_rthz`` (m,) only determines the weight of the prior relative to the data, as in the estimate itself.
     """
     if readings.uncertainty is None or len(readings.t_ns) < 8:
         return [() for _ in array.names]
@@ -68,7 +69,7 @@ def table_budget(
         gains.append(np.linalg.solve(information, maps[i]))
     covariances = {kind: np.zeros((len(array), 4, 4)) for kind in KINDS}
     for kind, change in _changes(readings, t_s, w):
-        seen = regressors.T @ change * period_s  # (4, 3): what the output error picks up is p . change
+        seen = regressors.T @ change * period_s  # (4, 3): the output error receives p . change
         for i in range(len(array)):
             shift = gains[i] @ (seen @ array.p[i])
             covariances[kind][i] += np.outer(shift, shift)
@@ -76,7 +77,10 @@ def table_budget(
 
 
 def _changes(readings: TableReadings, t_s: Floats, w: Floats) -> Iterator[tuple[str, Floats]]:
-    """Yield each imperfection's kind and what it changes in the body rate (rows, 3)."""
+    """Yield (kind, change) of each imperfection of the table: the change (rows, 3) of the body rate ``w`` by one sigma.
+
+    Kinds are rate, orthogonality, wobble and timing; nothing if the table states no uncertainty.
+    """
     u, gimbals = readings.uncertainty, readings.gimbals
     if u is None:
         return

@@ -1,4 +1,4 @@
-"""Results kept in the recording they were drawn from, the group /calibration, and read back from there."""
+"""Results in the recording they come from, in the group /calibration: written and read back."""
 
 import json
 from collections.abc import Sequence
@@ -31,13 +31,13 @@ from estimator.types import Floats
 def write_calibration(path: Path, calibration: Calibration, attributes: dict[str, object] | None = None) -> None:
     """Write /calibration: names, sources, states (n, 4), sd (n, 4), covariance (n, 4, 4), noise of a sample (n,).
 
-    Of runs on a table also ``noise`` (n, 3) and what 95 % of the expectation lies below (n, 2), and ``budget`` (n,
-    contributions, 4): standard uncertainties that add in squares to ``sd``. If the table rested, also the Allan
-    deviation then, ``allan_deviation_rps`` (n, t) at ``allan_tau_s`` (n, t), NaN beyond the last, its interval of 95 %
-    from ``allan_low_rps`` to ``allan_high_rps``, and the noise it tells of: the likeliest N, B and K in ``rest_noise``
-    (n, 3), their intervals from ``rest_noise_low`` to ``rest_noise_high``, the lower end 0 of what was not seen.
-    With an error model its effects, ``effects`` (n, e) and ``effects_sd`` (n, e) in SI units, named by the attributes
-    ``effect_names`` and ``effect_units``; ``model`` is the text of that model.
+    With ``noise`` (n, 3) if known for all gyros, its upper 95 % limits (n, 2), and ``budget`` (n, contributions, 4):
+    standard uncertainties that add in squares to ``sd``. If all gyros were at rest, also the Allan deviation
+    ``allan_deviation_rps`` (n, t) at ``allan_tau_s`` (n, t), NaN beyond the last, its 95 % interval from
+    ``allan_low_rps`` to ``allan_high_rps``, and N, B and K in ``rest_noise`` (n, 3) with their intervals from
+    ``rest_noise_low`` to ``rest_noise_high``, the lower end 0 if not seen. With an error model its effects, ``effects``
+    (n, e) and ``effects_sd`` (n, e) in SI units, named by the attributes ``effect_names`` and ``effect_units``;
+    ``model`` is the text of that model. ``attributes`` are added to the group.
     """
     gyros = calibration.gyros
     found = [g.noise for g in gyros if g.noise is not None]
@@ -84,7 +84,7 @@ def write_calibration(path: Path, calibration: Calibration, attributes: dict[str
 
 
 def _rest_datasets(rests: Sequence[SensorNoise]) -> dict[str, NDArray[np.float64]]:
-    """Return what the rests say of the noise of each gyro, curves with NaN beyond their last averaging time."""
+    """Return the datasets of the noise at rest; curves are NaN beyond their last averaging time."""
     longest = max(len(rest.curve.tau_s) for rest in rests)
     columns = {"tau_s": "tau_s", "deviation_rps": "deviation", "low_rps": "low", "high_rps": "high"}
     found = {
@@ -99,14 +99,14 @@ def _rest_datasets(rests: Sequence[SensorNoise]) -> dict[str, NDArray[np.float64
 
 
 def read_calibration(path: Path | str, *, trusted: bool = False) -> Calibration:
-    """Return the calibration in the group /calibration of a recording.
+    """Return the calibration stored in the group /calibration of a recording.
 
-    Not kept in files, and so not here: correlations within a line of the budget (its covariance is diagonal), the
-    Allan deviation's time span (``rest`` is None), and what redundant gyros say of each other (``parity``).
-    ``trusted`` skips the probe, for a file that this process has read already.
+    Not stored, and so missing: correlations within a line of the budget (its covariance is diagonal), the noise at rest
+    (``rest`` is None), and the parity of redundant gyros. ``trusted`` skips the probe, for a file that this process has
+    read already.
 
-    Raises RecordingError if the file cannot be read, holds no calibration or a damaged one; ModelError if the error
-    model in it is of another version.
+    RecordingError if the file cannot be read, or holds no calibration or a damaged one; ModelError if its error model
+    is of another version.
     """
     path = Path(path)
     if not trusted:
@@ -125,6 +125,7 @@ def read_calibration(path: Path | str, *, trusted: bool = False) -> Calibration:
 
 
 def _read(path: Path, file: Any, group: Any) -> Calibration:
+    """Return the calibration of an open group; ValueError if it holds no valid states."""
     names, sources = _texts(group["name"][()]), _texts(group["source"][()])
     n = len(names)
     model = str(plain(group.attrs.get("model", "")))
@@ -187,7 +188,7 @@ def _noise(group: Any, gyro: int) -> NoiseFound | None:
 
 
 def _effects(group: Any, model: str, n: int, where: str) -> list[tuple[EffectValue, ...]]:
-    """Return the effects of each gyro; what is expected of them is in the text of the model."""
+    """Return the effects of each gyro; their expected sizes are taken from the text of the model."""
     labels = [label.partition(": ") for label in _texts(group.attrs.get("effect_names", ()))]
     if not labels:
         return [()] * n

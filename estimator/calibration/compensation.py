@@ -34,12 +34,14 @@ _OF_THAT_TABLE = "it belongs to the axes of the table on which it was found, and
 
 
 class CompensationError(EstimatorError):
-    """Gyros that do not tell a body rate, or samples without what the effects need."""
+    """Gyros that do not determine a body rate, or samples without data that the effects need."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldEffect:
-    """An effect that is undone, and how it ``acts``; ``values`` (n, p) are its parameters on each gyro, in SI units."""
+    """An effect that is corrected, and how it ``acts``; ``values`` (n, p) are its parameters for each gyro, in SI
+    units.
+    """
 
     known: KnownEffect
     values: Floats
@@ -53,10 +55,10 @@ class HeldEffect:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Compensation:
-    """What turns outputs of n gyros into the rate of their body.
+    """Everything needed to turn the outputs of n gyros into the rate of their body.
 
-    ``states`` (n, 4) are those of ``model.STATES``. ``delay_s``: stamps of samples are late by so much. ``left_out``
-    are effects of the error model that are not undone, with the reason.
+    ``states`` (n, 4) are those of ``model.STATES``. ``delay_s``: stamps of samples are late by that much. ``left_out``
+    are effects of the error model that are not corrected, with the reason.
     """
 
     array: SensorArray
@@ -67,10 +69,11 @@ class Compensation:
 
     @classmethod
     def of(cls, gyros: Sequence[GyroCalibration], arrays: Mapping[str, SensorArray], model: str = "") -> Self:
-        """Return that of calibrated gyros; ``arrays`` are those of their sources, ``model`` is ``Calibration.model``.
+        """Return the compensation of calibrated gyros; ``arrays`` are those of their sources, ``model`` the
+        calibration's.
 
-        Gyros of one name in two devices get the device's before it. Raises ModelError for a model of another version,
-        CompensationError for an effect that this version does not know how to undo.
+        Gyros of the same name get their device's name as prefix. ModelError for a model of another version,
+        CompensationError for an effect that this version cannot correct.
         """
         known = {effect.called: effect for effect in ErrorModel.parse(model, "calibration").effects} if model else {}
         effects: list[HeldEffect] = []
@@ -96,7 +99,7 @@ class Compensation:
 
     @property
     def bias_rps(self) -> Floats:
-        """Biases b (n,): what is to be added to the outputs."""
+        """Biases b (n,), to be added to the outputs."""
         return self.states[:, 1]
 
     @property
@@ -117,9 +120,9 @@ class Compensation:
         return next((effect.values for effect in self.effects if effect.name == name), None)
 
     def simplified(self, keep: Collection[str], temperature_c: float) -> tuple[Self, dict[str, str]]:
-        """Return what is left for a form that holds only some effects, and why each other one is not in it.
+        """Return a compensation with only the effects ``keep``, and for each other effect why it is left out.
 
-        Effects of the temperature are then those at ``temperature_c``, and a warm-up is over.
+        Of effects of the temperature the constants then include the value at ``temperature_c``, and a warm-up is over.
         """
         g, b = self.sensitivity, self.bias_rps.copy()
         above = temperature_c - REFERENCE_C if np.isfinite(temperature_c) else 0.0
@@ -146,7 +149,7 @@ class Compensation:
 
 
 def _joined(gyros: Sequence[GyroCalibration], arrays: Mapping[str, SensorArray]) -> SensorArray:
-    """Return the gyros, of whatever sources, as one array."""
+    """Return the gyros of all sources as one array."""
     names = [gyro.name for gyro in gyros]
     if len(set(names)) < len(names):
         names = [f"{gyro.device or gyro.source} {gyro.name}" for gyro in gyros]

@@ -20,7 +20,7 @@ _TIMED = frozenset({"lag", "t", "Tdot", "a", "aj", "ak", "jolt"})
 
 
 def needs_of(of: Compensation) -> frozenset[str]:
-    """Return what samples must come with: "temperature", "specific force", "time"."""
+    """Return the data that are needed with the samples: "temperature", "specific force", "time"."""
     needed = set[str]().union(*(effect.known.effect(()).needs for effect in of.effects))
     laws = [held.known.law for held in of.effects if held.known.law]
     told = set[str]().union(*map(functions_of, laws), *map(variables_of, laws))
@@ -30,9 +30,10 @@ def needs_of(of: Compensation) -> frozenset[str]:
 
 
 def less_added(of: Compensation, rate_rps: Floats, t_s: Floats, *sensed: Floats | None) -> Floats:
-    """Return outputs (N, n) in rad/s rid of bias and of all effects that do not depend on the rate.
+    """Return outputs (N, n) in rad/s without bias and without the effects that do not depend on the rate; lags are
+    undone.
 
-    ``sensed``: temperature and specific force as for ``compensate``.
+    ``sensed`` are temperature and specific force, as for ``compensate``.
     """
     temperature_c, accel_mps2 = (*sensed, None, None)[:2]
     _check(of, temperature_c, accel_mps2)
@@ -50,13 +51,13 @@ def compensate(
     temperature_c: Floats | None = None,
     accel_mps2: Floats | None = None,
 ) -> Floats:
-    """Return the rate (N, 3) of the body in rad/s and body axes from outputs (N, n) in rad/s at instants (N,).
+    """Return the body rate (N, 3) in rad/s and body axes, from outputs (N, n) in rad/s at instants (N,).
 
-    ``temperature_c`` (N,) in degC and ``accel_mps2`` (N, 3), the specific force in body axes, are needed where an
-    effect depends on them. A warm-up counts from the first instant. The rate is that at ``t_s - delay_s``. It is
-    NaN where effects of the rate cannot be undone, which is far beyond the rates that they were found at.
+    ``temperature_c`` (N,) in degC and ``accel_mps2`` (N, 3), the specific force in body axes, are needed if an effect
+    depends on them. A warm-up starts at the first instant. The rate is that at ``t_s - delay_s``. It is NaN where
+    effects of the rate cannot be undone, far beyond the rates at which they were determined.
 
-    Raises CompensationError for gyros that do not span space, and if something is lacking.
+    CompensationError for gyros that do not span space, and if data are missing.
     """
     left = less_added(of, rate_rps, t_s, temperature_c, accel_mps2)
     w = _inverted(of, left, t_s, temperature_c, accel_mps2)
@@ -76,7 +77,9 @@ def _check(of: Compensation, temperature_c: Floats | None, accel_mps2: Floats | 
 def _inverted(
     of: Compensation, left: Floats, t_s: Floats, temperature_c: Floats | None, accel_mps2: Floats | None
 ) -> Floats:
-    """Return body rates (N, 3) from outputs (N, n) that only the rate has a part in."""
+    """Return body rates (N, 3) from outputs (N, n) that hold the rate and its effects only; NaN where iteration
+    diverges.
+    """
     solution = of.solution.T
     with np.errstate(over="ignore", invalid="ignore"):  # of infinities, and of rows that come to no end
         w = left @ solution
@@ -94,7 +97,7 @@ def _inverted(
 
 
 def _effects(of: Compensation, acts: Acts, conditions: Conditions) -> Floats:
-    """Return what effects that act like this add to the outputs (N, n), by their own regressors."""
+    """Return the sum (N, n) of the effects that act in the way ``acts``."""
     added = np.zeros((len(conditions.t_s), len(of.array)))
     for held in of.effects:
         if held.acts is acts:
@@ -112,6 +115,7 @@ def _conditions(
     accel_mps2: Floats | None,
     wdot_rps2: Floats | None = None,
 ) -> Conditions:
+    """Return the conditions for correcting samples: causal, without a table; the specific force is NaN if not given."""
     none = np.empty((len(t_s), 0))
     force = np.full((len(t_s), 3), np.nan) if accel_mps2 is None else accel_mps2
     wdot = np.zeros_like(w_rps) if wdot_rps2 is None else wdot_rps2
@@ -130,10 +134,10 @@ def _conditions(
 
 
 def _slope(values: Floats, t_s: Floats) -> Floats:
-    """Return the rate of change (N, m) since the sample before.
+    """Return the rate of change (N, m) since the previous sample.
 
-    It is zero where it is not known: at the first, where no time has passed, and beside what is no number, so that
-    such a sample spoils no other.
+    It is zero where unknown: at the first sample, where no time has passed, and beside values that are not finite, so
+    that these spoil no other sample.
     """
     step = np.diff(t_s)[:, None]
     slope = np.zeros_like(values)

@@ -31,12 +31,12 @@ WHERE = "investigation/error_model"
 
 
 class ModelError(EstimatorError):
-    """A file that holds no error model, or a model that a recording cannot be estimated with."""
+    """A file without an error model, or a model that cannot be used for a recording."""
 
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """What is expected of one parameter of an effect: mean and standard deviation in its SI unit."""
+    """Expected value of one parameter of an effect: mean and standard deviation in its SI unit."""
 
     name: str
     unit: str
@@ -46,10 +46,10 @@ class Size:
 
 @dataclass(frozen=True, slots=True)
 class KnownEffect:
-    """An effect of the catalogue, or one constructed, as a type of gyro has it.
+    """An effect of the catalogue, or a constructed one, with its sizes for a type of gyro.
 
-    ``settings`` hold what is not linear in it, by key. ``sizes`` are by parameter. ``found`` is what they come from: by
-    gyro, or by "all gyros" for a shared effect, value and standard deviation of each parameter.
+    ``settings`` are its non-linear settings, by key. ``sizes`` are by parameter. ``found`` is their origin: by gyro, or
+    by "all gyros" for a shared effect, value and standard deviation of each parameter.
     """
 
     name: str
@@ -76,14 +76,14 @@ class KnownEffect:
 
     @property
     def record(self) -> Record:
-        """What the catalogue says of it."""
+        """Its record in the catalogue."""
         record = record_of(self.name)
         assert record is not None, self.name
         return record
 
     @property
     def law(self) -> str:
-        """Its law; "" if no law can say it."""
+        """Its law; "" if it cannot be written as a law."""
         return self.record.law.format(**self.settings)
 
     @property
@@ -92,9 +92,10 @@ class KnownEffect:
         return axes_of(self.law) if self.law else (str(self.settings["axis"]),) if "axis" in self.settings else ()
 
     def effect(self, gimbals: Sequence[str]) -> Effect:
-        """Return the effect, made by its record, on a table with these gimbals (none: no table).
+        """Return the effect for a table with these gimbals (none: no table), with its sizes as the largest plausible
+        ones.
 
-        The sizes stand in the place of the largest plausible ones. Raises ModelError if the table does not fit.
+        ModelError if the effect does not fit the table.
         """
         lacking = [axis for axis in self.axes if axis not in gimbals]
         if lacking and gimbals:
@@ -114,16 +115,16 @@ class KnownEffect:
 
 @dataclass(frozen=True, slots=True)
 class ErrorModel:
-    """Effects beyond the four states, and effects that were found but say nothing of another device, with the reason.
+    """Effects beyond the four states, and effects that were found but do not apply to another device, with the reason.
 
-    ``text`` gives the file's content, ``parse`` and ``read`` bring it back.
+    ``text`` returns the file's content; ``parse`` and ``read`` restore the model.
     """
 
     effects: tuple[KnownEffect, ...]
     left_out: Mapping[str, str] = field(default_factory=dict)
 
     def made(self, gimbals: Sequence[str], offers: frozenset[str]) -> list[Effect]:
-        """Return the effects for a recording that holds what ``offers`` names; ModelError if one needs more."""
+        """Return the effects for a recording with the data in ``offers``; ModelError if one needs more."""
         effects = [known.effect(gimbals) for known in self.effects]
         for what, remedy in _REMEDIES.items():
             lacking = [known.called for known, e in zip(self.effects, effects, strict=True) if what in e.needs - offers]
@@ -154,7 +155,7 @@ class ErrorModel:
 
     @classmethod
     def parse(cls, text: str, where: str) -> Self:
-        """Return the model that a text holds; ModelError, with what is wrong, if there is none."""
+        """Return the model in a text; ModelError, with the reason, if it is not one. ``where`` names the text."""
         try:
             whole = read_json(text)
         except (ValueError, RecursionError):
@@ -174,7 +175,7 @@ class ErrorModel:
 
     @classmethod
     def read(cls, path: Path | str) -> Self:
-        """Return the model in a file: JSON, or what an investigation wrote (HDF5). ModelError if it holds none."""
+        """Return the model in a file: JSON, or the HDF5 file of an investigation. ModelError if it holds none."""
         path = Path(path)
         try:
             if not path.is_file():
@@ -196,6 +197,7 @@ _REMEDIES = {
 
 
 def _read_effect(entry: Mapping[str, Any], where: str) -> KnownEffect:
+    """Return one effect of a model; ModelError if the catalogue lacks it, ValueError if its parameters differ."""
     name = str(entry["effect"])
     record = record_of(name)
     if record is None or record.not_kept:
@@ -229,7 +231,9 @@ def _finite(key: str, value: object) -> float:
 
 
 def _text_in(path: Path) -> str:
-    """Return the text of the model in the file of an investigation, read by a child process first."""
+    """Return the text of the model in an investigation's HDF5 file, which a child process reads first; ModelError if
+    none.
+    """
     probe(path)
     with h5py.File(path, "r") as file:
         held = file.get(WHERE)

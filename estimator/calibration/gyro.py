@@ -12,9 +12,10 @@ from estimator.types import Floats
 
 @dataclass(kw_only=True, frozen=True, slots=True)
 class EffectValue:
-    """One parameter of an effect of the error model: what was found on a gyro, and what the model expected.
+    """One parameter of an effect of the error model: its estimate for a gyro, and the model's expectation.
 
-    SI: value and standard deviation in ``unit``; ``expected_sd`` is that of the model. ``shared``: of all gyros.
+    In SI: value and standard deviation in ``unit``; ``expected_sd`` is that of the model. ``shared``: common to all
+    gyros.
     """
 
     effect: str
@@ -30,9 +31,9 @@ class EffectValue:
 class GyroCalibration:
     """States of one gyro [k, b_rps, sigma_j_rad, sigma_k_rad], their covariance, the noise of one sample.
 
-    ``covariance`` holds everything; ``budget`` is what it is the sum of: type A, from the scatter of the data, and
-    type B, from the table's stated uncertainty. ``noise`` is what the data say of the noise, where they do, and
-    ``rest`` what the rests of the table alone say of it. ``effects`` are those of the error model, if one was given.
+    ``covariance`` is complete; ``budget`` has its parts: type A, from the scatter of the data, and type B, from the
+    table's stated uncertainty. ``noise`` is the estimated noise, if any, and ``rest`` that from rests of the table
+    alone. ``effects`` are those of the error model, if one was given.
     """
 
     name: str
@@ -60,6 +61,8 @@ class GyroCalibration:
 
     @property
     def type_a(self) -> Floats:
-        """What the data leave open of the states (4, 4), whatever may be wrong with the reference; all if not known."""
+        """Covariance of the states (4, 4) from the data alone, without the reference; the whole one if not known
+        apart.
+        """
         own = [line.covariance for line in self.budget if line.name in TYPE_A]
         return np.asarray(np.sum(own, axis=0)) if own else self.covariance

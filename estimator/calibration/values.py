@@ -1,4 +1,4 @@
-"""What a recording says of its gyros: values, without the way they were found."""
+"""The results of a calibration: values, without the way they were found."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -21,9 +21,9 @@ _UNSEEN = 0.5  # a posterior sigma above this share of the prior's: the run did 
 
 @dataclass(kw_only=True, frozen=True, slots=True)
 class GyroParity:
-    """Fault that the parity sees in one gyro: rms and worst block over their sigma; ``suspect`` if not by chance.
+    """Residual of one gyro in the parity: rms and worst block over their sigma; ``suspect`` if that is not chance.
 
-    ``told_apart``: whether the parity can tell this gyro from the others of its device.
+    ``told_apart``: whether the parity can separate this gyro from the others of its device.
     """
 
     name: str
@@ -37,7 +37,7 @@ class GyroParity:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UndeclaredEffect:
-    """An effect that nobody has declared: which ``share`` of the variance of a state it makes, what would show it."""
+    """An effect that nobody has declared: its ``share`` of the variance of a state, and what would show it."""
 
     state: str
     effect: str
@@ -47,14 +47,14 @@ class UndeclaredEffect:
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Calibration:
-    """What one recording says of its gyros. ``samples`` counts gyro samples used, ``lost`` those missing.
+    """The calibration of one recording. ``samples`` counts gyro samples used, ``lost`` missing ones.
 
-    ``excluded`` are gyros that could not be estimated; ``parity`` is what the gyros of redundant devices say of
-    each other. ``model`` is the text of the error model that the estimate began with, if one was given. ``doubts`` are
-    those of the notes that speak against the sigmas, ``spoilt`` those of them that no sigma can hold: what was measured
-    changed in mid-run, or the table's readings contradict each other. ``holds_for`` are the conditions that the states
-    are of, ``offsets`` those between the reference and the samples of each source, where they were estimated.
-    ``constancy`` says of each axis that turned over which time a change of what was estimated would have been found.
+    ``excluded`` are gyros that could not be estimated; ``parity`` compares the gyros of redundant devices. ``model`` is
+    the text of the error model given to the estimate, if any. ``doubts`` are the notes that question the sigmas,
+    ``spoilt`` those that no sigma can cover: changes during the run, or contradictory readings of the table.
+    ``holds_for`` are the conditions for which the states are valid, ``offsets`` the time offsets between reference and
+    samples of each source, where estimated. ``constancy`` says, for each axis that turned, over which time a change
+    would have been detected.
     """
 
     gyros: tuple[GyroCalibration, ...]
@@ -84,17 +84,18 @@ class Calibration:
         temperature_c: Floats | None = None,
         accel_mps2: Floats | None = None,
     ) -> Any:
-        """Return the rate of the body for samples of the calibrated gyros, in rad/s about the body axes x, y, z.
+        """Return the body rate for samples of the calibrated gyros, in rad/s about the body axes x, y, z.
 
-        ``outputs_rps`` (N, n) in rad/s has a column for each gyro, in the order of ``gyros``. A pandas.DataFrame has
-        columns of their names, in any order beside others; the answer is then a DataFrame (x_rps, y_rps, z_rps) with
-        its index, else an array (N, 3). ``device`` selects the gyros of one device under test.
+        ``outputs_rps`` (N, n) in rad/s has a column for each gyro, in the order of ``gyros``. In a pandas.DataFrame
+        columns are found by name; the result is then a DataFrame (x_rps, y_rps, z_rps) with its index, else an array
+        (N, 3). ``device`` selects the gyros of one device under test.
 
-        Effects of the error model are undone, too. Those of the temperature need ``temperature_c`` (N,), those of
+        Effects of the error model are corrected, too. Those of temperature need ``temperature_c`` (N,), those of
         acceleration ``accel_mps2`` (N, 3), the specific force in body axes, and those with memory the instants ``t_s``
         (N,). Rates are NaN where an effect of the rate cannot be undone.
 
-        Raises CompensationError if gyros do not span space, or if columns, temperatures or others are missing.
+        CompensationError for an unknown device, gyros that do not span space, or missing columns, temperatures and so
+        on.
         """
         gyros = tuple(gyro for gyro in self.gyros if device in (None, gyro.device))
         if not gyros:
@@ -139,7 +140,7 @@ class Calibration:
 
 
 def unseen_notes(name: str, covariance: Floats, prior: Prior) -> list[str]:
-    """Return which states of a gyro its covariance (4, 4) says were not seen, in words."""
+    """Return a sentence for each state of a gyro whose sigma, by its covariance (4, 4), is nearly that of the prior."""
     ratio = np.sqrt(np.diag(covariance) / prior.variances())
     labels = ("scale factor error k", "bias b", "misalignment sigma_j", "misalignment sigma_k")
     return [

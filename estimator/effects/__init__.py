@@ -1,1 +1,1 @@
-"""Effects that the error model may lack: their regressors, what excites them, what they are confused with."""
+"""Effects that the error model may lack: their regressors, what excites them, which others they resemble."""

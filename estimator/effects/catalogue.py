@@ -1,4 +1,4 @@
-"""The catalogue: every effect that is looked for, kept or undone, by its name."""
+"""The catalogue: every effect that is searched for, stored or undone, by its name."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -23,9 +23,9 @@ def record_of(name: str) -> Record | None:
 
 
 def register(*effects: Record, origin: str = "") -> None:
-    """Make effects known to everything that the station does, in the place of others of their names from outside.
+    """Add effects to the catalogue, replacing others of the same name that came from outside.
 
-    ``origin`` says where they come from. Raises EffectError for one that is damaged, or has the name of a built-in one.
+    ``origin`` is the file or package. EffectError for an invalid record, or one with the name of a built-in effect.
     """
     for record in effects:
         record.check()
@@ -35,13 +35,13 @@ def register(*effects: Record, origin: str = "") -> None:
 
 
 def everything(gimbals: Sequence[str] = ("z", "y", "x"), duration_s: float = 360.0) -> tuple[Effect, ...]:
-    """Return what is looked for on a table with these gimbals in a run of so long: first what plans tell of."""
+    """Return the effects searched for on a table with these gimbals, for a run's duration: planned ones first."""
     ordered = sorted(records(), key=lambda record: not _planned(record))
     return tuple(record.effect(gimbals, **settings) for record in ordered for settings in record.listed(duration_s))
 
 
 def catalogue(gimbals: Sequence[str], duration_s: float) -> tuple[Effect, ...]:
-    """Return those whose smallest sizes a plan tells: neither noise nor faults of the data."""
+    """Return the effects whose smallest visible sizes a plan gives: neither noise nor faults of the data."""
     return tuple(effect for effect in everything(gimbals, duration_s) if _planned(effect.record))
 
 

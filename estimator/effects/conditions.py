@@ -1,4 +1,4 @@
-"""What gyros on a table go through: all that the regressor of an effect may depend on."""
+"""Conditions of gyros on a table: everything on which the regressor of an effect may depend."""
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -26,15 +26,15 @@ class Axes(NamedTuple):
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Conditions:
-    """Rows of an even grid of instants ``t_s`` (N,).
+    """Conditions on an even grid of instants ``t_s`` (N,).
 
-    ``w_rps`` and ``wdot_rps2`` (N, 3): inertial rate of the body in body axes, and its derivative there.
-    ``angle_rad``, ``rate_rps``, ``acceleration_rps2`` (N, g): those of the ``gimbals``, outermost first.
-    ``specific_force_mps2`` (N, 3) in body axes, NaN if it is not known; ``temperature_c`` (N,), None if that is
-    not known. Without a table there are no ``gimbals``. ``w_rps`` holds Earth rate only where there is a ``site``.
-    ``delayed_rps`` gives, for a delay in s, the body rate (N, 3) that long ago, as means over the samples that the
-    output errors are means of; None where conditions are of a plan. ``causal``: nothing that is to come is known.
-    ``reference_c``: temperature at which effects of it are nothing. ``cache`` holds the values of ``once``.
+    ``w_rps`` and ``wdot_rps2`` (N, 3): inertial rate of the body in body axes, and its derivative there. ``angle_rad``,
+    ``rate_rps``, ``acceleration_rps2`` (N, g): those of the ``gimbals``, outermost first; there are none without a
+    table. ``specific_force_mps2`` (N, 3) in body axes, NaN if unknown; ``temperature_c`` (N,), None if unknown.
+    ``w_rps`` includes Earth rate only if there is a ``site``. ``delayed_rps(delay_s)`` gives the body rate (N, 3) that
+    long before, averaged over the same samples as the output errors; None for planned conditions. ``causal``: nothing
+    later than an instant is known there. ``reference_c``: temperature at which thermal effects are zero. ``cache``
+    holds the results of ``once``.
     """
 
     t_s: Floats
@@ -63,7 +63,7 @@ class Conditions:
 
     @property
     def offers(self) -> frozenset[str]:
-        """What effects may need and this holds: "gimbals", "specific force", "temperature"."""
+        """The data available for effects: "gimbals", "specific force", "temperature"."""
         held = {
             "gimbals": bool(self.gimbals),
             "specific force": bool(np.isfinite(self.specific_force_mps2).all()),
@@ -77,9 +77,9 @@ class Conditions:
         return float(self.t_s[1] - self.t_s[0])
 
     def once(self, key: Hashable, work: Callable[[], Floats]) -> Floats:
-        """Return the array that ``work`` makes: computed on the first call with a key, then kept.
+        """Return the array ``work()``, computed at the first call with ``key`` and read-only.
 
-        The array is read-only. The key must hold everything but the conditions that the values depend on.
+        The key must contain everything besides the conditions on which the values depend.
         """
         if key not in self.cache:
             values = work()
@@ -97,7 +97,7 @@ class Conditions:
         return found
 
     def rows(self, chosen: slice | NDArray[np.intp]) -> Self:
-        """Return those at some instants; what was before is not known of them."""
+        """Return the conditions at some instants, without the earlier rates that a delay needs."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         cut: dict[str, Any] = {name: v[chosen] for name, v in values.items() if isinstance(v, np.ndarray)}
         return replace(self, **cut, delayed_rps=None)
@@ -114,7 +114,10 @@ class Conditions:
         temperature_c: Floats | None = None,
         site: Site | None = None,
     ) -> Self:
-        """Return what a motion of gimbals (N, g) puts a body through. Raises RecordingError for unknown gimbals."""
+        """Return the conditions of a body that the gimbals move (angles, rates, accelerations (N, g)).
+
+        RecordingError for unknown gimbals.
+        """
         names = check_gimbals(gimbals)
         return cls(
             t_s=t_s,
@@ -140,10 +143,10 @@ def smoothed_slope(t_s: Floats, temperature_c: Floats) -> Floats:
 
 
 def follow(values: Floats, shares: Floats) -> Floats:
-    """Return what follows values (N,): at each instant it stays behind by a share of how far behind it was.
+    """Return values (N,) smoothed recursively: each output keeps ``shares`` of the last output's distance to the input.
 
-    ``shares`` are (N,), or (1,) if they are all the same. It begins at the first value that is finite. What is not
-    finite stays as it is, and is passed over.
+    ``shares`` are (N,), or (1,) for all. It starts at the first finite value. Values that are not finite are skipped,
+    and returned unchanged.
     """
     out = np.array(values, dtype=np.float64)
     finite = np.isfinite(out)
@@ -155,7 +158,7 @@ def follow(values: Floats, shares: Floats) -> Floats:
 
 
 def _follow_finite(x: Floats, share: Floats) -> Floats:
-    """Return what follows finite values (N,).
+    """Return finite values (N,) smoothed recursively.
 
     y[n] - share[n] y[n-1] = (1 - share[n]) x[n] is a lower triangular system with one band below its diagonal.
     """
@@ -174,8 +177,8 @@ def body_acceleration(
 ) -> Floats:
     """Return the derivative (N, 3) of the body rate in body axes, rad/s2.
 
-    Through each gimbal with axis e, v becomes R' v + e rate, so its derivative becomes R' vdot - rate e x (R' v) +
-    e acceleration.
+    Through each gimbal with axis e, v becomes R' v + e rate, so its derivative becomes R' vdot - rate e x (R' v) + e
+    acceleration.
     """
     base = np.zeros(3) if site is None else site.earth_rate_rps()
     v = np.tile(base, (len(angle_rad), 1))

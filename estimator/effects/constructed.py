@@ -29,9 +29,9 @@ CONSTRUCTED = Record(
 
 
 def constructed(law: str, largest: tuple[float, ...] = ()) -> Effect:
-    """Return the effect of a law, a gyro its own; ``largest`` sizes of its coefficients, 1 if not given.
+    """Return the effect of a law, separate for each gyro; ``largest`` are the sizes of its coefficients, 1 by default.
 
-    Raises LawError for a text that is no law.
+    LawError for a text that is not a law.
     """
     effect = CONSTRUCTED.effect(law=_checked("law", law))
     sizes = largest or (1.0,) * len(effect.parameters)
@@ -40,6 +40,6 @@ def constructed(law: str, largest: tuple[float, ...] = ()) -> Effect:
 
 
 def readable(called: str) -> str:
-    """Return the name of an effect, or of a law in a model, as people say it."""
+    """Return the readable name of an effect, or of a law in a model."""
     kind, _, law = called.partition(" ")
     return f"{kind}: {in_words(law)}" if kind == CONSTRUCTED.name and law else called.replace("_", " ")

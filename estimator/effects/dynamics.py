@@ -12,9 +12,10 @@ _LAGUERRE = np.polynomial.laguerre.laggauss(4)
 
 
 def _late(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
-    """Return the columns of a delay: p . (w that long ago - w), per second of the delay.
+    """Return the columns of a delay: p . (w that long before - w), per second of the delay.
 
-    They are exact for ``delay_s``; for 0, or where it is not known what was before, their limit -p . wdot.
+    They are exact for the setting ``delay_s``. If that is 0, or the rate before is unknown, they are the limit -p .
+    wdot.
     """
     delay_s = float(settings.get("delay_s", 0.0))
     if not delay_s or conditions.delayed_rps is None:
@@ -23,11 +24,11 @@ def _late(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
 
 
 def _lagging(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
-    """Return the column of a first-order lag per second of its time constant; exact for ``tau_s``.
+    """Return the column of a first-order lag per second of its time constant; exact for the setting ``tau_s``.
 
-    A lag of time constant T is the mean of all delays, exp(-delay / T) / T each (four points of Gauss and Laguerre);
-    where it is not known what was before, -u' + tau u'', u = p . w. Beside a delay only the second derivative differs,
-    so the two look alike on ramps.
+    A lag of time constant T is the mean of all delays, weighted by exp(-delay / T) / T (four points of Gauss and
+    Laguerre). If the rate before is unknown, it is -u' + tau u'', u = p . w. Only the second derivative differs from a
+    delay, so the two look alike on ramps.
     """
     tau_s = float(settings.get("tau_s", LAG_S))
     if conditions.delayed_rps is None:

@@ -1,4 +1,4 @@
-"""The effect: something that the four states of a gyro lack, as one record of all that the station knows of it.
+"""The effect: an error that the four states of a gyro do not cover, as one record of all knowledge about it.
 
 The output of gyro i gains ``+ sum of parameter * phi`` (rad/s), phi being the columns of ``Effect.columns``. A
 ``Record`` says what holds on any table: the law, what it may depend on in a non-linear way (a time constant, an
@@ -36,11 +36,11 @@ def _none(conditions: Conditions, axes: Axes) -> Floats:
 
 
 class EffectError(EstimatorError):
-    """A record that is none: the message says what it lacks."""
+    """An invalid record of an effect; the message says what it lacks."""
 
 
 class Kind(StrEnum):
-    """How an effect is dealt with."""
+    """How an effect is handled."""
 
     LAW = "law"
     NOISE = "noise"
@@ -48,7 +48,7 @@ class Kind(StrEnum):
 
 
 class Acts(StrEnum):
-    """How an effect that is undone comes into the output."""
+    """Where in the output an effect acts that is corrected."""
 
     ADDED = "whatever the rate"
     RATE = "by the rate, undone by iteration"
@@ -59,9 +59,9 @@ class Acts(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One number of an effect: its SI unit, and the largest size that real gyros and tables plausibly have.
+    """One parameter of an effect: its SI unit, and the largest size plausible for real gyros and tables.
 
-    The name may hold settings in braces.
+    The name may contain settings in braces.
     """
 
     name: str
@@ -79,11 +79,10 @@ def positive(key: str, value: object) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """What is not linear in an effect: its ``key`` in models ("" if it is not kept), its name ("" if stated), its unit.
+    """A non-linear setting of an effect: ``key`` in models ("" if not stored), name ("" if it is stated), unit.
 
-    ``text`` shows a value, ``read`` takes one out of a file. ``grid`` gives, for the length of the recordings in s and
-    a number of values, those from which it is looked for, beginning with number ``begin``; ``range_log`` is the
-    logarithm of its range in nature.
+    ``text`` formats a value, ``read`` checks one of a file. ``grid(span_s, count)`` returns the values to search from,
+    starting with number ``begin``; ``range_log`` is the logarithm of its range in nature.
     """
 
     key: str
@@ -98,9 +97,10 @@ class Setting:
 
 @dataclass(frozen=True, slots=True)
 class Odds:
-    """Logarithm of how much an effect is expected against the others before the data.
+    """Log odds of an effect relative to the others before the data.
 
-    ``warm`` is that where a temperature was measured, ``beside`` names an effect and what it is next to that one.
+    ``warm`` applies where a temperature was measured; ``beside`` names an effect and the odds if that one is in the
+    model.
     """
 
     log: float = 0.0
@@ -115,31 +115,28 @@ def of_plausible_size(sizes: Floats) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Record:
-    """All that is known of an effect.
+    """All that is known about an effect.
 
-    ``parameters`` in order, or how they follow from the axes of a table and the settings. ``law`` (see ``law``) has a
-    term for each, settings in braces; an effect that no law can say has ``regressors``, the columns of one gyro (N,
-    parameters) from settings, conditions and axes, and a ``formula`` for people. ``kind``; ``shared``: one set of
-    parameters for all gyros (a cause in the table, the site or the clock), not one a gyro. ``shown_by`` says what
-    excites it, ``confused_with`` names effects that look alike in many runs. ``settings`` are what is not linear.
-
-    ``depends_on`` is what a residual that holds it depends on, ``suspected_of`` what a residual that depends on may
-    hold it. ``needs`` names what a recording must hold beside rates and what the law says: "temperature", "gimbals"
-    (angles of the table's axes), "specific force". ``odds`` are its prior odds; it is ``searched`` for as it stands, if
-    ``tracing`` knows no other way; ``plausible`` says whether sizes can be those of it.
-
-    ``planned``: a plan tells its smallest size. ``listed`` gives the settings that stand for it in a run of some
-    seconds; ``assumed`` those that share its variance where nobody has spoken of it, from the first instant to the
-    last. ``power`` of the rate with which it grows.
-
-    ``acts`` is how it is undone, if the law does not say it, ``left_out`` why it is not undone, ``not_kept`` why it
-    says nothing of other devices of the type, ``not_live`` why a live estimate goes without it. ``of_table``: its cause
-    is an error of the table, whose axes give its parameters; ``of_encoders``: an encoder read from outside may have
-    the same; ``within_turns``: it comes to nothing over a turn from rest to rest; ``alike``: all gyros have the same
-    columns; ``any_phase``: it is the ratio of its parameters that differs from gyro to gyro. ``label``, with settings
-    in braces, is what an effect is called where the name would stand for several.
-    ``display`` gives units that people read for SI units that the station has none for: by SI unit, unit and factor.
-    ``origin`` is the file or package that brought it, "" for a built-in one.
+    - ``parameters`` in order, or a function of the table's axes and the settings that returns them. ``law`` (see
+      ``law``) has a term for each, settings in braces; an effect without a law has ``regressors``, which return the
+      columns of one gyro (N, parameters) from settings, conditions and axes, and a ``formula`` for people. ``settings``
+      are its non-linear ones.
+    - ``shared``: one set of parameters for all gyros (a cause in table, site or clock) instead of one per gyro.
+      ``shown_by`` says what excites it, ``confused_with`` names effects that often look alike.
+    - ``depends_on`` is the quantity on which a residual with this effect depends; ``suspected_of`` lists quantities
+      whose residuals may contain it. ``needs`` names data beyond rates and those of the law: "temperature", "gimbals"
+      (angles of the table's axes), "specific force". ``odds`` are its prior odds. It is ``searched`` for as it stands
+      unless ``tracing`` has another way; ``plausible`` says whether sizes can be real.
+    - ``planned``: a plan states its smallest visible size. ``listed(span_s)`` gives the settings that stand for it;
+      ``assumed`` those that share its variance if it is undeclared, for the first to the last instant. ``power`` is
+      that of the rate with which it grows.
+    - ``acts`` says how it is corrected, if the law does not; ``left_out`` why it is not corrected, ``not_kept`` why it
+      does not apply to other devices of the type, ``not_live`` why a live estimate ignores it. ``of_table``: an error
+      of the table, whose axes give its parameters; ``of_encoders``: an external encoder may have the same;
+      ``within_turns``: it vanishes over a turn from rest to rest; ``alike``: all gyros have the same columns;
+      ``any_phase``: the ratio of its parameters differs between gyros.
+    - ``label``, with settings in braces, replaces the name where that is ambiguous. ``display`` maps SI units without a
+      usual display unit to (unit, factor). ``origin`` is the file or package it came from, "" if built in.
     """
 
     name: str
@@ -177,18 +174,17 @@ class Record:
 
     @property
     def kept_settings(self) -> tuple[Setting, ...]:
-        """Settings that a model holds."""
+        """Settings that a model stores."""
         return tuple(setting for setting in self.settings if setting.key)
 
     @property
     def grid(self) -> Setting | None:
-        """The setting that is looked for among many values."""
+        """The setting that is searched for over many values, None without one."""
         return next((setting for setting in self.settings if setting.grid is not None), None)
 
     def effect(self, gimbals: Sequence[str] = (), **settings: Value) -> "Effect":
-        """Return the effect on a table with these axes, its settings at these values.
-
-        Raises LawError for a law that is none.
+        """Return the effect for a table with these axes and these values of its settings; LawError if its law is
+        invalid.
         """
         own = self.parameters if isinstance(self.parameters, tuple) else self.parameters(gimbals, settings)
         law = self.law.format(**settings) if settings else self.law
@@ -210,7 +206,7 @@ class Record:
         )
 
     def check(self) -> None:
-        """Raise EffectError, with what is wrong, for a record that the station cannot work with."""
+        """Raise EffectError, with the reason, if the station cannot work with this record."""
         if not re.fullmatch("[a-z][a-z0-9_]*", self.name):
             raise EffectError(f"the effect {self.name!r} has no name of small letters, digits and underscores")
         for key in ("parameters", "confused_with", "suspected_of"):
@@ -237,9 +233,9 @@ class Record:
 
 @dataclass(kw_only=True, frozen=True, slots=True)
 class Effect:
-    """An effect on some table, its settings at some values, its ``law`` with them in place; "" if it is none.
+    """An effect for one table, with values for its settings; its ``law`` has them inserted, "" if it has none.
 
-    ``regressors`` gives the columns of one gyro, (N, parameters). ``needs`` names what a recording must hold for them.
+    ``regressors`` returns the columns of one gyro (N, parameters). ``needs`` names the data they require.
     """
 
     name: str
@@ -270,9 +266,11 @@ class Effect:
 
     @property
     def acts(self) -> Acts | None:
-        """How it is undone; None if it is not.
+        """How it is corrected; None if it is not.
 
-        Time and temperature of a law are remembered sample by sample, which no iteration may do.
+        Without a law, or with no correction, as its record says. Else by the law: effects that need neither rate nor
+        acceleration are subtracted; those with acceleration, temperature change or memory are computed once from the
+        motion, as iteration must not repeat them; all others are solved with the rate.
         """
         if self.record.left_out or not self.law:
             return self.record.acts
@@ -284,7 +282,7 @@ class Effect:
 
 
 def family(name: str, /, **coded: dict[str, Any]) -> tuple[Record, ...]:
-    """Return the effects that the file of a family lists, NAME.toml; ``coded`` is by effect what only code can say."""
+    """Return the effects of the family file NAME.toml; ``coded`` adds by effect what only code can define."""
     found = []
     for effect, facts in packaged_toml("estimator.effects", f"{name}.toml").items():
         read = {key: _READ[key](value) if key in _READ else value for key, value in facts.items()}

@@ -1,10 +1,10 @@
-"""Laws: what an effect adds to the output of a gyro, as an expression over what the gyro goes through.
+"""Laws: the error that an effect adds to the output of a gyro, as an expression of the gyro's conditions.
 
-A law is text, as ``lag(T, 58)*gx``: names of variables, numbers, products, powers, quotients, and some functions.
-Three of these remember: ``lag(x, c)`` follows x as a first-order lag of c seconds, ``play(x, c)`` as a linkage with a
-play of c follows its drive (Krasnosel'skii, Pokrovskii 1989); ``last(x, c)`` is the sign that x had last beyond c,
-``last(x)`` beyond a twentieth of its largest size: of the recording, or so far where conditions are causal. Terms of
-one law are separated by semicolons, each with a coefficient of its own. Memory passes over what is not finite.
+A law is text, as ``lag(T, 58)*gx``: names of variables, numbers, products, powers, quotients, and some functions. Three
+of these remember: ``lag(x, c)`` follows x as a first-order lag of c seconds, ``play(x, c)`` as a linkage with a play of
+c follows its drive (Krasnosel'skii, Pokrovskii 1989); ``last(x, c)`` is the sign that x had last beyond c, ``last(x)``
+beyond a twentieth of its largest size: of the recording, or so far where conditions are causal. Terms of one law are
+separated by semicolons, each with a coefficient of its own. Memory passes over what is not finite.
 
 A law is parsed and compiled once; its variables are worked out once for each gyro under the same conditions.
 """
@@ -47,11 +47,11 @@ Compiled = Callable[[Any], Floats]
 
 
 class LawError(ValueError):
-    """A text that is no law; the message says where."""
+    """A text that is not a law; the message says where."""
 
 
 def columns_of(law: str, conditions: Conditions, axes: Axes) -> Floats:
-    """Return the terms (N, terms) of a law for a gyro; LawError for a text that is none."""
+    """Return the terms (N, terms) of a law for a gyro; LawError for an invalid text."""
     variables = Variables(conditions, axes)
     terms = compiled(law)
     columns = np.empty((len(conditions.t_s), len(terms)))
@@ -62,16 +62,17 @@ def columns_of(law: str, conditions: Conditions, axes: Axes) -> Floats:
 
 @lru_cache(4096)
 def needs_of(law: str) -> frozenset[str]:
-    """Return what conditions must offer for a law."""
+    """Return the quantities that conditions must offer for a law."""
     names = variables_of(law)
     needs = {_NEEDS[VARIABLES[name][0]] for name in names if VARIABLES[name][0] in _NEEDS}
     return frozenset(needs | {"gimbals" for name in names if "_" in name})
 
 
 def settled(law: str, above_k: float) -> tuple[Floats, Floats] | None:
-    """Return what a law comes to at a steady temperature, long after the start: biases and gains (terms,).
+    """Return the values of a law at a steady temperature, long after the start, as biases and gains (terms,).
 
-    Gains are those of the rate about the sense axis. None if it depends on more than that.
+    Gains are relative to the rate about the sense axis. None if the law depends on anything else, or not linearly on
+    it.
     """
     if not set(variables_of(law)) <= {"T", "t", "u"} or functions_of(law) & {"lag", "play", "last"}:
         return None
@@ -115,9 +116,9 @@ def of_each_gyro(law: str) -> bool:
 
 
 def in_words(law: str) -> str:
-    """Return a law as a sentence's object: "bias proportional to temperature lagged by 58 s".
+    """Return a law in words: "bias proportional to temperature lagged by 58 s".
 
-    A law of many terms is told by what they are about and what they do.
+    A law of many terms is described by its variables and functions only.
     """
     if len(parsed(law)) > _MOST_TERMS_TOLD:
         about = " and ".join(VARIABLES[name][2] for name in variables_of(law))
@@ -129,7 +130,7 @@ def in_words(law: str) -> str:
 
 @lru_cache(4096)
 def parsed(law: str) -> tuple[ast.expr, ...]:
-    """Return the terms of a law as trees; LawError for anything that the grammar does not hold."""
+    """Return the terms of a law as syntax trees; LawError for anything outside the grammar."""
     if not isinstance(law, str) or not law.strip() or len(law) > _MOST_CHARACTERS:
         raise LawError(f"{law!r}: a law is a text of 1 to {_MOST_CHARACTERS} characters")
     if not _CHARACTERS.fullmatch(law):
@@ -146,6 +147,7 @@ def parsed(law: str) -> tuple[ast.expr, ...]:
 
 
 def _check(node: ast.expr) -> None:
+    """Raise LawError if a syntax tree is not within the grammar of laws."""
     match node:
         case ast.Constant(value=int() | float()):
             return
@@ -178,7 +180,7 @@ _PLAIN: Mapping[str, Callable[[Any], Any]] = {
 
 
 class Variables:
-    """The variables of laws for one gyro under some conditions, each worked out when it is first asked for."""
+    """The variables of laws for one gyro under given conditions, each computed when first used."""
 
     def __init__(self, conditions: Conditions, axes: Axes) -> None:
         self.causal = conditions.causal
@@ -196,7 +198,7 @@ class Variables:
 
 
 def _variable(name: str, c: Conditions, axes: Axes) -> Floats:
-    """Return a variable (N,) under conditions, for a gyro with these axes."""
+    """Return a variable (N,) under conditions ``c``, for a gyro with these axes."""
     match name:
         case "u" | "uj" | "uk":
             return np.asarray(c.w_rps @ getattr(axes, _OF_GYROS[name]))
@@ -250,7 +252,7 @@ def compiled(law: str) -> tuple[Compiled, ...]:
 
 
 def _compiled(node: ast.expr) -> Compiled:
-    """Return a checked tree as a function."""
+    """Return a checked syntax tree as a function of the variables; LawError for syntax that laws do not have."""
     match node:
         case ast.Constant(value=int() | float() as number):
             constant = np.asarray(float(number))
@@ -274,7 +276,7 @@ def _compiled(node: ast.expr) -> Compiled:
 
 
 def _call(name: str, inner: Compiled, numbers: Sequence[float]) -> Compiled:
-    """Return a function of laws applied to a compiled argument."""
+    """Return a law's function applied to a compiled argument."""
     match name, numbers:
         case "lag", [lag_s]:
             return lambda known: follow(inner(known), np.exp(-known.steps_s / float(lag_s)))
@@ -310,15 +312,15 @@ def _steps_s(t_s: Floats) -> Floats:
 
 
 def played(values: Floats, width: float) -> Floats:
-    """Return what follows values (N,) with a play of ``width`` in all, beginning in its middle.
+    """Return values (N,) after a play of total ``width``, starting in its middle.
 
-    It begins at the first value that is finite. What is not finite stays as it is, and is passed over.
+    It starts at the first finite value. Values that are not finite are skipped, and returned unchanged.
     """
     out = np.array(values, dtype=np.float64)
     finite = np.flatnonzero(np.isfinite(out))
     x = out[finite]
     # From one instant to the next the play is limited to half a width about the value. Limits one after the other are
-    # limits again, so those over 1, 2, 4, ... instants follow from each other, until all say the same of any start.
+    # limits again, so those over 1, 2, 4, ... instants follow from each other, until all agree for any start.
     low, high = x - 0.5 * width, x + 0.5 * width
     low[:1] = high[:1] = x[:1]
     reach = 1
@@ -379,6 +381,7 @@ _MANY = {"play": "plays", "expm1": "decays", "abs": "bends", "lag": "lags"}
 
 
 def _words(node: ast.expr) -> str:
+    """Return a syntax tree in words."""
     match node:
         case ast.BinOp(left=ast.Call(func=ast.Name(id="abs"), args=[inner]), op=op, right=right) if _same(inner, right):
             return _one_side(inner, "beyond" if isinstance(op, ast.Add) else "below")

@@ -28,7 +28,7 @@ RECORDS = EARTH_RATE, G_SENSITIVITY = family(
     earth_rate={
         "parameters": tuple(Parameter(f"along base {axis}", "rad/s", EARTH_RATE_RPS) for axis in "xyz"),
         "regressors": _of_the_base,
-        "plausible": lambda sizes: bool(np.linalg.norm(sizes[0]) < 1 + _MISSED),  # it is as long as it is
+        "plausible": lambda sizes: bool(np.linalg.norm(sizes[0]) < 1 + _MISSED),  # its length is fixed
     },
 )
 _UPWARD = (Parameter("upward", "rad/s", EARTH_RATE_RPS),)

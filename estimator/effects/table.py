@@ -1,4 +1,4 @@
-"""Effects of the table: its axes, its rates, what goes round with it."""
+"""Effects of the table: its axes, its rates, and errors that repeat with each turn."""
 
 from collections.abc import Sequence
 
@@ -25,10 +25,10 @@ def _waves_of(gimbals: Sequence[str], settings: Settings) -> tuple[Parameter, ..
 
 
 def _tilting(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
-    """Return the columns of each inner axis tilted towards the two others.
+    """Return the columns of each inner axis tilted towards the two others; none for a single axis.
 
-    The outermost axis defines the base. With a small rotation d that takes an axis to where it is, R' becomes
-    (1 + d x) R' (1 - d x), and the error of the body rate w becomes R' error + d x w - R' (d x (w before)).
+    The outermost axis defines the base. With a small rotation d that tilts an axis, R' becomes (1 + d x) R' (1 - d x),
+    and the error of the body rate w becomes R' error + d x w - R' (d x (w before)).
     """
     if len(conditions.gimbals) < 2:
         return np.empty((len(conditions.t_s), 0))
@@ -64,7 +64,7 @@ def _tilts(axis: str) -> tuple[Floats, Floats]:
 
 
 def _tilted(conditions: Conditions, inner: int, d: Floats) -> Floats:
-    """Return the error of the body rate (N, 3) per radian by which gimbal ``inner`` is rotated by d (3,)."""
+    """Return the error (N, 3) of the body rate per radian of rotation of gimbal ``inner`` about d (3,)."""
     v = np.zeros_like(conditions.w_rps)
     if conditions.site is not None:
         v = v + conditions.site.earth_rate_rps()

@@ -31,7 +31,7 @@ from estimator.recordings.recording import Recording
 from estimator.recordings.reference import Poses, TableReadings, Turns
 
 _CHANCE = 4.0  # standard deviations of the scatter of block means
-_NEAR = 0.05  # to which the noise is known beside that
+_NEAR = 0.05  # accuracy of the estimated noise, in addition
 
 
 def calibrate(
@@ -41,16 +41,16 @@ def calibrate(
     model: ErrorModel | None = None,
     excluded: frozenset[str] | None = None,
 ) -> Calibration:
-    """Return the batch estimate of every gyro under its data sheet's prior, the noise taken from the data.
+    """Return the batch estimate of the states of every gyro under its data sheet's prior, with noise taken from the
+    data.
 
-    The noise may be coloured (``estimator.estimation.noise_evidence``). The offset in time of each source
-    is estimated too; against another instrument sigmas hold errors that hang together. ``innovations`` also gives the
-    mean NIS, else that is NaN. With a ``model`` its effects are estimated with the states, and what the recording does
-    not show of them is in the sigmas. Without one ``excluded`` names the effects of the catalogue that device and table
-    do not have: what the others could do to the states unseen is in the sigmas then; None leaves that out.
+    The noise may be coloured (``estimator.estimation.noise_evidence``). Each source's time offset is estimated too,
+    except at rest, for turns or poses, and with a model that holds a delay. ``innovations`` also gives the mean NIS,
+    else NaN. A ``model``'s effects are estimated with the states. Without one, ``excluded`` names the catalogue's
+    effects that device and table do not have: the sigmas hold what the others could do unseen; not for None.
 
-    Raises RecordingError if a source has no samples that the reference covers, no gyro can be estimated, or memory does
-    not suffice; ModelError if the recording lacks what the model needs.
+    Raises RecordingError if a source has no samples the reference covers, no gyro can be estimated, or memory is too
+    small; ModelError if the recording lacks what the model needs.
     """
     if model is not None:
         check_model(model, recording)
@@ -97,7 +97,9 @@ def calibrate(
 
 
 def _gyro_notes(recording: Recording, gyros: Sequence[tuple[SourceEstimate, GyroCalibration]]) -> list[str]:
-    """Return, in words, what a recording did not show of its gyros; of a body at rest that was told."""
+    """Return sentences on what a recording did not show of its gyros; none for a body at rest, which has its own
+    note.
+    """
     notes: list[str] = []
     for one, gyro in gyros if not at_rest(recording.reference) else ():
         notes += unseen_notes(gyro.name, gyro.type_a, one.data.prior)
@@ -106,9 +108,11 @@ def _gyro_notes(recording: Recording, gyros: Sequence[tuple[SourceEstimate, Gyro
 
 
 def _usable(recording: Recording) -> tuple[Recording, Sources, list[str], tuple[Excluded, ...]]:
-    """Return a recording without what its reference says wrong, its sources with what can be used of each, notes.
+    """Return (recording, sources, notes, excluded gyros) after the examination of the data.
 
-    Notes are on these and their motion; beside come the gyros that were left out.
+    The recording comes without the readings that its reference has wrong. The sources are pairs of name and usable
+    data: a source may give several parts. The notes cover what was left out, the motion, and the motion that another
+    instrument reports. Raises RecordingError with the reasons if no gyro is left, and if memory does not suffice.
     """
     check_estimating(recording)
     seen = examined(recording)
@@ -132,7 +136,8 @@ def _devices(
 ) -> list[DeviceEstimate]:
     """Return the estimates of all devices, in the order of their sources.
 
-    RecordingError where there is none, with the ``defective`` gyros that were left out: they may be why.
+    Raises RecordingError where a device cannot be estimated; except for TooShort the message then also names the
+    ``defective`` gyros that were left out, because they may be the reason.
     """
     found = []
     for device in dict.fromkeys(data.device for _, data in sources):
@@ -150,7 +155,11 @@ def _devices(
 def _device(
     recording: Recording, sources: Sources, model: ErrorModel | None, excluded: frozenset[str] | None
 ) -> DeviceEstimate:
-    """Return the estimate of the sources of one device, under white noise where there is too little for more."""
+    """Return the estimate of the sources of one device, by the method that the reference allows.
+
+    Poses are estimated from gravity, turns without a model under white noise, all others under coloured noise. Where
+    there is too little data for coloured noise, white noise is used instead; with a model TooShort is raised.
+    """
     if isinstance(recording.reference, Poses):
         return estimate_laid(recording.reference, sources)
     if not isinstance(recording.reference, Turns) or model is not None:
@@ -163,7 +172,11 @@ def _device(
 
 
 def _gyros(recording: Recording, found: SourceEstimate) -> list[GyroCalibration]:
-    """Return the gyros of a source, the table's own uncertainty and the noise of its rests beside what was found."""
+    """Return the calibration of each gyro of a source, with the table's own uncertainty and the noise at rest added.
+
+    The uncertainty of the table is added only for table readings. A line that the estimate holds already (the time
+    offset) replaces the line of that name which the table states.
+    """
     reference, data, m = recording.reference, found.data, len(found.data.array)
     table: list[tuple[Contribution, ...]] = [()] * m
     rests: list[SensorNoise | None] = [None] * m
@@ -174,7 +187,7 @@ def _gyros(recording: Recording, found: SourceEstimate) -> list[GyroCalibration]
         rests = [*rest_noise(data, reference)] or rests
     gyros = []
     for i, name in enumerate(data.array.names):
-        own = found.lines[i]  # the offset in time, if it was estimated, in place of what the table states of its timing
+        own = found.lines[i]  # the time offset, if it was estimated, replaces the table's stated timing
         kinds = (*own, *(line for line in table[i] if line.name not in {one.name for one in own}))
         states, covariance = decode(found.x[i], np.sum([c.covariance for c in kinds], axis=0))
         gyros.append(
@@ -196,7 +209,7 @@ def _gyros(recording: Recording, found: SourceEstimate) -> list[GyroCalibration]
 
 
 def _parity(estimates: Sequence[SourceEstimate], gyros: Sequence[GyroCalibration]) -> list[GyroParity]:
-    """Return the parity check of the gyros of a device, none where there are no blocks to check."""
+    """Return the parity check of the gyros of a device; an empty list if a source has no block means to check."""
     blocks = [one.blocks for one in estimates if one.blocks is not None]
     if len(blocks) < len(estimates):
         return []
@@ -207,9 +220,10 @@ def _parity(estimates: Sequence[SourceEstimate], gyros: Sequence[GyroCalibration
 
 
 def _mean_nis(recording: Recording, model: ErrorModel | None, estimates: Sequence[SourceEstimate]) -> float:
-    """Return the mean NIS, see ``filter_nis``; where no filter can be run, that of block means about the estimate.
+    """Return the mean NIS of the live filter (``filter_nis``), or that of the block means where no filter can be run.
 
-    These have the scatter of single samples for a sigma. NaN where there are no blocks either.
+    The latter is the mean square of the block means about the estimate, over the scatter of single samples as their
+    sigma. NaN where there are no blocks either.
     """
     nis = filter_nis(recording, model)
     if nis is not None:
@@ -224,7 +238,7 @@ def _block_squares(estimates: Sequence[SourceEstimate]) -> tuple[float, int]:
 
 
 def _scatter_doubts(estimates: Sequence[SourceEstimate]) -> list[str]:
-    """Return, in words, that block means scatter otherwise than the noise found makes them, if they do."""
+    """Return a sentence if the block means scatter otherwise than the estimated noise predicts, else an empty list."""
     squares, dof = _block_squares(estimates)
     if not dof or not np.isfinite(squares):
         return []
@@ -239,6 +253,10 @@ def _scatter_doubts(estimates: Sequence[SourceEstimate]) -> list[str]:
 
 
 def _parity_notes(checks: list[GyroParity]) -> list[str]:
+    """Return one sentence on gyros that disagree, an empty list if none is suspect.
+
+    It names the worst gyro if the check can tell it apart from the others, else all suspects.
+    """
     suspects = [check for check in checks if check.suspect]
     if not suspects:
         return []

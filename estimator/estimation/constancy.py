@@ -1,10 +1,10 @@
-"""Whether what a calibration takes for constant was so: the states of each gyro, gearing and angles of each axis.
+"""Whether the quantities that a calibration takes as constant were so: states of gyros, gearing and angles of axes.
 
 A state that changes for a while, or from an instant on, adds its regressor over that time. The score of such a change
 is the sum of what the estimate leaves times that regressor, both under the noise that was found. Its variance, what the
 constants take of it allowed for, follows from the same products (the fluctuation test of Zeileis and Hornik 2007; for
-one instant the Lagrange multiplier test of Andrews 1993). All spans between the edges of an even grid are tried.
-What all gyros share is the table's doing.
+one instant the Lagrange multiplier test of Andrews 1993). All spans between the edges of an even grid are tried. What
+all gyros share is the table's doing.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,21 +24,23 @@ from estimator.types import Floats
 
 Key = tuple[str, float, str]
 
-_BY_CHANCE = 1e-4  # probability that anything is told of a run in which nothing changes
+_BY_CHANCE = 1e-4  # probability that a run without changes is reported
 _MOST_SPANS = (40, 80)  # parts of a run at most: at first, and where those find something worth a look
 _FEWEST_BLOCKS = 10  # of a part
-_FINE = 3  # waves for each part: what is finer tells next to nothing of it
+_FINE = 3  # waves for each part: finer ones add next to nothing
 _LEAST = 1e-7  # share of all that is known of a state that must be left of a change: less is rounding
 _MOST_NAMED = 3
-_WORTH = 0.75  # of what is told: finer parts, and noise found without the change, make more of it
-_ALIKE = 9.2  # twice the logarithm of the odds, 100, below which two causes are not told apart
+_WORTH = 0.75  # of the limit for a report: finer parts, and noise estimated without the change, raise the score
+_ALIKE = 9.2  # twice the logarithm of the odds, 100, below which two causes are not distinguished
 _WAY = "the gyros and the {} encoder disagreed"
 _DEG = float(np.degrees(1.0))
 _STATES: tuple[Key, ...] = (("k", 1e6, "ppm"), ("b", _DEG, "deg/s"), ("sigma_j", _DEG, "deg"), ("sigma_k", _DEG, "deg"))
 
 
 class _Change(NamedTuple):
-    """By how many sigmas something changed, how that is told, its key, and by how much between which edges."""
+    """A change in mid-run: its size in sigmas, the words for it, its key, its size in its unit, the edges between which
+    it was.
+    """
 
     sigmas: float
     text: str
@@ -48,10 +50,13 @@ class _Change(NamedTuple):
 
 
 def changes(joint: Joint) -> list[str]:
-    """Return, in words, what changed in mid-run by more than chance: a state of a gyro, or the table.
+    """Return one sentence on what changed in mid-run by more than chance (a state of a gyro, or the table), or an empty
+    list.
 
-    The noise was found with what changed in it, and may pass for it. What is most probable is therefore taken off, the
-    noise found again, and twice the logarithm of how much more probable the run is then counts as squared sigmas.
+    The run is searched in finer and finer spans of time; too few blocks end the search. Changes that fit as well are
+    named together, at most ``_MOST_NAMED``. A change that lies below the limit is looked at again, because the noise
+    was estimated with the change in it and may have absorbed it: the change is subtracted, the noise estimated anew,
+    and twice the gain in log evidence counts as squared sigmas.
     """
     columns = [one for number, run in enumerate(joint.runs) for one in _columns(run)]
     edges_s = np.linspace(min(run.t_s[0] for run in joint.runs), max(run.t_s[-1] for run in joint.runs), 2)
@@ -77,7 +82,9 @@ def changes(joint: Joint) -> list[str]:
 
 
 def _beside(joint: Joint, columns: Sequence[Mapping[Key, Floats]], change: _Change, edges_s: Floats) -> float:
-    """Return the sigmas of a change beside which the noise is found again; ``columns`` by gyro and key (b,)."""
+    """Return the sigmas of a change after the noise was estimated again without it; ``columns`` by gyro and key
+    (b,).
+    """
     first_s, last_s = edges_s[change.edges[0]], edges_s[change.edges[1]] + 1e-9
     spectra = list(joint.evidence.gyros)
     for gyro, own in enumerate(columns):
@@ -93,9 +100,9 @@ def _beside(joint: Joint, columns: Sequence[Mapping[Key, Floats]], change: _Chan
 
 
 def halves(joint: Joint, cluster_s: float) -> list[str]:
-    """Return, in words, what of the states differs between the halves of a run by more than chance.
+    """Return one sentence if a state differs between the halves of a run by more than chance, else an empty list.
 
-    For references of other instruments, of which errors hang together over ``cluster_s`` (Liang, Zeger 1986).
+    This is for references of other instruments, whose errors are correlated over ``cluster_s`` (Liang, Zeger 1986).
     """
     found = []
     for gyro, name in enumerate(name for run in joint.runs for name in run.array.names):
@@ -114,7 +121,11 @@ def halves(joint: Joint, cluster_s: float) -> list[str]:
 
 
 def _half(t_s: Floats, rows: Floats, precision: Floats, cluster_s: float) -> tuple[Floats, Floats]:
-    """Return states and their variances (4,) from whitened rows (b, c + 1), the larger of two: as noise, by cluster."""
+    """Return the states (4,) and their variances (4,) of a gyro from whitened rows (b, c + 1) of one half of a run.
+
+    ``precision`` (c,) is that of the prior. Each variance is the larger of the variance under the noise and the one
+    with residuals correlated within clusters of ``cluster_s``.
+    """
     columns = np.delete(rows, Z, axis=1)
     covariance = np.linalg.inv(columns.T @ columns + np.diag(precision))
     x = covariance @ columns.T @ rows[:, Z]
@@ -125,16 +136,23 @@ def _half(t_s: Floats, rows: Floats, precision: Floats, cluster_s: float) -> tup
 
 
 def _limit(tried: int) -> float:
-    """Return the sigmas that the largest of so many has by chance so seldom."""
+    """Return the sigmas that the largest of ``tried`` normal values exceeds by chance with probability
+    ``_BY_CHANCE``.
+    """
     return NormalDist().inv_cdf(1 - _BY_CHANCE / max(2 * tried, 1))
 
 
 def _worst(key: Key, spans: Floats, edges_s: Floats) -> _Change:
-    """Return the change of something that the scores of its spans (2, T + 1, T + 1) make most probable."""
+    """Return the change that is most significant among the ``spans`` (2, T + 1, T + 1) of scores and variances of one
+    key.
+
+    Where it is nearly as significant to let the change last from the start or to the end of the run, that is chosen:
+    one instant is simpler than two.
+    """
     score, variance = spans
     sigmas = np.abs(score) / np.sqrt(np.where(variance > 0, variance, np.inf))
     first, last = (int(edge) for edge in np.unravel_index(np.argmax(sigmas), sigmas.shape))
-    # One instant is simpler than two, and while an axis rests nothing tells them apart.
+    # One instant is simpler than two, and while an axis rests they cannot be distinguished.
     nearly = max(float(sigmas[first, last]) ** 2 - _ALIKE / 2, 0.0) ** 0.5
     if sigmas[first, -1] >= nearly:
         last = len(edges_s) - 1
@@ -143,7 +161,7 @@ def _worst(key: Key, spans: Floats, edges_s: Floats) -> _Change:
     of_span = size = float(score[first, last] / max(variance[first, last], 1e-300))
     parts, since = len(edges_s) - 1, edges_s - edges_s[0]
     when = f"from {since[first]:.0f} to {since[last]:.0f} s"
-    if first == 0 or last == parts:  # what was so until then is off from then on
+    if first == 0 or last == parts:  # if it lasted until then, it differs from then on
         size, at_s = (size, since[first]) if last == parts else (-size, since[last])
         when = f"from {at_s:.0f} s on,"
     name, factor, unit = key
@@ -152,9 +170,10 @@ def _worst(key: Key, spans: Floats, edges_s: Floats) -> _Change:
 
 
 def _columns(run: Run) -> list[dict[Key, Floats]]:
-    """Return by gyro what it sees (b,) of its states, and of each axis that turns further than it reads.
+    """Return for each gyro of a run the columns (b,) that ``changes`` tests, by key.
 
-    An axis does by a share of its way, and by a rate.
+    They are the gyro's states and, on a table, for each axis two errors of the axis: turning further than it reads by a
+    share of its way, and by a constant rate.
     """
     states, gimbals = run.state_columns(), run.grid.gimbals
     found: list[dict[Key, Floats]] = []
@@ -175,9 +194,10 @@ def _columns(run: Run) -> list[dict[Key, Floats]]:
 
 
 def _spans(joint: Joint, gyro: int, columns: Floats, edges_s: Floats) -> Floats:
-    """Return the scores and their variances (c, 2, T + 1, T + 1) of columns (c, b) of a gyro in each span of time.
+    """Return (c, 2, T + 1, T + 1): score and variance of each of the columns (c, b) of a gyro in each span of time.
 
-    A span goes from one edge to a later one; where the constants explain all of it, or it is none, both are 0.
+    A span reaches from one of the T + 1 edges in ``edges_s`` to a later one. Both values are 0 where the span is empty
+    or runs backwards, or where the constant states explain nearly all that the column shows in it.
     """
     (run, own_number), spectra = joint.run_of(gyro), joint.evidence.gyros[gyro]
     parts, c, n = len(edges_s) - 1, len(columns), spectra.columns[0].shape[1]

@@ -20,9 +20,11 @@ _ROUNDING = 1e-9  # of the mean: copies of one run are not outside
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class ControlChart:
-    """Chart of ``values`` (runs, ...): their mean (...), their limits, two of (...), and which are outside (runs, ...).
+    """Control chart of ``values`` (runs, ...): ``mean`` (...), the two ``limits`` (...) and which values are
+    ``outside`` (runs, ...).
 
-    ``ewma`` is their moving average, and ``ewma_limits`` by how much it may be off the mean, both (runs, ...).
+    ``ewma`` is the moving average of the values, ``ewma_limits`` the distance from the mean that it may have,
+    ``ewma_outside`` where it exceeds that, each (runs, ...).
     """
 
     values: Floats
@@ -35,7 +37,12 @@ class ControlChart:
 
 
 def control_chart(values: ArrayLike, counted: Sequence[bool]) -> ControlChart:
-    """Return the chart of values in the order of time; mean and limits come from the ``counted``, two or more."""
+    """Return the control chart of values (runs, ...) in the order of time.
+
+    Mean and limits come from the ``counted`` values only, of which there must be two or more: the limits are three
+    sigmas, from the mean step between neighbouring counted values. The moving average (EWMA) runs over all values, and
+    so do the marks of values outside the limits.
+    """
     x = np.asarray(values, float)
     mean = x[counted,].mean(axis=0)
     half = _SIGMAS / _D2 * np.abs(np.diff(x[counted,], axis=0)).mean(axis=0)

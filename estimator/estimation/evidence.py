@@ -26,9 +26,9 @@ _OWN = 0.1  # share of the expectation on a gyro that does not follow the other 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Term:
-    """An effect in a model: where its columns are (scaled to the largest plausible size), its prior scale.
+    """An effect in a model: its columns (scaled to the largest plausible size) and the scale of its prior.
 
-    ``sizes`` are scales of the columns beside that, if they differ.
+    ``sizes`` are scales of the single columns in addition, if these differ.
     """
 
     name: str
@@ -57,7 +57,7 @@ class Term:
 class Posterior:
     """Estimate under terms: by gyro ``means`` (c,) and ``covariances`` (c, c) of [states, own terms, shared terms].
 
-    ``columns`` (c,) are the columns that these belong to.
+    ``columns`` (c,) are the numbers of the columns that these values belong to.
     """
 
     columns: list[int]
@@ -76,7 +76,7 @@ def log_mean(values: Floats, log_weights: Floats | None = None) -> float:
 
 
 class Evidence:
-    """What recordings say under every noise model, worked out of the products of columns of all gyros."""
+    """Log evidence of recordings under every noise model, computed from the products of columns of all gyros."""
 
     def __init__(
         self,
@@ -84,7 +84,7 @@ class Evidence:
         shapes: NoiseShapes,
         excess: Mapping[tuple[str, int], Profile] | None = None,
     ) -> None:
-        """Take in the gyros; ``excess`` by gyro and run is what noise has beyond its models."""
+        """Take the gyros and noise models; ``excess`` is by gyro and run the noise beyond the models."""
         self.gyros, self.shapes = list(gyros), shapes
         self._all = shapes
         self.excess = dict(excess or {})
@@ -103,7 +103,9 @@ class Evidence:
         return Evidence(self.gyros, self.shapes.select(np.arange(len(self.shapes)) == noise), self.excess)
 
     def narrow(self, models: Sequence[Sequence[Term]]) -> None:
-        """Keep the noise models that matter beside one of some sets of terms, and those of biases that hardly move."""
+        """Keep the noise models that matter beside a set of terms, and those without walk and with hardly any
+        turn-on.
+        """
         keep = (self._all.walk == 0) & (self._all.turn_on <= _HARDLY)
         for terms in models:
             log = self.by_noise(terms) + self.shapes.log_prior
@@ -112,7 +114,7 @@ class Evidence:
         self.refresh()
 
     def refresh(self) -> None:
-        """Take in noise models or an excess that are others now."""
+        """Recompute the densities and their log determinants after the noise models or the excess have changed."""
         self.noise_logs = np.zeros((len(self.gyros), len(self.shapes)))
         self._densities: list[Floats] = []
         for gyro, log in zip(self.gyros, self.noise_logs, strict=True):
@@ -124,7 +126,7 @@ class Evidence:
             self._densities.append(np.hstack(densities))
 
     def density(self, gyro: GyroSpectra, stretch: Stretch) -> Floats:
-        """Return the variance (G, bands) of a coefficient over that of white noise, what is beyond the models in it."""
+        """Return the variance (G, bands) of a coefficient over that of white noise, including the excess."""
         more = self.excess.get((gyro.name, stretch.run), AS_MODELLED)
         return self.shapes.density(stretch) * more.at(stretch.band_hz)
 
@@ -134,11 +136,11 @@ class Evidence:
         return np.array([gyro.gram(densities, rows, columns) for gyro, densities in pairs])
 
     def allow_for_misfit(self, rich: Sequence[Term]) -> None:
-        """Count as noise, by gyro, run and band, what all that is known together leaves beyond the noise.
+        """Set ``excess`` to what all known terms together leave beyond the noise models, by gyro, run and band.
 
-        No function of what was measured explains it, so whatever is judged beside it is judged against it; where noise
-        explains it all, nothing changes. ``rich``: all that is known, each gyro by itself. ``misfit`` is then the
-        excess by gyro and run, summed over blocks, in (rad/s)^2.
+        Every effect is then judged against that rest, which no function of measured values explains. ``rich`` holds all
+        known terms; each gyro fits them by itself. ``misfit`` becomes the excess by gyro and run, summed over blocks,
+        in (rad/s)^2.
         """
         self.excess.clear()
         self.refresh()
@@ -153,9 +155,9 @@ class Evidence:
         self.refresh()
 
     def settle(self, terms: Sequence[Term], least: Floats) -> None:
-        """Take the noise from all of what a model leaves: its ``level`` (gyros,), and bands that have more or less.
+        """Scale the noise to what a model leaves: first the ``level`` (gyros,), then bands that hold more or less.
 
-        ``least`` (gyros,) is the noise that is stated, as of turns: a few rows tell no spectrum beyond it.
+        With stated noise (``least`` (gyros,) above 0, as of turns) only the level is set: a few rows tell no spectrum.
         """
         for level_only in (True, False)[: 1 if least.any() else 2]:
             for n, (gyro, (_, hz, _, squares, freedom)) in enumerate(zip(self.gyros, self._left(terms), strict=True)):
@@ -167,7 +169,10 @@ class Evidence:
             self.refresh()
 
     def _left(self, terms: Sequence[Term]) -> list[Floats]:
-        """Return by gyro what a model leaves by band (5, n): run, frequency, noise, squares over it, their freedom."""
+        """Return by gyro what a model leaves by band, (5, n): run, frequency in Hz, noise, squares over it, freedom.
+
+        Each gyro has its most probable noise model and fits shared terms by itself.
+        """
         own = [replace(term, shared=False) for term in terms]
         best = np.argmax(self.noise_weights(own), axis=0)
         columns = np.array([*_columns(own), Z])
@@ -178,7 +183,7 @@ class Evidence:
             products = gyro.products[columns[:, None], columns]
             gram = products @ (1 / density)
             covariance = np.linalg.inv(gram[:-1, :-1] + np.diag(np.concatenate([1 / gyro.prior, precision])))
-            left = np.append(-covariance @ gram[:-1, -1], 1.0)  # what of each column is in what is left
+            left = np.append(-covariance @ gram[:-1, -1], 1.0)  # share of each column in the residual
             squares = np.maximum(left @ np.tensordot(left, products, 1), 0.0) / density
             fitted = np.tensordot(np.pad(covariance, ((0, 1), (0, 1))), products, 2) / density
             counts = np.concatenate([stretch.counts for stretch in gyro.stretches])
@@ -197,11 +202,11 @@ class Evidence:
         return Base(self, terms).by_noise()
 
     def noise_weight(self, terms: Sequence[Term]) -> Floats:
-        """Return how probable each noise model is (G,) beside a set of terms, if it is that of all gyros."""
+        """Return the probability of each noise model (G,) beside terms, if all gyros have the same."""
         return _normal(self.by_noise(terms) + self.shapes.log_prior)
 
     def noise_weights(self, terms: Sequence[Term]) -> Floats:
-        """Return how probable each noise model is for each gyro (G, gyros), which is expected to be like the others."""
+        """Return the probability of each noise model for each gyro (G, gyros); gyros are expected to be similar."""
         evidence = Base(self, [replace(term, shared=False) for term in terms]).by_gyro().T
         prior = self.shapes.log_prior[:, None]
         if evidence.shape[1] == 1:
@@ -210,10 +215,10 @@ class Evidence:
         return _normal(evidence + np.log((1 - _OWN) * others + _OWN * np.exp(prior)))
 
     def posterior(self, terms: Sequence[Term], weight: Floats | None = None) -> Posterior:
-        """Return the estimate of states and effects, the mean over the noise models that matter.
+        """Return the estimate of states and effects, averaged over the noise models that matter.
 
-        ``weight`` of the noise models: (G,) if one is that of all gyros, (G, gyros) if each gyro has its own; by
-        default (G,) as the recordings say beside these terms.
+        ``weight`` are the probabilities of the noise models: (G,) for all gyros alike, (G, gyros) for each gyro its
+        own; by default ``noise_weight`` of these terms.
         """
         weight = self.noise_weight(terms) if weight is None else weight
         each = np.broadcast_to(weight.reshape(len(weight), -1), (len(weight), len(self.gyros)))
@@ -236,7 +241,7 @@ class Evidence:
         found = Posterior(asked[:-1].tolist(), [], [])
         of_all = np.sum([said for *_, said in parts], axis=0)
         for chance, inner, gain, left, said in parts:
-            # What the other gyros say of shared terms they say under their own noise.
+            # The other gyros' information on shared terms is taken under their own noise.
             left = left + (of_all - said)
             shared_covariance = np.linalg.inv(left[:, :h, :h] + prior)
             common = (shared_covariance @ left[:, :h, h:])[..., 0]
@@ -262,7 +267,7 @@ class Base:
     """
 
     def __init__(self, evidence: Evidence, terms: Sequence[Term], others: Sequence[int] = ()) -> None:
-        """Take in a model; ``others`` are the columns that are asked about beside those of its terms."""
+        """Eliminate the states and own terms of a model; ``others`` are columns asked about besides its terms."""
         own, self._shared = _split(terms)
         model = np.array(_columns(own))
         self._last = np.array([*(c for term in self._shared for c in term.columns), Z])
@@ -286,9 +291,10 @@ class Base:
         return _without_shared(self._total(), self._shared, self._logs.sum(axis=0))
 
     def products(self, rows: Numbers, columns: Numbers) -> Floats:
-        """Return what is left of products beside states and own terms, (gyros, G, K, r, c).
+        """Return the products of columns that states and own terms leave, (gyros, G, K, r, c).
 
-        ``rows`` (K, r) and ``columns`` (K, c) are numbers of columns, each of K sets with one of K.
+        ``rows`` (K, r) and ``columns`` (K, c) are column numbers; each of the K sets of rows is paired with one of
+        columns.
         """
         across = self._across[..., self._place[rows]].transpose(0, 1, 3, 4, 2)
         gain = self._gain[..., self._place[columns]].transpose(0, 1, 3, 2, 4)
@@ -306,9 +312,10 @@ class Base:
         return self._with_own(columns[None], sizes[None], scales)[:, :, 0]
 
     def with_each(self, terms: Sequence[Term]) -> list[tuple[float, Term]]:
-        """Return for each term, in their order, the log evidence with it and the term at its most probable scale.
+        """Return for each term the log evidence with it, less its ``log_tries``, and the term at its best scale.
 
-        The log evidence is the mean over all scales. Terms with the same number of columns are computed together.
+        The order is that of ``terms``. The log evidence is the mean over all scales. Terms with the same number of
+        columns are computed together.
         """
         found: dict[str, tuple[float, Term]] = {}
         alike = groupby(sorted(terms, key=_form), key=_form)
@@ -371,10 +378,10 @@ class Base:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scaled:
-    """Terms whose parameters all have the same scale, turned so that their products are diagonal.
+    """Terms whose parameters all have the same scale, rotated so that their products are diagonal.
 
-    ``power`` (..., p) are the eigenvalues of their products, ``across`` (..., p, r) the products of the turned
-    columns with others.
+    ``power`` (..., p) are the eigenvalues of their products, ``across`` (..., p, r) their products with r other
+    columns.
     """
 
     power: Floats
@@ -387,22 +394,21 @@ class _Scaled:
         return cls(np.maximum(power, 0.0), turned.swapaxes(-1, -2) @ across)
 
     def at(self, scale: float) -> tuple[Floats, Floats]:
-        """Return the log evidence (...) that the terms cost, and what they take of products (..., r, r)."""
+        """Return what the terms add to the log evidence (...), and take from products (..., r, r), at a scale."""
         grown = 1 + scale**2 * self.power
         weighed = self.across * (scale**2 / grown)[..., None]
         return -0.5 * np.log(grown).sum(axis=-1), self.across.swapaxes(-1, -2) @ weighed
 
 
 def _form(term: Term) -> tuple[bool, int]:
-    """Return what terms have in common that can be worked out together."""
+    """Return the key of terms that can be computed together."""
     return term.shared, len(term.columns)
 
 
 def _without_shared(total: Floats, shared: Sequence[Term], log: Floats) -> Floats:
-    """Return the log evidence (...) when shared terms are eliminated, too.
+    """Return the log evidence (...) with the shared terms eliminated, too; ``log`` (...) is that without.
 
-    ``total`` (..., h + 1, h + 1) has the products of their columns and of z, which is the last; ``log`` (...) is the
-    log evidence so far.
+    ``total`` (..., h + 1, h + 1) are the products of their h columns and of z, which is the last.
     """
     left = total[..., -1, -1]
     if shared:

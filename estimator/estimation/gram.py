@@ -35,7 +35,9 @@ class Gram:
 
     @classmethod
     def of(cls, w_rps: Floats, y_rps: Floats, weight: Floats | None = None) -> "Gram":
-        """Return the products of body rates (rows, 3) and outputs (rows, m); ``weight`` (rows,) scales rows."""
+        """Return the products of body rates (rows, 3) and outputs (rows, m), summed in chunks; ``weight`` (rows,)
+        scales the rows.
+        """
         rows, channels = y_rps.shape
         total = np.zeros((4 + channels, 4 + channels))
         # Columns lie along rows of the workspace: filling it costs half of what interleaved columns cost.
@@ -67,7 +69,8 @@ class Solution:
 def solve(gram: Gram, array: SensorArray, prior: Prior, noise_rps: Floats | None = None) -> Solution:
     """Return the estimate of [k, b, s_j, s_k] of every gyro under the prior.
 
-    ``noise_rps`` (m,) is the white noise of one row; without it, it is taken from the residual.
+    ``noise_rps`` (m,) is the white noise of one row; by default it is taken from the residual of a fit without the
+    prior, with ``_LEAST_NOISE_RPS`` as the least.
     """
     m = len(array)
     maps = regressor_maps(array)
@@ -97,7 +100,10 @@ def solve(gram: Gram, array: SensorArray, prior: Prior, noise_rps: Floats | None
 
 
 def gram_of(recording: Recording, source: str, data: ImuData) -> Gram:
-    """Return the Gram matrix of one source over all rows that the reference covers."""
+    """Return the Gram matrix of one source over all rows that the reference covers.
+
+    Raises RecordingError for fewer than four turns, or fewer than eight rows against any reference but turns and poses.
+    """
     gram = Gram.empty(len(data.array))
     for part in observations(recording, data):
         gram += Gram.of(part.w_rps, part.y_rps, part.weight)

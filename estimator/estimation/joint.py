@@ -1,7 +1,7 @@
-"""The gyros of one device against its reference: states, effects of an error model, the offset in time of each source.
+"""The gyros of one device against its reference: states, effects of an error model, time offset of each source.
 
-All are estimated jointly (``estimator.estimation.noise_evidence``). What an effect could do that the
-motion does not show stays as wide as it typically is, and the sigmas of the states hold it.
+All are estimated jointly (``estimator.estimation.noise_evidence``). What an effect could do that the motion does not
+show stays as wide as it typically is, and the sigmas of the states hold it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -47,14 +47,18 @@ _SETTLED_S = 2e-4
 _LARGEST_STEP_S = 0.05  # beyond, a motion is no straight line any more
 _MOST_STEPS = 12
 _KNOWN = 0.2  # sigma of k below which the sign of an output is known
-_TOLD = 3.0  # sigmas from which on a delay is told
-_UNSEEN = 0.7  # of what is expected of a parameter: a larger sigma says that the run did not show it
-_REDUNDANT = 4  # gyros, of which the blocks tell what they say of each other
-_BLOCK_ROWS = 4  # fewer samples do not tell their scatter
+_TOLD = 3.0  # sigmas from which on a delay is reported
+_UNSEEN = 0.7  # of a parameter's expected sigma: a larger one means that the run did not show it
+_REDUNDANT = 4  # gyros whose blocks can be compared with each other
+_BLOCK_ROWS = 4  # fewer samples give no scatter
 
 
 def check_model(model: ErrorModel, recording: Recording) -> None:
-    """See that a recording can show the effects of a model at all; ModelError if not."""
+    """Check that the reference of a recording can show effects at all.
+
+    Raises ModelError for poses, and for turns with an effect that acts within turns or fewer than ``FEWEST_TURNS``
+    turns. For all other references it does nothing.
+    """
     if isinstance(recording.reference, Poses):
         raise ModelError(f"{recording.name}: effects cannot be estimated from gravity between rests. Leave out --model")
     if not isinstance(recording.reference, Turns):
@@ -70,7 +74,7 @@ def check_model(model: ErrorModel, recording: Recording) -> None:
 
 
 def is_external(recording: Recording) -> bool:
-    """Return whether the reference is another instrument's, whose stamps and errors nobody knows beforehand."""
+    """Return whether the reference is another moving instrument, whose stamps and errors are unknown."""
     own = isinstance(recording.reference, TableReadings) and "bench" in recording.attributes
     return not own and not at_rest(recording.reference) and not isinstance(recording.reference, Turns)
 
@@ -78,12 +82,12 @@ def is_external(recording: Recording) -> bool:
 def estimate_device(
     recording: Recording, sources: Sources, model: ErrorModel | None, excluded: frozenset[str] | None
 ) -> DeviceEstimate:
-    """Return the estimate of the sources of one device.
+    """Return the estimate of the sources of one device under coloured noise.
 
-    ``model`` holds effects that are estimated beside the states. ``excluded`` are effects of the catalogue that the
-    device and its table do not have; None for all. The offset in time between the reference and each source is
-    estimated with the states, but for a body at rest, and for a model that holds a delay. Errors of another
-    instrument's reference may hang together over 5 s, which the covariances hold.
+    ``model`` holds effects that are estimated with the states. ``excluded`` are effects of the catalogue that device
+    and table do not have; the others then widen the sigmas. None, or a model, leaves this out. The time offset between
+    the reference and each source is estimated with the states, except at rest, for turns, and with a model that holds a
+    delay. For the reference of another instrument the covariances allow for errors correlated over 5 s.
 
     Raises ModelError for a model that needs what the recording lacks, TooShort for too little data.
     """
@@ -123,18 +127,19 @@ def estimate_device(
 
 
 def _by_another(runs: Sequence[Run]) -> bool:
-    """Return whether another instrument says how the body turns.
+    """Return whether another instrument measures how the body turns.
 
-    What is left may be the errors of that one, which follow the rate as well: it does not decide on effects of the
-    gyros that do.
+    The residual may then hold errors of that instrument, which follow the rate as well, so that it does not decide on
+    effects of the gyros that do so.
     """
     return any(run.by_another for run in runs)
 
 
 def _further(joint: Joint, whole: Joint, found: Undeclared) -> list[tuple[Contribution, ...]]:
-    """Return by gyro the lines of undeclared effects that move no state of an estimate: they only widen it.
+    """Return by gyro the budget lines of undeclared effects that only widen the estimate and move none of its states.
 
-    ``whole`` is the estimate with those of them that the recording holds.
+    ``whole`` is the estimate with all undeclared laws that the recording can show (none if it is ``joint``). Laws that
+    are merely assumed add the line ``UNMEASURED``.
     """
     lines: list[tuple[Contribution, ...]] = [()] * len(joint.means)
     if whole is not joint:
@@ -147,10 +152,7 @@ def _further(joint: Joint, whole: Joint, found: Undeclared) -> list[tuple[Contri
 
 
 def _beside_earth(joint: Joint, stated: NoiseModel | None) -> Joint:
-    """Return an estimate that knows of Earth rate on a table of no stated site: turning the body changes what is seen.
-
-    It is that of the recording itself where a site is stated.
-    """
+    """Return the estimate with Earth rate fitted too, for a table whose site is not stated; else ``joint`` itself."""
     grid = joint.runs[0].grid
     if grid.site is not None or not grid.gimbals or any(law.effect.record is EARTH_RATE for law in joint.laws):
         return joint
@@ -161,12 +163,13 @@ def _beside_earth(joint: Joint, stated: NoiseModel | None) -> Joint:
 def _aligned(
     recording: Recording, sources: Sources, model: ErrorModel | None
 ) -> tuple[Sources, dict[str, float], list[Law], Joint, list[str]]:
-    """Return sources with their stamps moved to those of the reference, by how much, the laws, the estimate, and notes.
+    """Return (sources with stamps moved to the reference's, seconds moved by source, laws, estimate, notes).
 
-    Gauss-Newton, from where the motion of both is most alike: the offsets that are found are taken off the stamps, and
-    estimated again until they settle.
+    Gauss-Newton iteration from the offset at which the motions of both match best: each offset found is subtracted from
+    the stamps and estimated again until it changes no more. A note names each source that has not settled after
+    ``_MOST_STEPS``. At rest, for turns and with a model that holds a delay nothing is moved.
     """
-    # A model that holds a delay tells it itself.
+    # A model with a delay estimates it itself.
     timed = not at_rest(recording.reference) and not isinstance(recording.reference, Turns)
     timed &= model is None or all(known.record.acts is not Acts.STAMPS for known in model.effects)
     begun_s = {name: _delay_by_motion(recording, data) if timed else 0.0 for name, data in sources}
@@ -198,19 +201,22 @@ def _aligned(
 
 
 def _delay_by_motion(recording: Recording, data: ImuData) -> float:
-    """Return where to begin to look for a delay in s; that of a table's own readings is as good as none."""
+    """Return the delay in s at which the search begins, 0 for a table's own readings."""
     if not by_turns(recording.reference):
         return 0.0
     return delay_by_motion(data, recording.reference, recording.site)
 
 
 def _shifted(sources: Sources, delays_s: Mapping[str, float]) -> Sources:
-    """Return sources with their stamps so much earlier."""
+    """Return sources with their stamps earlier by ``delays_s``."""
     return [(name, replace(data, t_ns=data.t_ns - round(delays_s[name] * 1e9))) for name, data in sources]
 
 
 def effect_notes(gyros: Sequence[GyroCalibration]) -> list[str]:
-    """Return which effects of the model a recording did not show, in words."""
+    """Return, in sentences, which effects of the model the recording did not show, by the gyros concerned.
+
+    An effect is not shown if a parameter's sigma is hardly below the expected one. Shared effects are never named.
+    """
     unseen: dict[str, list[str]] = {}
     for gyro in gyros:
         for name in dict.fromkeys(value.effect for value in gyro.effects if not value.shared):
@@ -226,17 +232,23 @@ def effect_notes(gyros: Sequence[GyroCalibration]) -> list[str]:
 
 
 def _run(recording: Recording, number: int, source: str, data: ImuData) -> Run:
+    """Return a source as a run, its gyros prefixed with its number; at rest with body rate 0. TooShort: too few
+    blocks.
+    """
     # Two sources may have gyros of the same names.
     named = replace(data, array=replace(data.array, names=tuple(f"{number} {name}" for name in data.array.names)))
     run = run_of(recording, source, named)
     if run is None:
         raise TooShort(sentence("estimation.short_for_effects", recording=recording.name, source=source))
-    if at_rest(recording.reference):  # Earth rate is too slow to tell k from other effects
+    if at_rest(recording.reference):  # Earth rate is too slow to distinguish k from other effects
         return replace(run, w_rps=np.zeros_like(run.w_rps))
     return run
 
 
 def _model_laws(model: ErrorModel | None, recording: Recording, runs: Sequence[Run]) -> list[Law]:
+    """Return the effects of a model as laws for what all runs offer, none without a model; ModelError if runs
+    lack it.
+    """
     if model is None:
         return []
     try:
@@ -254,7 +266,7 @@ def _hz(known: KnownEffect) -> float | None:
 
 
 def _delay_law(recording: Recording, source: str, taken_off_s: float) -> Law:
-    """Return the offset of a source from where it is expected, of which so much is taken off already."""
+    """Return the law of a source's time offset, of which ``taken_off_s`` beyond the expected one was subtracted."""
     reference, sd_s, line = recording.reference, expected_sd_s(), ""
     if isinstance(reference, TableReadings):
         stated = reference.uncertainty
@@ -271,7 +283,7 @@ def _delay_law(recording: Recording, source: str, taken_off_s: float) -> Law:
 
 
 def _delays(joint: Joint, covariances: Sequence[Floats]) -> dict[str, tuple[float, float]]:
-    """Return by source the delay that is left, and its standard deviation; it is the same for every gyro."""
+    """Return by source the delay that is left in s and its standard deviation; all gyros of a source have the same."""
     found = {}
     for number, law in enumerate(joint.laws):
         if law.called == _DELAY:
@@ -283,7 +295,9 @@ def _delays(joint: Joint, covariances: Sequence[Floats]) -> dict[str, tuple[floa
 
 
 def _offset_notes(recording: Recording, offsets: dict[str, TimeOffset], external: bool) -> list[str]:
-    """Return offsets that are beyond chance and, of a table, beyond what is stated of its timing, in words."""
+    """Return, in sentences, the time offsets beyond chance and, of a table, beyond its stated timing; none if not
+    stated.
+    """
     stated = recording.reference.uncertainty if isinstance(recording.reference, TableReadings) else None
     notes = []
     for source, found in offsets.items():
@@ -308,9 +322,12 @@ def _estimated(
     block_s: float,
     offset: TimeOffset | None,
 ) -> SourceEstimate:
-    """Return the estimate of a source; ``doubt`` by gyro: covariances, and further lines of the budget.
+    """Return the estimate of source ``number`` out of the joint estimate.
 
-    Against a table or a rate it has the innovations of its means over blocks of so many seconds.
+    ``doubt`` holds by gyro the covariances, and further lines of the budget or None. For table and rate references,
+    unless the reference is too coarse for few gyros, the result has blocks of ``block_s`` for the parity check, less
+    what the effects explain. Its noise and scatter come from single samples if the reference is fine enough for that,
+    else from the run's block means.
     """
     run, gyros, m = joint.runs[number], joint.gyros_of(number), len(data.array)
     covariances, further = doubt
@@ -369,7 +386,7 @@ def _estimated(
 
 
 def _block_s(data: ImuData) -> float:
-    """Return the length of blocks: what is usual, or longer so that a slow source has some samples in each."""
+    """Return the length of blocks: the usual one, or longer so that a slow source has some samples in each."""
     period_s = float(np.median(np.diff(data.t_ns))) * 1e-9 if len(data.t_ns) > 1 else 0.0
     return max(BLOCK_S, _BLOCK_ROWS * period_s)
 
@@ -388,11 +405,14 @@ def _sample_noise_of(blocks: Blocks, data: ImuData, x: Floats) -> Floats:
 
 
 def _lines(joint: Joint, covariance: Floats) -> tuple[Contribution, ...]:
-    """Return what makes up the covariance of the states: noise, and what would be gone if laws of a line were known."""
+    """Return the contributions to the covariance (4, 4) of the states: noise first, then each line that the laws name.
+
+    A line contributes what would vanish if its laws were known; each in turn, so that nothing counts twice.
+    """
     known: list[int] = []
     known_before, lines = np.zeros((4, 4)), []
     for name in dict.fromkeys(law.line for law in joint.laws if law.line):
-        # One line after the other: of what two laws can only tell together, each would claim all.
+        # One line after the other: what two laws can only determine together, each would claim all.
         known += [n for n, law in enumerate(joint.laws) if law.line == name]
         through = joint.through(covariance, known)
         lines.append(Contribution(name, through - known_before))
@@ -402,7 +422,11 @@ def _lines(joint: Joint, covariance: Floats) -> tuple[Contribution, ...]:
 
 
 def _values(joint: Joint, shares: Floats, covariance: Floats) -> tuple[EffectValue, ...]:
-    """Return the effects of an error model as found on a gyro."""
+    """Return the parameters of the model's effects as estimated on a gyro, in their own units.
+
+    ``shares`` are the parameters in units of their expected sigma, ``covariance`` that of [states, laws]. Laws that are
+    not of the model (``EFFECTS``) are left out.
+    """
     doubts = np.sqrt(np.diag(covariance)[4:])
     edges = np.cumsum([0, *(len(law.sd) for law in joint.laws)]).tolist()
     return tuple(
@@ -422,9 +446,10 @@ def _values(joint: Joint, shares: Floats, covariance: Floats) -> tuple[EffectVal
 
 
 def _clustered(joint: Joint) -> tuple[list[Floats], list[str]]:
-    """Return covariances by gyro that hold for residuals correlated within clusters (Liang, Zeger 1986), and notes.
+    """Return the covariances by gyro for residuals correlated within clusters (Liang, Zeger 1986), and notes.
 
-    No direction gets less than the covariance under coloured noise.
+    No direction gets less than its covariance under coloured noise. With fewer clusters than ``FEWEST_CLUSTERS`` the
+    covariances stay as they are, which a note says. Another note gives the increase of the sigmas if it is large.
     """
     runs, n, whole = joint.runs, len(joint.means), len(joint.means[0])
     own = 4 + sum(len(law.sd) for law in joint.laws if not law.effect.shared)
@@ -450,7 +475,7 @@ def _clustered(joint: Joint) -> tuple[list[Floats], list[str]]:
         scores[cluster[first][:, None], place] += np.add.reduceat(rest, first, axis=0)
         precision[place[:4]] = 1 / joint.evidence.gyros[g].prior
     white = np.linalg.inv(information + np.diag(precision))
-    # So few clusters fit so many parameters of a gyro, as far as the data tell these: their scores are too small by it.
+    # A few clusters fit the parameters of a gyro, as far as the data determine these: the scores are too small by that.
     fitted = float(np.trace(white @ information)) / n
     meat = scores.T @ scores * (len(used) / max(len(used) - fitted, len(used) / 4)) + np.diag(precision)
     sandwich, out, notes, grown = white @ meat @ white, list[Floats](), list[str](), list[Floats]()

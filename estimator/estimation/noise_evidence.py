@@ -1,11 +1,10 @@
-"""States, and laws that stand beside them, estimated together under noise that is found from the data.
+"""States and further laws, estimated together under noise that is found from the data.
 
-Block means go through the cosine transform (``spectra``), in which coloured noise is a weight for each
-frequency. Every noise model is gone through: how much of it is bias instability and how much rate random walk is not
-known beforehand. The estimate is the mean over them, so its covariance holds the doubt about the noise too. Gyros of
-one device are of one make: what the others say of the noise is the better part of what is expected of each. Where the
-residual is beyond all models, up or down, its own spectrum is the noise. Without laws this is the estimate of four
-states.
+Block means go through the cosine transform (``spectra``), in which coloured noise is a weight for each frequency. Every
+noise model is gone through: how much of it is bias instability and how much rate random walk is not known beforehand.
+The estimate is the mean over them, so its covariance holds the doubt about the noise too. Gyros of one device are of
+one make: what the others say of the noise is the better part of what is expected of each. Where the residual is beyond
+all models, up or down, its own spectrum is the noise. Without laws this is the estimate of four states.
 """
 
 from collections.abc import Sequence
@@ -29,12 +28,12 @@ from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import TableReadings
 from estimator.types import Floats
 
-_SURELY = 0.95  # probability from which on it is told that biases differ from file to file
+_SURELY = 0.95  # probability from which on a report says that biases differ from file to file
 _LEAST_ARW = 1e-9  # rad/s/rtHz, below any gyro
 _ACCELERATING = 0.02  # change of rate from block to block, as a share of the largest rate, that counts as a ramp
 _FEWEST_STEADY = 40
 _ASIDE = 0.1  # weight of ramps while steady rates are fitted
-_ROWS_A_COLUMN = 4  # fewer and what is left of the blocks tells nothing of ramps
+_ROWS_A_COLUMN = 4  # with fewer the residual of the blocks gives no information on ramps
 
 
 class TooShort(RecordingError):
@@ -43,10 +42,10 @@ class TooShort(RecordingError):
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Law:
-    """An effect beside the states: mean and standard deviation that are expected of its parameters (p,).
+    """An effect estimated beside the states: expected mean and standard deviation of its parameters (p,).
 
-    ``line`` names the line of the budget that holds what the data do not show of it; empty: it counts as noise.
-    ``hz`` is the frequency of a tone, ``source`` the only source that it is of, empty for all.
+    ``line`` names the line of the budget that holds what the data do not show of it; empty: it counts as noise. ``hz``
+    is the frequency of a tone, ``source`` the only source that the effect acts on, empty for all.
     """
 
     called: str
@@ -60,12 +59,13 @@ class Law:
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Joint:
-    """Estimate of all gyros of some runs.
+    """Joint estimate of all gyros of some runs.
 
-    By gyro ``means`` (c,) and ``covariances`` (c, c) of [states, laws]: laws in the order of ``laws``, those of a gyro
-    its own before those that all share, each parameter in units of its expected sigma, from its expected value.
-    ``noise`` is that which was found; ``arw`` and ``white`` (gyros,) are the white noise in all of the residual and in
-    the upper half of its frequencies. ``runs`` are rid of what was expected of the laws, ``columns`` are theirs.
+    ``means`` (c,) and ``covariances`` (c, c) by gyro are those of [states, laws]: laws in the order of ``laws``, a
+    gyro's own before the shared ones, each parameter as its deviation from the expected value in units of its expected
+    sigma. ``noise`` is the estimated noise; ``arw`` and ``white`` (gyros,) are the white noise in all of the residual
+    and in the upper half of its frequencies. ``runs`` have the expected part of the laws subtracted; ``columns`` are
+    those of the laws.
     """
 
     runs: list[Run]
@@ -94,7 +94,9 @@ class Joint:
         return next((n, gyro - its.start) for n in range(len(self.runs)) if gyro in (its := self.gyros_of(n)))
 
     def shifts(self, gyro: int, columns: Floats) -> Floats:
-        """Return by how much the states (4, p) of a gyro move if its output error gains columns (b, p) of its run."""
+        """Return by how much the states (4, p) of a gyro move if columns (b, p) of its run are added to its output
+        error.
+        """
         number, own = self.place_of(gyro)
         run, spectra = self.runs[number], self.evidence.gyros[gyro]
         weighed = run.weighed(columns, own)
@@ -110,7 +112,7 @@ class Joint:
         return np.asarray(np.linalg.solve(information, across)[:4])
 
     def through(self, covariance: Floats, laws: Sequence[int]) -> Floats:
-        """Return the part (4, 4) of the covariance of the states that comes of some laws."""
+        """Return the part (4, 4) of the covariance of the states that is due to some laws."""
         at = np.concatenate([np.arange(len(covariance))[self.slice_of(n)] for n in laws])
         across = covariance[:4, at]
         return np.asarray(across @ np.linalg.solve(covariance[np.ix_(at, at)], across.T))
@@ -121,7 +123,9 @@ class Joint:
         return slice(first, first + len(self.laws[law].sd))
 
     def whitened(self, gyro: int) -> tuple[Floats, Floats]:
-        """Return instants (b,) and the rows (b, c + 1) of [states, z, laws] as they count: of white noise of one."""
+        """Return instants (b,) and rows (b, c + 1) of [states, z, laws], weighted so that their noise is white with
+        variance one.
+        """
         from scipy.fft import idct
 
         spectra = self.evidence.gyros[gyro]
@@ -134,10 +138,12 @@ class Joint:
 
 
 def bias_notes(recording: Recording, weight: Floats, turn_on: Floats, arw: float) -> list[str]:
-    """Return, in words, that biases differ from file to file, where noise models (G,) with such are by far likelier.
+    """Return a sentence if noise models (G,) with biases that differ from file to file are by far likelier, else
+    nothing.
 
-    ``turn_on`` (G,) is the standard deviation over the angle random walk ``arw``. As much as the Earth turns may be
-    the Earth at a site that is not stated.
+    ``weight`` (G,) are the probabilities of the models, ``turn_on`` (G,) the standard deviation of the bias over the
+    angle random walk ``arw``. Where no site is stated, biases within Earth rate are not reported: Earth rate may cause
+    them.
     """
     size_rps = float(np.sqrt(weight @ turn_on**2)) * arw
     least_rps = 0.0 if recording.site is not None else EARTH_RATE_RPS
@@ -147,9 +153,9 @@ def bias_notes(recording: Recording, weight: Floats, turn_on: Floats, arw: float
 
 
 def joint_estimate(runs: Sequence[Run], laws: Sequence[Law] = (), stated: NoiseModel | None = None) -> Joint:
-    """Return the estimate of the gyros of one device, each name once; ``stated`` is its data sheet's noise.
+    """Return the joint estimate of the gyros of one device, each name once; ``stated`` is its data sheet's noise.
 
-    Raises TooShort for a gyro with fewer blocks than tell noise by its frequencies.
+    Raises TooShort for a run without samples, or a gyro with too few blocks to tell noise by its frequencies.
     """
     ordered = sorted(laws, key=lambda law: law.effect.shared)
     columns = [columns_of(run, ordered) for run in runs]
@@ -195,7 +201,9 @@ def settled(
 
 
 def run_of_blocks(source: str, data: ImuData, blocks: Blocks, reference: TableReadings) -> Run:
-    """Return blocks as a run without conditions, of which only the states can be estimated; ``data`` may be empty."""
+    """Return blocks as a run without conditions, for which only the states can be estimated; ``data`` may hold no
+    samples.
+    """
     b, m = (int(blocks.index[-1]) + 1 if len(blocks.index) else 0), len(data.array)
     w, z, weight = np.zeros((b, 3)), np.zeros((b, m)), np.zeros(b)
     w[blocks.index], z[blocks.index] = blocks.w_rps, blocks.z_rps
@@ -231,7 +239,10 @@ def run_of_blocks(source: str, data: ImuData, blocks: Blocks, reference: TableRe
 
 
 def columns_of(run: Run, laws: Sequence[Law]) -> Floats:
-    """Return the block means (m, b, p) of all laws, scaled by what is expected of each parameter."""
+    """Return the block means (m, b, p) of the columns of all laws, times the expected sigma of each parameter.
+
+    The columns of a law of another source are zero.
+    """
     waves: dict[str, Floats] = {}
     if any(law.hz is not None for law in laws):
         samples = samples_of(run)
@@ -247,14 +258,15 @@ def columns_of(run: Run, laws: Sequence[Law]) -> Floats:
 
 
 def expected_of(laws: Sequence[Law]) -> Floats:
-    """Return what is expected of each parameter of some laws (p,), in its sigmas."""
+    """Return the expected values of the parameters of some laws (p,), in their sigmas."""
     return np.concatenate([np.zeros(0), *(law.mean / law.sd for law in laws)])
 
 
 def _steadied(run: Run, columns: Floats) -> Run:
-    """Return a run whose ramps count less where their residual says so.
+    """Return a run in which blocks on ramps weigh less, as far as their residual is larger than at steady rates.
 
-    While an axis accelerates, what the table reports is off by its timing and by what lies between two readings.
+    While an axis accelerates, the table's readings are off by their timing and by what lies between two readings. The
+    run comes back as it is for turns, without ramps, and with too few blocks.
     """
     good = np.flatnonzero(run.weight > 0)
     if run.stated_rps or len(good) < _ROWS_A_COLUMN * (4 + columns.shape[2]):
@@ -264,14 +276,14 @@ def _steadied(run: Run, columns: Floats) -> Run:
     ramp = (np.maximum(change, np.append(change[1:], 0.0)) > _ACCELERATING * size)[good]
     if not ramp.any() or (~ramp).sum() < _FEWEST_STEADY:
         return run
-    # What ramps alone show is fitted to them, everything else to steady rates.
+    # Columns that only ramps show are fitted to them, everything else to steady rates.
     states, row, shares = run.state_columns()[:, good], np.where(ramp, _ASIDE, 1.0), []
     for i, own in enumerate(columns[:, good]):
         both, z = np.hstack([states[i], own]) * run.weight[good, None], run.z_rps[good, i] * run.weight[good]
         scale = np.maximum(np.linalg.norm(both, axis=0), 1e-300)
         rest = z - both @ (np.linalg.lstsq(both / scale * row[:, None], z * row, rcond=1e-8)[0] / scale)
         steady = float(np.mean(rest[~ramp] ** 2))
-        # Only what is beyond chance: the mean square of so few has this much scatter of its own.
+        # Only the excess over chance: the mean square of a few values has this much scatter of its own.
         excess = float(np.mean(rest[ramp] ** 2)) - steady * (1 + 2 * np.sqrt(2 / ramp.sum()))
         shares.append(max(excess, 0.0) / max(steady, 1e-30))
     weight = run.weight.copy()
@@ -289,7 +301,7 @@ def _spectra(runs: Sequence[Run], columns: Sequence[Floats]) -> list[GyroSpectra
 
 
 def _terms(laws: Sequence[Law]) -> list[Term]:
-    """Return ordered laws as terms; their columns are scaled by what is expected of them."""
+    """Return ordered laws as terms, with columns scaled by the expected sigmas."""
     count = [sum(len(law.sd) for law in laws if law.effect.shared == shared) for shared in (False, True)]
     own, shared = range(Z + 1, Z + 1 + count[0]), range(Z + 1 + count[0], Z + 1 + sum(count))
     both = Term("own", tuple(own), shared=False), Term("shared", tuple(shared), shared=True)
@@ -297,7 +309,9 @@ def _terms(laws: Sequence[Law]) -> list[Term]:
 
 
 def _expected_nis(evidence: Evidence, weight: Floats) -> tuple[float, float]:
-    """Return mean and standard deviation that the mean NIS of blocks has, taken as white, under the noise found."""
+    """Return mean and standard deviation of the mean NIS of blocks that the estimated noise predicts, per unit of white
+    noise.
+    """
     total = squares = count = 0.0
     for gyro, own in zip(evidence.gyros, weight.T, strict=True):
         for stretch in gyro.stretches:

@@ -1,8 +1,8 @@
-"""Parity of a redundant array: what its calibrated gyros say of each other, whatever the table says.
+"""Parity of a redundant array: comparison of its calibrated gyros with each other, without the table.
 
 With n > 3 gyros there are n - 3 combinations of outputs in which the body rate cancels (the left null space of the
-calibrated sense axes). A gyro that fails shows there at once. With four gyros there is one such combination: it
-tells that one of the four is wrong, not which; from five on it tells which (Potter and Suman 1977).
+calibrated sense axes). A gyro that fails shows there at once. With four gyros there is one such combination: it tells
+that one of the four is wrong, not which; from five on it tells which (Potter and Suman 1977).
 """
 
 from collections.abc import Sequence
@@ -27,10 +27,12 @@ def parity(
     growth_s: float = 0.0,
     sources: Sequence[str] = (),
 ) -> list[GyroParity]:
-    """Return the parity check of the gyros of one device, none for fewer than four.
+    """Return the parity check of each gyro of a device.
 
     ``arrays`` and ``blocks`` are those of its sources, ``states`` (n, 4) and ``noise`` (n) those of all its gyros;
-    ``growth_s`` says how the noise grows with the rate (``runs.measured``); ``sources`` (n) names the source of each.
+    ``growth_s`` says how the noise grows with the rate (``runs.measured``); ``sources`` (n) names the source of each
+    gyro. The list is empty for fewer than four gyros or no common blocks, and leaves out a gyro that no combination of
+    the others checks.
     """
     names = [name for array in arrays for name in array.names]
     if len(names) < 4 or not all(len(b.index) for b in blocks):
@@ -64,7 +66,7 @@ def parity(
             continue
         fault = np.abs(residual @ column) / size
         worst = int(np.argmax(fault))
-        alike = np.abs(column @ null) >= 0.999 * size * sizes  # itself, and those that it cannot be told from
+        alike = np.abs(column @ null) >= 0.999 * size * sizes  # itself, and those that it cannot be distinguished from
         checks.append(
             GyroParity(
                 name=name,
@@ -80,9 +82,10 @@ def parity(
 
 
 def _coarse(blocks: Sequence[Blocks]) -> list[Blocks]:
-    """Return blocks of a second or more, at most 200 and half full: a fault that lasts shows better in these.
+    """Return blocks merged to a second or more, at most 200: a fault that lasts shows better in these.
 
-    One number means one time in all of them, whichever source ends first.
+    All sources get the same factor, so that a block number means the same time in all. Blocks less than half full are
+    left out.
     """
     span = max(int(own.index[-1] - own.index[0]) + 1 for own in blocks)
     factor = max(round(_FINEST_S / blocks[0].length_s), -(-span // _MOST_BLOCKS), 1)

@@ -1,8 +1,8 @@
-"""Runs of one device against each other: do its states scatter by what each run's own sigma says?
+"""Runs of one device compared: whether its states scatter as each run's own sigma predicts.
 
-What differs between runs beyond that (switch-on bias, remounting) is the device's repeatability; it is estimated by
-the method of moments (DerSimonian, Laird 1986). Only noise is compared: what is wrong with the table is wrong in
-every run alike. ``gauge_study`` asks the same of the station, over its runs of many devices.
+What differs between runs beyond that (switch-on bias, remounting) is the device's repeatability; it is estimated by the
+method of moments (DerSimonian, Laird 1986). Only noise is compared: what is wrong with the table is wrong in every run
+alike. ``gauge_study`` asks the same of the station, over its runs of many devices.
 """
 
 from collections.abc import Sequence
@@ -20,9 +20,9 @@ _OUTSIDE = 0.05  # of the interval of a ratio
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Repeatability:
-    """States of one gyro over ``runs`` runs, each (4,): mean, scatter, expected scatter, what is between runs.
+    """States of one gyro over ``runs`` runs, each (4,): mean, scatter, expected scatter, scatter between runs.
 
-    ``differs``: scatter that chance gives in less than one of a thousand such sets.
+    ``differs`` marks a scatter that chance gives in less than one of a thousand such sets.
     """
 
     name: str
@@ -35,13 +35,17 @@ class Repeatability:
 
 
 def repeatability(runs: Sequence[Sequence[GyroCalibration]]) -> list[Repeatability]:
-    """Return how each gyro repeats over two runs or more of one device; gyros that are not in all are left out."""
+    """Return how well each gyro repeats over two or more runs of one device; gyros that are not in all runs are left
+    out.
+
+    The expected scatter is that of the noise alone (type A): the errors of a table are the same in all runs.
+    """
     names = [gyro.name for gyro in runs[0] if all(any(g.name == gyro.name for g in run) for run in runs)]
     found = []
     for name in names:
         own = [next(g for g in run if g.name == name) for run in runs]
         states = np.array([g.states for g in own])
-        # Another draw in another run; what the table does is the same in all.
+        # Noise is drawn anew in each run; the table's errors are the same in all.
         noise = np.array([np.sqrt(np.diag(g.type_a)) for g in own])
         squares, spread = _moments(states, noise)
         found.append(
@@ -59,9 +63,10 @@ def repeatability(runs: Sequence[Sequence[GyroCalibration]]) -> list[Repeatabili
 
 
 def between_runs(states: Floats, sd: Floats) -> Floats:
-    """Return the standard deviation (4,) of what is between runs of a device, from those of its gyros (runs, n, 4).
+    """Return the standard deviation (4,) between the runs of a device, from states and sigmas of its gyros (runs, n,
+    4).
 
-    Zero where chance would give as much.
+    Zero where chance gives as much scatter.
     """
     dof = states.shape[1] * (len(states) - 1)
     squares, spread = np.sum(_moments(states, sd), axis=1)
@@ -72,12 +77,18 @@ def between_runs(states: Floats, sd: Floats) -> Floats:
 def gauge_study(values: Floats, sd: Floats, parts: Sequence[str], conditions: Sequence[str]) -> dict[str, Floats]:
     """Return standard deviations (states,) from values and their stated sigmas (runs, states), some runs repeated.
 
-    ``repeatability``: one part, one condition, of ``dof`` degrees of freedom; ``reproducibility``: between conditions;
-    ``parts``: between those; NaN where the runs do not tell. ``grr``: the first two in the total. ``ratio``:
-    repeatability over rms sigma; ``ratio_low``, ``ratio_high``: its 95 % interval (chi-square; Satterthwaite).
+    ``parts`` and ``conditions`` label the runs. Keys of the result:
 
-    Random effects by the method of moments (Henderson 1953, method 1); of equal counts the two-way ANOVA of AIAG,
-    Measurement Systems Analysis, 4th ed., III.B. An interaction not above zero counts as repeatability.
+    - ``repeatability``: within one part and condition, with ``dof`` degrees of freedom
+    - ``reproducibility``: between conditions
+    - ``parts``: between parts
+    - ``grr``: share of the first two in the total
+    - ``ratio``: repeatability over the rms sigma; ``ratio_low``, ``ratio_high``: its 95 % interval (chi-square;
+      Satterthwaite)
+
+    A value is NaN where the runs do not tell it. Random effects by the method of moments (Henderson 1953, method 1);
+    with equal counts this is the two-way ANOVA of AIAG, Measurement Systems Analysis, 4th ed., III.B. An interaction
+    that is not above zero counts as repeatability.
     """
     from scipy.stats import chi2
 
@@ -87,7 +98,7 @@ def gauge_study(values: Floats, sd: Floats, parts: Sequence[str], conditions: Se
     sums = np.zeros((*n.shape, x.shape[1]))
     np.add.at(n, index, 1)
     np.add.at(sums, index, x)
-    if np.count_nonzero(n) == len(n):  # each part met one condition: nothing tells them apart
+    if np.count_nonzero(n) == len(n):  # each part met one condition: they cannot be distinguished
         n, sums = n.sum(axis=1, keepdims=True), sums.sum(axis=1, keepdims=True)
     rows, squares = [], []
     factors = ((1,), (0,), ())  # parts, conditions, both: the axes that their groups are summed over
@@ -96,7 +107,7 @@ def gauge_study(values: Floats, sd: Floats, parts: Sequence[str], conditions: Se
         shared = [n.sum(axis=tuple({*group} & {*factor}), keepdims=True) for factor in factors]
         rows.append([*(np.sum(m**2 / size) for m in shared), np.count_nonzero(n.sum(axis=group))])
         squares.append((sums.sum(axis=group, keepdims=True) ** 2 / size[..., None]).sum(axis=(0, 1)))
-    # What the variances of parts, conditions, both and runs add to the squares of each, and these squares.
+    # Contribution of the variances of parts, conditions, both and runs to the squares of each, and these squares.
     a, b = np.array([*rows[:3], [len(x)] * 4]) - rows[3], np.array([*squares[:3], (x**2).sum(axis=0)])
     of_parts, of_conditions, of_both = (row[3] for row in rows[:3])
     kept = [0, 1, 3] if of_conditions > 1 else [0, 3]

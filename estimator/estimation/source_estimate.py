@@ -1,4 +1,4 @@
-"""The estimate of one source, whichever way it is found; under white noise where there is too little to tell more."""
+"""The estimate of one source, by any method; under white noise where there is too little data for more."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,17 +20,18 @@ from estimator.recordings.reference import Poses, Turns
 from estimator.types import Floats
 
 Sources = Sequence[tuple[str, ImuData]]
-_EXCESS = 2.0  # mean square from which on it is told
+_EXCESS = 2.0  # mean square from which on it is reported
 
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class SourceEstimate:
-    """Of the gyros (m) of one source: states x (m, 4), what their covariance is the sum of, noise, effects, by gyro.
+    """Estimate of the m gyros of one source: states ``x`` (m, 4) and by gyro the lines that their covariance sums up,
+    noise, effects.
 
-    ``data`` are its samples, their stamps less the offset to the reference where that is known; ``noise_rps`` (m,) is
-    the noise of one. ``squares`` of block means about the estimate, over those of white noise, and their number
-    ``dof``; ``blocks`` without what effects say, for the parity; ``expected_nis``: mean and standard deviation under
-    the noise found.
+    ``data`` are its samples, with the time offset to the reference subtracted from their stamps where it is known;
+    ``noise_rps`` (m,) is the noise of one sample. ``squares`` are those of block means about the estimate, over those
+    of white noise, and ``dof`` is their number. ``blocks`` have the effects subtracted, for the parity check.
+    ``expected_nis``: mean and standard deviation under the estimated noise.
     """
 
     source: str
@@ -51,9 +52,9 @@ class SourceEstimate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeviceEstimate:
-    """What a recording says of one device: by source, what a person should know, and what speaks against it.
+    """Estimate of one device: its sources, ``notes`` that a person should know, and ``doubts`` against it.
 
-    ``spoilt`` is what changed in mid-run, ``undeclared`` which effects make how much of the sigmas.
+    ``spoilt`` says what changed in mid-run, ``undeclared`` which effects cause which share of the sigmas.
     """
 
     sources: Sequence[SourceEstimate]
@@ -64,11 +65,14 @@ class DeviceEstimate:
 
 
 def estimate_white(recording: Recording, source: str, data: ImuData) -> SourceEstimate:
-    """Return the estimate of a source under white noise: of turns, or of too few samples to tell what it is like."""
+    """Return the estimate of a source under white noise: for turns, or for too few samples to tell the kind of noise.
+
+    For turns the noise is at least the stated one and ``noise`` is None; otherwise it is the scatter of the residual.
+    """
     gram, m = gram_of(recording, source, data), len(data.array)
     noise = None
-    if isinstance(recording.reference, Turns):  # a few rows: their doubt is stated, not found
-        # The rows are weighted by the noise of the worst channel, so that is what the noise is relative to.
+    if isinstance(recording.reference, Turns):  # a few rows: their uncertainty is stated, not estimated
+        # The rows are weighted by the noise of the worst channel, so the noise is relative to that.
         noise = np.maximum(sample_noise(data).max(), solve(gram, data.array, data.prior).noise_rps)
     found = solve(gram, data.array, data.prior, noise)
     kinds: list[NoiseFound | None] = [None] * m
@@ -89,7 +93,10 @@ def estimate_white(recording: Recording, source: str, data: ImuData) -> SourceEs
 
 
 def estimate_laid(poses: Poses, sources: Sources) -> DeviceEstimate:
-    """Return the estimates of sources of which gravity at rests is the reference."""
+    """Return the estimates of sources whose reference is gravity at rests between turns.
+
+    Each source gets a note on the number of turns, and a doubt if gravity is missed by far more than chance.
+    """
     estimates, notes, doubts = list[SourceEstimate](), list[str](), list[str]()
     for source, data in sources:
         found, m = estimate_poses(data, poses, data.prior), len(data.array)

@@ -1,4 +1,4 @@
-"""Products of columns by frequency: what estimates, noise and evidence need of a run, under any noise at once.
+"""Products of columns by frequency: the sums that estimates and evidence need, for all noise models at once.
 
 The blocks of a stretch are taken through the discrete cosine transform. In it white noise is white, and a random walk
 has independent coefficients, exactly (its increments mirror at both ends); flicker noise nearly so. Noise is thus a
@@ -20,7 +20,7 @@ from estimator.types import Floats
 _BANDS_A_DECADE = 8
 _UNLIKE = 5.0  # over the root of how many frequencies tell it: by so much levels of noise differ that are not the same
 _FEWEST, _FEWEST_TURNS = 10, 2  # blocks of a stretch; of turns each is a row of its own
-_SINGLE = 12  # so many of the lowest frequencies of a stretch have a band of their own
+_SINGLE = 12  # each of the lowest frequencies of a stretch has a band of its own, up to this number
 _WHITE = 0.6  # expected before the data: that a kind of coloured noise is too small to matter
 _STATED_SPREAD = np.log(3.0)  # how far a device's instability may be from its data sheet
 _LEAST = 0.05  # expectation of no coloured noise at most, where the data sheet states some
@@ -57,7 +57,10 @@ class Stretch:
 
     @classmethod
     def of(cls, run: int, blocks: slice, length_s: float, alone: bool) -> "Stretch":
-        """Return that of some blocks; ``alone`` if there is no other recording: power was not off in between."""
+        """Return the stretch of some blocks of a run, its frequencies sorted into bands that widen with frequency.
+
+        ``alone``: there is no other recording, so that the power was not off in between.
+        """
         n = blocks.stop - blocks.start
         frequency = np.arange(n) / (2 * n * length_s)
         k = np.arange(n)
@@ -103,9 +106,10 @@ class NoiseShapes:
     def over(
         cls, span_s: float, stated: NoiseModel | None = None, *, several: bool = False, finely: bool = False
     ) -> "NoiseShapes":
-        """Return those that one or ``several`` recordings of this length can tell; ``stated`` by a data sheet.
+        """Return the noise models that a recording of length ``span_s``, or ``several``, can tell apart.
 
-        ``finely``: biases from recording to recording in finer steps, where they are the noise of the states.
+        ``stated`` is the noise of a data sheet, which makes models near it likelier. ``finely`` takes finer steps for
+        biases from recording to recording, for estimates in which these are the noise of the states.
         """
         arw = stated.arw if stated is not None else 0.0
         ratios = (stated.instability / arw, stated.walk / arw) if stated is not None and arw > 0 else (0.0, 0.0)
@@ -126,7 +130,10 @@ class NoiseShapes:
         return NoiseShapes(*parts, self.span_s)
 
     def density(self, stretch: Stretch) -> Floats:
-        """Return the variance (G, bands) of a coefficient in each band over that of white noise."""
+        """Return the variance (G, bands) of a coefficient in each band, over that of white noise.
+
+        Band 0 is the mean of the stretch, so that its value is the variance of the bias.
+        """
         circle = 2 * np.pi * np.maximum(stretch.band_hz, 1e-12)
         out = stretch.level + self.instability[:, None] ** 2 / circle + (self.walk[:, None] / circle) ** 2
         own_s = len(stretch.band) * stretch.length_s
@@ -141,7 +148,10 @@ class NoiseShapes:
 
 
 def _expected(sizes: Floats, stated: float) -> tuple[Floats, Floats]:
-    """Return none and these ratios to the angle random walk, and what is expected of each; ``stated``: 0 for none."""
+    """Return ratios to the angle random walk (none, then ``sizes``) and the probability expected of each.
+
+    ``stated`` is the ratio of a data sheet, 0 for none; without one all sizes are equally probable.
+    """
     values = np.concatenate([[0.0], sizes])
     if stated <= 0:
         return values, np.concatenate([[_WHITE], np.full(len(sizes), (1 - _WHITE) / len(sizes))])
@@ -153,7 +163,9 @@ def _expected(sizes: Floats, stated: float) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Profile:
-    """By how much the noise of a gyro in a run is larger than its models say: ``factor`` (f,) about ``hz`` (f,)."""
+    """Factor by which the noise of a gyro in a run exceeds its models: ``factor`` (f,) at the frequencies ``hz``
+    (f,).
+    """
 
     hz: Floats
     factor: Floats
@@ -165,9 +177,10 @@ class Profile:
 
     @classmethod
     def of(cls, hz: Floats, squares: Floats, freedom: Floats, *, less: bool) -> "Profile":
-        """Return that of what is left by band (n,); 1 where that may be chance, or smaller and not ``less``.
+        """Return the profile of residuals given by band (n,): ``squares`` over their degrees of ``freedom``.
 
-        Neighbouring bands are taken together until they tell something.
+        The factor is 1 where the ratio may be chance, and where it is below 1 unless ``less`` allows that. Neighbouring
+        bands are merged until they have enough degrees of freedom.
         """
         from scipy.special import gammainc, gammaincc  # of the chi-square; scipy.stats takes a second to import
 
@@ -192,8 +205,8 @@ class GyroSpectra:
     """One gyro over all runs: its columns in the cosine domain, and their products by band.
 
     ``columns`` holds for each stretch (b, c): the four states first, then z, then those of effects as they are added;
-    ``products`` (c, c, bands of all stretches) likewise. All are over the white noise of one block, of which ``arw`` is
-    the density.
+    ``products`` (c, c, bands of all stretches) likewise. All are divided by the white noise of one block, whose density
+    is ``arw``.
     """
 
     name: str
@@ -204,7 +217,7 @@ class GyroSpectra:
     products: Floats = field(default_factory=lambda: np.empty((0, 0, 0)))
 
     def parts(self, runs: Sequence[Run], columns: Callable[[int, int], Floats]) -> list[Floats]:
-        """Return columns (b, c) of each stretch as they count; ``columns`` gives those of a run by number and gyro."""
+        """Return weighted columns (b, c) of each stretch; ``columns`` gives those of a run by run and gyro number."""
         whole: dict[int, Floats] = {}
         for number in {stretch.run for stretch in self.stretches}:
             own = runs[number].array.names.index(self.name)
@@ -217,7 +230,7 @@ class GyroSpectra:
         self.put(np.arange(count, count + new[0].shape[1]), [cosines(part) for part in new])
 
     def put(self, numbers: NDArray[np.intp], turned: Sequence[Floats]) -> None:
-        """Set the columns with these numbers (k,), which may lie beyond those that there are.
+        """Set the columns with these numbers (k,), which may lie beyond the present ones, and their products.
 
         ``turned`` holds for each stretch (b, k): columns in the cosine domain, in rad/s.
         """
@@ -229,7 +242,7 @@ class GyroSpectra:
             self.products[numbers, :, bands] = border.transpose(2, 1, 0)
 
     def widen(self, count: int) -> None:
-        """Make room for so many columns; those that are new are zero."""
+        """Make room for ``count`` columns, the new ones zero; does nothing to columns if there are as many."""
         old, more = len(self.products), count - self.columns[0].shape[1]
         if more > 0:
             self.columns = [np.pad(own, ((0, 0), (0, more))) for own in self.columns]
@@ -251,7 +264,7 @@ class GyroSpectra:
         return [slice(first, last) for first, last in pairwise(ends.tolist())]
 
     def only(self, keep: Sequence[int]) -> "GyroSpectra":
-        """Return the gyro with only the stretches of these numbers."""
+        """Return the gyro with only the stretches whose numbers are in ``keep``."""
         bands = self.bands()
         products = [self.products[..., :0], *(self.products[..., bands[n]] for n in keep)]
         return replace(
@@ -262,9 +275,9 @@ class GyroSpectra:
         )
 
     def gram(self, densities: Floats, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Floats:
-        """Return the products (G, ...) of columns, summed over all bands, of which the densities (G, bands) are given.
+        """Return the products (G, ...) of columns, summed over all bands, each divided by the densities (G, bands).
 
-        Numbers of ``rows`` and ``columns`` are taken in pairs, as they broadcast.
+        The numbers in ``rows`` and ``columns`` are taken in pairs, as they broadcast.
         """
         products = self.products[rows, columns]
         *pairs, bands = products.shape
@@ -277,10 +290,11 @@ Z = 4
 
 
 def gyro_spectra(runs: Sequence[Run], arw: Mapping[str, float] | None = None) -> list[GyroSpectra]:
-    """Return every gyro of the runs, with the columns of its states and its output error.
+    """Return every gyro of the runs, with the columns of its states and its output error; gyros without blocks are left
+    out.
 
-    The white noise of a block is taken from the upper half of its spectrum, by the median: ramps and tones are few.
-    ``arw`` states it by gyro (rad/s/rtHz) where much of the runs is left out.
+    The white noise is the median over the upper half of the spectrum, where ramps and tones are few, and at least the
+    stated noise of turns. ``arw`` gives it by gyro instead (rad/s/rtHz), for runs of which much is left out.
     """
     names = list(dict.fromkeys(name for run in runs for name in run.array.names))
     alone = len({run.order for run in runs}) == 1 and not any(run.recording.several_files for run in runs)
@@ -315,7 +329,9 @@ def stretches_used(run: Run) -> list[slice]:
 
 
 def _levelled(turned: Sequence[Floats], stretches: Sequence[Stretch], white: float) -> list[Stretch]:
-    """Return stretches with the level of the white noise of their run, where that is not the level of all by chance."""
+    """Return stretches with ``level`` set to the white noise of their run over ``white``, 1 where the difference may be
+    chance.
+    """
     levels = {}
     for run in {stretch.run for stretch in stretches}:
         own = [n for n, stretch in enumerate(stretches) if stretch.run == run]
@@ -326,11 +342,11 @@ def _levelled(turned: Sequence[Floats], stretches: Sequence[Stretch], white: flo
 
 
 def _white(turned: Sequence[Floats], stretches: Sequence[Stretch]) -> float:
-    """Return the angle random walk (rad/s/rtHz) from the upper half of the frequencies.
+    """Return the angle random walk (rad/s/rtHz), the median of the residual in the upper half of the frequencies.
 
-    ``turned`` has the cosines (b, 5) of states and output error by stretch.
+    ``turned`` has by stretch the cosine coefficients (b, 5) of states and output error.
     """
     rows = np.vstack([np.sqrt(s.length_s) * part[len(part) // 2 :] for part, s in zip(turned, stretches, strict=True)])
     rest = rows[:, Z] - rows[:, :Z] @ np.linalg.lstsq(rows[:, :Z], rows[:, Z], rcond=1e-10)[0]
-    free = 1 - rows.shape[1] / max(len(rows), 2 * rows.shape[1])  # what the states take of a few rows
+    free = 1 - rows.shape[1] / max(len(rows), 2 * rows.shape[1])  # share of a few rows that the states do not fit
     return float(max(np.median(np.abs(rest)) / 0.6745 / np.sqrt(free), 1e-9))

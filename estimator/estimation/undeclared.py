@@ -1,4 +1,4 @@
-"""Effects that nobody has spoken of: what the catalogue says may be there, at the sizes that it calls plausible.
+"""Undeclared effects: those of the catalogue that may be there, at the sizes that it calls plausible.
 
 A script may be saturated: what is constant within each of its steady rates leaves no residual, however wrong the states
 are for it. Only expectation can speak there (JCGM 100:2008, 4.3: type B). Every law of the catalogue stands beside the
@@ -39,7 +39,7 @@ _LEAST_COLUMN = 1e-12
 _MOST_NAMED, _NAMED = 3, 0.1  # effects that are named of a state, and the share of its variance that they make
 _TILTED = 0.05  # of gravity: a component that changes by less does so by vibration and drift
 _OF_TIME = frozenset(record.name for record in drift.RECORDS)
-_ASSUMED = frozenset({"temperature", "specific force"})  # what is taken for known where it was not recorded
+_ASSUMED = frozenset({"temperature", "specific force"})  # assumed where it was not recorded
 _OF_B_RPS = float(np.radians(20.0)) * _SHARE
 """Bias to which the sizes of the catalogue belong: those of temperature and gravity are of the sheet (MPU-6050) that
 promises no more than 20 deg/s. A type that promises less is less sensitive to these, too."""
@@ -47,10 +47,10 @@ promises no more than 20 deg/s. A type that promises less is less sensitive to t
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Undeclared:
-    """What nobody has spoken of: ``laws`` of what a recording holds, and ``assumed`` ones of what it does not.
+    """Undeclared effects: ``laws`` that the recording can show, and ``assumed`` laws that it cannot show.
 
-    The latter depend on a temperature or a pose that was not recorded: what they do to the states can only be reckoned.
-    ``runs`` are under the conditions that all of them depend on.
+    The latter depend on a temperature or a pose that was not recorded, so that their influence on the states can only
+    be computed. ``runs`` have the conditions that all of them depend on, as assumed.
     """
 
     laws: list[Law]
@@ -59,13 +59,13 @@ class Undeclared:
 
 
 def undeclared(runs: Sequence[Run], excluded: frozenset[str]) -> Undeclared:
-    """Return the laws of the catalogue but those excluded.
+    """Return the laws of the catalogue, except those excluded, that could act on the states unseen.
 
-    States hold for the temperature and the pose that there were, where these are not known or do not change: a bias
-    that follows a temperature which nobody measured follows time, for which there are laws, and the bias is its mean
-    over the recording. What is left is assumed: a temperature that rises by 10 K, level axes of a body that is turned.
-    Beside a stated site Earth rate is no undeclared effect, nor are errors of a table's axes and rates beside its
-    stated uncertainty.
+    Laws whose temperature or pose was not recorded are assumed: a temperature that rises by 10 K, level axes of a body
+    that turns. Where temperature is unknown, the states hold for the mean over the recording, and laws of time stand
+    for what the temperature does to the bias. Left out as well are tones, bias steps between several files, Earth rate
+    beside a stated site or without a table, errors of a table that states its uncertainty, effects of specific force in
+    a single pose, and laws that do not act in these runs.
     """
     offers = frozenset.intersection(*(run.grid.offers for run in runs))
     runs = [replace(run, grid=_completed(run.grid)) for run in runs]
@@ -108,9 +108,8 @@ def undeclared(runs: Sequence[Run], excluded: frozenset[str]) -> Undeclared:
 
 
 def _about_its_mean(effect: Effect) -> Effect:
-    """Return an effect whose columns are about their mean over a run: the states are those of the whole run.
-
-    A law that goes on beyond the run says what the bias would become, at a temperature that nobody recorded.
+    """Return an effect whose columns are taken about their mean over a run, so that the states hold for the whole
+    run.
     """
 
     def about_mean(conditions: Conditions, axes: Axes) -> Floats:
@@ -140,9 +139,10 @@ def _of_type(effect: Effect, prior: Prior) -> float:
 
 
 def moved_by(joint: Joint, found: Undeclared) -> list[Floats]:
-    """Return by gyro the covariance (4, 4) of what the assumed laws make of the states (GUM 5.1.3).
+    """Return by gyro the covariance (4, 4) that the assumed laws add to the states (GUM 5.1.3).
 
-    They are of conditions that nobody measured, so the residual says nothing of them, and they move no value.
+    They depend on conditions that nobody measured, so that the residual says nothing about them, and they move no
+    value.
     """
     covariances = []
     for gyro in range(len(joint.means)):
@@ -155,7 +155,10 @@ def moved_by(joint: Joint, found: Undeclared) -> list[Floats]:
 
 
 def effects_by_state(joint: Joint, covariances: Sequence[Floats]) -> tuple[UndeclaredEffect, ...]:
-    """Return which undeclared effects make most of the variance of each state, the mean over the gyros."""
+    """Return for each state the undeclared effects that cause most of its variance, as the mean over the gyros.
+
+    At most ``_MOST_NAMED`` a state, and none with a share below ``_NAMED``.
+    """
     shares: dict[tuple[int, str], float] = {}
     shown_by: dict[str, str] = {}
     for number, law in enumerate(joint.laws):
@@ -177,7 +180,10 @@ def effects_by_state(joint: Joint, covariances: Sequence[Floats]) -> tuple[Undec
 
 
 def undeclared_notes(found: Sequence[UndeclaredEffect], gyros: Sequence[GyroCalibration]) -> list[str]:
-    """Return, in words, which undeclared effects make most of the sigmas, and what these are without them."""
+    """Return one sentence on the undeclared effects that cause most of the sigmas and on the sigmas without them.
+
+    An empty list if nothing was ``found``.
+    """
     if not found:
         return []
     most: dict[str, float] = {}
@@ -192,7 +198,11 @@ def undeclared_notes(found: Sequence[UndeclaredEffect], gyros: Sequence[GyroCali
 
 
 def _effects(grid: Conditions) -> list[tuple[Effect, float]]:
-    """Return the effects, and the share of its size that each stands for: what is not linear is spread over several."""
+    """Return the laws of the catalogue that suit the axes of ``grid``, with the share of its size that each stands for.
+
+    An effect that is not linear is spread over several laws, and one of a higher power in the rate is scaled for its
+    fastest rate. What is one law for certain comes first.
+    """
     first, last = float(grid.t_s[0]), float(grid.t_s[-1])
     fastest_rps = max(float(np.abs(grid.w_rps).max(initial=0.0)), _SPOKEN_OF_RPS)
     found: list[tuple[tuple[int, bool, bool], Effect, float]] = []
@@ -203,12 +213,12 @@ def _effects(grid: Conditions) -> list[tuple[Effect, float]]:
             effect = record.effect(grid.gimbals, **settings)
             of_temperature = bool(effect.law) and "T" in variables_of(effect.law)
             found.append(((-len(several) or -100, not record.planned, of_temperature), effect, share))
-    # What is one law for certain first, then what several stand for: the order decides the last digits of figures.
+    # Certain laws first, then those that stand for several: the order decides the last digits of figures.
     return [(effect, share) for _, effect, share in sorted(found, key=lambda one: one[0])]
 
 
 def _completed(grid: Conditions) -> Conditions:
-    """Return conditions with what is not known assumed: level axes, and a temperature that rises."""
+    """Return conditions with assumptions for unknown ones: level axes, and a temperature that rises."""
     force = np.where(np.isfinite(grid.specific_force_mps2), grid.specific_force_mps2, [0.0, 0.0, GRAVITY_MPS2])
     temperature = grid.temperature_c
     if temperature is None:

@@ -41,14 +41,14 @@ def sensor_array(
     part_of_array: bool = False,
     as_printed: bool = False,
 ) -> SensorArray:
-    """Return a checked array from its sense axes (n x 3) and, if given, its tilt axes (n x 3 each).
+    """Return a checked array from sense axes (n x 3) and, if given, tilt axes (n x 3 each).
 
-    Tilt axes that are not given are derived: j is the part of +z at right angles to p (+x where p is along
-    z), and k = p x j. ``part_of_array`` allows channels that do not span space by themselves.
-    ``as_printed`` takes the triads as they stand, for reproducing a publication with its misprints.
+    Otherwise tilt axes are derived: j is the part of +z perpendicular to p (of +x if p is along z), and k = p x j.
+    ``part_of_array`` allows gyros that do not span space. ``as_printed`` accepts skewed triads, for reproducing a
+    publication with its misprints.
 
-    Raises GeometryError for axes that are not unit vectors, triads that are not orthonormal to 1e-3, and
-    directions that do not span three dimensions.
+    GeometryError for axes that are not unit vectors, triads that are not orthonormal to 1e-3, directions that do not
+    span three dimensions, and wrong shapes or names.
     """
     p = _axes("p", p)
     n = len(p)
@@ -117,6 +117,7 @@ def _tilt_axes(p: Floats) -> Floats:
 
 
 def _axes(name: str, value: ArrayLike) -> Floats:
+    """Return ``value`` as an array (n, 3); GeometryError, with ``name``, if it is not finite or has another shape."""
     try:
         axes = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):

@@ -17,7 +17,7 @@ AXES = "xyz"
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """Where the table stands: geographic latitude and the azimuth of the base x axis, clockwise from north."""
+    """Site of the table: geographic latitude and the azimuth of the base x axis, clockwise from north."""
 
     latitude_rad: float
     heading_rad: float
@@ -39,11 +39,10 @@ def into_body(base_vector: Floats, angles_rad: Floats, gimbals: Sequence[str]) -
 
 
 def body_rate(angles_rad: Floats, rates_rps: Floats, gimbals: Sequence[str], site: Site | None = None) -> Floats:
-    """Return the inertial rate of the body in body axes, shape (k, 3).
+    """Return the inertial rate of the body in body axes, (k, 3).
 
-    ``angles_rad`` and ``rates_rps`` are (k, gimbals), columns ordered as ``gimbals``, outermost first. Each
-    gimbal adds its rate about its own axis after the frame has turned by its angle. With a site,
-    Earth rate is what the outermost gimbal starts from; without one it is not in the result.
+    ``angles_rad`` and ``rates_rps`` are (k, gimbals), columns as in ``gimbals``, outermost first. Each gimbal turns the
+    frame by its angle and then adds its rate about its own axis. Earth rate is included only if a site is given.
     """
     start = np.zeros(3) if site is None else site.earth_rate_rps()
     w = np.array(np.broadcast_to(start, (len(angles_rad), 3)))
@@ -79,7 +78,9 @@ def _turn_frame(v: Floats, axis: str, angle_rad: Floats) -> Floats:
 
 
 def axis_text(direction: Floats | Sequence[float], near: float = 1 - 1e-6) -> str:
-    """Return a direction (3,) as a mapping file states it: "-z" if it is so ``near`` (cosine), or three numbers."""
+    """Return a direction (3,) in the notation of a mapping file: "-z" if its cosine exceeds ``near``, else three
+    numbers.
+    """
     v = np.asarray(direction, dtype=np.float64)
     v = v / np.linalg.norm(v)
     largest = int(np.argmax(np.abs(v)))

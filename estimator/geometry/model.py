@@ -34,7 +34,7 @@ class Prior:
 
 
 def regressor_maps(array: SensorArray) -> Floats:
-    """Return A (n, 4, 4) such that gyro i has regressors ``A[i] @ [1, wx, wy, wz]`` on its states."""
+    """Return A (n, 4, 4) such that the regressors of gyro i on its states are ``A[i] @ [1, wx, wy, wz]``."""
     maps = np.zeros((len(array), 4, 4))
     maps[:, 0, 1:] = -array.p
     maps[:, 1, 0] = -1.0
@@ -44,7 +44,7 @@ def regressor_maps(array: SensorArray) -> Floats:
 
 
 def decode(x: Floats, covariance: Floats) -> tuple[Floats, Floats]:
-    """Return the states [k, b, sigma_j, sigma_k] and their covariance (4, 4) from x of one gyro."""
+    """Return the states [k, b, sigma_j, sigma_k] and their covariance (4, 4) from the estimated x (4,) of one gyro."""
     k = x[0]
     gain = 1.0 - k
     jacobian = np.diag([1.0, 1.0, 1 / gain, 1 / gain])

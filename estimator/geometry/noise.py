@@ -29,7 +29,7 @@ class NoiseModel:
 
 @dataclass(frozen=True, slots=True)
 class NoiseFound:
-    """Noise of one gyro as found, and what 95 % of the expectation is below."""
+    """Estimated noise of one gyro, with upper 95 % limits."""
 
     mean: NoiseModel
     instability_below: float
@@ -38,9 +38,9 @@ class NoiseFound:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeansCovariance:
-    """Covariance of means over blocks of one length, per unit of each kind of noise squared, each (B, B).
+    """Covariance of block means, for unit size of each kind of noise, each (B, B); for blocks of equal length.
 
-    ``white`` is the diagonal (B,): one over the time that a block holds samples for.
+    ``white`` is the diagonal (B,): one over the time that is covered by samples.
     """
 
     white: Floats
@@ -49,7 +49,9 @@ class MeansCovariance:
 
     @classmethod
     def of(cls, t_s: Floats, length_s: float, held_s: Floats) -> Self:
-        """Return it for blocks centred at ``t_s`` (B,), of which samples cover ``held_s`` (B,)."""
+        """Return the covariance for blocks of ``length_s`` centred at ``t_s`` (B,), with samples over ``held_s``
+        (B,).
+        """
         lag = np.abs(t_s[:, None] - t_s[None, :])
         same = np.eye(len(t_s), dtype=bool)
         longest = 10 * max(float(t_s[-1] - t_s[0]), 10 * _SHORTEST_S)

@@ -10,7 +10,11 @@ from estimator.types import Floats
 
 
 def turned(p: Floats, t_s: Floats, window_s: float = 0.0) -> tuple[Floats, Floats]:
-    """Return angles and rates at instants (..., n), the rates as means over the window before them."""
+    """Return angles and rates at instants (..., n) for a polyline of rates with parameters ``p``.
+
+    ``p`` has the instants of the corners, the rates there, the angle at the first corner, and the scale of rates. Rates
+    are means over the ``window_s`` before each instant, if given.
+    """
     k = len(p) // 2 - 1
     corners, rates = p[:k], p[k : 2 * k]
     angle = p[2 * k] + rates[0] * np.minimum(t_s - corners[0], 0.0) + rates[-1] * np.maximum(t_s - corners[-1], 0.0)
@@ -23,7 +27,7 @@ def turned(p: Floats, t_s: Floats, window_s: float = 0.0) -> tuple[Floats, Float
 
 
 def modelled(p: Floats, t_s: Floats, window_s: float = 0.0) -> tuple[Floats, Floats, Floats]:
-    """Return the same at instants (n,) and their slopes (2 n, parameters), those of the angles first."""
+    """Return angles and rates at instants (n,) as ``turned``, and their derivatives (2 n, parameters), angles first."""
     k = len(p) // 2 - 1
     corners, rates, scale = p[:k], p[k : 2 * k], p[-1]
     d_angle, d_rate = _slopes(corners, rates, t_s)
@@ -41,7 +45,7 @@ def modelled(p: Floats, t_s: Floats, window_s: float = 0.0) -> tuple[Floats, Flo
 
 
 def _slopes(corners: Floats, rates: Floats, t_s: Floats) -> tuple[Floats, Floats]:
-    """Return slopes (parameters, n) of angles and of rates; those by the rates at corners are what these count."""
+    """Return the derivatives (parameters, n) of angles and of rates; only those by the rates are used for values."""
     k = len(corners)
     lengths = np.diff(corners)[:, None]
     bends = np.diff(rates)[:, None] / lengths

@@ -1,4 +1,4 @@
-"""Foreign files as named columns: delimited text and MATLAB files."""
+"""External files as named columns: delimited text and MATLAB files."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -21,9 +21,9 @@ _TEXT = bytes([*range(9, 14), *range(32, 256)])
 
 
 def read_table(path: Path, file_format: FileFormat, wanted: Wanted) -> Table:
-    """Read the wanted columns of a file.
+    """Return the wanted columns of a file: MATLAB, binary, a capture, or text.
 
-    Raises RecordingError, naming the file, if it is empty, lacks a column, or is broken in more than 10 % of
+    RecordingError, naming the file, if it is empty, of another kind, lacks a column, or is broken in more than 10 % of
     its lines.
     """
     try:
@@ -55,6 +55,7 @@ def read_table(path: Path, file_format: FileFormat, wanted: Wanted) -> Table:
 
 
 def _decoded(raw: bytes, wanted: Wanted) -> str:
+    """Return the text of a file in UTF-16, UTF-8 or, if a wanted column is found only then, Latin-1."""
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return raw.decode("utf-16", errors="replace")
     text = raw.decode("utf-8-sig", errors="replace")
@@ -72,13 +73,14 @@ def _check_present(name: str, wanted: Sequence[str], present: Sequence[str], whe
 
 
 def _read_binary(name: str, raw: bytes, record: np.dtype[Any], header_bytes: int, wanted: Sequence[str]) -> Table:
+    """Return the wanted columns of a binary file; RecordingError if it is too short or its numbers are implausible."""
     numeric = [key for key in record.names or () if record[key].base.kind != "V"]
     _check_present(name, wanted, numeric, "record in [file]")
     count, rest = divmod(len(raw) - header_bytes, record.itemsize)
     if count < 1:
         raise RecordingError(sentence("importing.short_record", name=name, size=len(raw), record=record.itemsize))
     rows = np.frombuffer(raw, record, count, header_bytes)
-    with np.errstate(invalid="ignore"):  # what is no number may spell a signalling NaN
+    with np.errstate(invalid="ignore"):  # values that are not numbers may be signalling NaN
         columns = {key: rows[key].astype(np.float64) for key in wanted}
     size = np.concatenate([np.abs(column).ravel() for column in columns.values()])
     if np.mean((size > HUGE) | ((size > 0) & (size < 1 / HUGE))) > _ABSURD_SHARE:
@@ -88,6 +90,7 @@ def _read_binary(name: str, raw: bytes, record: np.dtype[Any], header_bytes: int
 
 
 def _read_mat(path: Path, wanted: Sequence[str]) -> Table:
+    """Return the wanted variables of a MATLAB file; RecordingError if one is missing or not numeric."""
     from scipy.io import loadmat  # only where a .mat file is read
 
     try:
@@ -107,9 +110,9 @@ def _read_mat(path: Path, wanted: Sequence[str]) -> Table:
 
 
 def by_rows(columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Return arrays with samples along their first dimension, (n,) or (n, width), whichever way they are stored.
+    """Return arrays with samples along their first dimension, (n,) or (n, width), however they are stored.
 
-    Samples are as many as the longest side of the largest array; an array of as many along another side is turned.
+    The number of samples is the longest side of the largest array; arrays with it along another side are turned.
     """
     rows = max((max(values.shape, default=1) for values in columns.values()), default=1)
     found = {}

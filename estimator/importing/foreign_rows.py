@@ -1,4 +1,4 @@
-"""Rows of a foreign reference: attitudes, rates or angles in SI and body axes, and the reference they become."""
+"""Rows of an external reference: attitudes, rates or angles in SI and body axes, and the reference from them."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from estimator.types import Floats, Stamps
 
 _NORM_OFF = 0.05  # an attitude whose length is this far from 1 is a lost one
 _MATRIX = 9  # columns of a rotation matrix
-_LOST_STEPS = 3  # blanks over more than this many usual steps: what happened there is not known
+_LOST_STEPS = 3  # longer blanks, in usual steps: the motion in them is unknown
 _LOST_NS = 150_000_000
 
 
@@ -21,7 +21,10 @@ ForeignRows = tuple[Floats, Floats]
 
 
 def reference_rows(reference: Measured, table: Table) -> Floats:
-    """Return attitudes (rows, 4) as w x y z, body to reference, rates (rows, 3) or angles (rows, 1)."""
+    """Return attitudes (rows, 4) as w x y z, body to reference, or rates (rows, 3), or angles (rows, 1).
+
+    Invalid attitudes are NaN; RecordingError if no row is usable.
+    """
     rows = table.values(reference.columns, f"[reference] column{'s' * (reference.kind != 'angle')}")
     if reference.columns.width == _MATRIX:
         rows = _quaternions(rows)
@@ -34,7 +37,7 @@ def reference_rows(reference: Measured, table: Table) -> Floats:
 
 
 def _quaternions(rows: Floats) -> Floats:
-    """Return quaternions w x y z (n, 4) of rotation matrices (n, 9) row by row, NaN for what is none."""
+    """Return quaternions w x y z (n, 4) of rotation matrices (n, 9) in row order, NaN for invalid ones."""
     from scipy.spatial.transform import Rotation
 
     matrices = rows.reshape(-1, 3, 3)
@@ -48,7 +51,10 @@ def _quaternions(rows: Floats) -> Floats:
 
 
 def foreign_reference(reference: Measured, t_ns: Stamps, rows: Floats) -> Reference:
-    """Return the reference of rows (k, c) at ``t_ns`` (k,), NaN where nothing is known."""
+    """Return the reference made of rows (k, c) at ``t_ns`` (k,), NaN where unknown.
+
+    Single unknown rows of a rate are dropped; those in longer gaps are kept.
+    """
     if reference.kind == "attitude":
         return AttitudeReadings(t_ns, rows)
     if reference.kind == "angle":
@@ -68,7 +74,7 @@ def _encoder(gimbal: str, t_ns: Stamps, angle_rad: Floats) -> TableReadings:
 
 
 def _lost(t_ns: Stamps, whole: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return which rows (k,) lie in gaps between whole ones that are too long to be filled."""
+    """Return as flags (k,) which rows are in gaps between complete ones that are too long to be filled."""
     known = t_ns[whole]
     if len(known) < 2:
         return np.zeros(len(t_ns), dtype=bool)

@@ -1,4 +1,4 @@
-"""How far each gyro's output follows the reference: its factor, and an axis, a sign or a scale that is wrong.
+"""How far each gyro's output follows the reference: its factor, and a wrong axis, sign or scale.
 
 Sign and scale are taken from the data where the mapping asks for it, and told where it does not.
 """
@@ -22,24 +22,24 @@ from estimator.packaged import sentence
 from estimator.recordings.recording import ImuData, Recording
 from estimator.types import Floats
 
-_LEAST_RPS = float(np.radians(0.2))  # rms of a turning that tells anything
+_LEAST_RPS = float(np.radians(0.2))  # rms of the least useful rotation
 _TURNS = 10.0  # times that, of outputs that turn for certain
 _TURNED = 1e-3  # share of the largest variance of body rate from which on a direction counts as turned about
 _SENSED = 0.5  # share of a sense axis that the turning must span
 _FOLLOWS = 0.5  # share of the output's variance that the turning must explain
 _UNIT = 0.05  # how near a factor is to the ratio of two units
-_ALONG = 0.97  # cosine between the axis that the data show and the stated one, beyond which it is told
+_ALONG = 0.97  # cosine between the axis from the data and the stated one, below which it is reported
 _ANOTHER = 0.7  # the same, beyond which the columns or their axes are mixed up
-_WIDER = 2.0  # a prior from the data is this many times what they show
+_WIDER = 2.0  # a prior from the data is this many times their uncertainty
 _NARROW = 0.1  # factors nearer to 1 are scale factor errors, left to k and its usual prior
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Gain:
-    """One gyro: output over what its stated axis calls for, and its output at rest in rad/s.
+    """One gyro: its output relative to the expected one along its stated axis, and its output at rest in rad/s.
 
-    ``follows`` is the share of the output that the turning explains, ``axis`` where the data show the sense axis
-    (3,), None near the stated line; ``mixed_up`` if that is so far from it that no tilt explains it.
+    ``follows`` is the share of the output explained by the rotation, ``axis`` the sense axis (3,) by the data, None if
+    near the stated one; ``mixed_up`` if it is too far off for a tilt.
     """
 
     factor: float
@@ -55,9 +55,10 @@ class _Gain:
 
 
 def fitted(recording: Recording, source: str, gyro: GyroColumns) -> tuple[Recording, list[str], Floats | None]:
-    """Return the recording with signs and scales as asked for, what is to be told, and the factors applied (m,).
+    """Return the recording with signs and scales taken from the data where asked for, notes, and the factors applied
+    (m,).
 
-    Raises RecordingError if a gyro follows the rate about another axis than the mapping states.
+    Factors are None if none were applied. RecordingError if a gyro follows the rate about another axis than stated.
     """
     found, data, notes, factors = _gains(recording, source), recording.sources[source], list[str](), None
     if gyro.sign_from_data or gyro.scale_from_data:
@@ -77,7 +78,7 @@ def fitted(recording: Recording, source: str, gyro: GyroColumns) -> tuple[Record
 
 
 def _gains(recording: Recording, source: str) -> list[_Gain | None]:
-    """Return the gain of every gyro of a source; None where the motion does not tell it."""
+    """Return the gain of every gyro of a source; None where the motion does not show it."""
     data = recording.sources[source]
     line = following(data, recording.reference, recording.site)
     if line is None:
@@ -94,7 +95,9 @@ def _gains(recording: Recording, source: str) -> list[_Gain | None]:
 
 
 def _gain(p: Floats, basis: Floats, slope: Floats, follows: float, offset_rps: float) -> _Gain | None:
-    """Return the gain of a gyro along p (3,) by its slope (t,) in the directions (3, t) that are turned about."""
+    """Return the gain of a gyro along p (3,), from its slopes (t,) in the directions (3, t) of rotation; None if not
+    sensed.
+    """
     sensed = basis.T @ p
     if np.linalg.norm(sensed) < _SENSED:
         return None
@@ -106,7 +109,10 @@ def _gain(p: Floats, basis: Floats, slope: Floats, follows: float, offset_rps: f
 
 
 def _of_rows(recording: Recording, data: ImuData) -> list[_Gain | None]:
-    """Return gains by the rows of a reference that tells too little for a delay: of turns, of a body at rest."""
+    """Return gains from rows of a reference that cannot show a delay: turns, or a body at rest.
+
+    All are None with fewer than four rows. At rest only gyros that report rotation have one, of slope 0.
+    """
     m = len(data.array)
     gram = Gram.empty(m)
     for part in observations(recording, data):
@@ -117,7 +123,7 @@ def _of_rows(recording: Recording, data: ImuData) -> list[_Gain | None]:
     mean = gram.products[0, 1:] / total
     covariance = gram.products[1:, 1:] / total - np.outer(mean, mean)
     variance, directions = np.linalg.eigh(covariance[:3, :3])
-    if variance[-1] < _LEAST_RPS**2:  # who turns beside a reference that does not is told
+    if variance[-1] < _LEAST_RPS**2:  # a gyro that turns beside a reference at rest is reported
         loud = np.diag(covariance)[3:] > (_TURNS * _LEAST_RPS) ** 2
         return [_Gain(0.0, float(b), 0.0, None) if own else None for b, own in zip(mean[3:], loud, strict=True)]
     turned = variance > _TURNED * variance[-1]
@@ -132,6 +138,7 @@ def _of_rows(recording: Recording, data: ImuData) -> list[_Gain | None]:
 
 
 def _signs(array: SensorArray, found: Sequence[_Gain | None], notes: list[str]) -> Floats:
+    """Return the sign (m,) of each gyro by the data, 1 where they do not show it, with notes."""
     signs = np.ones(len(array))
     for i, (name, gain) in enumerate(zip(array.names, found, strict=True)):
         if gain is None or not gain.told:
@@ -143,7 +150,9 @@ def _signs(array: SensorArray, found: Sequence[_Gain | None], notes: list[str]) 
 
 
 def _factors(array: SensorArray, found: Sequence[_Gain | None], gyro: GyroColumns, notes: list[str]) -> Floats:
-    """Return by what each output is multiplied (m,), rounded: the rest is the scale factor error."""
+    """Return the factor (m,) for each output, rounded: the rest is its scale factor error. Notes say what was
+    applied.
+    """
     size_dps = float(np.degrees(gyro.columns.scale)) if gyro.columns.raw else 1.0
     own = [abs(1 / gain.factor) if gain and gain.told and gain.factor else np.nan for gain in found]
     others = float(np.nanmedian(own)) if np.isfinite(own).any() else 1.0
@@ -162,7 +171,7 @@ def _factors(array: SensorArray, found: Sequence[_Gain | None], gyro: GyroColumn
 
 
 def _prior(data: ImuData, found: Sequence[_Gain | None]) -> Prior:
-    """Return the usual prior, wider where factor or offset of a gyro is far beyond it and would be pulled."""
+    """Return the usual prior, widened if factor or offset of a gyro are far beyond it."""
     usual, told = data.prior, [gain for gain in found if gain is not None and gain.told]
     off = max((abs(gain.factor - 1) for gain in told), default=0.0)
     offset = [abs(gain.offset_rps) for gain in told]
@@ -175,9 +184,9 @@ def _prior(data: ImuData, found: Sequence[_Gain | None]) -> Prior:
 
 
 def _gain_notes(array: SensorArray, found: Sequence[_Gain | None], size_rps: float) -> list[str]:
-    """Return what is wrong with sign, scale or axis of each gyro, and what to write in the mapping.
+    """Return notes on wrong signs, scales and axes of gyros, with what to write in the mapping.
 
-    ``size_rps`` is that of the unit of their columns.
+    ``size_rps`` is the unit of their columns.
     """
     notes = []
     for name, axis, gain in zip(array.names, array.p, found, strict=True):

@@ -1,4 +1,4 @@
-"""Recordings made elsewhere: foreign files and a mapping become one recording, or are refused with a reason."""
+"""Recordings made elsewhere: external files and a mapping become one recording, or are refused with a reason."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -33,20 +33,20 @@ from estimator.types import Floats
 
 SOURCE = "imu"
 """Name of the one source of an imported recording."""
-_BESIDE_S = 1.0  # of a reference in a file of its own before and behind the samples that is kept
+_BESIDE_S = 1.0  # of a reference in a file of its own, kept before and behind the samples
 _EQUAL_RPS, _COARSE_SHARE = 1e-9, 1 / 3  # of samples equal to the one before: at 0.28 a step is one sigma
 _GAPS_SHARE = 0.1  # of the rows; where more are further apart the sampling is uneven
-_MOST_ALIKE = 3  # files of which a note is told each by itself, if its numbers differ
+_MOST_ALIKE = 3  # files whose notes are printed one by one, if their numbers differ
 _NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e[-+]?\d+)?")
-_GAP_S = 10.0  # between files that follow each other: longer than what corrects or correlates within one
+_GAP_S = 10.0  # between files that follow each other: longer than any filter or correlation within one
 _UNIT_ROW = {"rad/s": ("rad/s", "rps"), "deg/s": ("deg/s", "dps", "°/s", "degree/s", "degrees/s")}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Imported:
-    """What became of foreign files; ``notes`` tell what a person should know of it, also kept in the recording.
+    """The result of an import; ``notes`` are also stored in the recording.
 
-    ``refused`` are files and sections of files, ``lost_files`` how many files gave nothing.
+    ``refused`` are files and sections that were left out, ``lost_files`` counts files without any data.
     """
 
     recording: Recording
@@ -57,7 +57,7 @@ class Imported:
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class _Part:
-    """One file: what was measured, with instants from its first sample, and what is to be told of it."""
+    """The data of one file, with instants from its first sample, and notes."""
 
     log: Log
     t_s: Floats
@@ -71,10 +71,10 @@ class _Part:
 
 
 def import_recording(mapping: Mapping, data_paths: Sequence[Path]) -> Imported:
-    """Return one recording of the files, in the order given, and what was refused.
+    """Return one recording of all files, in the order given, and what was refused.
 
-    A file that cannot be used is refused and the others are taken. Raises RecordingError, with every reason,
-    when nothing is left.
+    A file that cannot be used is refused and the others are imported. RecordingError, with every reason, if nothing is
+    left.
     """
     if not data_paths:
         raise RecordingError("no data file is given. Name at least one after the mapping")
@@ -99,6 +99,7 @@ def import_recording(mapping: Mapping, data_paths: Sequence[Path]) -> Imported:
 
 
 def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused]]:
+    """Return the data of one file, None if no section is left, and its refused sections; RecordingError if unusable."""
     reference, beside, array = mapping.reference, mapping.reference_file, mapping.gyro.array
     measured = reference if isinstance(reference, Measured) and not beside else None
     label = None if isinstance(reference, Measured) else reference.cuts.column
@@ -159,7 +160,9 @@ def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused
 
 
 def _new(what: str, t_s: Floats, values: Floats, notes: list[str]) -> NDArray[np.intp]:
-    """Return the rows at which values (rows, c) are new: all of them, or those that are not held."""
+    """Return the rows at which values (rows, c) are new: all, or with a note those that are not repetitions of held
+    ones.
+    """
     if (fresh := updates(values)) is None:
         return np.arange(len(values))
     each_hz = (len(fresh) - 1) / float(t_s[fresh[-1]] - t_s[fresh[0]])
@@ -169,10 +172,10 @@ def _new(what: str, t_s: Floats, values: Floats, notes: list[str]) -> NDArray[np
 
 
 def _readings(reference: Measured, t_s: Floats, values: Floats, notes: list[str]) -> ForeignRows:
-    """Return the rows of a reference that are readings: neither held, nor spikes, nor the one before again."""
+    """Return instants and rows of a reference without held values, spikes and repetitions, with notes."""
     fresh = _new("the reference", t_s, values, notes)
     t_s, values = t_s[fresh], values[fresh]
-    turned = reference.kind == "angle"  # 359 deg beside 0 is no spike
+    turned = reference.kind == "angle"  # 359 deg after 0 is no spike
     kept, odd = without_odd("reference", t_s, np.hstack([np.cos(values), np.sin(values)]) if turned else values)
     notes += odd
     return t_s[kept], values[kept]
@@ -181,9 +184,10 @@ def _readings(reference: Measured, t_s: Floats, values: Floats, notes: list[str]
 def _rows_beside(
     mapping: Mapping, reference: Measured, other: ReferenceFile, log: Log, gyros: ForeignRows, notes: list[str]
 ) -> ForeignRows:
-    """Return the rows of a reference in a file of its own, on the time of the data file.
+    """Return instants and rows of a reference in its own file, on the time of the data file.
 
-    Two columns of stamps are of clocks that may run apart; without stamps on one side both files begin together.
+    Stamps of two clocks are corrected if they drift apart; without stamps on one side both files begin together.
+    RecordingError if the files do not overlap.
     """
     path, time, name = other.beside(log.path), log.time, other.beside(log.path).name
     table = read_table(path, other.format, wanted(other.timing, reference.columns.names))
@@ -237,10 +241,10 @@ def _settled(
     rate: Floats,
     tried: Sequence[tuple[Floats, ForeignRows]],
 ) -> tuple[tuple[Floats, ForeignRows], str]:
-    """Return the instants of samples (n,) and the rows of a reference: as the times of a log have them, or the others.
+    """Return the instants of samples (n,) and the rows of a reference: those of ``tried`` that the motion supports.
 
-    ``tried`` are both, in this order. The motion decides: stamps that scatter are of samples, or of their arrivals. In
-    words which it is, unless that is told by how the times were fitted.
+    ``tried`` has two: the times as they were fitted, and the alternative, since stamps that scatter are either of
+    samples or of arrivals. Also returns a sentence on it, "" if the fitted times on the grid are kept.
     """
     instants = [(_ns(each_s), foreign_reference(reference, _ns(told_s), values)) for each_s, (told_s, values) in tried]
     other = by_motion(mapping.gyro.array, rate, instants) == 1
@@ -261,7 +265,8 @@ def _settled(
 def _samples_settled(
     mapping: Mapping, reference: Measured, log: Log, gyros: ForeignRows, known: ForeignRows
 ) -> tuple[tuple[Floats, ForeignRows], str]:
-    """Return the instants of samples whose stamps scatter, and the reference: as stamped or even, as the motion says.
+    """Return the instants of samples with scattering stamps, and the reference: as stamped or even, as the motion
+    shows.
 
     A reference in the same file has the same stamps.
     """
@@ -279,7 +284,10 @@ def _samples_settled(
 
 
 def _felt_beside(other: ReferenceFile, accelerometer: Columns, log: Log, rows: int, notes: list[str]) -> Floats:
-    """Return specific forces (rows, 3) of a file of its own at the instants of the gyro's rows, NaN beyond its ends."""
+    """Return specific forces (rows, 3) from a separate file at the instants of the gyro's rows, NaN beyond its ends.
+
+    RecordingError if the files do not overlap.
+    """
     path = other.beside(log.path)
     table = read_table(path, other.format, wanted(other.timing, accelerometer.names))
     values = table.values(accelerometer, "[accelerometer] columns")
@@ -305,6 +313,7 @@ def _felt_beside(other: ReferenceFile, accelerometer: Columns, log: Log, rows: i
 
 
 def _unit_notes(mapping: Mapping, table: Table) -> list[str]:
+    """Return notes if the file's row of units contradicts the unit of the gyro in the mapping."""
     columns = mapping.gyro.columns
     said = {table.units.get(name, "").lower() for name in columns.names}
     return [
@@ -324,7 +333,7 @@ def _coarse_notes(names: Sequence[str], rate: Floats) -> list[str]:
 
 
 def _missing_notes(t_s: Floats) -> list[str]:
-    """Return, in words, how many samples are missing between others."""
+    """Return a note on samples missing between others; empty if there are none, or gaps are the rule."""
     steps = np.diff(t_s)
     short = np.round(steps / np.median(steps)) - 1
     if not 0 < (gaps := int(np.count_nonzero(short > 0))) < _GAPS_SHARE * len(t_s):
@@ -337,7 +346,10 @@ def _missing_notes(t_s: Floats) -> list[str]:
 
 
 def _filled(log: Log, own: NDArray[np.intp], values: Floats | None, what: str) -> Floats | None:
-    """Return values (rows, m) at the rows of the gyro, with blanks filled from their neighbours in time."""
+    """Return values (rows, m) at the gyro's rows, with blanks interpolated in time; None for None.
+
+    RecordingError if no row is complete.
+    """
     if values is None:
         return None
     kept = values[log.time.rows]
@@ -351,7 +363,7 @@ def _filled(log: Log, own: NDArray[np.intp], values: Floats | None, what: str) -
 
 
 def _joined(mapping: Mapping, parts: list[_Part], refused: list[Refused]) -> tuple[Recording, list[str]]:
-    """Return the recording of all files, one behind the other, and what is to be told of it."""
+    """Return the recording of all files, one after the other with gaps, and its notes."""
     starts_s = [-float(parts[0].log.time.t_s[0])]
     for before, part in pairwise(parts):
         starts_s.append(starts_s[-1] + float(before.log.time.t_s[-1]) + _GAP_S - float(part.log.time.t_s[0]))
@@ -397,7 +409,7 @@ def _joined(mapping: Mapping, parts: list[_Part], refused: list[Refused]) -> tup
 
 
 def _told_once(parts: Sequence[_Part]) -> list[str]:
-    """Return the notes on all files: one that is on several of them, but for its numbers, once with their count."""
+    """Return the notes on all files; notes that differ only in numbers are combined with their count."""
     if len(parts) == 1:
         return [*parts[0].notes]
     alike: dict[str, list[tuple[str, str]]] = {}
@@ -418,6 +430,7 @@ def _told_once(parts: Sequence[_Part]) -> list[str]:
 
 
 def _reference(stated: ForeignReference, placed: list[tuple[_Part, float]]) -> Reference:
+    """Return the reference of all files: rows, or stated turns."""
     rows = [(part.reference, start) for part, start in placed if part.reference]
     if rows:
         t_ns = np.concatenate([_ns(t_s + start) for (t_s, _), start in rows])
@@ -433,7 +446,7 @@ def _reference(stated: ForeignReference, placed: list[tuple[_Part, float]]) -> R
 
 
 def _poses(gravity: Gravity, placed: list[tuple[_Part, float]]) -> Poses:
-    """Return the rests of all files with the directions up that their accelerometer gives."""
+    """Return the rests of all files with the directions up measured by the accelerometer."""
     rests = [(part.accel_mps2, rest, start) for part, start in placed for rest in part.rests]
     force = [np.nanmean(accel[rest.first : rest.stop], axis=0) for accel, rest, _ in rests if accel is not None]
     limits = np.array([(rest.start_s + start, rest.end_s + start) for _, rest, start in rests])

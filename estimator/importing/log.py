@@ -1,4 +1,4 @@
-"""One foreign file: its columns, and the instants of the rows of it that are read."""
+"""One external file: its columns, and the instants of the rows that are read."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ _LEAST_USUAL_S, _LARGEST_USUAL_S = 5e-5, 2.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Log:
-    """Columns of a file, and when which of its rows were measured."""
+    """Columns of a file, and the instants of its kept rows."""
 
     path: Path
     table: Table
@@ -27,7 +27,7 @@ class Log:
 
     @property
     def notes(self) -> list[str]:
-        """What is to be told of its lines and its stamps."""
+        """Notes on its lines and stamps."""
         table, notes = self.table, [*self.table.notes]
         if table.skipped_lines:
             lines = "line is" if table.skipped_lines == 1 else "lines are"
@@ -42,15 +42,16 @@ class Log:
 
 
 def wanted(timing: Timing, others: Sequence[str], labels: tuple[str, ...] = ()) -> Wanted:
-    """Return what is wanted of a file: its stamps and other columns."""
+    """Return the columns wanted of a file: its stamps and others."""
     needed = timing.stamps.names if timing.stamps else (timing.rate,) if isinstance(timing.rate, str) else ()
     return Wanted(needed, tuple(others), labels, timing.calendar)
 
 
 def timed(path: Path, table: Table, timing: Timing, file_format: FileFormat, values: Floats) -> Log:
-    """Return a file with the instants of the part that is read; its rows are numbered as in the file.
+    """Return a file with the instants of the part to read; rows are numbered as in the file.
 
-    ``values`` (rows, c) are all that was measured. Raises RecordingError, naming the file, if stamps are none.
+    ``values`` (rows, c) are all measured columns. RecordingError, naming the file, if too little is left or stamps are
+    invalid.
     """
     position = np.arange(len(values)) if table.position is None else table.position
     part = file_format
@@ -69,6 +70,7 @@ def timed(path: Path, table: Table, timing: Timing, file_format: FileFormat, val
 def _all_times(
     timing: Timing, table: Table, position: NDArray[np.int64], read: NDArray[np.intp], values: Floats
 ) -> TimeFit:
+    """Return the instants of the rows ``read``, from stamps or a sample rate; RecordingError if they are invalid."""
     if timing.stamps is not None:
         stamps = table.values(timing.stamps, "[time] column")[:, 0]
         if timing.wraps_at < np.inf:

@@ -1,4 +1,4 @@
-"""A first look at a file that others made: its columns with what each may be, and a mapping to begin with.
+"""A first look at an external file: its columns with their possible meanings, and a draft of a mapping.
 
 All of it is guessed, from names and from values, and said to be: a person who knows the device corrects the mapping.
 """
@@ -49,7 +49,7 @@ _POSES = 9  # rests from which on gravity can be the reference
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column, or variable: its first values as texts, its range in words, and what it may be."""
+    """One column or variable: its first values as texts, its range in words, and a guess of its meaning."""
 
     name: str
     first: str
@@ -59,7 +59,7 @@ class Column:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Look:
-    """Columns of a file, a mapping of them, and what is to be said of the whole."""
+    """The columns of a file, a mapping for them, and notes."""
 
     columns: tuple[Column, ...]
     mapping: str
@@ -68,9 +68,10 @@ class Look:
 
 @dataclass(kw_only=True, slots=True, eq=False)
 class _File:
-    """What was read: names in order, numbers (n,) or (n, width) by name, texts by name, keys of the table [file].
+    """The content of a file: names in order, numbers (n,) or (n, width) by name, texts by name, keys of the table
+    [file].
 
-    ``rate`` is a variable that holds one number, if that is a frequency of sampling by its name, in Hz.
+    ``rate`` is a single-valued variable that by its name is a sampling rate in Hz, if there is one.
     """
 
     path: Path
@@ -83,7 +84,7 @@ class _File:
 
 
 def look(path: Path) -> Look:
-    """Return what is in a text or a MATLAB file; RecordingError for one that cannot be looked into."""
+    """Return what is in a text or MATLAB file, with a guessed mapping; RecordingError if it cannot be read."""
     file = _matlab(path) if path.suffix.lower() == ".mat" else _text(path)
     time, time_keys, step_s = _time(file)
     triples = _triples(file)
@@ -119,6 +120,7 @@ def look(path: Path) -> Look:
 
 
 def _column(file: _File, name: str) -> Column:
+    """Return the description of one column."""
     if name in file.numbers:
         values = file.numbers[name]
         first = ", ".join(f"{v:.6g}" for v in values.ravel()[:_SHOWN])
@@ -134,6 +136,7 @@ def _column(file: _File, name: str) -> Column:
 
 
 def _matlab(path: Path) -> _File:
+    """Return the content of a MATLAB file; RecordingError if it holds no array of numbers."""
     from scipy.io import loadmat
 
     probe(path, "MATLAB")
@@ -152,6 +155,9 @@ def _matlab(path: Path) -> _File:
 
 
 def _text(path: Path) -> _File:
+    """Return the content of a text file, with guesses of delimiter, decimal mark and heading; RecordingError if it is
+    not one.
+    """
     raw = read_bytes(path, RecordingError, name=path.name)[:20_000_000]
     text = raw.decode("utf-16" if raw[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig", errors="replace")
     if "\0" in text[:4000]:
@@ -212,7 +218,10 @@ def _number(field: str) -> float:
 
 
 def _time(file: _File) -> tuple[str | None, list[str], float]:
-    """Return the column of the time, the keys of its table, and the usual step in s (0 if unknown)."""
+    """Return the name of the time column, the keys of its table, and the usual step in s (0 if unknown).
+
+    Columns named like a time come first. Without one, a variable with the rate, or a placeholder.
+    """
     named = [name for name in file.names if _TIME.search(_base(name))]
     for name in [*named, *(n for n in file.names if n not in named)]:
         if name in file.texts:
@@ -252,7 +261,7 @@ def _said(name: str, units: Mapping[str, Sequence[str]]) -> str | None:
 
 
 def _triples(file: _File) -> dict[str, tuple[str, list[str]]]:
-    """Return by the name that they share three columns x, y, z, or one variable of three, with what they are."""
+    """Return by common name three columns x, y, z, or one variable of width three, with what they seem to be."""
     shared: dict[str, dict[str, str]] = {}
     for name in file.names:
         if name in file.guesses or name not in file.numbers:
@@ -272,7 +281,9 @@ def _triples(file: _File) -> dict[str, tuple[str, list[str]]]:
 
 
 def _by_place(file: _File) -> dict[str, tuple[str, list[str]]]:
-    """Return columns without telling names, three neighbours at a time; one as long as gravity is an accelerometer."""
+    """Return neighbouring columns in threes, for names that say nothing; those as long as gravity are
+    accelerometers.
+    """
     left = [n for n in file.names if n in file.numbers and n not in file.guesses and file.numbers[n].ndim == 1]
     found = {}
     for first in range(0, len(left) - 2, 3):
@@ -304,7 +315,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _rate_unit(file: _File, names: Sequence[str]) -> tuple[str, str]:
-    """Return the unit of rates, and how it is known."""
+    """Return the unit of rates and how it was found: by name, or guessed by size."""
     if unit := _said(names[0], _RATES):
         return unit, "by its name"
     largest = float(np.nanmax(np.abs(_values(file, names))))
@@ -314,6 +325,7 @@ def _rate_unit(file: _File, names: Sequence[str]) -> tuple[str, str]:
 
 
 def _gyro(file: _File, names: Sequence[str] | None) -> str:
+    """Return the table [gyro] for these columns, with placeholders for None."""
     if names is None:
         return '[gyro]\ncolumns = ["?", "?", "?"]\nunit = "deg/s"'
     unit, how = _rate_unit(file, names)
@@ -327,6 +339,7 @@ def _gyro(file: _File, names: Sequence[str] | None) -> str:
 
 
 def _accelerometer(file: _File, names: Sequence[str]) -> str:
+    """Return the table [accelerometer] for these columns."""
     unit = _said(names[0], _FORCES) or _force_unit(float(np.nanmedian(np.linalg.norm(_values(file, names), axis=1))))
     file.guesses.update(dict.fromkeys(names, f"accelerometer ({unit or 'counts'})"))
     if unit is None:
@@ -337,7 +350,11 @@ def _accelerometer(file: _File, names: Sequence[str]) -> str:
 
 
 def _rests(file: _File, names: Sequence[str] | None, step_s: float) -> int:
-    """Return how many rests there are, as far as the quietest windows of the gyro tell; 0 without a time."""
+    """Return the number of rests of the gyro, spans of windows nearly as quiet as the quietest ones.
+
+    0 without columns or a time, with fewer than four windows, or if no window is much quieter than the others; a gyro
+    that is equally quiet all the time rests once.
+    """
     if names is None or not step_s > 0:
         return 0
     rows = max(round(_WINDOW_S / step_s), 5)
@@ -355,7 +372,7 @@ def _rests(file: _File, names: Sequence[str] | None, step_s: float) -> int:
 
 
 def _reference(file: _File, triples: Mapping[str, tuple[str, list[str]]], rests: int, felt: bool) -> str:
-    """Return the table [reference] of what looks like one, else of rests."""
+    """Return the table [reference]: an attitude, rate or angle if columns look like one, else gravity or rests."""
     four = {found[1].lower(): name for name in file.names if (found := _QUATERNION.match(_base(name)))}
     for order, axes in (("wxyz", "wxyz"), ("wxyz", "sxyz"), ("wxyz", "0123")):
         if all(axis in four for axis in axes):

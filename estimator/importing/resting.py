@@ -1,4 +1,4 @@
-"""Where a body is at rest, stated or found from quiet samples, what is known of its rate there, what is to be told."""
+"""Rests of a body, stated or found from quiet samples, its rate there, and notes on them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,9 +16,9 @@ from estimator.packaged import sentence
 from estimator.types import Floats, least_steps, runs_of
 
 _WINDOW_S = 0.25
-_FEWEST_ROWS = 10  # a window of fewer does not tell its scatter
+_FEWEST_ROWS = 10  # a window of fewer gives no scatter
 _QUIET_TENTH = 0.05  # of the windows, the share that is taken to be at rest for certain
-_SLOW = 0.2  # of the quiet windows, those of the slowest output, which tell the bias from a steady turn
+_SLOW = 0.2  # of the quiet windows, those of the slowest output, which distinguish the bias from a steady turn
 _LOUD = 4.0  # scatter of a window, in that of the quiet ones, beyond which it is motion
 _TILT_RAD = float(np.radians(1.0))  # by which specific force may move within a rest
 _UP_WITHIN = float(np.cos(np.radians(30.0)))  # of a stated pose
@@ -44,7 +44,7 @@ class Rest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Samples:
-    """What was measured at instants (n,): rates (n, m) and, if there is an accelerometer, specific force (n, 3)."""
+    """Samples at instants (n,): rates (n, m) and, with an accelerometer, specific force (n, 3)."""
 
     t_s: Floats
     rate: Floats
@@ -54,10 +54,10 @@ class _Samples:
 def rests_of(
     mapping: Mapping, stated: Rests, log: Log, own: NDArray[np.intp], rate: Floats, accel: Floats | None
 ) -> tuple[list[Rest], list[Refused], list[str]]:
-    """Return the rests of a file, sections that are none, and what is to be told.
+    """Return the rests of a file, refused sections, and notes.
 
-    ``own`` (rows,) are its kept rows that the gyro's ``rate`` (rows, m) is of. Raises RecordingError if it has no rest,
-    or nothing says what points up where that is needed.
+    ``own`` (rows,) are the kept rows of the gyro's ``rate`` (rows, m). RecordingError if there is no rest, or the
+    direction up is needed and not known.
     """
     name, t_s = log.path.name, log.time.t_s[own]
     samples, refused, notes = _Samples(t_s, rate, accel), list[Refused](), list[str]()
@@ -87,9 +87,9 @@ def rests_of(
 
 
 def rest_rates(rests: Sequence[Rest], rows: int, site: Site | None) -> Floats:
-    """Return the body rate (rows, 3) of a file: NaN in motion, at rest that of the Earth as far as the pose is known.
+    """Return the body rate (rows, 3) of a file: NaN in motion, at rest Earth rate as far as the pose is known.
 
-    Without a site it is zero.
+    Zero at rest without a site.
     """
     known = np.full((rows, 3), np.nan)
     for rest in rests:
@@ -103,7 +103,7 @@ def rest_rates(rests: Sequence[Rest], rows: int, site: Site | None) -> Floats:
 
 
 def earth_note(mapping: Mapping, rests: Sequence[Rest]) -> list[str]:
-    """Return what of Earth rate is not known at these rests, in words."""
+    """Return a note on the part of Earth rate that is unknown at these rests; empty if that is small."""
     assert mapping.site is not None
     p = mapping.gyro.array.p
     ups = [rest.up for rest in rests if rest.north is None and rest.up is not None]
@@ -121,7 +121,7 @@ def rest_text(rest: Rest, file_s: float) -> str:
 
 
 def _stated(samples: _Samples, first: int, stop: int, pose: Pose, stated: Rests) -> Rest:
-    """Return the rest of these rows as stated; RecordingError with the reason if the samples say otherwise."""
+    """Return the rest of these rows as stated; RecordingError if the samples turn or move."""
     t_s, part = samples.t_s, samples.rate[first:stop]
     if len(part) < 2:
         raise RecordingError(f"it has {len(part)} usable rows, too few for a rest")
@@ -142,10 +142,10 @@ def _stated(samples: _Samples, first: int, stop: int, pose: Pose, stated: Rests)
 
 
 def _found(samples: _Samples, pose: Pose, stated: Rests) -> list[Rest]:
-    """Return where the samples are as quiet as they get, for long enough, in order of time.
+    """Return the quiet stretches of samples that are long enough, in order of time.
 
-    Rests have the scatter of the quietest windows, and nearly their mean: a steady turn is as quiet as a rest. The
-    accelerometer, if there is one, must be quiet too and not tilt. Raises RecordingError if there is none.
+    Rests have the scatter of the quietest windows, and nearly their mean, as a steady turn is equally quiet. An
+    accelerometer must be quiet as well, and keep its direction. RecordingError if there is none.
     """
     t_s, rate, accel = samples.t_s, samples.rate, samples.accel
     rows = _window_rows(t_s)
@@ -175,7 +175,7 @@ def _found(samples: _Samples, pose: Pose, stated: Rests) -> list[Rest]:
 
 
 def _gravity_notes(accel: Floats) -> list[str]:
-    """Return what is wrong with the specific force (rows, 3) of a body at rest, in words."""
+    """Return a sentence if the specific force (rows, 3) at rest is not 1 g; else an empty list."""
     length = float(np.nanmedian(np.linalg.norm(accel, axis=1)))
     if abs(length / _GRAVITY_MPS2 - 1) <= _GRAVITY_OFF:
         return []
@@ -183,6 +183,9 @@ def _gravity_notes(accel: Floats) -> list[str]:
 
 
 def _posed(samples: _Samples, first: int, stop: int, pose: Pose) -> Rest:
+    """Return the rest of these rows with its directions, stated or measured; RecordingError if they contradict each
+    other.
+    """
     up = None if pose.up is None else np.array(pose.up)
     north, found = None, None
     if pose.north is not None:
@@ -219,7 +222,9 @@ def _quiet_scatter(scatter: Floats, channels: Floats) -> Floats:
 
 
 def _level(mean: Floats, first: int, stop: int, tilt_rad: float) -> list[tuple[int, int]]:
-    """Return the parts of a quiet run of windows over which specific force (windows, 3) keeps its direction."""
+    """Return the parts (first, stop) of a quiet run of windows over which specific force (windows, 3) keeps its
+    direction.
+    """
     parts, start = [], first
     for at in range(first + 1, stop):
         here, there = mean[start : at : max((at - start) // 8, 1)].mean(axis=0), mean[at]

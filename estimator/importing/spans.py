@@ -22,7 +22,7 @@ T = TypeVar("T")
 
 _EDGE_ROWS = 3  # least number of samples that show rest at an end
 _WRONG_BY = 0.5  # a gyro whose output turns by this share more or less than stated: wrong axis, unit or angle
-_SENSED = 0.5  # share of an axis that the gyros must span to say how far it turned
+_SENSED = 0.5  # share of an axis that the gyros must span to determine its turn
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ class Refused:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Span:
-    """One turn with the instants it lasts from and to, in seconds from the first sample of its file."""
+    """One turn with its beginning and end, in seconds from the first sample of its file."""
 
     start_s: float
     end_s: float
@@ -47,9 +47,9 @@ class Span:
 
 
 def turn_spans(mapping: Mapping, stated: StatedTurns, log: Log, rate: Floats) -> tuple[list[Span], list[Refused]]:
-    """Return the turns of a file whose gyros put out ``rate`` (rows, m), and the sections of it that are none.
+    """Return the turns of a file with gyro outputs ``rate`` (rows, m), and its refused sections.
 
-    Raises RecordingError if the one turn of the file is none.
+    RecordingError if the single turn of a file is invalid.
     """
     t_s, rows = log.time.t_s, rate[log.time.rows]
     if not stated.sections:
@@ -60,6 +60,7 @@ def turn_spans(mapping: Mapping, stated: StatedTurns, log: Log, rate: Floats) ->
 
 
 def _turn_of_file(mapping: Mapping, reference: StatedTurns, path: Path) -> Turn:
+    """Return the turn stated for a file, or in its name; RecordingError if the name does not state one."""
     if reference.turn is not None:
         return reference.turn
     assert reference.pattern is not None
@@ -81,10 +82,9 @@ def _turn_of_file(mapping: Mapping, reference: StatedTurns, path: Path) -> Turn:
 def of_sections(
     mapping: Mapping, stated: StatedTurns | Rests, log: Log, read: Callable[[str, int, int], T]
 ) -> tuple[list[T], list[Refused]]:
-    """Return what is read of each section, by its name, first and one past the last of the kept rows, or refused.
+    """Return ``read(name, first, stop)`` for each section (kept rows), and the sections refused with RecordingError.
 
-    Of turns each label is stated; of rests others are passed over. Raises RecordingError if sections
-    are missing, or not as the file.
+    RecordingError, too, if sections are missing or unknown, as ``_section_rows``.
     """
     found: list[T] = []
     refused: list[Refused] = []
@@ -97,6 +97,11 @@ def of_sections(
 
 
 def _section_rows(mapping: Mapping, stated: StatedTurns | Rests, log: Log) -> list[tuple[str, int, int]]:
+    """Return (name, first, stop) of each section in kept rows, by labels, a list, or limits in seconds.
+
+    RecordingError if a named section is missing; for turns also if the file has one that is not named. Unnamed sections
+    of rests are skipped.
+    """
     cuts, names, path, all_named = stated.cuts, stated.sections, log.path, isinstance(stated, StatedTurns)
     edges, last_s = log.time.rows if not cuts.limits_s else log.time.t_s, float(log.time.t_s[-1])
     limits: Sequence[tuple[str, float, float]] = [(name, *limits_s) for name, limits_s in cuts.limits_s.items()]
@@ -123,7 +128,7 @@ def _section_rows(mapping: Mapping, stated: StatedTurns | Rests, log: Log) -> li
 
 
 def _labelled(labels: tuple[str, ...]) -> list[tuple[str, int, int]]:
-    """Return the sections that have a label; one that comes again is another turn, or rest, as it is stated."""
+    """Return (label, first, stop) of each run of equal labels; a label may occur again."""
     limits: list[tuple[str, int, int]] = []
     at = 0
     for label, group in groupby(labels):
@@ -135,6 +140,7 @@ def _labelled(labels: tuple[str, ...]) -> list[tuple[str, int, int]]:
 
 
 def _listed(path: Path, table: Table) -> list[tuple[str, int, int]]:
+    """Return (name, start, end) from a section list beside the file; RecordingError if it is missing or invalid."""
     if table.skipped_lines:
         raise RecordingError(sentence("importing.broken_and_listed", file=table.name, lines=table.skipped_lines))
     if not path.is_file():
@@ -154,7 +160,9 @@ def _listed(path: Path, table: Table) -> list[tuple[str, int, int]]:
 
 
 def _span(mapping: Mapping, stated: StatedTurns, t_s: Floats, rate: Floats, turn: Turn) -> Span:
-    """Return the checked turn of these samples; RecordingError if they do not begin and end at rest."""
+    """Return the checked turn of these samples; RecordingError if they do not begin and end at rest, or turn
+    otherwise.
+    """
     whole = np.isfinite(rate).all(axis=1)
     t_s, rate = t_s[whole], rate[whole]
     if len(t_s) < 2 * _EDGE_ROWS:
@@ -182,7 +190,11 @@ def _span(mapping: Mapping, stated: StatedTurns, t_s: Floats, rate: Floats, turn
 
 
 def _checked_angle(mapping: Mapping, stated: StatedTurns, turned_rad: Floats, turn: Turn) -> float:
-    """Return the stated angle with the sign that holds; RecordingError if the gyros (m,) turned otherwise."""
+    """Return the stated angle of a turn, with the sign of the data if asked for.
+
+    It is checked against the angle by which the gyros (m,) turned: RecordingError if they differ. No check if no gyro
+    senses the axis; then RecordingError if the sign is wanted from the data.
+    """
     p, axis, angle = mapping.gyro.array.p, np.array(turn.axis), turn.angle_rad
     if np.linalg.lstsq(p, p @ axis, rcond=None)[0] @ axis < _SENSED:
         if stated.sign_from_data:
@@ -190,7 +202,7 @@ def _checked_angle(mapping: Mapping, stated: StatedTurns, turned_rad: Floats, tu
                 "no gyro senses the axis of its turn, so its sign cannot be found from the data. State it"
             )
         return angle
-    # What the body turned by, as far as the gyros tell: least squares over their nominal axes.
+    # The turn of the body, as far as the gyros determine it: least squares over their nominal axes.
     measured = float(np.linalg.lstsq(p, turned_rad, rcond=None)[0] @ axis)
     if stated.sign_from_data and measured * angle < 0:
         angle = -angle

@@ -1,4 +1,4 @@
-"""Stamps that are texts: dates and times as people and loggers write them, and how such a text is to be read."""
+"""Stamps as texts: dates and times as people and loggers write them, and how to read them."""
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -19,7 +19,9 @@ PATTERNS = (*(f"{date}{between}{time}" for date in _DATES for between in _BETWEE
 
 
 def seconds_of(text: str, pattern: str) -> float:
-    """Return seconds since 1970 of a stamp, UTC if it has no zone; without a date, since midnight. ValueError."""
+    """Return the seconds since 1970 of a stamp, UTC without a zone; since midnight without a date. ValueError if
+    invalid.
+    """
     if pattern == ISO:
         at = datetime.fromisoformat(text)
     elif has_date(pattern):
@@ -30,7 +32,7 @@ def seconds_of(text: str, pattern: str) -> float:
 
 
 def has_date(pattern: str) -> bool:
-    """Return whether stamps of a pattern tell the day."""
+    """Return whether stamps of a pattern include the day."""
     return pattern == ISO or any(part in pattern for part in _OF_A_DATE)
 
 
@@ -40,7 +42,7 @@ def over_midnight(stamps_s: Floats) -> Floats:
 
 
 def pattern_of(texts: Sequence[str]) -> str | None:
-    """Return how some stamps are to be read: ``ISO``, the first pattern that reads all of them, or None."""
+    """Return ``ISO`` or the first pattern that reads all texts; None if there is none."""
     for pattern in (ISO, *PATTERNS):
         try:
             for text in texts:

@@ -1,4 +1,4 @@
-"""Columns of one foreign file by name, whatever its format, and what is wanted of it."""
+"""Columns of one external file by name, in any format, and the columns wanted of it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -25,9 +25,9 @@ def no_column(name: str, missing: Sequence[str], where: str, present: Sequence[s
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """Names of columns: ``needed`` in every row, those that ``may_be_blank`` (NaN there), and ``labels`` (text).
+    """Names of columns: ``needed`` in every row, ``may_be_blank`` (NaN then), and ``labels`` (text).
 
-    With ``calendar`` the needed ones are dates or times of that pattern (``stamps``), which become seconds.
+    With ``calendar`` the needed ones are dates or times in that pattern (``stamps``), converted to seconds.
     """
 
     needed: tuple[str, ...]
@@ -46,10 +46,10 @@ class Wanted:
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Table:
-    """Columns, each (rows,) or (rows, width), labels by row, and how many lines were unreadable.
+    """Columns, each (rows,) or (rows, width), labels by row, and the number of unreadable lines.
 
-    ``position`` (rows,) numbers the rows of a text file with the broken ones counted, ``first_skipped`` is the first
-    of these, ``units`` says what the row of units says of each column, ``notes`` what else is to be told.
+    ``position`` (rows,) numbers the rows of a text file, broken ones included, ``first_skipped`` is the first of these,
+    ``units`` has the row of units by column, ``notes`` further remarks.
     """
 
     name: str
@@ -62,7 +62,9 @@ class Table:
     notes: tuple[str, ...] = ()
 
     def values(self, wanted: Columns, what: str) -> Floats:
-        """Return (rows, c) values in SI along their axes, NaN if beyond measure; RecordingError if not of its width."""
+        """Return values (rows, c) in SI along their axes, NaN if absurdly large; RecordingError if the width is
+        wrong.
+        """
         parts = [np.atleast_2d(self.columns[name].T).T for name in wanted.names]
         found = sum(part.shape[1] for part in parts)
         if found != wanted.width or len({len(part) for part in parts}) != 1:
@@ -74,7 +76,7 @@ class Table:
         return values if wanted.axes is None else values @ wanted.axes
 
     def number(self, name: str) -> float:
-        """Return a variable that holds one number."""
+        """Return a variable that holds one number; RecordingError for any other."""
         value = self.columns[name]
         if value.size != 1 or not np.isfinite(value).all():
             raise RecordingError(f"{self.name}: {name} must be one number, it has shape {value.shape}")

@@ -26,7 +26,7 @@ _SHOWN = 60  # characters of a broken line in a message
 
 @dataclass(frozen=True, slots=True)
 class _Body:
-    """Lines below the heading of a file, the names of its columns, and what is wanted of them."""
+    """Lines below the heading of a file, the names of its columns, and the wanted ones."""
 
     name: str
     lines: Lines
@@ -40,7 +40,7 @@ class _Body:
         return [self.header.index(_bare(key)) for key in self.wanted.numeric]
 
     def fast(self) -> Table | None:
-        """Return all rows at once if nothing about them is special, else None."""
+        """Return all rows at once if nothing is special about them, else None."""
         delimiter, separators = self.format.delimiter, len(self.header) - 1
         if self.wanted.labels or self.wanted.calendar or self.format.decimal != "." or not delimiter:
             return None
@@ -58,7 +58,7 @@ class _Body:
         )
 
     def careful(self) -> Table:
-        """Return the rows that can be read, line by line."""
+        """Return the rows that can be read, line by line; unreadable lines are counted."""
         wanted, header = self.wanted, self.header
         label_at = [header.index(_bare(key)) for key in wanted.labels]
         to_seconds = partial(seconds_of, pattern=wanted.calendar)
@@ -97,7 +97,11 @@ class _Body:
         )
 
     def hint(self) -> str:
-        """Return what to write so that more of the lines are rows."""
+        """Return what to write in the mapping so that more lines can be read.
+
+        In this order: names of columns for a heading that is too short or long, the other decimal mark, the form of the
+        stamps; else the advice to check the format or repair the file.
+        """
         widths = Counter(len(_fields(line, self.format)) for _, line in self.lines)
         width, count = widths.most_common(1)[0]
         if width != len(self.header) and width > 1 and count > (1 - BROKEN_SHARE) * len(self.lines):
@@ -118,7 +122,7 @@ class _Body:
         return f"check delimiter and decimal in [file]{unit * stamps}, or repair the file"
 
     def _stamps_hint(self) -> str:
-        """Return how to have stamps read that are dates or times; empty if they are none."""
+        """Return how to state stamps that are dates or times; "" if they are not."""
         at = self.header.index(_bare(self.wanted.needed[0]))
         fields = [_fields(line, self.format) for _, line in self.lines]
         texts = [own[at] for own in fields if len(own) >= len(self.header)]
@@ -137,8 +141,8 @@ class _Body:
 def read_rows(name: str, text: str, file_format: FileFormat, wanted: Wanted) -> Table:
     """Return the rows of a text log.
 
-    Raises RecordingError, naming the file, if it is empty, lacks a column, or is broken in more than 10 % of its
-    lines; then with the first of them.
+    RecordingError, naming the file, if it is empty, lacks a column, or more than 10 % of its lines are broken; then
+    with the first of these and a hint.
     """
     lines = [(number, line) for number, line in enumerate(re.split(r"\r\n|\n|\r", text), 1) if line.strip("\0 \t")]
     if not lines:
@@ -167,7 +171,11 @@ def read_rows(name: str, text: str, file_format: FileFormat, wanted: Wanted) -> 
 
 
 def _heading(name: str, lines: Lines, file_format: FileFormat, wanted: Wanted) -> tuple[int, list[str]]:
-    """Return at which of the lines the rows begin, and the names of the columns."""
+    """Return the index of the first row line, and the names of the columns.
+
+    Names stated in [file] hold as they are; else the heading is the early line that has most of the wanted names.
+    RecordingError if a wanted name is missing or occurs twice.
+    """
     if file_format.columns:
         missing = [key for key in wanted.all if key not in file_format.columns]
         if missing:
@@ -188,6 +196,7 @@ def _heading(name: str, lines: Lines, file_format: FileFormat, wanted: Wanted) -
 
 
 def _heading_hint(lines: Lines, file_format: FileFormat, wanted: Wanted, missing: list[str], best: list[str]) -> str:
+    """Return what to change if columns are missing: delimiter, spelling, columns or rate_hz; "" if unknown."""
     for written, mark in _DELIMITERS.items():
         other = replace(file_format, delimiter=mark)
         if any(set(wanted.all) <= set(_fields(_bare(line), other)) for _, line in lines[:_PREAMBLE_LINES]):

@@ -1,4 +1,4 @@
-"""How outputs follow a reference: the delay between the two, and what a line through all of them leaves.
+"""How outputs follow a reference: the delay between both, and the residual of a line through all values.
 
 Both sides are means over the same intervals. The delay is looked for over all that is plausible before it is refined,
 so it does not depend on where a search begins. Intervals that do not fit, as of a spike or a limit, do not count.
@@ -23,14 +23,14 @@ _STEP_S = 0.01  # of the delays that are tried first
 _REFINED = 1e-3  # of two such steps: how closely the best delay is found
 _ALIKE = 1e-6  # losses that differ by less are compared without the rounding of normal equations
 _LENGTH_S, _PERIODS = 0.05, 3  # of an interval: so long, and no fewer sampling periods
-_SLOW_S = 0.5  # means over so long tell how sensitive gyros are to slow motion
+_SLOW_S = 0.5  # length of means that show the gyros' response to slow motion
 _FILTER_S, _HARDLY = 0.2, 1e-3  # time constant of a filter, and how much an expectation of it counts
-_MOST, _FEWEST = 6000, 40  # intervals that are used of a long recording, and without which nothing is told
-_TURNS_RPS = float(np.radians(0.5))  # rms of a body rate that tells a delay
+_MOST, _FEWEST = 6000, 40  # intervals used of a long recording, and the fewest for a result
+_TURNS_RPS = float(np.radians(0.5))  # rms of a body rate that determines a delay
 _FITS = 4.0  # standard deviations from the line beyond which an interval does not count
 _ROUNDS = 2
 _ALLOWED = 0.02  # share of the rate: an interval that is off by less counts, however quiet the others are
-_INNER = 0.7  # of the outputs' range: what is nearer to its ends may be at a limit, and does not count
+_INNER = 0.7  # of the outputs' range: values near its ends may be at a limit, and do not count
 _ENDS = 1e-3  # share of the outputs beyond each end of their range
 _USUAL = 0.9  # quantile of the rates beyond which an interval has no more weight
 _MIDDLE, _AT_MOST = (0.05, 0.95), 0.15  # share of the range of nearly all outputs that an interval may be off
@@ -41,9 +41,10 @@ _DELAYS: "WeakKeyDictionary[ImuData, tuple[Reference, Site | None, float]]" = We
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Following:
-    """Outputs as a line of the body rate: ``y = [1, w(t - delay_s)] @ rows``, rows (4, m).
+    """Outputs as a linear function of the body rate: ``y = [1, w(t - delay_s)] @ rows``, rows (4, m).
 
-    ``scatter_rps`` (m,) is the usual distance of a mean from it, as a standard deviation; ``turned`` is the body.
+    ``scatter_rps`` (m,) is the usual deviation of a mean from it, as a standard deviation; ``turned`` is the body's
+    motion.
     """
 
     delay_s: float
@@ -53,9 +54,9 @@ class Following:
     means: "_Means"
 
     def follows(self) -> Floats:
-        """Return the share (m,) of the square of each output about its mean that the line explains.
+        """Return the share (m,) of each output's variance that the line explains.
 
-        Intervals that are off by far more than nearly all others are those of a reference that jumps.
+        Intervals that deviate far more than nearly all others are left out: there the reference jumps.
         """
         left = np.abs(self.means.outputs - self.rows[0] - self.means.rates(self.delay_s) @ self.rows[1:])
         shares = np.zeros(left.shape[1])
@@ -76,10 +77,10 @@ class Following:
         return np.asarray(np.cov(known.T, bias=True))
 
     def slow_rows(self) -> Floats:
-        """Return rows (3, m) for motion so slow that neither side's filter matters: beside its first two derivatives.
+        """Return rows (3, m) for slow motion, where filters on either side do not matter: fitted with the rate's
+        derivatives.
 
-        Means of the one side, or a controller that smooths its rates, make the other look more or less sensitive to
-        what is fast.
+        Means, or a controller that smooths its rates, make outputs look more or less sensitive to fast motion.
         """
         means = self.means.longer(max(_SLOW_S, self.means.length_s)) or self.means
         step_s = means.length_s
@@ -96,7 +97,7 @@ class Following:
         return rows
 
     def expected_rps(self, t_s: Floats) -> Floats:
-        """Return what the outputs (n, m) should be at instants of samples (n,), NaN where that is not known."""
+        """Return the expected outputs (n, m) at instants of samples (n,), NaN where unknown."""
         return np.asarray(self.rows[0] + self.turned.rates(t_s - self.delay_s) @ self.rows[1:])
 
 
@@ -104,8 +105,8 @@ class Following:
 class _Means:
     """Mean outputs (n, m) over intervals of ``length_s`` from ``first_s`` (n,) on.
 
-    ``most_rps`` (m,) is how much an interval may be off and count for it.
-    ``gyros`` are the outputs number ``used`` (u,), ``body`` is what turned, both smoothed over the same periods.
+    ``most_rps`` (m,) limits the deviation of an interval that counts. ``gyros`` are the outputs with the indices
+    ``used`` (u,), ``body`` is the body's motion, both smoothed over the same periods.
     """
 
     length_s: float
@@ -120,7 +121,10 @@ class _Means:
     def over(
         cls, length_s: float, gyros: Turned, body: Turned, used: NDArray[np.intp], channels: int
     ) -> "_Means | None":
-        """Return means of outputs, a few thousand intervals of a long recording; None if there are too few."""
+        """Return the means, of a few thousand intervals for a long recording; None if there are too few.
+
+        ``channels`` is the number of gyros; outputs that are not ``used`` are NaN.
+        """
         edges = np.arange(max(gyros.t_s[0], body.t_s[0]), min(gyros.t_s[-1], body.t_s[-1]), length_s)
         if len(edges) <= _FEWEST:
             return None
@@ -153,14 +157,14 @@ class _Means:
 
 
 def _least(columns: Floats, output: Floats, step_s: float) -> Floats:
-    """Return the factors (10,) of [1, rate, first, second differences] (n, 10) that leave least of an output (n,).
+    """Return the least-squares factors (10,) of [1, rate, first, second differences] (n, 10) for an output (n,).
 
-    The second derivative of one swing is the swing itself: what does not tell the two apart counts for the rate.
+    The second derivative of a single swing resembles the swing: what cannot be separated is attributed to the rate.
     """
     size = np.sqrt(np.mean(columns**2, axis=0))
     of_axes = np.max(size[1:].reshape(3, 3), axis=1)  # of the rate, its first and its second differences
     largest = np.concatenate([size[:1], np.repeat(of_axes, 3)])
-    scale = np.where(size > _SEEN * largest, size, np.inf)  # what does not turn has no factor
+    scale = np.where(size > _SEEN * largest, size, np.inf)  # an axis without rotation has no factor
     # Factors of the differences are expected to be those of a filter.
     filtered = np.repeat([_FILTER_S / step_s, 0.5 * (_FILTER_S / step_s) ** 2], 3)
     expected = np.diag(np.concatenate([np.zeros(4), 1 / filtered])) * _HARDLY * float(np.std(output))
@@ -181,7 +185,10 @@ def delay_by_motion(data: ImuData, reference: Reference, site: Site | None) -> f
 
 
 def following(data: ImuData, reference: Reference, site: Site | None) -> Following | None:
-    """Return how the outputs of a source follow a reference; None where that tells no rates, or hardly turns."""
+    """Return how the outputs of a source follow a reference; None if the reference gives no rates or hardly turns.
+
+    The delay is searched for on a grid and refined; intervals near the ends of the range, or far off, are left out.
+    """
     found = _followed(data, reference, site)
     _DELAYS[data] = reference, site, 0.0 if found is None else found.delay_s
     return found
@@ -200,7 +207,7 @@ def _followed(data: ImuData, reference: Reference, site: Site | None) -> Followi
     delay_s = _refined(means, _tried(means, inner), inner)
     fits = inner
     for _ in range(_ROUNDS):
-        # Ramps alone may tell the delay: what is off by more than nearly all others is left out, no less.
+        # Ramps alone may determine the delay: only the intervals with the largest errors are left out.
         _, left, _ = _line(means, delay_s, fits)
         fits = _nearer(means, delay_s, left, inner, _FITS * _quantile(left, inner, _USUAL))
         delay_s = _refined(means, delay_s, fits)
@@ -213,7 +220,7 @@ def _followed(data: ImuData, reference: Reference, site: Site | None) -> Followi
 
 
 def body_turned(reference: Reference, site: Site | None) -> Turned | None:
-    """Return by how much a body has turned; None where a reference does not tell that of all instants."""
+    """Return the integrated motion of a body; None if a reference does not give it at all instants."""
     if isinstance(reference, (Turns, Poses)) or len(reference.t_ns) < 2:
         return None
     if by_turns(reference):
@@ -226,6 +233,9 @@ def body_turned(reference: Reference, site: Site | None) -> Turned | None:
 
 
 def _means(data: ImuData, body: Turned) -> _Means | None:
+    """Return the mean outputs of a source and the motion of the body; None if there are too few valid samples or
+    intervals.
+    """
     finite = np.isfinite(data.rate_rps)
     used = np.flatnonzero(finite.mean(axis=0) > 0.5)
     whole = finite[:, used].all(axis=1)
@@ -238,7 +248,7 @@ def _means(data: ImuData, body: Turned) -> _Means | None:
 
 
 def _near_ends(outputs: Floats) -> Flags:
-    """Return which outputs (n, m) are near the ends of their range."""
+    """Return as flags (n, m) which outputs are near the ends of their range."""
     near = np.zeros(outputs.shape, dtype=np.bool_)
     for gyro, own in enumerate(outputs.T):
         known = own[np.isfinite(own)]
@@ -251,7 +261,7 @@ def _near_ends(outputs: Floats) -> Flags:
 def _columns(means: _Means, delay_s: float) -> tuple[Floats, Flags, Floats]:
     """Return [1, body rate] (n, 4) at a delay, for which intervals (n,) that is known, and weights (n,), 0 elsewhere.
 
-    An interval that turns faster than nearly all others counts as those: a reference that jumps has no more weight.
+    Intervals that turn faster than nearly all others get less weight, so that a reference that jumps has no more.
     """
     w = means.rates(delay_s)
     x, y, z = w.T
@@ -289,7 +299,9 @@ def _scales(squares: Floats) -> Floats:
 
 
 def _loss(means: _Means, delay_s: float, fits: Flags) -> float:
-    """Return what a delay leaves: the logarithm of the mean square, no more than ``most`` each, the mean over gyros."""
+    """Return the loss of a delay: the log of the mean square residual, each limited to ``most_rps``, averaged over
+    gyros.
+    """
     _, left, weight = _line(means, delay_s, fits)
     counts = fits & np.isfinite(left)
     sizes = np.minimum(np.where(counts, np.abs(left) * weight[:, None], 0.0), means.most_rps)
@@ -337,6 +349,7 @@ def _loss_by_normal_equations(means: _Means, outputs: Floats, delay_s: float, fi
 
 
 def _refined(means: _Means, delay_s: float, fits: Flags) -> float:
+    """Return the delay of least loss near ``delay_s``."""
     from scipy.optimize import minimize_scalar
 
     found = minimize_scalar(
@@ -349,7 +362,9 @@ def _refined(means: _Means, delay_s: float, fits: Flags) -> float:
 
 
 def _quantile(left: Floats, inner: Flags, share: float) -> Floats:
-    """Return the distance (m,) from the line within which such a share of the intervals is."""
+    """Return the distance (m,) from the line within which the ``share`` of the intervals lies; infinite without
+    intervals.
+    """
     found = np.full(left.shape[1], np.inf)
     for gyro, own in enumerate(left.T):
         known = own[inner[:, gyro] & np.isfinite(own)]
@@ -359,9 +374,9 @@ def _quantile(left: Floats, inner: Flags, share: float) -> Floats:
 
 
 def _nearer(means: _Means, delay_s: float, left: Floats, inner: Flags, distance: Floats) -> Flags:
-    """Return which intervals (n, m) are no farther from the line than a distance (m,), or a share of their rate.
+    """Return as flags (n, m) which intervals are within ``distance`` (m,) of the line, or within a share of their rate.
 
-    Without that share a body that rests most of the time, and turns for moments, would be judged by its rests alone.
+    The share is for a body that mostly rests and turns briefly: otherwise its rests alone would decide.
     """
     speed = np.linalg.norm(means.rates(delay_s), axis=1)
     allowed = np.maximum(distance, _ALLOWED * np.nan_to_num(speed)[:, None])

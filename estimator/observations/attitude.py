@@ -1,4 +1,4 @@
-"""Body rates of a reference that tells attitudes."""
+"""Body rates from a reference that measures attitudes."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from estimator.recordings.reference import AttitudeReadings, RateReadings
 def rates_from_attitude(readings: AttitudeReadings) -> RateReadings:
     """Return mean body rates (k - 1, 3) between successive attitudes, stamped in the middle.
 
-    NaN beside a lost attitude, and over a gap of more than three usual steps: what happened there is not known.
+    NaN beside a lost attitude, and over gaps of more than three usual steps.
     """
     q = readings.attitude_wxyz
     w0, v0, w1, v1 = q[:-1, :1], q[:-1, 1:], q[1:, :1], q[1:, 1:]

@@ -13,11 +13,11 @@ from estimator.types import Floats
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Blocks:
-    """Means over blocks of ``length_s``, and what happened within them.
+    """Means over blocks of ``length_s``, and the variation within them.
 
-    ``index`` (B,) numbers the blocks from an origin common to all sources, ``rows`` (B,) counts the samples in
-    each; ``w_rps`` (B, 3) and ``z_rps`` (B, m) are the means of body rate and output error. ``within`` (3 + m,
-    3 + m) sums the products of [w, z] less their block means over all rows; ``period_s`` is the sampling period.
+    ``index`` (B,) numbers the blocks from an origin common to all sources, ``rows`` (B,) counts the samples in each;
+    ``w_rps`` (B, 3) and ``z_rps`` (B, m) are means of body rate and output error. ``within`` (3 + m, 3 + m) sums the
+    products of [w, z] minus their block means over all rows; ``period_s`` is the sampling period.
     """
 
     index: NDArray[np.int64]
@@ -40,7 +40,7 @@ class Blocks:
         return np.asarray(np.clip(share, 1, 20) / 20 * self.length_s)
 
     def merged(self, factor: int) -> "Blocks":
-        """Return blocks ``factor`` times as long; what differed between the short ones is now within the long."""
+        """Return blocks ``factor`` times as long; differences between the short ones become part of ``within``."""
         if factor == 1:
             return self
         long = self.index // factor
@@ -61,14 +61,14 @@ class Blocks:
         )
 
     def select(self, keep: NDArray[np.bool_]) -> "Blocks":
-        """Return the means of these blocks only; what is within stays that of all."""
+        """Return the means of some blocks; the scatter within blocks stays that of all."""
         return replace(
             self, index=self.index[keep], rows=self.rows[keep], w_rps=self.w_rps[keep], z_rps=self.z_rps[keep]
         )
 
 
 class BlockSums:
-    """Takes in rows in order of time and sums them by block."""
+    """Sums rows by block, in order of time."""
 
     def __init__(self, channels: int, origin_ns: int, length_s: float, period_s: float) -> None:
         """Start empty; blocks are counted from ``origin_ns``."""
@@ -78,7 +78,9 @@ class BlockSums:
         self._products, self._shift = np.zeros((width, width)), np.zeros(width)
 
     def add(self, t_ns: NDArray[np.int64], w_rps: Floats, z_rps: Floats) -> None:
-        """Take in instants (rows,), body rates (rows, 3) and output errors (rows, m), later than all before."""
+        """Add instants (rows,), body rates (rows, 3) and output errors (rows, m), later than all before; none change
+        nothing.
+        """
         if not len(t_ns):
             return
         columns = np.empty((len(t_ns), self._products.shape[0]))
@@ -93,7 +95,7 @@ class BlockSums:
         self._products += columns.T @ columns
 
     def blocks(self) -> Blocks:
-        """Return the blocks so far."""
+        """Return the blocks so far, the last of which may be incomplete."""
         index, rows, sums = (self._parts[name] for name in ("index", "rows", "sums"))
         first = np.flatnonzero(np.diff(index, prepend=index[:1] - 1))  # a block may come in two parts
         index, rows, sums = index[first], np.add.reduceat(rows, first), np.add.reduceat(sums, first, axis=0)
@@ -114,9 +116,9 @@ class BlockSums:
 def block_squares(
     blocks: Blocks, array: SensorArray, x: Floats, noise_rps: Floats, file: NDArray[np.intp]
 ) -> tuple[float, int]:
-    """Return the squares of block means about the estimate, over those of white noise, and their number.
+    """Return the squares of block residuals relative to white noise, summed, and their degrees of freedom.
 
-    Each ``file`` (B,) has a bias of its own, which is no scatter.
+    Each ``file`` (B,) has its own bias, which does not count as scatter.
     """
     regressors = np.column_stack([np.ones(len(blocks.index)), blocks.w_rps])
     rest = blocks.z_rps - np.einsum("rj,mij,mi->rm", regressors, regressor_maps(array), x)

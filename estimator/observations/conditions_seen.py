@@ -1,4 +1,4 @@
-"""Under which conditions a recording was made, in words: states hold for these."""
+"""The conditions of a recording in words: states hold for these."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ _STILL_DPS = 0.5
 
 
 def holds_for(recording: Recording) -> str:
-    """Return rates and directions that were gone through, temperatures, and times since the start."""
+    """Return a text on the rates, directions, temperatures and times after the start that a recording covers."""
     ranges = [_limits(np.degrees(rate)) for rate in _rates_rps(recording)]
     if max(max(-low, high) for low, high in ranges) < _STILL_DPS:
         said = ["rest"]
@@ -28,7 +28,7 @@ def holds_for(recording: Recording) -> str:
 
 
 def _rates_rps(recording: Recording) -> list[Floats]:
-    """Return the rates (k,) about x, y, z: of a table about its own axes."""
+    """Return the rates (k,) about x, y, z; for a table those of its axes."""
     reference = recording.reference
     if isinstance(reference, TableReadings):
         of_axis = dict(zip(reference.gimbals, reference.rate_rps.T, strict=True))
@@ -43,7 +43,7 @@ def _rates_rps(recording: Recording) -> list[Floats]:
 
 
 def _limits(rate: Floats) -> tuple[float, float]:
-    """Return the range that holds all but a thousandth of rates (k,) at each end, and rest; to a tenth."""
+    """Return the range of rates (k,) without a thousandth at each end, widened to include rest; to a tenth."""
     known = rate[np.isfinite(rate)]
     low, high = np.quantile(known, [0.001, 0.999]) if len(known) else (0.0, 0.0)
     return min(round(float(low), 1), 0.0) + 0.0, max(round(float(high), 1), 0.0) + 0.0

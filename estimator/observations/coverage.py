@@ -1,4 +1,4 @@
-"""Over which time a recording can show that scale factors, alignments and gearing stayed the same.
+"""The time over which a recording can show that scale factors, alignments and gearing stayed the same.
 
 What changes while an axis rests shows only as a difference between its turns before and after. A change is therefore
 found only if there is enough turning about the axis on both sides of it: at least a quarter before it and a quarter
@@ -26,16 +26,16 @@ GEARING = "gearing"
 _SIDE = 0.25  # share of the turning that must lie on each side of a change
 _FAR = 1 / 3  # share of a recording that counts as far apart in time; turning spread evenly over it reaches one half
 _TURNED_RPS = 10 * REST_RPS
-_TURNED_SHARE = 0.05  # of the fastest axis: what is slower may be its leak into another one
-_GAP_STEPS, _GAP_S = 4.0, 1.0  # a reading tells of the time until the next one, but of no more than both
+_TURNED_SHARE = 0.05  # of the fastest axis: slower rotation may be its leak into another axis
+_GAP_STEPS, _GAP_S = 4.0, 1.0  # a reading is valid until the next one, but no longer than both
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AxisCoverage:
-    """Over which time constancy about one axis is proved, in seconds since the first sample.
+    """The time over which constancy about one axis is proved, in seconds since the first sample.
 
-    ``covered_s`` is (start, end), None where there is no such time; ``length_s`` is the length of the recording.
-    ``concerns`` names the states, and the gearing of a table's axis, that may have changed unnoticed at other times.
+    ``covered_s`` is (start, end), None if there is none; ``length_s`` is the length of the recording. ``concerns``
+    names the states, and the gearing of a table axis, that may have changed unnoticed at other times.
     """
 
     axis: str
@@ -58,7 +58,7 @@ class AxisCoverage:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Turning:
-    """Mean rates (n, 3) about x, y, z in spans of time (n,), in ns; ``gearing`` of a table's own axes."""
+    """Mean rates (n, 3) about x, y, z in time spans (n,), in ns; ``gearing`` for a table's own axes."""
 
     start_ns: Floats
     end_ns: Floats
@@ -67,10 +67,10 @@ class _Turning:
 
 
 def coverage(recording: Recording, sources: Sequence[ImuData]) -> tuple[AxisCoverage, ...]:
-    """Return the coverage of each axis about which a recording turns; ``sources`` are the samples that are used.
+    """Return the coverage of each axis about which a recording turns; ``sources`` are the samples in use.
 
-    An axis is one of the body, of which states may change, and one of the table, of which the gearing may. Where both
-    have the same name, or several sources see it, the time that all of them cover counts.
+    Axes are those of the body, whose states may change, and of the table, whose gearing may. For axes of the same name,
+    and several sources, the time covered by all of them counts.
     """
     seen = []
     for data in sources:
@@ -82,12 +82,15 @@ def coverage(recording: Recording, sources: Sequence[ImuData]) -> tuple[AxisCove
 
 
 def planned_coverage(readings: TableReadings) -> tuple[AxisCoverage, ...]:
-    """Return the coverage of a recording in which a table will move like this, with samples at an even rate."""
+    """Return the coverage of a recording with this planned motion and evenly spaced samples."""
     return _of_turnings([(readings.t_ns, list(_table_turnings(readings)))])
 
 
 def _of_turnings(seen: Sequence[tuple[Stamps, Sequence[_Turning]]]) -> tuple[AxisCoverage, ...]:
-    """Return the coverage from the instants of the samples (n,) of each source, in ns, and what it went through."""
+    """Return for each axis that turned the span of time that all sources cover, from samples (n,) in ns and turnings.
+
+    Empty without sources; the span is None where the sources have none in common.
+    """
     if not seen:
         return ()
     first_ns = min(float(instants_ns[0]) for instants_ns, _ in seen)
@@ -117,7 +120,7 @@ def _of_turnings(seen: Sequence[tuple[Stamps, Sequence[_Turning]]]) -> tuple[Axi
 
 
 def coverage_object(one: AxisCoverage) -> dict[str, Any]:
-    """Return a coverage as JSON holds it; times in seconds since the first sample."""
+    """Return a coverage as a JSON object; times in seconds since the first sample."""
     return {
         "axis": one.axis,
         "proved": one.proved,
@@ -129,7 +132,7 @@ def coverage_object(one: AxisCoverage) -> dict[str, Any]:
 
 
 def coverage_of(found: Mapping[str, Any]) -> AxisCoverage:
-    """Return a coverage from its JSON; KeyError, TypeError or ValueError for what is none."""
+    """Return a coverage from its JSON object; KeyError, TypeError or ValueError if it is not one."""
     covered_s = None
     if found["covered_s"] is not None:
         start_s, end_s = found["covered_s"]
@@ -143,7 +146,7 @@ def coverage_of(found: Mapping[str, Any]) -> AxisCoverage:
 
 
 def not_proved(axes: Sequence[AxisCoverage]) -> str:
-    """Return in a few words, for a verdict, of which axes or at which times constancy is not proved."""
+    """Return a few words, for a verdict, on the axes or times without proof of constancy; "" if nothing turned."""
     if weak := [one.axis for one in axes if not one.proved]:
         return sentence("observations.constancy_not_proved", axes=", ".join(weak))
     covered = [one.covered_s for one in axes if one.covered_s is not None]
@@ -157,7 +160,7 @@ def not_proved(axes: Sequence[AxisCoverage]) -> str:
 
 
 def coverage_notes(axes: Sequence[AxisCoverage]) -> list[str]:
-    """Return a note on the axes of which constancy is not proved, with what to do."""
+    """Return a note on the axes without proof of constancy, with what to do; empty if there are none."""
     weak = [one for one in axes if not one.proved]
     if not weak:
         return []
@@ -182,7 +185,10 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _middle(turning: _Turning, amount: Floats) -> tuple[float, float]:
-    """Return the instants in ns between which the middle part of an amount (n,) lies; the narrower, if in doubt."""
+    """Return the instants in ns between which the middle part of an amount (n,) lies, the narrower span if in doubt.
+
+    If nothing turned, the end comes before the start.
+    """
     done = np.concatenate([[0.0], np.cumsum(amount)])
     total = done[-1]
     if total <= 0:
@@ -198,14 +204,14 @@ def _middle(turning: _Turning, amount: Floats) -> tuple[float, float]:
 
 
 def _turnings(recording: Recording, data: ImuData) -> Iterator[_Turning]:
-    """Yield the turning of the body as a source went through it, then that of the axes of a table."""
+    """Yield the motion of the body as seen by a source, then that of the axes of a table."""
     reference = recording.reference
     if isinstance(reference, Turns):
         start_ns = reference.t_start_ns.astype(np.float64)
         end_ns = reference.t_end_ns.astype(np.float64)
         lengths_s = np.maximum(end_ns - start_ns, 1.0)[:, None] * 1e-9
         yield _Turning(start_ns, end_ns, reference.turn_rad / lengths_s)
-    elif isinstance(reference, Poses):  # only the gyros tell what hands did between them
+    elif isinstance(reference, Poses):  # only the gyros measure the turns by hand between them
         rate = np.nan_to_num(data.rate_rps - np.nanmedian(data.rate_rps, axis=0))
         yield _means(data.t_ns.astype(np.float64), rate @ np.linalg.pinv(data.array.p).T)
     elif isinstance(reference, TableReadings):
@@ -225,7 +231,7 @@ def _table_turnings(readings: TableReadings) -> Iterator[_Turning]:
 
 
 def _means(t_ns: Floats, rate_rps: Floats, *, gearing: bool = False) -> _Turning:
-    """Return rates (k, 3) at increasing instants (k,) as means over 0.1 s, or as they are where they are rarer."""
+    """Return rates (k, 3) at instants (k,) as means over 0.1 s, or unchanged if they are less frequent."""
     known = np.flatnonzero(np.isfinite(rate_rps).all(axis=1))
     known = known[np.argsort(t_ns[known], kind="stable")]
     t_ns = t_ns[known]

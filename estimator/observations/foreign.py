@@ -1,4 +1,4 @@
-"""What is told of a calibration against another instrument: an attitude, a rate, an encoder."""
+"""Notes on a calibration against another instrument: an attitude, a rate, an encoder."""
 
 from typing import TypeGuard
 
@@ -18,13 +18,13 @@ CLUSTER_S = 5.0
 FAR_OFF = 0.2
 """A factor this far from 1 is no scale factor error of a gyro but a wrong unit, count or sign."""
 FEWEST_CLUSTERS = 8
-COLOURED = 2.0  # sigmas that grow by more than this are told
+COLOURED = 2.0  # sigmas that grow by more than this are reported
 _TURNED = 1e-3  # share of the largest mean square rate from which on a direction counts as turned about
 _SELDOM = 1e-3  # that k may be off by
 
 
 def at_rest(reference: Reference) -> TypeGuard[RateReadings]:
-    """Return whether a reference says of no instant that the body turned (faster than the Earth)."""
+    """Return whether a reference never reports rotation faster than the Earth's."""
     if not isinstance(reference, RateReadings):
         return False
     rate = reference.rate_rps[np.isfinite(reference.rate_rps).all(axis=1)]
@@ -32,7 +32,11 @@ def at_rest(reference: Reference) -> TypeGuard[RateReadings]:
 
 
 def foreign_motion_notes(recording: Recording) -> list[str]:
-    """Return what the motion that a rate or an attitude shows leaves unseen, in words."""
+    """Return sentences on what the motion measured by a rate or attitude reference leaves unobserved.
+
+    That is everything for a body at rest, and the other axes for one or two axes of turning; empty for other
+    references.
+    """
     reference = recording.reference
     if at_rest(reference):
         return [sentence("observations.rests_only")]
@@ -51,9 +55,9 @@ def foreign_motion_notes(recording: Recording) -> list[str]:
 
 
 def sparse_doubts(recording: Recording) -> list[str]:
-    """Return, in words, that a rate is read too seldom to say how the body turned between its readings.
+    """Return a sentence if a rate reference is read too seldom to give the motion between its readings.
 
-    The gyros themselves, read at its instants only, are compared with all that they put out.
+    The gyros' own data, sampled at its instants only, are compared with all of them.
     """
     reference = recording.reference
     if not isinstance(reference, RateReadings) or at_rest(reference):

@@ -1,4 +1,4 @@
-"""Channels that cannot be trusted: constant, saturated, not a number; dead by what a reference says of the body."""
+"""Channels that cannot be trusted: constant, saturated, not a number; or dead, judged by the reference."""
 
 from dataclasses import dataclass, replace
 
@@ -13,9 +13,9 @@ from estimator.recordings.writing import columns_of
 from estimator.types import Flags, Floats, runs_of
 
 _RUN_S = 0.25  # equal extreme values for longer than this are a limit, not a coincidence
-_UNUSUAL = 5  # a limit holds a value so much longer than values repeat by chance
+_UNUSUAL = 5  # a limit repeats a value so many times longer than chance does
 _MARGIN_S = 0.5  # close to a limit the noise is cut on one side only
-_FILTER_S = 0.02  # beside samples at a limit that a reference shows: what a filter holds of them
+_FILTER_S = 0.02  # around samples at a limit shown by a reference: the memory of a filter
 _DEG = 180 / np.pi
 
 
@@ -29,7 +29,7 @@ class Excluded:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Usable:
-    """What is left of a source: data of channels that share their good samples, notes, gyros left out."""
+    """The usable part of a source: data of channels that share their valid samples, notes, excluded gyros."""
 
     parts: tuple[ImuData, ...]
     notes: tuple[str, ...]
@@ -37,11 +37,11 @@ class Usable:
 
 
 def usable(data: ImuData, *, fine: bool, beside: Beside | None = None) -> Usable:
-    """Return the channels of a source in order (``in_order``) that can be estimated.
+    """Return the channels of an ordered source (``in_order``) that can be estimated.
 
-    With ``fine`` readings, as of a gyro on a moving table, an output that never changes is a defect, and a channel
-    that stays at its extreme values is given by itself with those cut out. Coarse ones may rest on a count. What is
-    known ``beside`` them tells of both whatever the readings are like.
+    With ``fine`` readings, as on a moving table, a constant output is a defect, and a channel that stays at its extreme
+    values is returned separately, with those removed. Coarse readings may rest on one count. The comparison ``beside``
+    shows both in any case.
     """
     notes: list[str] = []
     excluded: list[Excluded] = []
@@ -71,7 +71,7 @@ def usable(data: ImuData, *, fine: bool, beside: Beside | None = None) -> Usable
 
 
 def in_order(data: ImuData) -> tuple[ImuData, list[str]]:
-    """Return a source in order of time without spikes and repeated samples, and what is to be told of its samples."""
+    """Return a source in order of time without spikes and repetitions, and notes on its samples."""
     data = _rows(data, np.argsort(data.t_ns, kind="stable"))
     kept, notes = without_odd("gyro", np.asarray(data.t_ns * 1e-9, dtype=np.float64), data.rate_rps, data.array.names)
     data = _rows(data, kept)
@@ -82,7 +82,7 @@ def in_order(data: ImuData) -> tuple[ImuData, list[str]]:
 
 
 def _dead(column: Floats, gyro: int, *, fine: bool, beside: Beside | None) -> str:
-    """Return why a channel (n,) is dead, empty if it is not."""
+    """Return why a channel (n,) is dead, "" if it is not."""
     low, high = float(np.nanmin(column)), float(np.nanmax(column))
     if low == high and (fine or (beside is not None and beside.turns(gyro))):
         return f"its output is constant at {low * _DEG:.4g} deg/s: disconnected or stuck"
@@ -92,7 +92,7 @@ def _dead(column: Floats, gyro: int, *, fine: bool, beside: Beside | None) -> st
 
 
 def _limited(data: ImuData, gyro: int, *, fine: bool, beside: Beside | None) -> tuple[Flags, str]:
-    """Return which samples (n,) of a gyro lie at or beside a limit, and its levels in words."""
+    """Return as flags (n,) which samples of a gyro are at or beside a limit, and its levels in words."""
     column = data.rate_rps[:, gyro]
     low, high = float(np.nanmin(column)), float(np.nanmax(column))
     limited = _at_limits(data, column, low, high) if fine else np.zeros(len(column), dtype=bool)
@@ -109,7 +109,7 @@ def _limited(data: ImuData, gyro: int, *, fine: bool, beside: Beside | None) -> 
 
 
 def _widened(flags: Flags, data: ImuData) -> Flags:
-    """Return flags (n,) with some samples to each side of those that are set."""
+    """Return flags (n,) extended by some samples on each side."""
     period_s = float(np.median(np.diff(data.t_ns[:10000]))) * 1e-9
     margin = max(round(_FILTER_S / period_s), 3)
     wide = flags.copy()
@@ -133,7 +133,7 @@ def _only(data: ImuData, channels: list[int], cut: Flags | None) -> ImuData:
 
 
 def _at_limits(data: ImuData, column: Floats, low: float, high: float) -> Flags:
-    """Return which samples (n,) lie in or beside a run of one extreme value."""
+    """Return as flags (n,) which samples are in or beside a run of an extreme value (low, high)."""
     limited = np.zeros(len(column), dtype=bool)
     if len(column) < 3 or not (_repeats(column, low) or _repeats(column, high)):
         return limited

@@ -19,19 +19,19 @@ from estimator.recordings.recording import ImuData
 from estimator.recordings.reference import Poses
 from estimator.types import Floats
 
-_GAP_STEPS = 3.5  # usual steps: in a longer gap nobody knows how the body turned
-_MEAN_S, _FEWEST = 0.5, 10  # neighbouring means at rest tell the noise; so many of them at the least
+_GAP_STEPS = 3.5  # usual steps: the motion in a longer gap is unknown
+_MEAN_S, _FEWEST = 0.5, 10  # neighbouring means at rest give the noise; the least number of them
 _ITERATIONS = 8
 _SETTLED = 1e-3  # sigmas
-_FACTOR, _SKEW, _OFFSET_MPS2 = 0.03, 0.02, 0.5  # what accelerometers are off by, one sigma
-_LENGTH = 3e-4  # to which an accelerometer gives the length of gravity, as far as a few rests do not tell
+_FACTOR, _SKEW, _OFFSET_MPS2 = 0.03, 0.02, 0.5  # errors of accelerometers, one sigma
+_LENGTH = 3e-4  # accuracy of an accelerometer for the length of gravity, as far as a few rests do not show it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Laid:
-    """Estimate of gyros (m): states x (m, 4) as in ``model``, covariance (4 m, 4 m), noise of a sample (m,) in rad/s.
+    """Estimate for gyros (m): states x (m, 4) as in ``model``, covariance (4 m, 4 m), noise of a sample (m,) in rad/s.
 
-    ``turns`` were used; ``excess`` is the mean square of what they leave over what their doubt allows.
+    ``turns`` is the number used; ``excess`` the mean square residual relative to the expected one.
     """
 
     x: Floats
@@ -51,9 +51,9 @@ class _Turn:
 
 
 def estimate(data: ImuData, poses: Poses, prior: Prior) -> Laid:
-    """Return the states that carry gravity best.
+    """Return the states that best carry the direction of gravity from rest to rest.
 
-    Raises RecordingError where gyros do not span space, or no turn between two rests is measured throughout.
+    RecordingError if the gyros do not span space, or there are gaps between all rests.
     """
     array, m = data.array, len(data.array)
     if np.linalg.matrix_rank(array.p, tol=0.1) < 3:
@@ -69,7 +69,7 @@ def estimate(data: ImuData, poses: Poses, prior: Prior) -> Laid:
     seen = np.vstack(steps) * np.sqrt(width / 2)
     arw = np.sqrt(np.mean(seen**2, axis=0) if len(seen) > _FEWEST else noise**2) * np.sqrt(period_s)
     wander = np.zeros(m)
-    if len(rests) > 1:  # what a bias does from rest to rest it does within a turn as well
+    if len(rests) > 1:  # a bias changes within a turn as it does from rest to rest
         beyond = np.diff(rests, axis=0) ** 2 / 2 - arw**2 * 0.5 * (1 / rest_s[1:] + 1 / rest_s[:-1])[:, None]
         wander = np.sqrt(np.maximum(beyond.mean(axis=0), 0.0))
     known = np.diag(np.tile(1 / prior.variances(), m))
@@ -93,11 +93,12 @@ def estimate(data: ImuData, poses: Poses, prior: Prior) -> Laid:
 
 
 def directions_up(force_mps2: Floats, *, from_rests: bool) -> tuple[Floats, float, Floats]:
-    """Return directions up (k, 3) of specific forces at rest, a doubt of each in rad, and shifts (q, k, 3) of all.
+    """Return directions up (k, 3) from specific forces at rest, the uncertainty of each in rad, and common shifts (q,
+    k, 3).
 
-    ``from_rests``: factors, skews and offsets of the accelerometer are such that all rests have one length; body x is
-    along its x axis, body y in the plane of its x and y. What is left open moves all directions by the shifts, one
-    sigma each. Else the accelerometer is right as it is.
+    ``from_rests``: scale factors, skews and offsets of the accelerometer are estimated so that all rests have the same
+    length; body x is along its x axis, body y in the plane of its x and y. The remaining uncertainty moves all
+    directions by the shifts, one sigma each. Otherwise the accelerometer is taken as correct.
     """
     from scipy.optimize import least_squares
 
@@ -118,7 +119,7 @@ def directions_up(force_mps2: Floats, *, from_rests: bool) -> tuple[Floats, floa
 
         found = least_squares(left, x)
         x, covariance = found.x, np.linalg.inv(found.jac.T @ found.jac)
-        free = len(force_mps2) - (9 - float(np.trace(covariance)))  # what the rests told of the accelerometer is not
+        free = len(force_mps2) - (9 - float(np.trace(covariance)))  # less what the rests determine of the accelerometer
         squares = doubt**2 * float(np.sum(found.fun[:-9] ** 2))
         doubt = float(np.sqrt((_LENGTH**2 + squares) / (1 + free)))
     roots = np.linalg.cholesky(covariance).T
@@ -127,7 +128,7 @@ def directions_up(force_mps2: Floats, *, from_rests: bool) -> tuple[Floats, floa
 
 
 def accelerometer_note(poses: Poses) -> str:
-    """Return what the directions up rest on, in words."""
+    """Return a sentence on the accuracy of the directions up."""
     each = f"{len(poses.up)} rests, the direction up to {np.degrees(float(np.median(poses.sd_rad))):.2g} deg each"
     if not len(poses.shifts):
         return f"gravity is the reference: {each}; the accelerometer is used as stated"
@@ -140,7 +141,9 @@ def _unit(vectors: Floats) -> Floats:
 
 
 def _cut(data: ImuData, poses: Poses) -> tuple[list[_Turn], list[Floats], Floats]:
-    """Return the turns between rests, and of the rests the outputs (n, m) and how long they are (k,) in s."""
+    """Return the turns between rests without gaps, the outputs (n, m) of each rest, and the rests' lengths (k,)
+    in s.
+    """
     t_ns, rate = in_order(data)
     first, last = np.searchsorted(t_ns, poses.t_start_ns), np.searchsorted(t_ns, poses.t_end_ns, side="right") - 1
     t_s = (t_ns - t_ns[0]) * 1e-9
@@ -156,7 +159,9 @@ def _cut(data: ImuData, poses: Poses) -> tuple[list[_Turn], list[Floats], Floats
 def _linear(
     array: SensorArray, poses: Poses, turns: list[_Turn], x: Floats, arw: Floats, wander: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Return what states x (m, 4) leave of the turns (r,), its slopes (r, 4 m) in x, and its covariance (r, r)."""
+    """Return the residuals of the turns for states x (m, 4) (r,), their derivatives (r, 4 m), and their covariance (r,
+    r).
+    """
     maps, m, k = regressor_maps(array), len(array), len(poses.up)
     inverse = np.linalg.pinv(array.p - x[:, :1] * array.p + x[:, 2:3] * array.k - x[:, 3:] * array.j)
     left, slopes, moved = np.zeros(2 * len(turns)), np.zeros((2 * len(turns), m, 4)), np.zeros((2 * len(turns), k, 3))
@@ -184,7 +189,9 @@ def _linear(
 
 
 def _attitudes(t_s: Floats, w_rps: Floats) -> Floats:
-    """Return the attitudes (n, 3, 3), body to where it was at the first instant, of rates (n, 3) that are linear."""
+    """Return the attitudes (n, 3, 3), from the body to its first orientation, for rates (n, 3) that are linear in
+    between.
+    """
     from scipy.spatial.transform import Rotation
 
     step_s = np.diff(t_s)[:, None]

@@ -1,4 +1,4 @@
-"""Rests of a recording, the noise that they show, and what its motion leaves unseen."""
+"""Rests of a recording, their noise, and what the motion leaves unobserved."""
 
 import numpy as np
 
@@ -14,9 +14,9 @@ REST_S = 5.0
 
 
 def rest_noise(data: ImuData, reference: TableReadings | RateReadings) -> list[SensorNoise]:
-    """Return the noise of each gyro of a source while the table rests; none if it never does for five seconds.
+    """Return the noise of each gyro of a source while the table rests; empty if it never rests for five seconds.
 
-    None either if an output is constant or no number, or more than a twentieth of the samples is missing.
+    Empty, too, if an output is constant or silent, or more than a twentieth of the samples is missing.
     """
     try:
         series = gyro_series(data, rest_spans(reference))
@@ -28,11 +28,9 @@ def rest_noise(data: ImuData, reference: TableReadings | RateReadings) -> list[S
 
 
 def sensor_series(recording: Recording) -> tuple[dict[str, list[Series]], list[str]]:
-    """Return by source the series of its gyros, and of its accelerometers if it has any, while the body rests.
+    """Return by source the series of its gyros and accelerometers while the body rests, and notes on those not usable.
 
-    With them comes in words which of them cannot be used, and why.
-
-    Raises RecordingError, which says what to do, if no rest is known.
+    RecordingError, with what to do, if no rest is known.
     """
     spans = known_rests(recording.reference)
     if not spans:
@@ -65,7 +63,7 @@ def accelerometer_series(data: ImuData, spans_ns: list[tuple[int, int]]) -> Seri
 
 
 def known_rests(reference: Reference) -> list[tuple[int, int]]:
-    """Return the spans (first, last) in ns of five seconds and more in which a reference says that the body rests."""
+    """Return the spans (first, last) in ns of five seconds or more in which a reference says that the body rests."""
     if isinstance(reference, TableReadings | RateReadings):
         return rest_spans(reference)
     if isinstance(reference, Poses):
@@ -84,7 +82,7 @@ def rest_spans(reference: TableReadings | RateReadings) -> list[tuple[int, int]]
 
 
 def motion_notes(recording: Recording) -> list[str]:
-    """Return what the motion of a recording leaves unseen, in words."""
+    """Return sentences on what the motion of the table leaves unobserved; empty for other references."""
     reference = recording.reference
     if not isinstance(reference, TableReadings):
         return []

@@ -25,15 +25,15 @@ MEAN_S = 0.1
 """Length of the means over which an attitude reference is compared: a low pass of 10 Hz on both sides."""
 _CHUNK_ROWS = 65536
 _COARSE = 1e-4  # variance of the errors of a rate reference, in that of the rate, that would lessen the slope
-_COARSE_MEAN = 1e-5  # what is left of it in means
+_COARSE_MEAN = 1e-5  # its share in means
 _MEANS_S = (0.1, 0.2, 0.5, 1.0)
-_FINE = 1.5  # steps of the samples: a reference whose steps are longer does not tell the rate at each sample
+_FINE = 1.5  # steps of the samples: a reference with longer steps does not give the rate at each sample
 _GAP_STEPS = 3.5  # usual steps: a longer gap within a turn leaves it unknown
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observations:
-    """Rows of body rate (rows, 3) and output (rows, m), with their instants where they are samples.
+    """Rows of body rate (rows, 3) and output (rows, m), with their instants if they are samples.
 
     ``weight`` is 1 / noise relative to other rows.
     """
@@ -52,9 +52,9 @@ def block_rows(data: ImuData, length_s: float = BLOCK_S) -> int:
 
 
 def observations(recording: Recording, data: ImuData) -> Iterator[Observations]:
-    """Yield rows of body rate and output of one source, in parts of bounded size, in order of time.
+    """Yield rows of body rate and output of one source, in parts of limited size, in order of time.
 
-    There are none between poses, where no rate is known (``poses``).
+    None for poses, between which no rate is known (``poses``).
     """
     reference = recording.reference
     if isinstance(reference, TableReadings):
@@ -68,6 +68,10 @@ def observations(recording: Recording, data: ImuData) -> Iterator[Observations]:
 
 
 def table_rows(recording: Recording, data: ImuData) -> Iterator[Observations]:
+    """Yield rows of body rate and output at the samples that the table's readings cover; the reference must be a table.
+
+    Where the table tells only how far it turned, its rates are means over short intervals.
+    """
     reference = recording.reference
     assert isinstance(reference, TableReadings), "rows against a table need one"
     if by_turns(reference):
@@ -82,7 +86,7 @@ def table_rows(recording: Recording, data: ImuData) -> Iterator[Observations]:
 
 
 def _sampled(data: ImuData, first_ns: int, last_ns: int, at: Callable[[Stamps], Floats]) -> Iterator[Observations]:
-    """Yield rows of the samples between two instants at which the body rate is a number."""
+    """Yield rows of the samples between two instants whose body rate ``at(t_ns)`` is finite."""
     t_ns, rate = in_order(data)
     start, stop = np.searchsorted(t_ns, first_ns, side="left"), np.searchsorted(t_ns, last_ns, side="right")
     t_ns, rate = t_ns[start:stop], rate[start:stop]
@@ -97,7 +101,7 @@ def _sampled(data: ImuData, first_ns: int, last_ns: int, at: Callable[[Stamps], 
 
 
 def source_blocks(recording: Recording, data: ImuData, length_s: float = BLOCK_S) -> Blocks:
-    """Return the rows of one source against a table or a rate, summed by block from the first reading of these."""
+    """Return the rows of one source against a table or a rate, averaged by block from the first reading of that on."""
     reference = recording.reference
     assert isinstance(reference, (TableReadings, RateReadings)), "blocks are against a table or a rate"
     t_ns = data.t_ns
@@ -109,6 +113,7 @@ def source_blocks(recording: Recording, data: ImuData, length_s: float = BLOCK_S
 
 
 def _rate_rows(reference: RateReadings, data: ImuData) -> Iterator[Observations]:
+    """Yield rows against a rate: by sample, or as means if the readings are coarse."""
     known = np.isfinite(reference.rate_rps).all(axis=1)
     if not known.any():
         return
@@ -116,7 +121,7 @@ def _rate_rows(reference: RateReadings, data: ImuData) -> Iterator[Observations]
     if length_s:
         yield from _means(data, reference, length_s)
         return
-    at = reference.t_ns[known]  # rates beside a lack of knowledge are not known either
+    at = reference.t_ns[known]  # rates next to unknown ones are unknown as well
     yield from _sampled(data, int(at[0]), int(at[-1]), lambda t_ns: _between(reference, t_ns))
 
 
@@ -125,7 +130,7 @@ def _between(reference: RateReadings, t_ns: Stamps) -> Floats:
 
 
 def mean_length_s(reference: RateReadings) -> float:
-    """Return over what length a rate is to be compared: 0 by sample, more where it comes in coarse steps.
+    """Return the length of means over which to compare a rate reference: 0 for samples, more if its steps are coarse.
 
     Errors of single readings, as of an encoder that counts per sample, would make every gyro look less sensitive.
     """
@@ -144,7 +149,7 @@ def mean_length_s(reference: RateReadings) -> float:
 
 
 def row_length_s(recording: Recording, data: ImuData) -> float:
-    """Return the length of time that a row against a foreign reference stands for."""
+    """Return the time that a row against an external reference stands for."""
     if isinstance(recording.reference, AttitudeReadings):
         return MEAN_S
     length_s = mean_length_s(recording.reference) if isinstance(recording.reference, RateReadings) else 0.0
@@ -154,7 +159,9 @@ def row_length_s(recording: Recording, data: ImuData) -> float:
 
 
 def coarser(reference: Reference, data: ImuData) -> bool:
-    """Return whether another instrument's readings are so far apart that they do not tell the rate at each sample."""
+    """Return whether an external reference is read too seldom to give the rate at each sample; False for a table with
+    rates.
+    """
     if not by_turns(reference):
         return False
     if not isinstance(reference, RateReadings):
@@ -180,6 +187,7 @@ def _quantum(rate_rps: Floats) -> Floats:
 
 
 def in_order(data: ImuData) -> tuple[Stamps, Floats]:
+    """Return stamps and outputs of the finite samples, in order of time."""
     t_ns, rate = data.t_ns, data.rate_rps
     finite = np.isfinite(rate).all(axis=1)
     if not finite.all():
@@ -191,7 +199,10 @@ def in_order(data: ImuData) -> tuple[Stamps, Floats]:
 
 
 def _means(data: ImuData, reference: RateReadings, length_s: float) -> Iterator[Observations]:
-    """Yield means of both sides over blocks: a reference that is too noisy to compare by sample."""
+    """Yield means of rates and outputs over blocks, for a reference that is too noisy to be compared by sample.
+
+    Nothing if the reference covers less than a block; blocks with unknown rates are left out.
+    """
     t_ns, rate = in_order(data)
     w = _between(reference, t_ns)
     rows = block_rows(data, length_s)
@@ -208,14 +219,14 @@ def _means(data: ImuData, reference: RateReadings, length_s: float) -> Iterator[
 
 
 def turn_rows(data: ImuData, turns: Turns) -> tuple[Observations, list[int]]:
-    """Return one row a turn: mean rate from its angle, mean output, weight from the doubt of both; and which have one.
+    """Return a row for each turn (mean rate by its angle, mean output, weight), and the indices of turns that have one.
 
-    The mean is over time, not over samples: foreign samples may be unevenly spaced. A weight of 1 is the noise of a
-    sample (``sample_noise``, that of the worst channel).
+    Means are over time, not samples, as external samples may be unevenly spaced. A weight of 1 is the noise of a sample
+    (``sample_noise``, of the worst channel). Turns with too few samples or gaps are left out.
     """
     t_ns, rate = in_order(data)
     white, quantum = float(sample_noise(data).max()), _quantum(rate)
-    # Where samples are left out, nobody knows how the body turned; few files of a person have even stamps.
+    # Where samples are left out, the motion is unknown; few files made by hand have even stamps.
     left_out = not np.isfinite(data.rate_rps).all() and len(t_ns) > 1
     longest_ns = _GAP_STEPS * float(np.median(np.diff(t_ns))) if left_out else np.inf
     w, y, weight, which = [], [], [], list[int]()

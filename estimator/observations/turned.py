@@ -1,4 +1,4 @@
-"""By how much a body has turned, and what its gyros have summed up to meanwhile: both over the same intervals.
+"""How far a body has turned, and the integral of its gyros, over the same intervals.
 
 Another instrument's readings come at other instants than samples. Compared are the integral of the output over an
 interval and the turn in the same interval; for an encoder that is a difference of angles, whose noise does not grow
@@ -18,19 +18,19 @@ from estimator.types import Floats
 
 REST_RPS = 2e-3
 """Several times Earth rate: what turns no faster rests."""
-_GAP_STEPS, _GAP_S = 3.5, 0.15  # between readings further apart than both nobody knows what happened
+_GAP_STEPS, _GAP_S = 3.5, 0.15  # between readings further apart than both, the motion is unknown
 _BOX, _BOXES = 9, 3  # steps of the finer grid in a mean over two periods, and how often one is taken
-_UNEVEN = 0.5  # of the usual step: where one is shorter, its own slope says little
+_UNEVEN = 0.5  # of the usual step: the slope of a shorter one is inaccurate
 _AT_ONCE_S = 1e-6  # instants nearer than this are one
 _SLOPE_S = 0.02  # to each side of an instant, over which a turn gives its rate; never less than one reading
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Turned:
-    """Integrals (k, c) of some rates at increasing instants ``t_s`` (k,); ``gaps`` (k,) counts unknown intervals.
+    """Integrals (k, c) of rates at increasing instants ``t_s`` (k,); ``gaps`` (k,) counts unknown intervals.
 
-    Between instants they are linear, or on a finer even grid ``smooth``: its start, its step, and integrals (f, c)
-    there, each of which is a mean over what lies within ``reach_s`` to each side.
+    Between instants they are linear, or given on a finer even grid ``smooth``: start, step, and integrals (f, c), each
+    an average over ``reach_s`` to each side.
     """
 
     t_s: Floats
@@ -41,9 +41,9 @@ class Turned:
 
     @classmethod
     def of_increments(cls, t_s: Floats, increments: Floats, longest_s: float | None = None) -> Self:
-        """Return the sum of ``increments`` (k - 1, c) from each instant to the next, NaN where they are not known.
+        """Return the sum of ``increments`` (k - 1, c) from each instant to the next, NaN where unknown.
 
-        Over ``longest_s`` (some usual steps) they are not known either.
+        Intervals longer than ``longest_s`` (by default some usual steps) count as unknown.
         """
         unknown = np.asarray(~np.isfinite(increments).all(axis=1), dtype=np.bool_)
         steps = np.diff(t_s)
@@ -55,18 +55,22 @@ class Turned:
 
     @classmethod
     def of_rates(cls, t_ns: NDArray[np.int64], rate_rps: Floats, longest_s: float | None = None) -> Self:
-        """Return the integral of rates (k, c) that are samples, by cubics; NaN where they are not known."""
+        """Return the integral of sampled rates (k, c), by cubics; intervals beside NaN or longer than ``longest_s`` are
+        unknown.
+        """
         order = np.argsort(t_ns, kind="stable")
         order = order[np.concatenate([[True], np.diff(t_ns[order]) > 0])]
         t_s, rate = np.asarray(t_ns[order] * 1e-9, dtype=np.float64), rate_rps[order]
         step_s = np.diff(t_s)[:, None]
-        bend = np.diff(np.gradient(rate, t_s, axis=0), axis=0) if len(t_s) > 2 else 0.0  # what trapezoids cut off
+        bend = np.diff(np.gradient(rate, t_s, axis=0), axis=0) if len(t_s) > 2 else 0.0  # error of trapezoids
         bend = np.where(np.isfinite(bend), bend, 0.0)
         return cls.of_increments(t_s, 0.5 * (rate[1:] + rate[:-1]) * step_s - bend * step_s**2 / 12, longest_s)
 
     @classmethod
     def of_reference(cls, reference: Reference, site: Site | None) -> Self:
-        """Return the turn (k, 3) in body axes of an attitude, a rate, or the angle of a table with one axis."""
+        """Return the turn (k, 3) in body axes of an attitude, a rate, or a table with a single axis, Earth rate
+        included by site.
+        """
         if isinstance(reference, AttitudeReadings):
             rates = rates_from_attitude(reference)
             t_s = np.asarray(reference.t_ns * 1e-9, dtype=np.float64)
@@ -85,10 +89,10 @@ class Turned:
         return cls.of_increments(t_s, turn)
 
     def smoothed(self, period_s: float) -> Self:
-        """Return the same through three means over two periods each.
+        """Return the integrals after three moving averages over two periods each.
 
-        Between two noisy readings linear interpolation has half their noise, so that any delay of half a period would
-        seem to fit. Means over whole periods have the same noise wherever they lie.
+        Between two noisy readings linear interpolation halves their noise, so that any delay of half a period would
+        seem to fit. Averages over whole periods have the same noise everywhere.
         """
         from scipy.interpolate import CubicHermiteSpline
         from scipy.ndimage import uniform_filter1d
@@ -103,7 +107,7 @@ class Turned:
         return replace(self, smooth=grid, reach_s=_BOXES * period_s)
 
     def _slopes(self) -> Floats:
-        """Return the slopes (k, c) of the integrals: over no less than a usual step to each side, as stamps scatter."""
+        """Return the slopes (k, c) of the integrals, over at least a usual step to each side, as stamps scatter."""
         steps_s = np.diff(self.t_s)
         usual_s = float(np.median(steps_s))
         if not len(steps_s) or steps_s.min() > _UNEVEN * usual_s:
@@ -130,7 +134,9 @@ class Turned:
         return np.asarray(inside & (self._gaps(at_s + _AT_ONCE_S, 1) == self._gaps(at_s - _AT_ONCE_S, -1)))
 
     def rates(self, at_s: Floats) -> Floats:
-        """Return the rates (n, c) at instants: slopes over a reading to each side, but no less than 20 ms."""
+        """Return the rates (n, c) at instants: slopes over a reading to each side, at least 20 ms; NaN outside and in
+        gaps.
+        """
         half_s = max(float(np.median(np.diff(self.t_s))), _SLOPE_S)
         inside = (at_s >= self.t_s[0]) & (at_s <= self.t_s[-1])
         rates = np.full((len(at_s), self.integral.shape[1]), np.nan)
@@ -139,6 +145,7 @@ class Turned:
         return rates
 
     def _at(self, at_s: Floats) -> Floats:
+        """Return the integrals (n, c) at instants, by the smooth grid if there is one."""
         if self.smooth is not None:
             start_s, step_s, values = self.smooth
             place = np.minimum(np.maximum((at_s - start_s) / step_s, 0), len(values) - 1.000001)
@@ -156,7 +163,7 @@ class Turned:
 
 
 def by_turns(reference: Reference) -> bool:
-    """Return whether readings are to be compared by turns: those of an instrument that gives no table's rates."""
+    """Return whether readings are compared by angles turned: those of instruments without a table's rates."""
     return isinstance(reference, (AttitudeReadings, RateReadings)) or (
         isinstance(reference, TableReadings) and len(reference.gimbals) == 1
     )

@@ -1,4 +1,4 @@
-"""What a motion will show, before it is made: sigmas of the states, smallest effects, what looks alike.
+"""The prediction for a motion before it is made: sigmas of the states, smallest effects, similar effects.
 
 All of it is linear algebra on one information matrix a gyro, over the columns [four states | all effects], as the
 estimate against a table weighs them but for rounding: means over a second and more under the covariance of coloured
@@ -29,7 +29,7 @@ UNSEEN = 0.5
 ALIKE = 0.9
 """Correlation above which two effects are listed as not told apart."""
 _FINEST_S, _MOST_BLOCKS = 1.0, 200  # of the blocks: the work grows with their third power
-_LEAST_SHARE = 1e-12  # of an effect's information: below it what is left of it is rounding
+_LEAST_SHARE = 1e-12  # of an effect's information: a smaller rest is rounding
 _LEADS = 0.1  # a state leads a direction from this share of the largest on; k before b before s_j before s_k
 _ROUNDING = 1e-3
 _SAME_RATE = 1e-6  # of the largest rate: steady rates closer than this are one condition
@@ -37,7 +37,7 @@ _SAME_RATE = 1e-6  # of the largest rate: steady rates closer than this are one 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlannedDevice:
-    """A device under test: its array, its noise and its data sheet."""
+    """A device under test: array, noise and data sheet."""
 
     source: str
     array: SensorArray
@@ -47,9 +47,9 @@ class PlannedDevice:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GyroForecast:
-    """Sigmas of the states of one gyro (4,), and errors that no sample would show.
+    """Predicted sigmas of the states of one gyro (4,), and errors that no sample would show.
 
-    ``unseen`` (c, 4): directions of [k, b, s_j, s_k] that change nothing the run can show, each with one coefficient 1.
+    ``unseen`` (c, 4): directions of [k, b, s_j, s_k] that change nothing visible, each with one coefficient of 1.
     """
 
     source: str
@@ -63,10 +63,10 @@ class GyroForecast:
 class EffectForecast:
     """What the run shows of one effect.
 
-    ``smallest`` (P, g): size of each parameter, alone beside the states, that is found in 95 % of runs, in its own
-    unit; g is the number of gyros, 1 for a shared effect; infinite if nothing of it is left beside the states.
-    ``shift`` (P, gyros, 4): what the largest plausible size of each parameter moves the states by if the model lacks
-    it, and ``shift_sigmas`` the same in predicted sigmas.
+    ``smallest`` (P, g): size of each parameter, in its unit, that is detected in 95 % of runs if it is alone with the
+    states; g is the number of gyros, 1 for a shared effect; infinite if the states absorb it. ``shift`` (P, gyros, 4):
+    the shift of the states by the largest plausible size of each parameter if the model lacks it, and ``shift_sigmas``
+    the same in predicted sigmas.
     """
 
     effect: Effect
@@ -81,15 +81,15 @@ class EffectForecast:
 
     @property
     def seen(self) -> NDArray[np.bool_]:
-        """Whether each parameter (P, g) is found at a plausible size."""
+        """Whether each parameter (P, g) would be seen at its largest plausible size."""
         return np.asarray(self.smallest <= self.largest[:, None])
 
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """Two effects that look alike: the correlation of ``parameter`` of the first with the best copy by the second.
+    """Two effects that look alike: the correlation of ``parameter`` of the first with its best copy by the second.
 
-    ``gyro`` numbers the gyro for which that is so, over all devices; None if the first is shared by all.
+    ``gyro`` is the index, over all devices, of the gyro for which that is so; None if the first effect is shared.
     """
 
     first: str
@@ -101,7 +101,7 @@ class Pair:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Forecast:
-    """Everything that a planned motion says beforehand. ``steady_conditions`` counts rests and rates that differ."""
+    """The predictions for a planned motion. ``steady_conditions`` counts different rests and rates."""
 
     gyros: tuple[GyroForecast, ...]
     effects: tuple[EffectForecast, ...]
@@ -111,7 +111,7 @@ class Forecast:
 
 
 def forecast(conditions: Conditions, devices: Sequence[PlannedDevice], effects: Sequence[Effect] = ()) -> Forecast:
-    """Return what a motion will show of these devices and effects."""
+    """Return the forecast for a motion of these devices and effects."""
     scales: list[Floats] = []
     names: list[tuple[str, str]] = []
     matrices: list[Floats] = []
@@ -153,9 +153,9 @@ def _information(conditions: Conditions, device: PlannedDevice, effects: Sequenc
 
 
 def weighing(t_s: Floats, period_s: float, noise: NoiseModel) -> Callable[[Floats], Floats]:
-    """Return what gives the products (c, c) of columns (N, c) at even instants, as the estimate weighs them.
+    """Return a function that gives the weighted products (c, c) of columns (N, c) at even instants, as in the estimate.
 
-    Means over blocks go by the inverse of their covariance, what is about the means by the weight of the noise there.
+    Block means are weighted by the inverse of their covariance, deviations from them by the noise density there.
     """
     since_s = t_s - t_s[0] + 0.5 * period_s
     length_s = _block_length(float(since_s[-1]))
@@ -191,7 +191,9 @@ def _unseen(covariance: Floats, scale: Floats) -> Floats:
 
 
 def _reduced(rows: Floats) -> tuple[Floats, list[int]]:
-    """Return the same span (c, n) in echelon form, and the column that leads each row: it is 1 there, others are 0."""
+    """Return the same span (c, n) in echelon form, and the leading column of each row, which is 1 there and 0
+    elsewhere.
+    """
     rows = np.array(rows)
     leads: list[int] = []
     for i in range(len(rows)):
@@ -212,8 +214,9 @@ def _effect_forecast(
 ) -> EffectForecast:
     """Return the forecast of one effect.
 
-    ``left`` (g, P, P) is its scaled information beside the states, ``total`` (g, P) the diagonal of what it has alone,
-    ``response`` (g, 4, P) what the scaled states take of it, ``scale`` and ``sd`` (g, 4) their units and scaled sigmas.
+    ``left`` (g, P, P) is its scaled information with the states eliminated, ``total`` (g, P) the diagonal of its own
+    information, ``response`` (g, 4, P) what the scaled states absorb of it, ``scale`` and ``sd`` (g, 4) their units and
+    scaled sigmas.
     """
     kept = np.diagonal(left, axis1=1, axis2=2).T
     alone = total.T
@@ -226,10 +229,10 @@ def _effect_forecast(
 
 
 def _steady(conditions: Conditions) -> tuple[int, bool]:
-    """Return how many rests and steady rates differ, and whether each costs one of the four states.
+    """Return the number of different rests and steady rates, and whether the states can absorb all of them.
 
-    With as many conditions as states that they determine, whatever is constant within each of them is taken up by
-    the states, and leaves no residual.
+    With no more conditions than states that they determine, whatever is constant within each is absorbed, without
+    residual.
     """
     w = body_rate(conditions.angle_rad, conditions.rate_rps, conditions.gimbals)
     still = ~np.any(conditions.acceleration_rps2, axis=1)
@@ -242,7 +245,7 @@ def _steady(conditions: Conditions) -> tuple[int, bool]:
 
 
 def _pairs(forecasts: Sequence[EffectForecast], slices: Sequence[slice], left: Floats) -> tuple[Pair, ...]:
-    """Return the pairs of effects that are both seen, of which one copies a parameter of the other, worst first."""
+    """Return the pairs of visible effects of which one copies a parameter of the other, worst first."""
     seen = [(f, own) for f, own in zip(forecasts, slices, strict=True) if f.seen.any()]
     pairs = []
     for number, (a, own_a) in enumerate(seen):
@@ -257,8 +260,8 @@ def _pairs(forecasts: Sequence[EffectForecast], slices: Sequence[slice], left: F
 def _copied(a: EffectForecast, own_a: slice, b: EffectForecast, own_b: slice, left: Floats) -> Pair:
     """Return how well b, at plausible sizes, copies the parameter of a that it copies best.
 
-    The correlation r is that of the information: with b in the model, the sigma of the parameter grows by
-    1 / sqrt(1 - r^2).
+    The correlation r is that of the information: with b in the model, the sigma of the parameter grows by the factor 1
+    / sqrt(1 - r^2).
     """
     cross, own = left[:, own_a, own_b], left[:, own_b, own_b]
     kept = np.diagonal(left[:, own_a, own_a], axis1=1, axis2=2)

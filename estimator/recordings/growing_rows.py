@@ -1,4 +1,4 @@
-"""Rows that grow in place: what a run reads of its table."""
+"""Rows that grow in place, such as the table readings of a run."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from estimator.types import Floats, Stamps
 
 
 class GrowingRows:
-    """Rows of named columns that grow at the end without being copied each time, and are forgotten at the beginning."""
+    """Rows of named columns that can be appended without copying everything, and forgotten from the beginning."""
 
     def __init__(self, **columns: Any) -> None:
         """Start empty; a column is the shape of its rows, or their type if they are no numbers in floating point."""
@@ -26,9 +26,9 @@ class GrowingRows:
         return self._stores[name][self._first : self._end]
 
     def append(self, *rows: NDArray[Any]) -> None:
-        """Append rows, those of every column in the order of the columns."""
+        """Append rows, one array for each column in order. Arrays taken out earlier stay valid."""
         count = len(rows[0])
-        if self._end + count > self._room:  # to new stores, without what is forgotten: who looks at the old may go on
+        if self._end + count > self._room:  # to new arrays, without forgotten rows: views of the old ones stay valid
             self._room = 2 * (len(self) + count)
             for name, store in self._stores.items():
                 self._stores[name] = np.empty((self._room, *store.shape[1:]), store.dtype)
@@ -39,7 +39,7 @@ class GrowingRows:
         self._end += count
 
     def forget(self, count: int) -> None:
-        """Drop so many rows at the beginning."""
+        """Drop the first ``count`` rows."""
         self._first += count
 
     def take(self) -> dict[str, NDArray[Any]]:
@@ -50,9 +50,10 @@ class GrowingRows:
 
 
 def integrated(before: GrowingRows, t_ns: Stamps, rate_rps: Floats) -> tuple[Stamps, Floats, Floats]:
-    """Return steps (k,) in ns from the row before, rates (k + 1, gimbals) from it on, and their integral (k, gimbals).
+    """Return steps (k,) in ns since the previous row, rates (k + 1, gimbals) from it on, and their integral (k,
+    gimbals).
 
-    Where there is no row before it is the first of these.
+    The previous row is the last of ``before``, or the first of these rows if that is empty.
     """
     last_ns, last_rps, start = t_ns[:1], rate_rps[:1], np.zeros((1, rate_rps.shape[1]))
     if len(before):

@@ -1,8 +1,8 @@
-"""A journal beside a recording: all that a run has taken so far, until its recording is closed whole.
+"""A journal beside a recording: all data of a run so far, until its recording is complete.
 
-Records one after another, each a mark, length and CRC-32 of what follows, and that: a msgpack list of entries
-``[kind, group, values]``, arrays as extension 1, a msgpack list of type, shape and bytes. What is torn or damaged fails
-its check and costs itself alone. The format is documented in docs/pages/reference/recording.md.
+Records one after another, each a mark, length and CRC-32 of what follows, and that: a msgpack list of entries ``[kind,
+group, values]``, arrays as extension 1, a msgpack list of type, shape and bytes. What is torn or damaged fails its
+check and costs itself alone. The format is documented in docs/pages/reference/recording.md.
 """
 
 import math
@@ -23,7 +23,7 @@ from estimator.recordings.recording import LAYOUT
 
 try:
     import fcntl
-except ImportError:  # Windows: nothing tells there whether a run still goes on
+except ImportError:  # Windows, where a run in progress cannot be detected
     fcntl = None  # type: ignore[assignment]
 
 ATTRIBUTES, ROWS, ARRIVED = range(3)
@@ -56,7 +56,7 @@ def journal_of(recording: Path) -> Path:
 
 
 class Journal:
-    """Writes entries; locked until it is removed, so that nobody takes the run for dead."""
+    """A journal of entries; locked until it is removed, so that no other process takes the run for dead."""
 
     def __init__(self, recording: Path) -> None:
         """Create it; OSError if that fails, FileExistsError if there is one."""
@@ -67,7 +67,7 @@ class Journal:
         self.unsynced, self._named = False, False
 
     def write(self, entries: Sequence[Entry]) -> None:
-        """Hand one record to the operating system, from whatever thread; OSError if that fails."""
+        """Write one record, from any thread; OSError if that fails."""
         payload = msgpack.packb(entries, default=_packed)
         record = memoryview(_HEAD.pack(_MARK, len(payload), zlib.crc32(payload)) + payload)
         with self._one_at_a_time:
@@ -76,7 +76,7 @@ class Journal:
             self.unsynced = True
 
     def sync(self) -> None:
-        """Have the disk keep what has been written; it may take seconds."""
+        """Sync the written data to disk; this may take seconds."""
         self.unsynced = False
         getattr(os, "fdatasync", os.fsync)(self._file)
         if not self._named:
@@ -84,7 +84,7 @@ class Journal:
             self._named = True
 
     def close(self, *, remove: bool) -> None:
-        """Give up its lock, and remove it where the recording is whole; twice is once."""
+        """Release the lock, and remove the file if the recording is complete; a second call does nothing."""
         if remove:
             self._path.unlink(missing_ok=True)
         if self._file >= 0:
@@ -93,7 +93,10 @@ class Journal:
 
 
 def lock(file: BinaryIO | int, *, alone: bool) -> bool:
-    """Lock a file, against all others or only against who wants it alone; return whether that could be done."""
+    """Lock a file, exclusively (``alone``) or shared, without waiting; return whether that succeeded.
+
+    True, too, if the system has no such locks.
+    """
     if fcntl is None:
         return True
     try:
@@ -106,7 +109,7 @@ def lock(file: BinaryIO | int, *, alone: bool) -> bool:
 
 
 def sync(path: Path) -> None:
-    """Have the disk keep a file, or the names in a folder; OSError if it does not."""
+    """Sync a file, or the names in a folder, to the disk; OSError if that fails."""
     with suppress(PermissionError):  # Windows opens no folders
         descriptor = os.open(path, os.O_RDWR if path.is_file() else os.O_RDONLY)
         try:
@@ -116,11 +119,11 @@ def sync(path: Path) -> None:
 
 
 def is_sound(entry: Entry) -> bool:
-    """Return whether a recording can hold an entry: the one rule for what is written and for what is read.
+    """Return whether a recording can hold an entry: the one rule for writing and for reading.
 
-    Groups are paths of up to four names, so a device may add one of its own with columns of its own. Rows are arrays
-    of numbers, truth values or bytes, with at most 64 KiB a row. Columns that ``LAYOUT`` describes have its dimensions
-    and type. Samples without a time have the columns ``arrival_ns`` (n,) and ``rate_rps`` (n, m).
+    Groups are paths of up to four names. Rows are arrays of numbers, truth values or bytes, of at most 64 KiB a row.
+    Columns that ``LAYOUT`` describes have its dimensions and type. Samples without a time have exactly the columns
+    ``arrival_ns`` (n,) and ``rate_rps`` (n, m).
     """
     kind, group, values = entry
     if not _GROUP.fullmatch(group) or not all(isinstance(name, str) and _COLUMN.fullmatch(name) for name in values):
@@ -152,7 +155,9 @@ def _is_column(name: str, column: Any) -> bool:
 
 
 def _is_attribute(value: Any) -> bool:
-    """Return whether HDF5 can keep a value as an attribute: a text, a number, or several of the same."""
+    """Return whether HDF5 can store a value as an attribute: a text, a number, or several of the same kind, not too
+    large.
+    """
     if isinstance(value, np.ndarray):
         return bool(_TYPE.fullmatch(value.dtype.str)) and value.nbytes <= _MOST_ATTRIBUTE_BYTES
     items = list(value) if isinstance(value, (list, tuple)) else [value]
@@ -165,10 +170,11 @@ def _is_attribute(value: Any) -> bool:
 
 
 def read_journal(file: BinaryIO) -> Iterator[Entry | None]:
-    """Yield the entries of every whole record, and None for each place where something was passed over.
+    """Yield the entries of every intact record, and None for each place that is skipped.
 
-    Passed over is what is torn or damaged, what is no record of ours, and an entry that no recording can hold
-    (``is_sound``). Where damage takes too long to search, the rest is passed over.
+    Skipped are torn or damaged records, bytes that are no record, and entries that no recording can hold
+    (``is_sound``). The journal ends early, without an entry, once more than ``_MOST_SEARCHED_BYTES`` had to be searched
+    after damage.
     """
     at, searched, size = 0, 0, file.seek(0, os.SEEK_END)
     while at + _HEAD.size <= size and searched < _MOST_SEARCHED_BYTES:
@@ -186,7 +192,7 @@ def read_journal(file: BinaryIO) -> Iterator[Entry | None]:
 
 
 def _next_mark(file: BinaryIO, at: int) -> tuple[int, int]:
-    """Return where the next mark is, or the end, and how many bytes were read to find it."""
+    """Return the position of the next mark, or the end, and the number of bytes read to find it."""
     scanned, block_bytes = 0, _LEAST_BLOCK_BYTES
     while True:
         file.seek(at)
@@ -202,10 +208,10 @@ def _next_mark(file: BinaryIO, at: int) -> tuple[int, int]:
 
 
 def _entries(payload: bytes) -> list[Entry | None]:
-    """Return the entries of a whole record; None for each that is none of ours, or that no recording can hold."""
+    """Return the entries of an intact record; None for each invalid one."""
     try:
         entries = msgpack.unpackb(payload, ext_hook=_unpacked, strict_map_key=False)
-    except Exception:  # of bytes that anybody may have made; msgpack raises ValueError, TypeError and more
+    except Exception:  # anybody may have made the bytes; msgpack raises ValueError, TypeError and more
         return [None]
     if not isinstance(entries, list):
         return [None]
@@ -225,7 +231,7 @@ def _packed(value: Any) -> msgpack.ExtType:
 
 
 def _unpacked(code: int, data: bytes) -> Any:
-    """Return an array, or None, which no recording can hold, for what is none."""
+    """Return the array in a msgpack extension; None if it is not a valid one."""
     if code != _ARRAY:
         return None
     try:

@@ -1,4 +1,4 @@
-"""Whether there is memory for what is to be done with a recording; said before it is begun."""
+"""Whether memory suffices for work on a recording, checked before it begins."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -16,7 +16,10 @@ _GROUP = Path("/sys/fs/cgroup")
 
 
 def check_memory(name: object, columns_bytes: int, times: int) -> None:
-    """Raise RecordingError, with what would be needed, if there is not ``times`` as much memory as columns take."""
+    """Raise RecordingError if there is not ``times`` as much free memory as columns of ``columns_bytes`` take.
+
+    ``name`` is for the message. Small columns are not checked.
+    """
     needed_bytes = times * columns_bytes
     if columns_bytes < _SMALL_BYTES or needed_bytes < (free_bytes := _free_bytes()):
         return
@@ -27,14 +30,14 @@ def check_memory(name: object, columns_bytes: int, times: int) -> None:
 
 
 def check_estimating(*recordings: Recording) -> None:
-    """Raise RecordingError, with what would be needed, if there is no memory to estimate from all of these at once."""
+    """Raise RecordingError, with the memory needed, if it does not suffice to estimate from all of these at once."""
     held = [part for r in recordings for part in (r.reference, *r.sources.values())]
     columns_bytes = sum(column.nbytes for part in held for column in columns_of(part).values())
     check_memory(", ".join(recording.name for recording in recordings), columns_bytes, ESTIMATING)
 
 
 def _free_bytes() -> int:
-    """Return what this process may still have: of the computer, and of the group that it is held in (Linux)."""
+    """Return the memory available to this process: of the computer, and of its control group (Linux)."""
     free_bytes = int(psutil.virtual_memory().available)
     with suppress(OSError, ValueError):  # no group, or no limit
         limit, used = (int((_GROUP / f"memory.{what}").read_text()) for what in ("max", "current"))

@@ -1,4 +1,4 @@
-"""Child process that reads files through, so that a damaged one harms nobody else.
+"""Child process that reads files completely, so that a damaged one harms no other process.
 
 A line of JSON for each: its kind and path come in, and why it cannot be read goes out, null if it can. Ends with its
 input.
@@ -21,7 +21,9 @@ _ROWS = 65536  # read at once
 
 
 def read_hdf5(path: Path) -> str | None:
-    """Return why the file cannot be read, or None."""
+    """Read a whole HDF5 file; return why it is unreadable, None if it is fine. ValueError as ``objects``, OSError of
+    HDF5.
+    """
     if path.stat().st_size == 0:
         return "it is empty"
     if not h5py.is_hdf5(path):
@@ -34,9 +36,9 @@ def read_hdf5(path: Path) -> str | None:
 
 
 def objects(path: Path, file: Any, names: Callable[[Any], Sequence[str]] | None = None) -> Iterator[Any]:
-    """Yield the datasets of a file, each once; ValueError for what is kept in other files, or claims too much.
+    """Yield the datasets of an open file, each once; ValueError for data in other files, or sizes that cannot be true.
 
-    With ``names`` only the objects that it names of the file: a reader of no others is 15 times faster.
+    With ``names`` only the objects that it returns for the file are checked, which is 15 times faster.
     """
     disk = path.stat()
     left = _FREE_BYTES + _MOST_TIMES * getattr(disk, "st_blocks", disk.st_size // 512 + 1) * 512  # a hole is no data
@@ -64,7 +66,7 @@ def objects(path: Path, file: Any, names: Callable[[Any], Sequence[str]] | None 
 
 
 def read_mat(path: Path) -> str | None:
-    """Likewise, of a MATLAB file."""
+    """Read a whole MATLAB file; return why it is unreadable, None if it is fine."""
     from scipy.io import loadmat
 
     try:
@@ -78,7 +80,7 @@ def read_all(kind: str, path: Path) -> str | None:
     """Return why a file of this kind cannot be read, or None."""
     try:
         return {"HDF5": read_hdf5, "MATLAB": read_mat}[kind](path)
-    except Exception as error:  # of a damaged file libraries raise whatever their decoders do: zlib.error, ...
+    except Exception as error:  # libraries raise any exception of their decoders for a damaged file: zlib.error, ...
         said = str(error).splitlines()[0] if str(error) else "no detail"
         return f"it is {'' if kind == 'HDF5' else f'no {kind} file, or '}damaged or cut short ({said})"
 

@@ -34,7 +34,7 @@ HOLD_S = 0.4
 LEAST_RPS2 = 0.02
 """Slower changes of rate are no ramps."""
 
-_ANGLE_SD_RAD, _RATE_SD_RPS = 1e-4, 3e-4  # of readings whose instants are known, before their scatter has told
+_ANGLE_SD_RAD, _RATE_SD_RPS = 1e-4, 3e-4  # of readings with known instants, before their scatter is known
 _LEAST_SD = 1e-6  # rad and rad/s: nothing is read better
 _SCALE_SD = 0.05  # of a drive's rate readback
 _LEAST_RPS = 0.0175  # nor are smaller ones
@@ -44,7 +44,7 @@ _ROUNDS, _STEPS = 4, 8
 _MOVES = 1e-12  # s, rad/s, rad: a step that moves no parameter by more ends a round
 _TAIL = 3.0  # a few readings are far off, as a rate that is a mean over a corner
 _INWARD = 0.02  # of a ramp
-_FITS = 3.0  # sigmas rms; what fits worse is no ramp
+_FITS = 3.0  # sigmas rms; a worse fit is no ramp
 _HOPELESS = 100.0  # sigmas rms after the first round: not worth another
 _READINGS_A_CORNER = 5.0
 _HIDDEN = 2.0  # times the largest change between two readings
@@ -61,10 +61,10 @@ Readings = tuple[Floats, Floats, Floats, Floats, float]
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Ramp:
-    """Corners at ``t_s`` (k,) with angles and rates there, and what the rates of the readings (n,) are by them.
+    """A ramp: corners at ``t_s`` (k,) with angles and rates there, and the modelled rates of the readings (n,).
 
-    Rates are in the scale of the rate readings, ``scale`` times what the angles say. ``sd_s`` is the largest standard
-    deviation of a corner's instant, of those where the slope changes most.
+    Rates are in the scale of the rate readings, ``scale`` times that of the angles. ``sd_s`` is the largest standard
+    deviation of a corner's instant, of corners where the slope changes noticeably.
     """
 
     t_s: Floats
@@ -90,7 +90,7 @@ def changing(t_s: Floats, rate_rps: Floats) -> Flags:
 
 
 def ends(changes: Flags) -> tuple[int, bool]:
-    """Return how many intervals a ramp takes that begins with the first of these, and whether its end is seen."""
+    """Return the number of intervals of a ramp that begins with the first change, and whether its end is seen."""
     steady = np.flatnonzero(~changes)
     for first in steady.tolist():
         if not changes[first : first + _QUIET].any():
@@ -101,7 +101,7 @@ def ends(changes: Flags) -> tuple[int, bool]:
 def piece_of(t_s: Floats, angle_rad: Floats) -> int:
     """Return after how many of these readings (n,) to cut a change of rate: within its longest straight part.
 
-    Only the second half of them is looked at, so that pieces do not become ever shorter.
+    Only the second half is searched, so that pieces do not become ever shorter.
     """
     found = list(corners_of(*between_readings(t_s, angle_rad), MOST_CORNERS))
     corners = np.array(found[-1][0] if found else [0, len(t_s) - 1])
@@ -117,12 +117,11 @@ def is_ramp(rate_rps: Floats) -> bool:
 
 
 def fitted(readings: Readings, first: int, last: int) -> Ramp | None:
-    """Return the ramp between the readings ``first`` and ``last``, None if that is not what it is.
+    """Fit a ramp between the readings ``first`` and ``last``; return None if the change is not a ramp.
 
-    Beyond them the rate is steady. Where fewer than three readings are beyond them, the rate goes on changing as it did
-    there; that is taken for a ramp only if rates are means: others are right between corners as they are.
-    Readings count by their half widths, and by how far they lie off. If even the best fit is bad the instants of its
-    corners are as good as unknown (``sd_s``).
+    Beyond them the rate is constant. With fewer than three readings beyond, the change is cut off there; that is fitted
+    only if rates are means, since other rates are interpolated well enough. Readings are weighted by their half widths
+    and by their deviation. If even the best fit is bad, the instants of its corners count as unknown (large ``sd_s``).
     """
     t_s, angle_rad, rate_rps, _, window_s = readings
     cut = first + 1 < _FEWEST, len(t_s) - last < _FEWEST
@@ -149,13 +148,13 @@ def fitted(readings: Readings, first: int, last: int) -> Ramp | None:
             return ramp
         if misfit < least:
             best, least = ramp, misfit
-    return None if best is None else replace(best, sd_s=LONGEST_S)  # none of these is what happened
+    return None if best is None else replace(best, sd_s=LONGEST_S)  # none of these fits
 
 
 def _scatter_sd(t_s: Floats, angle_rad: Floats) -> Floats:
-    """Return the standard deviations (2,) of angles and rates, those of angles as they scatter about short parabolas.
+    """Return the standard deviations (2,) of angles and rates; that of angles from their scatter about short parabolas.
 
-    Most of these hold no corner. They are no larger than what is taken before anything is known.
+    Most of these contain no corner. Values are limited to the prior ones.
     """
     most = np.array([_ANGLE_SD_RAD, _RATE_SD_RPS])
     if len(t_s) < _SHORT:
@@ -183,10 +182,10 @@ def _misfit(ramp: Ramp, readings: Readings, first: int, last: int, sd: Floats) -
 def with_corners(
     known_ns: Stamps, angles: Floats, rates: Floats, ramps: Sequence[tuple[int, Stamps, Ramp]]
 ) -> tuple[Stamps, Floats, Floats, Floats]:
-    """Return readings with the corners of ramps between them: instants (m,), angles, rates, doubts of corners in s.
+    """Return readings with the corners of ramps inserted: instants (m,), angles, rates, doubts of corners in s.
 
-    ``known_ns`` (n + 1,), ``angles`` and ``rates`` (n + 1, gimbals) are the readings and the row before them. A ramp
-    comes with its column and the instants of its corners. Doubts (m, gimbals) are NaN where a gimbal has no ramp.
+    ``known_ns`` (n + 1,), ``angles`` and ``rates`` (n + 1, gimbals) are the readings and the row before them. Each ramp
+    is (column, instants of its corners, ramp). Doubts (m, gimbals) are NaN where a gimbal has no ramp.
     """
     inside = [corners[(corners > known_ns[0]) & (corners < known_ns[-1])] for _, corners, _ in ramps]
     t_ns = np.unique(np.concatenate([known_ns[1:], *inside]))
@@ -207,9 +206,10 @@ def with_corners(
 
 
 def corners_of(t_s: Floats, rate_rps: Floats, most: int) -> Iterator[tuple[list[int], float]]:
-    """Yield more and more readings that straight lines between them come nearest to all, and how far they are off.
+    """Yield growing selections of readings that are connected by straight lines, and the largest deviation of the
+    others.
 
-    The first and the last reading are always among them, ``most`` at last.
+    The first and the last reading are always selected; the selection ends at ``most``, or when nothing deviates.
     """
     corners = [0, len(t_s) - 1]
     while len(corners) < min(most, len(t_s) // 2):
@@ -221,14 +221,15 @@ def corners_of(t_s: Floats, rate_rps: Floats, most: int) -> Iterator[tuple[list[
 
 
 def between_readings(t_s: Floats, angle_rad: Floats) -> tuple[Floats, Floats]:
-    """Return instants in the middle between readings (n,), and the mean rates there (n - 1,) that angles tell."""
+    """Return instants midway between readings (n,), and the mean rates there (n - 1,) from the angles."""
     return 0.5 * (t_s[:-1] + t_s[1:]), np.diff(angle_rad) / np.diff(t_s)
 
 
 def _through_rest(readings: Readings, first: int, last: int) -> Iterator[tuple[Floats, Flags]]:
-    """Yield a start with four corners for an axis that brakes, stands, and speeds up again, its rate held at zero.
+    """Yield at most one start, with four corners, for an axis that brakes, stands, and accelerates again.
 
-    The lines of both ramps are drawn through what lies well between rest and the steady rate, where no corner is.
+    The rate in the middle is held at zero. The lines of both ramps are fitted well between rest and the steady rate,
+    where there is no corner.
     """
     t_s, angle_rad, rate_rps, _, _ = readings
     at_s, rates = between_readings(t_s[max(first - 1, 0) : last + 2], angle_rad[max(first - 1, 0) : last + 2])
@@ -259,13 +260,13 @@ def _through_rest(readings: Readings, first: int, last: int) -> Iterator[tuple[F
 def _polylines(
     readings: Readings, first: int, last: int, cut: tuple[bool, bool], least: int
 ) -> Iterator[tuple[Floats, Flags]]:
-    """Yield what a change of rate with more than ``least`` corners may start from, the fewest first.
+    """Yield starts for a change of rate with more than ``least`` corners, those with the fewest first; none for noise.
 
-    With each come flags of the parameters that are held: the ends of a change that is ``cut`` off there, and the rates
-    of corners that may be at zero, which are taken for that of an axis that stands at first.
+    With each come flags of parameters to hold: the ends of a change that is ``cut`` off, and the rates of corners that
+    may be zero, for an axis that stands in between.
     """
     t_s, angle_rad, rate_rps, _, window_s = readings
-    # What angles say between two readings is of a shorter time than a rate that is a mean.
+    # The slope of angles between two readings is over a shorter time than a rate that is a mean.
     low, high = max(first - 1, 0), min(last + 1, len(t_s) - 1)
     between_s, rates = between_readings(t_s[low : high + 1], angle_rad[low : high + 1])
     kept = slice(None if cut[0] else 1, None if cut[1] else -1)
@@ -286,7 +287,7 @@ def _polylines(
         ends = np.zeros(len(inner), dtype=np.bool_)
         stands = np.abs(at_rps) <= _NEARLY_STANDS * np.ptp(rate_rps[first : last + 1])
         stands[[0, -1]] = False
-        # Beyond an end that is cut off there are no readings, nor means over what was before it.
+        # Beyond an end that is cut off there are no readings, nor means over earlier rates.
         slopes = np.diff(at_rps) / np.diff(at_s)
         for end, is_cut, beyond_s in ((0, cut[0], t_s[0] - window_s - _BEYOND_S), (-1, cut[1], t_s[-1] + _BEYOND_S)):
             if is_cut:
@@ -302,13 +303,13 @@ def _polylines(
 
 
 def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, last: int) -> Ramp | None:
-    """Return the ramp with as many corners as ``start``, found from there; None if it does not fit.
+    """Return the ramp fitted from ``start``, with its number of corners; None if it does not fit or is not determined.
 
     ``held`` flags the parameters that are known.
     """
     t_s, _, _, _, window_s = readings
     k = len(start) // 2 - 1
-    # A corner is somewhere here, even if no reading lies within the ramp; the rest is only kept from being singular.
+    # A corner is somewhere here, even without a reading within the ramp; the rest is only kept from being singular.
     prior = np.full(len(start), 1e-6)
     prior[:k], prior[-1] = 1 / (t_s[last] - t_s[first]), 1 / _SCALE_SD
     prior[held] = 1 / _LEAST_SD
@@ -320,7 +321,7 @@ def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, las
             residual, jacobian, _ = _weighed(p, readings, sd, tail)
             if lap == 1 and np.mean(residual**2) > _HOPELESS**2:
                 return None
-            # What angles and rates are known to is seen in how they scatter, less what the fit took of that.
+            # The accuracy of angles and rates is seen in their scatter, corrected for the number of fitted parameters.
             rows = np.vstack([jacobian, np.diag(prior)])
             taken = np.sum(np.linalg.qr(rows)[0][: len(jacobian)] ** 2, axis=1)
             squares, freedom = (one.reshape(2, -1).sum(axis=1) for one in (residual**2, 1 - taken))
@@ -340,7 +341,7 @@ def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, las
     if not max(float(np.mean(off)), float(np.mean(off[near]))) < _FITS**2:
         return None
     residual, _, doubt = _weighed(p, readings, sd, _TAIL)
-    # A reading at a corner tells nothing of a shorter ramp, whatever its slopes say of a longer one.
+    # A reading at a corner says nothing about a shorter ramp, whatever its slopes say about a longer one.
     shorter = p.copy()
     shorter[[0, k - 1]] += _INWARD * (p[k - 1] - p[0]) * np.array([1, -1]) * ~held[[0, k - 1]]
     slopes = modelled(shorter, t_s, window_s)[2] / doubt[:, None]
@@ -348,14 +349,14 @@ def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, las
     variance = np.sum(np.linalg.inv(factor) ** 2, axis=1)[:k] * max(float(np.mean(residual**2)), 1.0)
     if not np.all(np.isfinite(variance)):  # readings too coarse to keep its corners apart
         return None
-    # A reading of nothing but the time outside the ramp tells how far the rate is from steady, as far as it is known
+    # A reading entirely outside the ramp shows how far the rate is from steady, as far as it is known
     # better than that.
     off_rps, doubt = (residual * doubt)[len(t_s) :], doubt[len(t_s) :]
     inside = (t_s > p[0]) & (t_s < p[k - 1] + window_s)
     share = np.where(inside, 0.0, _RATE_SD_RPS**2 / (_RATE_SD_RPS**2 + doubt**2))
     angle, rate = turned(p, p[:k])
     reading_rps = p[-1] * turned(p, t_s)[1] + share * off_rps
-    # A corner at which the slope hardly changes may be anywhere: it counts by what it does to the rate.
+    # A corner at which the slope hardly changes may be anywhere: its weight is its effect on the rate.
     bends = np.abs(np.diff(np.diff(p[k : 2 * k]) / np.diff(p[:k]), prepend=0.0, append=0.0))
     sd_s = float(np.max(np.sqrt(variance) * bends / bends.max()))
     return Ramp(
@@ -364,10 +365,11 @@ def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, las
 
 
 def _weighed(p: Floats, readings: Readings, sd: Floats, tail: float) -> tuple[Floats, Floats, Floats]:
-    """Return what readings are off a ramp by, in sigmas (2 n,), its slopes, the sigmas (2 n,).
+    """Return the deviations of readings from a ramp in sigmas (2 n,), their derivatives, and the sigmas (2 n,).
 
-    A reading counts by its half width, as much as all are off by theirs; if it is off by more, by that. ``sd`` (2,) are
-    of angles and rates whose instants are known; ``tail`` degrees of freedom their distribution has (Student's t).
+    A sigma includes the half width of the reading, as far as readings deviate by theirs. ``sd`` (2,) is that of angles
+    and rates with known instants; ``tail`` are the degrees of freedom of their distribution (Student's t), infinite for
+    normal.
     """
     t_s, angle_rad, rate_rps, half_width_s, window_s = readings
     angle, rate, slopes = modelled(p, t_s, window_s)
@@ -386,7 +388,10 @@ def _weighed(p: Floats, readings: Readings, sd: Floats, tail: float) -> tuple[Fl
 
 
 def _start(t_s: Floats, angle_rad: Floats, rate_rps: Floats, first: int, last: int) -> Floats | None:
-    """Return corners, rates there, angle before, and the scale of the rates, as readings suggest them."""
+    """Return start parameters (corners, rates, angle, scale) suggested by the readings; None if there is no change.
+
+    A change that goes up and down again has three corners, any other two.
+    """
     before, after = float(np.median(rate_rps[: first + 1])), float(np.median(rate_rps[last:]))
     inner = rate_rps[first : last + 1]
     slope = np.diff(inner) / np.diff(t_s[first : last + 1])

@@ -49,9 +49,9 @@ _REFERENCES: dict[str, Any] = {"turn_rad": Turns, "up": Poses, "rate_rps": RateR
 
 
 def read_recording(path: Path | str, *, trusted: bool = False) -> Recording:
-    """Read a recording, made whole from its journal if its run died; ``trusted``: this process has just closed it.
+    """Return a recording, completed from its journal if its run died; ``trusted``: this process has just closed it.
 
-    Raises RecordingError, with what is missing or wrong, for a file that is not of the format.
+    RecordingError, with what is missing or wrong, for a file that is not of the format.
     """
     path = Path(path)
     if path.is_dir():
@@ -63,9 +63,9 @@ def read_recording(path: Path | str, *, trusted: bool = False) -> Recording:
 
 
 def read_attributes(path: Path | str) -> dict[str, Any]:
-    """Return the attributes of a recording, also of one that holds too little to be read as a whole.
+    """Return the attributes of a recording, also of one that is too incomplete to be read.
 
-    Raises RecordingError for a file that is not of the format.
+    RecordingError for a file that is not of the format.
     """
     path = Path(path)
     recover(path)
@@ -74,9 +74,9 @@ def read_attributes(path: Path | str) -> dict[str, Any]:
 
 
 def file_format(path: Path | str) -> str:
-    """Return what an HDF5 file says that it is: ``FORMAT`` for a recording; empty if it says nothing.
+    """Return the attribute "format" of an HDF5 file: ``FORMAT`` for a recording, "" if it has none.
 
-    Raises RecordingError for a file that cannot be read.
+    RecordingError for a file that cannot be read.
     """
     path = Path(path)
     probe(path)
@@ -84,7 +84,7 @@ def file_format(path: Path | str) -> str:
 
 
 def _opened(path: Path, read: Callable[[Path, Any], T]) -> T:
-    """Return what is read from a file; RecordingError for whatever is wrong with it."""
+    """Return ``read(path, file)`` for the opened file; RecordingError for any error."""
     try:
         with h5py.File(path, "r") as file:
             return read(path, file)
@@ -95,6 +95,7 @@ def _opened(path: Path, read: Callable[[Path, Any], T]) -> T:
 
 
 def _attributes(path: Path, file: Any) -> dict[str, Any]:
+    """Return the attributes of an open recording; RecordingError for another format or a newer version."""
     attributes = {key: plain(value) for key, value in file.attrs.items()}
     if attributes.get("format") != FORMAT:
         raise RecordingError(sentence("recordings.no_recording", path=path, format=FORMAT))
@@ -105,6 +106,9 @@ def _attributes(path: Path, file: Any) -> dict[str, Any]:
 
 
 def _read(path: Path, file: Any) -> Recording:
+    """Return the recording in an open file; RecordingError if it has no samples, no reference, or needs too much
+    memory.
+    """
     attributes = _attributes(path, file)
     groups = (*file.get("imu", {}).values(), file.get("table", {}))
     columns = [group[key] for group in groups for key in group if "dimensions" in LAYOUT.get(key, {})]
@@ -121,7 +125,7 @@ def _read(path: Path, file: Any) -> Recording:
 
 
 def _read_innovations(file: Any, model_sha256: str) -> KeptInnovations | None:
-    """Return what the live filter said block by block, summed over all sources; None if it is kept of none."""
+    """Return the live filter's innovations, summed over all blocks and sources; None if none are stored."""
     groups = [group for group in file.get("innovation", {}).values() if "nis" in group and "dof" in group]
     if not groups:
         return None
@@ -134,7 +138,11 @@ def _read_innovations(file: Any, model_sha256: str) -> KeptInnovations | None:
 
 
 def _read_series(path: Path, file: Any) -> dict[str, Series]:
-    """Return the series of devices by name: of each the columns that its group names, as long as all of them are."""
+    """Return the series of devices by name; columns are cut to the shortest. RecordingError if declared ones are
+    missing.
+
+    Devices without a series are left out.
+    """
     found = {}
     for name, group in file.get(DEVICES, {}).items():
         where = f"{path}: /{DEVICES}/{name}"
@@ -155,6 +163,10 @@ def _read_series(path: Path, file: Any) -> dict[str, Series]:
 
 
 def _read_source(path: Path, name: str, group: Any) -> ImuData:
+    """Return the samples of one source; columns are cut to the shortest. RecordingError if they do not fit its axes.
+
+    Impossible rates become NaN and count as lost.
+    """
     where = f"{path}: /imu/{name}"
     present = ["t_ns", "rate_rps", *(key for key in ("temperature_c", "accel_mps2", "counter") if key in group)]
     columns = {key: _column(where, group, key) for key in present}
@@ -185,9 +197,9 @@ def _read_source(path: Path, name: str, group: Any) -> ImuData:
 
 
 def read_array(where: str, name: str, group: Any) -> SensorArray:
-    """Return the array of a source from its group; without names its gyros are called by the source, and numbered.
+    """Return the array of a source from its group; gyros without names are named after the source and numbered.
 
-    RecordingError, which says ``where``, if there are no axes or impossible ones.
+    RecordingError, which begins with ``where``, if axes are missing or impossible.
     """
     axes = {key: _axes(group, key) for key in "pjk"}
     if axes["p"] is None:
@@ -202,7 +214,7 @@ def read_array(where: str, name: str, group: Any) -> SensorArray:
 
 
 def _check_accelerometers(where: str, accel_mps2: Floats, axes: Floats) -> None:
-    """Raise RecordingError unless outputs (n, c) and axes (c, 3) give the specific force along every body axis."""
+    """Raise RecordingError unless outputs (n, c) and axes (c, 3) determine the specific force along every body axis."""
     channels = accel_mps2.shape[1] if accel_mps2.ndim == 2 else 1
     if axes.shape != (channels, 3):
         raise RecordingError(f"{where} has {channels} accelerometers, but accel_axes of the shape {axes.shape}")
@@ -216,6 +228,12 @@ def _axes(group: Any, key: str) -> Floats | None:
 
 
 def _read_reference(path: Path, file: Any) -> Reference:
+    """Return the reference in an open file: readings of a table, or another instrument's rates, attitudes, turns or
+    poses.
+
+    Columns are cut to the shortest, readings that are not finite dropped, missing rates derived from angles.
+    RecordingError if there is none, or it is invalid.
+    """
     if "table" in file:
         where, group = f"{path}: /table", file["table"]
         axes = [str(plain(a)) for a in group.attrs.get("axes", [])]
@@ -272,9 +290,10 @@ def _read_reference(path: Path, file: Any) -> Reference:
 
 
 def _means_of(t_ns: Stamps, angle_rad: Floats) -> tuple[Floats, int]:
-    """Return mean rates (k, axes) of a table that tells only angles (k, axes), and over how many ns before each.
+    """Return mean rates (k, axes) derived from the angles (k, axes), and the length in ns of the means.
 
-    One axis is compared by its angles: its rates, of instants, show the motion only.
+    A single axis gets slopes at instants instead, and length 0: it is compared by its angles, and its rates only show
+    the motion.
     """
     if angle_rad.shape[1] == 1:
         return slopes_of(t_ns, np.unwrap(angle_rad, axis=0)), 0
@@ -289,7 +308,9 @@ def _means_of(t_ns: Stamps, angle_rad: Floats) -> tuple[Floats, int]:
 
 
 def slopes_of(t_ns: Stamps, angle_rad: Floats) -> Floats:
-    """Return rates (k, axes) as slopes of angles (k, axes) over 50 ms, or a reading, to each side."""
+    """Return rates (k, axes) as slopes of angles (k, axes) over 50 ms to each side, or 1.5 readings if that is
+    longer.
+    """
     t_s = np.asarray((t_ns - t_ns[0]) * 1e-9, dtype=np.float64)
     half_s = max(_SLOPE_S, 1.5 * float(np.median(np.diff(t_s))) if len(t_s) > 1 else 0.0)
     before = np.maximum(t_s - half_s, t_s[0])
@@ -299,6 +320,7 @@ def slopes_of(t_ns: Stamps, angle_rad: Floats) -> Floats:
 
 
 def _column(where: str, group: Any, key: str) -> NDArray[Any]:
+    """Return a column with the type and dimensions of ``LAYOUT``; RecordingError if it is missing or does not fit."""
     dimensions = LAYOUT[key]["dimensions"]
     if key not in group:
         raise RecordingError(f"{where} has no {key}")

@@ -31,7 +31,7 @@ _IMPOSSIBLE_RPS = 1e8  # nor is it the count of a converter of 32 bits that was 
 
 
 def possible(rate_rps: Floats) -> tuple[Floats, int]:
-    """Return rates (n, m) with NaN for those that nothing can have, and how many samples (rows) have such."""
+    """Return rates (n, m) with NaN for impossible ones, and the number of samples (rows) that have such."""
     if max(np.fmax.reduce(rate_rps, None, initial=0.0), -np.fmin.reduce(rate_rps, None, initial=0.0)) < _IMPOSSIBLE_RPS:
         return rate_rps, 0
     none = np.asarray(np.abs(rate_rps) >= _IMPOSSIBLE_RPS)
@@ -40,12 +40,12 @@ def possible(rate_rps: Floats) -> tuple[Floats, int]:
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class ImuData:
-    """Samples of one source: instants (n,), rates (n, m), and what else it gave; ``lost`` counts what it lost,
-    and samples with rates that nothing can have.
+    """Samples of one source: instants (n,), rates (n, m), and its other columns; ``lost`` counts lost and impossible
+    ones.
 
-    ``prior`` and ``noise`` are the data sheet's; ``device`` names what the source is a part of. ``rate_hz`` is how
-    often it was to be sampled, None where that is not stated. ``accel_mps2`` (n, c) is what its accelerometers gave,
-    ``accel_axes`` (c, 3) are their axes in the body, None for those of the body itself.
+    ``prior`` and ``noise`` are those of the data sheet; ``device`` is the device it belongs to. ``rate_hz`` is the
+    nominal rate, None if not stated. ``accel_mps2`` (n, c) are the outputs of its accelerometers, ``accel_axes`` (c, 3)
+    their axes in the body, None for the body axes.
     """
 
     array: SensorArray
@@ -63,18 +63,18 @@ class ImuData:
 
     @property
     def specific_force_mps2(self) -> Floats | None:
-        """Specific force (n, 3) along the axes of the body, None without accelerometers.
+        """Specific force (n, 3) along the body axes, None without accelerometers.
 
-        NaN in every sample of which one accelerometer gave no number, unless the axes are those of the body.
+        NaN in every sample in which one accelerometer gave no number, unless their axes are the body's.
         """
         if self.accel_mps2 is None or self.accel_axes is None:
             return self.accel_mps2
         return np.asarray(self.accel_mps2 @ np.linalg.pinv(self.accel_axes).T)
 
     def to_frame(self) -> Any:
-        """Return a pandas.DataFrame over time in s: rates by gyro in rad/s, what else there is. Needs pandas.
+        """Return a pandas.DataFrame over time in s: rates by gyro in rad/s, temperature, specific force. Needs pandas.
 
-        Specific force is along the axes of the body.
+        Specific force is along the body axes.
         """
         from pandas import DataFrame, Index
 
@@ -89,7 +89,7 @@ class ImuData:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Series:
-    """What a device measured by itself: columns (n,) by name at instants (n,), and the unit of each column."""
+    """A device's own measurements: columns (n,) by name at instants (n,), and the unit of each column."""
 
     t_ns: Stamps
     columns: Mapping[str, Floats]
@@ -104,9 +104,9 @@ class Series:
 
 @dataclass(frozen=True, slots=True)
 class KeptInnovations:
-    """What the live filter of a run came to: its normalised innovations squared, summed, and their degrees of freedom.
+    """The innovations of a run's live filter: their normalised squares, summed, and the degrees of freedom.
 
-    ``model_sha256`` is of the text of the error model that the run began with, empty for none.
+    ``model_sha256`` is that of the text of the error model that the run began with, empty for none.
     """
 
     nis_sum: float
@@ -116,7 +116,7 @@ class KeptInnovations:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """One run, or one measurement made elsewhere. ``kept_innovations``: of a run of the station.
+    """One run, or one imported measurement. ``kept_innovations`` exist only for runs of the station.
 
     ``series`` are by the name of the device that appended them.
     """
@@ -141,5 +141,5 @@ class Recording:
 
     @property
     def name(self) -> str:
-        """File name, or what stands for it."""
+        """File name, or "recording in memory"."""
         return self.path.name if self.path else "recording in memory"

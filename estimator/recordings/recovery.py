@@ -24,7 +24,7 @@ from estimator.types import Floats
 _log = logging.getLogger(__name__)
 
 _MOST_NAMES = 2000  # of groups, columns and attributes
-_ENTRY_BYTES, _PENDING_BYTES = 1000, 1 << 24  # of an entry beside its rows; of rows that are written together
+_ENTRY_BYTES, _PENDING_BYTES = 1000, 1 << 24  # of an entry without its rows; of rows that are written together
 _ROWS_AT_ONCE = 65536
 _PATIENCE_S = 60.0  # for another process that recovers in the same folder
 _MOST_ZEROS = 8
@@ -35,15 +35,15 @@ _RESULTS = frozenset({"outcome", "reason"})
 
 
 def recover(path: Path) -> None:
-    """Fold the journal beside a recording into it, if a run left one; told in the log, and in the file.
+    """Merge the journal beside a recording into it, if a run left one; a message goes to the log and into the file.
 
-    A new file takes the recording's place when all is in it, so whoever is killed meanwhile changes nothing. What the
-    recording held is kept beside it, unless all of that is in the new file. A recording with more samples than its
-    journal keeps its rows, and takes counts that only the journal has. It stays as it is, and the log says why, if the
-    journal is of another run or another user, if nothing can be made of it, or if it is damaged and has no more
-    samples. A journal is removed if all its samples are in the recording.
+    A new file replaces the recording when it is complete, so that an interruption changes nothing. The previous content
+    is saved beside it, unless the new file contains all of it. A recording with more samples than its journal keeps its
+    rows and takes only counts from the journal. It stays unchanged, with a message in the log, if the journal belongs
+    to another run or user, is unusable, or is damaged and has no more samples. The journal is removed once all its
+    samples are in the recording.
 
-    Raises RecordingError if the run has not ended, or nothing can be written there.
+    RecordingError if the run has not ended, or nothing can be written there.
     """
     journal = journal_of(path)
     if not journal.is_file():
@@ -59,21 +59,21 @@ def recover(path: Path) -> None:
         raise
     except FileNotFoundError:
         return  # another was faster
-    except Exception as error:  # a journal is a file that anybody may have made
+    except Exception as error:  # anybody may have made the journal
         _log.warning(f"{journal} is not used: {first_line(error)}")
 
 
 def _check_owner(path: Path, journal: os.stat_result) -> None:
-    """Check that a journal is of the owner of the recording beside it, of this user or of root; ValueError if not.
+    """Check that a journal belongs to the recording's owner, this user or root; ValueError if not.
 
-    Who may read a recording knows its number, and in a shared folder anybody can put a journal beside it.
+    Readers of a recording know its number, and in a shared folder anybody can put a journal beside it.
     """
     if os.name == "posix" and path.exists() and journal.st_uid not in (path.stat().st_uid, os.geteuid(), 0):
         raise ValueError(sentence("recordings.other_owner", path=path.name))
 
 
 def _fold(path: Path, journal: Path, file: BinaryIO) -> str:
-    """Put what the journal holds in the place of the recording; return in words what was done.
+    """Replace the recording by one with the journal's content; return in words what was done.
 
     ValueError for a journal that is not used; RecordingError if nothing can be written.
     """
@@ -114,7 +114,7 @@ def _fold(path: Path, journal: Path, file: BinaryIO) -> str:
 
 
 def _is_readable(path: Path) -> bool:
-    """Return whether a process of its own could read all of a recording."""
+    """Return whether a recording can be read completely, tried in a separate process."""
     try:
         probe(path)
         with h5py.File(path, "r") as file:
@@ -126,7 +126,7 @@ def _is_readable(path: Path) -> bool:
 def _holds(path: Path, other: Path, *, names_only: bool = False) -> bool:
     """Return whether a recording begins with all rows of another, and has all of its attributes.
 
-    ``names_only``: attributes may have changed.
+    ``names_only``: values of attributes may differ.
     """
     with h5py.File(path, "r") as file, h5py.File(other, "r") as part:
         names = ["/"]
@@ -146,7 +146,7 @@ def _holds(path: Path, other: Path, *, names_only: bool = False) -> bool:
 
 
 def _begins_with(rows: h5py.Dataset, others: h5py.Dataset) -> bool:
-    """Return whether the first rows of a dataset are those of another, to the last bit."""
+    """Return whether the first rows of a dataset are those of another, bit by bit."""
     if not others.shape or not rows.shape:
         return bool(rows.shape == others.shape and np.array_equal(rows[()], others[()]))
     if rows.dtype != others.dtype or rows.shape[1:] != others.shape[1:] or len(rows) < len(others):
@@ -165,9 +165,9 @@ def _is_longer(path: Path, other: Path) -> bool:
 
 
 def _continues(path: Path, other: Path) -> bool:
-    """Return whether a recording has all samples of another and then more, all of which have been written.
+    """Return whether a recording has all samples of another and more, and all of them were really written.
 
-    A power cut may leave rows that a file counts and that never reached the disk: they read as zeros.
+    After a power cut a file may count rows that never reached the disk: they read as zeros.
     """
     more = False
     with h5py.File(path, "r") as file, h5py.File(other, "r") as part:
@@ -205,10 +205,10 @@ def _free_name(path: Path) -> Path:
 
 
 class _Found:
-    """What a journal holds; ``damaged`` if something in its midst was passed over."""
+    """The content of a journal; ``damaged`` if something before its end was skipped."""
 
     def __init__(self, file: BinaryIO) -> None:
-        """Look through it; ValueError if it is none, or nothing was taken."""
+        """Read the journal once; ValueError if it is not a journal, or holds no samples."""
         self.samples, self.damaged, self._last_ns = 0, False, 0
         self._attributes: dict[str, dict[str, Any]] = {}
         self._first: dict[str, Any] = {}
@@ -226,7 +226,7 @@ class _Found:
             raise ValueError("it is damaged, or not a journal: it holds no samples")
 
     def _take(self, entry: Entry) -> bool:
-        """Keep attributes, count samples; return whether the entry goes with those before it."""
+        """Store attributes and count samples; return whether the entry fits those before it."""
         kind, group, values = entry
         if kind == ATTRIBUTES:
             if group in self._shapes:
@@ -241,7 +241,7 @@ class _Found:
         return True
 
     def _fits(self, group: str, values: Mapping[str, Any]) -> bool:
-        """Return whether rows have the types and shapes of those before them, and their source has been declared."""
+        """Return whether rows have the types and shapes of those before them, and belong to a declared source."""
         if group.startswith("imu/") and group not in self._attributes:
             return False
         parts = group.split("/")
@@ -261,9 +261,9 @@ class _Found:
         self._last_ns = max(self._last_ns, *map(int, values["t_ns"][-1:]), 0)
 
     def is_of(self, path: Path) -> bool:
-        """Return whether a recording is of this journal's run: both have the same number.
+        """Return whether a recording belongs to this journal's run: both have the same identity.
 
-        Older files have none: they are of one run if they agree in what both say of its beginning.
+        Older files have none: they belong together if their common attributes of the beginning agree.
         """
         root = self._attributes["/"]
         with h5py.File(path, "r") as file:
@@ -274,7 +274,7 @@ class _Found:
         return all(_same(about[name], value) or not _same(root[name], value) for name, value in begun.items())
 
     def write(self, part: Path, file: BinaryIO) -> str:
-        """Write a recording of all of it, and see that the disk has it; return in words what it is."""
+        """Write a complete recording to ``part`` and sync it; return a sentence about it. OSError if that fails."""
         root = self._attributes["/"]
         writer = RecordingWriter(part, {})
         try:
@@ -295,9 +295,9 @@ class _Found:
         return told
 
     def add_to_copy(self, path: Path, part: Path, told: str) -> None:
-        """Make ``part`` a copy of a recording with the attributes of its sources that only the journal has.
+        """Make ``part`` a copy of the recording with the attributes of its sources that only the journal has.
 
-        Counts of a run that goes on are such. ``told`` is kept as how it was recovered.
+        These are counts of an unfinished run. ``told`` is stored as the description of the recovery.
         """
         part.unlink()
         with path.open("rb") as recording, part.open("xb") as copy:
@@ -312,6 +312,7 @@ class _Found:
         sync(part)
 
     def _write_rows(self, writer: RecordingWriter, file: BinaryIO) -> None:
+        """Write all rows of the journal; samples that had no time yet get times by their arrival."""
         timed: dict[str, Mapping[str, Any]] = {}
         waiting: dict[str, list[Mapping[str, Any]]] = {}
         pending_bytes = 0
@@ -338,13 +339,16 @@ class _Found:
 
 
 def _same(a: Any, b: Any) -> bool:
-    """Return whether two attributes say the same, as they are in a file or in a journal."""
+    """Return whether two attributes are equal, in the form of a file or of a journal."""
     a, b = (np.asarray([plain(item) for item in np.ravel(value)]) for value in (a, b))
     return bool(np.array_equal(a.astype(str), b.astype(str)))
 
 
 def _by_arrival(blocks: Sequence[Mapping[str, Any]], timed: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return rows of samples that had no time yet when the run died, evenly spaced from the last that had one on."""
+    """Return rows for samples that had no time yet when the run died, evenly spaced after the last timed ones.
+
+    Without timed samples the arrivals are the times. Empty if all samples were timed. Unknown columns are NaN or -1.
+    """
     if not blocks:
         return {}
     arrival_ns, rate_rps = (np.concatenate([block[key] for block in blocks]) for key in ("arrival_ns", "rate_rps"))
@@ -363,7 +367,7 @@ def _by_arrival(blocks: Sequence[Mapping[str, Any]], timed: Mapping[str, Any] | 
         "arrival_ns": arrival_ns[new],
         "rate_rps": rate_rps[new],
     }
-    for name in timed.keys() - rows.keys():  # a temperature holds until the next is told; else nothing is known
+    for name in timed.keys() - rows.keys():  # a temperature holds until the next one; other columns are unknown
         like = timed[name][-1:]
         unknown = like if name == "temperature_c" else like * np.nan if like.dtype.kind == "f" else like * 0 - 1
         rows[name] = np.repeat(unknown, count, axis=0)
@@ -372,9 +376,9 @@ def _by_arrival(blocks: Sequence[Mapping[str, Any]], timed: Mapping[str, Any] | 
 
 @contextmanager
 def _alone_in(folder: Path) -> Iterator[None]:
-    """Wait until no other process recovers in a folder; RecordingError if that takes too long.
+    """Context in which no other process recovers in the folder; RecordingError if waiting takes too long.
 
-    Whoever can read a folder can lock it, in one that is shared also a stranger.
+    Anybody who can read a folder can lock it, in a shared folder also a stranger.
     """
     try:
         descriptor = os.open(folder, os.O_RDONLY)

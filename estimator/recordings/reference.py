@@ -1,4 +1,4 @@
-"""What the body really did: body rate at any instant, from what the table or another reference measured."""
+"""The true motion of the body: its rate at any instant, from the readings of the table or another reference."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -34,9 +34,9 @@ ANCHOR_HALF_WINDOW_NS = 3_000_000_000
 """Half of the window over which the angles correct the rates."""
 _STEADY_SHARE, _STEADY_RPS = 0.005, 2e-4  # rates that differ by no more than these together are those of a steady turn
 _ANGLE_SD_RAD = 1e-4  # of an angle whose instant is known
-_RATE_SD_RPS = 3e-4  # what a rate reading is off by before the angles have told
-_SURE_RPS = float(np.radians(0.02))  # to which the doubt of its instant must leave a rate within a ramp known
-_NEAR_NS = 1_000_000  # so near on both sides a change of rate is looked for
+_RATE_SD_RPS = 3e-4  # error of a rate reading before the angles correct it
+_SURE_RPS = float(np.radians(0.02))  # accuracy of a rate within a ramp that its instant's uncertainty must leave
+_NEAR_NS = 1_000_000  # distance on both sides at which a change of rate is searched
 _HALF_SPAN_NS = 10_000_000  # to each side of an acceleration: a mean over it is hardly touched by noise of rates
 _AT_ONCE = 1024  # readings: sums over more lose digits
 _KEPT_NS = 60_000_000_000  # rows and readings: more than windows, ramps and gaps between readings reach back
@@ -55,10 +55,10 @@ class TableUncertainty:
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False, weakref_slot=True)
 class TableReadings:
-    """Angles and rates (k, gimbals) that the table reported; columns as ``gimbals``, outermost first.
+    """Angles and rates (k, gimbals) reported by the table; columns as ``gimbals``, outermost first.
 
-    ``half_width_ns`` (k,) is how far the instant of a reading can be off, half of its round trip; None for not at all.
-    Rates are means over the ``rate_window_ns`` that ends at their instants; slopes of the angles if not ``own_rates``.
+    ``half_width_ns`` (k,) is the largest error of a reading's instant, half of its round trip; None for zero. Rates are
+    means over the ``rate_window_ns`` that ends at their instants; without ``own_rates`` they are slopes of the angles.
     """
 
     t_ns: Stamps
@@ -72,7 +72,7 @@ class TableReadings:
 
     @property
     def centred_rps(self) -> Floats:
-        """Rates (k, gimbals) at the instants, as means about these tell them: wrong by corners of ramps only."""
+        """Rates (k, gimbals) at the instants, from means about these: wrong at corners of ramps only."""
         return centred(self.t_ns, self.t_ns, self.rate_rps, self.rate_window_ns)
 
 
@@ -94,7 +94,7 @@ class AttitudeReadings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Turns:
-    """Spans of time with the angle turned in each, body axes (k, 3), and the doubt of that angle (k,)."""
+    """Time spans with the angle turned in each, about body axes (k, 3), and its standard uncertainty (k,)."""
 
     t_start_ns: Stamps
     t_end_ns: Stamps
@@ -104,9 +104,9 @@ class Turns:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Poses:
-    """Spans of rest with the direction up in each, body axes (k, 3), and its doubt (k,); between them hands turn.
+    """Time spans of rest with the direction up in each, in body axes (k, 3), and its uncertainty (k,).
 
-    ``shifts`` (q, k, 3): by how much what all directions have in common, an accelerometer, moves them, one sigma each.
+    Between them the body is turned by hand. ``shifts`` (q, k, 3): what a sigma of each shared error does to them.
     """
 
     t_start_ns: Stamps
@@ -120,23 +120,20 @@ Reference = TableReadings | RateReadings | AttitudeReadings | Turns | Poses
 
 
 class BodyRates:
-    """Body rate at any instant from table readings that keep coming.
+    """Body rate at any instant, from table readings that keep coming.
 
-    Rate readings give the shape between two readings, angle readings the truth over seconds: a servo drive's
-    rate is rounded and may be off in scale, its encoder counts are not. Each rate is corrected by the slope,
-    within three seconds to each side, of what the angle says beyond the summed rate. A row is final once a
-    reading three seconds later is there, that of a ramp three seconds after its end at the soonest; ``finish`` makes
-    the rest final. Feeding row by row or all at once gives the same numbers, so the live filter and the batch estimate
-    see the same regressors.
+    Rate readings give the shape between two readings, angle readings the truth over seconds: the rate of a servo drive
+    is rounded and may be off in scale, its encoder counts are not. Each rate is corrected by the slope, within three
+    seconds to each side, of the difference between angle and integrated rate. A row is final once a reading three
+    seconds later is there, on a ramp three seconds after its end; ``finish`` makes all final. Adding readings singly or
+    all at once gives the same numbers. Corners of ramps are determined (``ramps``) and inserted.
 
-    The corners of ramps are found (``ramps``) and stand between the readings as rows of their own. On a slow link the
-    instant of a reading is not known well. Its angle then counts less; how much the instants really
-    scatter within their half widths is seen in what the angles scatter about the summed rates. Where the
-    rate changes so fast that it is not known for that, it is not given.
+    On a slow link the instant of a reading is uncertain, and its angle counts less; the scatter of the angles shows by
+    how much. The rate is not given where it changes too fast for its time to be known.
     """
 
     def __init__(self, gimbals: Sequence[str], site: Site | None) -> None:
-        """Start empty, for gimbals named outermost first."""
+        """Start empty, for gimbals named outermost first; RecordingError for unknown gimbals."""
         self._gimbals = check_gimbals(gimbals)
         n = len(self._gimbals)
         # Readings as they came, and how many of them are among the rows: those after it wait for the end of a ramp.
@@ -153,7 +150,7 @@ class BodyRates:
 
     @classmethod
     def of(cls, readings: TableReadings, site: Site | None) -> "BodyRates":
-        """Return those of readings that are all there, final to the last: made once as long as they are kept."""
+        """Return the body rates of complete readings, all final; computed once for as long as the readings exist."""
         made = _MADE.setdefault(readings, {})
         if site not in made:
             rates = cls(readings.gimbals, site)
@@ -171,9 +168,9 @@ class BodyRates:
         half_width_ns: Stamps | None = None,
         rate_window_ns: int = 0,
     ) -> None:
-        """Take in readings (k,), (k, gimbals), (k, gimbals), later than all before, with their half widths (k,).
+        """Add readings (k,), (k, gimbals), (k, gimbals), later than all before, with their half widths (k,).
 
-        Rates are means over the ``rate_window_ns`` that ends at their instants, the same in all readings.
+        Rates are means over the ``rate_window_ns`` before their instants. RecordingError if times do not increase.
         """
         half_ns = np.zeros(len(t_ns)) if half_width_ns is None else half_width_ns
         for first in range(0, len(t_ns), _AT_ONCE):
@@ -187,10 +184,11 @@ class BodyRates:
             )
 
     def _add(self, t_ns: Stamps, angle_rad: Floats, rate_rps: Floats, half_s: Floats, rate_window_ns: int) -> None:
+        """Add a few readings, with whole-turn jumps removed, and make rows of what can be judged now."""
         step_ns, rates, summed = integrated(self._read, t_ns, rate_rps)
         if np.any(step_ns[not len(self._read) :] <= 0):
             raise RecordingError("the times of the table readings do not increase. Sort them and drop repeats")
-        # Without whole-turn jumps: the summed rate says which turn it is.
+        # Without whole-turn jumps: the integrated rate determines the turn.
         drift = angle_rad - summed
         jumps = np.round(np.diff(np.vstack([drift_of(self._read, drift), drift]), axis=0) / (2 * np.pi))
         angle = angle_rad - 2 * np.pi * np.cumsum(jumps, axis=0)
@@ -204,7 +202,7 @@ class BodyRates:
             self._let_go()
 
     def _take(self, *, everything: bool) -> None:
-        """Make rows of the readings, up to a ramp of which the end is still to come."""
+        """Turn readings into rows, up to a ramp whose end is still to come; ``everything`` leaves none."""
         times, changes = self._read["t_ns"], self._read["change"]
         hold_ns = round(HOLD_S * 1e9) + self._window_ns
         while (taken := self._taken) < len(times):
@@ -234,7 +232,7 @@ class BodyRates:
             elif not is_ramp(self._read["rate"][max(start - 1, 0) : stop]) and (seen or everything):
                 self._append(taken, stop, [])
             elif everything or (seen and times[-1] >= times[stop - 1] + round(WINDOW_S * 1e9) + hold_ns):
-                # What was read soon after, or is a mean, may still hold something of the ramp.
+                # A reading soon after, or a mean, may still contain a part of the ramp.
                 after = changes[stop : int(np.searchsorted(times, times[stop - 1] + hold_ns))]
                 following = min(stop + int(np.argmax(after) if after.any() else len(after)), len(times) - 1)
                 # Of the beginning of the next ramp a mean may know nothing yet.
@@ -244,10 +242,9 @@ class BodyRates:
                 return
 
     def _ramps(self, start: int, stop: int, until: int | None = None) -> list[tuple[int, Stamps, Ramp | None]]:
-        """Return the ramps between the readings before ``start`` and before ``stop``: column, corners, ramp.
+        """Return the ramps between the readings before ``start`` and before ``stop``: (column, corners, ramp).
 
-        A change of rate that is no ramp, and of which only means are known, has neither corners nor a ramp.
-        The readings before ``until`` are used, by default those of the steady rate that follows.
+        A change that is no ramp has neither corners nor ramp. Readings before ``until`` count, by default to a change.
         """
         if not len(self._rows):
             return []
@@ -285,7 +282,7 @@ class BodyRates:
         return found
 
     def _append(self, start: int, stop: int, found: list[tuple[int, Stamps, Ramp | None]]) -> None:
-        """Append readings as rows, the corners of ramps between them as rows that were not measured."""
+        """Append readings as rows, with averaged rates and unmeasured rows for the corners of ramps ``found``."""
         self._taken = stop
         ramps = [(column, corners, ramp) for column, corners, ramp in found if ramp is not None]
         part = slice(start, stop)
@@ -314,6 +311,9 @@ class BodyRates:
         *,
         known: bool,
     ) -> None:
+        """Append rows with their integrated rates; ``known``, and a steady rate across a gap, mark a step as
+        understood.
+        """
         step_ns, rates, summed = integrated(self._rows, t_ns, rate_rps)
         drift = angle - summed
         unexplained = np.diff(np.vstack([drift_of(self._rows, drift), drift]), axis=0)
@@ -322,7 +322,7 @@ class BodyRates:
         steady = np.abs(np.diff(rates, axis=0)) <= _STEADY_RPS + _STEADY_SHARE * np.abs(rate_rps)
         explained = np.abs(unexplained) <= GAP_ANGLE_RAD + doubt
         known_step = known & (step_ns <= GAP_NS) | (np.isfinite(corner_s) | (steady & explained)).all(axis=1)
-        # What happened in a gap is no error of the rates beside it: there the angles alone count.
+        # A step across a gap is no error of the rates beside it: there the angles alone count.
         hidden = np.cumsum(np.where(known_step[:, None], 0.0, unexplained), axis=0)
         summed, drift = summed + hidden, drift - hidden
         self._starts_ns = min(self._starts_ns, int(t_ns[0]))
@@ -335,7 +335,7 @@ class BodyRates:
 
     @property
     def final_until_ns(self) -> int:
-        """Latest instant at which ``at`` may be asked; before the first reading when there is none yet."""
+        """Latest instant for ``at``; before the first reading if there is none yet."""
         return int(self._final["t_ns"][-1]) if len(self._final) else -(2**62)
 
     @property
@@ -351,9 +351,8 @@ class BodyRates:
             self._final["sure"][0] = False
 
     def at(self, t_ns: Stamps) -> Floats:
-        """Return the body rate (rows, 3) in rad/s at instants between the first and the last final reading.
-
-        Rows are NaN where readings are far apart and disagree on what happened between them.
+        """Return the body rate (rows, 3) in rad/s at instants between the first and last final reading; NaN if
+        unknown.
         """
         angle, rate = self.gimbals_at(t_ns)
         w = body_rate(angle, rate, self._gimbals, self._site)
@@ -362,7 +361,7 @@ class BodyRates:
         return w
 
     def gimbals_at(self, t_ns: Stamps) -> tuple[Floats, Floats]:
-        """Return angles and rates (rows, gimbals) at instants in order; beyond the readings, those of the last one."""
+        """Return angles and rates (rows, gimbals) at ordered instants; beyond the readings, those of the nearest."""
         n, times = len(self._final), self._final["t_ns"]
         first = min(max(int(np.searchsorted(times, t_ns[0], side="right")) - 1, 0), n - 1)
         last = max(min(int(np.searchsorted(times, t_ns[-1], side="left")) + 1, n), first + 1)
@@ -390,11 +389,11 @@ class BodyRates:
         return np.where(ramps[:, None], change, 0.0)
 
     def earlier(self, t_ns: Stamps, delay_s: float) -> Stamps:
-        """Return instants so much earlier, where there are final readings."""
+        """Return instants earlier by ``delay_s``, limited to the final readings."""
         return np.clip(t_ns - round(delay_s * 1e9), self.starts_ns, self.final_until_ns)
 
     def _let_go(self) -> None:
-        """Forget rows and readings that no window reaches any more."""
+        """Forget rows and readings that no window needs any more."""
         gone = int(np.searchsorted(self._rows["t_ns"][: max(self._done - 1, 0)], self._rows["t_ns"][-1] - _KEPT_NS))
         self._rows.forget(gone)
         self._done -= gone
@@ -406,8 +405,8 @@ class BodyRates:
     def _terms(self, part: slice, origin: int) -> Floats:
         """Return sums (k + 1, 8, gimbals) of w [1, s, s^2, d, s d, d^2, u] and [1] before each row, in that order.
 
-        s is time, d angle less summed rate, both from those of the row ``origin``; u the variance that the doubt of the
-        instant may give d, w its weight.
+        s is time, d angle minus integrated rate, both relative to row ``origin``; u the variance from the instants, w
+        weight.
         """
         rows = {name: self._rows[name] for name in ("t_ns", "angle", "rate", "summed", "half_s", "measured")}
         s, drift = ((rows["t_ns"] - rows["t_ns"][origin]) * 1e-9)[part, None], (rows["angle"] - rows["summed"])
@@ -420,6 +419,7 @@ class BodyRates:
         return np.concatenate([np.zeros_like(terms[:1]), np.cumsum(terms, axis=0)])
 
     def _refine_up_to(self, stop: int) -> None:
+        """Make rows up to ``stop`` final: correct their rates by the angles around, mark which are reliable."""
         start, times = self._done, self._rows["t_ns"]
         if stop <= start:
             return
@@ -440,7 +440,7 @@ class BodyRates:
         self._done = stop
 
     def _timed(self, start: int, stop: int, share: Floats) -> Flags:
-        """Return whether rates since the reading before are known for all the doubt (share) of its instant."""
+        """Return whether each rate since the reading before is known in spite of its instant's doubt (``share``)."""
         before = np.maximum(np.arange(start, stop) - 1, 0)
         change = np.abs(self._rows["rate"][start:stop] - self._rows["rate"][before])
         step_s = np.maximum((self._rows["t_ns"][start:stop] - self._rows["t_ns"][before]) * 1e-9, 1e-9)[:, None]

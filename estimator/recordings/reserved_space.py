@@ -1,4 +1,4 @@
-"""Room on a disk that no other program can take: what a file needs to be closed whole when the disk is full."""
+"""Reserved space on a disk: what a file needs to be completed when the disk is full."""
 
 import tempfile
 from contextlib import suppress
@@ -8,16 +8,16 @@ _PIECE_BYTES = 1 << 16
 
 
 class Ballast:
-    """Bytes held on the disk of a folder by a file without a name, which goes with the process that made it."""
+    """Disk space reserved by a nameless file in a folder; it is released when the process ends."""
 
     def __init__(self, folder: Path, size_bytes: int) -> None:
-        """Take hold of nothing yet; OSError if nothing can be made in the folder."""
+        """Create an empty file in the folder; OSError if that is impossible."""
         self._file = tempfile.TemporaryFile(dir=folder, buffering=0)  # noqa: SIM115  closed by ``close``
         self._size_bytes = size_bytes
         self.held_bytes = 0
 
     def hold(self) -> bool:
-        """Take hold of the room, or of as much as there is; return whether it is all of it."""
+        """Reserve the space, or as much as there is; return whether it is all."""
         with suppress(OSError):
             while self.held_bytes < self._size_bytes:
                 piece = bytes(min(_PIECE_BYTES, self._size_bytes - self.held_bytes))
@@ -25,12 +25,12 @@ class Ballast:
         return self.held_bytes >= self._size_bytes
 
     def drop(self) -> None:
-        """Give the room back to the disk, for what is written next."""
+        """Return the space to the disk, for the next data."""
         self._file.seek(0)
         self._file.truncate()
         self.held_bytes = 0
 
     def close(self) -> None:
-        """Give the room back for good."""
+        """Return the space for good."""
         self._file.close()
         self.held_bytes = 0

@@ -14,9 +14,9 @@ PROBE_LIMIT_S = 60.0
 
 
 def probe(path: Path, kind: str = "HDF5", limit_s: float = PROBE_LIMIT_S) -> None:
-    """Have the whole file read in another process; RecordingError if that process fails on it, dies or hangs.
+    """Read the whole file in another process first; RecordingError if that process fails, crashes or hangs on it.
 
-    Also if it is of another ``kind``, leads to other files, or claims far more data than it has.
+    Also if it is of another ``kind``, refers to other files, or claims far more data than it has.
     """
     if not path.is_file():
         raise RecordingError(f"{path} is not a file: give the path of a recording (.h5)")
@@ -26,7 +26,7 @@ def probe(path: Path, kind: str = "HDF5", limit_s: float = PROBE_LIMIT_S) -> Non
 
 
 class _Prober:
-    """A process that reads one file after another; there is a new one after each that it could not read."""
+    """A process that reads one file after another; it is replaced after each file that it could not read."""
 
     def __init__(self) -> None:
         self._child: subprocess.Popen[str] | None = None
@@ -34,7 +34,7 @@ class _Prober:
         atexit.register(self._end)
 
     def ask(self, path: Path, kind: str, limit_s: float) -> str | None:
-        """Return what is wrong with a file, None if it can be read."""
+        """Return what is wrong with a file, None if it can be read; the process is killed after ``limit_s``."""
         with self._one_at_a_time:
             child = self._ready()
             late = threading.Event()
@@ -56,7 +56,7 @@ class _Prober:
                 elif late.is_set():
                     wrong = f"is damaged: reading it did not end within {limit_s:.0f} s, so its content is unusable"
             except OSError:
-                pass  # it died before it could be asked
+                pass  # it died before the request
             finally:
                 timer.cancel()
                 if wrong is not None:  # or was interrupted: its next answer would be taken for that of the next file
@@ -64,6 +64,7 @@ class _Prober:
             return wrong
 
     def _ready(self) -> subprocess.Popen[str]:
+        """Return the running process, a new one if there is none."""
         if self._child is None or self._child.poll() is not None:
             self._end()
             self._child = subprocess.Popen(

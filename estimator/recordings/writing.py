@@ -1,7 +1,7 @@
-"""A recording as an HDF5 file: written whole, or as the run goes.
+"""Writing of a recording as an HDF5 file: at once, or during the run.
 
-The layout is documented in docs/pages/reference/recording.md. Files are plain HDF5 (no filters, default
-library bounds), which is what survives a process that dies between two flushes.
+The layout is documented in docs/pages/reference/recording.md. Files are plain HDF5 (no filters, default library
+bounds), which is what survives a process that dies between two flushes.
 """
 
 import math
@@ -31,33 +31,33 @@ from estimator.recordings.reserved_space import Ballast
 from estimator.types import Floats
 from estimator.untrusted import harmless
 
-_RESERVE_BYTES = 2_000_000  # kept back on the disk: what is pending, and what HDF5 needs to close a file whole
+_RESERVE_BYTES = 2_000_000  # reserved on the disk: for pending rows, and for HDF5 to close a file completely
 _CLOSING_BYTES = 300_000  # of them, HDF5's own
-_ATTRIBUTES_BYTES = 100_000  # and what attributes need, whatever was left for them
+_ATTRIBUTES_BYTES = 100_000  # and for attributes, in addition
 _PLENTY_BYTES = 100_000_000  # more than another program takes while one block is written
 _CACHE_BYTES = 131_072  # of each dataset: rows go to its end
 TEXT_BYTES = 240
 
 
 class RecordingWriter:
-    """Writes a recording as the run goes.
+    """Writes a recording during the run.
 
-    Rows are kept until ``flush``, then appended in blocks. With a journal beside it nothing is lost but what has not
-    been written into that: only a file that is closed whole can do without.
+    Rows are collected until ``flush`` and appended in blocks. With a journal beside it, only data that have not been
+    written there can be lost; a file that was closed completely needs none.
     """
 
     def __init__(self, path: Path, attributes: Mapping[str, Any], *, journal: bool = False) -> None:
-        """Create the file; RecordingError if it exists or cannot be created.
+        """Create the file and reserve space for closing it; RecordingError if it exists or cannot be created.
 
-        With a journal both carry the same number, so that no other journal is taken for its own: the ``IDENTITY`` in
-        the attributes, or a random one.
+        With a journal both carry the same identity, so that no other journal is used for it: the ``IDENTITY`` in the
+        attributes, or a random one.
         """
         self.path = path
         self.whole = False
         """Whether it has been closed with all that was taken."""
         self.journal: Journal | None = None
         self._unwritten: list[Entry] = []
-        self._noting = threading.Lock()  # ``write_journal`` takes in one thread what others note
+        self._noting = threading.Lock()  # ``write_journal`` takes in one thread the notes of others
         with ExitStack() as undone:
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
@@ -87,7 +87,7 @@ class RecordingWriter:
         self.write_journal()
 
     def set_attributes(self, attributes: Mapping[str, Any], group: str = "/") -> None:
-        """Set attributes of the file, or of a group, which is made if it is not there.
+        """Set attributes of the file, or of a group, which is created if necessary.
 
         RecordingError for attributes that the journal cannot hold.
         """
@@ -97,14 +97,14 @@ class RecordingWriter:
     def add_table(
         self, gimbals: tuple[str, ...], uncertainty: TableUncertainty | None = None, rate_window_ns: int = 0
     ) -> None:
-        """Declare the table: its columns are its gimbals, outermost first, its rates means over the window."""
+        """Declare the table: gimbals outermost first, uncertainty, and the window over which its rates are means."""
         stated = asdict(uncertainty) if uncertainty is not None else {}
         attributes = {f"u_{key}": value for key, value in stated.items()}
         named = {"axes": gimbals, "gimbals": gimbals, "rate_window_ns": rate_window_ns}
         self.set_attributes({**attributes, **named}, "table")
 
     def add_source(self, name: str, array: SensorArray, prior: Prior, attributes: Mapping[str, Any]) -> None:
-        """Declare a source with the axes of its channels and what its data sheet promises."""
+        """Declare a source with the axes of its channels, and the prior from its data sheet."""
         axes = {"p": array.p, "j": array.j, "k": array.k}
         self.set_source(name, {"prior": astuple(prior), "names": list(array.names), **axes, **attributes})
 
@@ -114,9 +114,9 @@ class RecordingWriter:
         self.set_source(name, {"accel_axes": axes})
 
     def add_device(self, name: str, columns: Mapping[str, str], attributes: Mapping[str, Any]) -> None:
-        """Declare the group ``device/NAME``: its attributes, and the columns of its series, each with its unit.
+        """Declare the group ``device/NAME``: its attributes, and the columns of its series with their units.
 
-        RecordingError for a column that cannot hold a number a row.
+        RecordingError for a column name that cannot hold one number per row.
         """
         for column in columns:
             known = LAYOUT.get(column, {})
@@ -137,11 +137,11 @@ class RecordingWriter:
         self.set_attributes(attributes, f"imu/{name}")
 
     def note_source(self, name: str, attributes: Mapping[str, Any]) -> None:
-        """Keep in the journal what the attributes of a source would be if the run ended now."""
+        """Write to the journal the attributes that a source would get if the run ended now."""
         self._note(ATTRIBUTES, f"imu/{name}", attributes)
 
     def append_rows(self, group: str, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Append rows to datasets of a group, which their first rows create: all of them or, if interrupted, none.
+        """Append rows to datasets of a group, created by the first rows; if interrupted, none are appended.
 
         RecordingError for rows that the journal cannot hold.
         """
@@ -155,7 +155,7 @@ class RecordingWriter:
     def _note(self, kind: int, group: str, values: Mapping[str, Any]) -> None:
         if self.journal is None:
             return
-        if not is_sound((kind, group, values)):  # what is written can be read again
+        if not is_sound((kind, group, values)):  # written entries must be readable again
             raise RecordingError(sentence("recordings.not_held", group=group, names=", ".join(map(str, values))))
         with self._noting:
             self._unwritten.append((kind, group, values))
@@ -169,7 +169,9 @@ class RecordingWriter:
         self.append_rows(group, {**stamps, field_name: np.array([raw], dtype=f"S{TEXT_BYTES}"), **more})
 
     def write_journal(self) -> None:
-        """Hand to the operating system what the journal lacks, in whatever thread; RecordingError if that fails."""
+        """Write all new entries to the journal, from any thread; RecordingError if that fails. Nothing without a
+        journal.
+        """
         with self._noting:
             entries, self._unwritten = self._unwritten, []
         if self.journal is None or not entries:
@@ -184,16 +186,16 @@ class RecordingWriter:
             self.journal.write([*attributes, *joined])
 
     def flush(self) -> None:
-        """Append what is pending and hand it to the operating system; RecordingError as ``flushing``."""
+        """Write pending rows and hand them to the operating system; RecordingError as for ``flushing``."""
         for _ in self.flushing():
             pass
 
     def flushing(self) -> Iterator[None]:
-        """Do what ``flush`` does in parts, one a group: rows may be appended between them, and wait if they are late.
+        """Flush in parts, one per group; rows may be appended between them, and are then written later.
 
-        Raises RecordingError when the disk is full. A write that fails within HDF5 leaves a file that cannot be read,
-        or ends the process; so what is pending goes into room that was kept back, which then cannot be had again, and
-        what does not fit in there is given up.
+        A write that fails within HDF5 leaves an unreadable file or ends the process. If the disk is nearly full,
+        pending rows are therefore written into the reserved space, which may not be available again; rows that do not
+        fit are dropped. RecordingError in both cases, and at the limit of the file size.
         """
         wanted = self._pending_bytes()
         if self._allowed_bytes() < wanted + _RESERVE_BYTES:
@@ -216,7 +218,9 @@ class RecordingWriter:
         return _disk_full(self.path, f"{kept}). Free some space, or choose another disk with --output")
 
     def _allowed_bytes(self) -> float:
-        """Return by how much the file may still grow, whatever room there is on the disk."""
+        """Return by how much the process may still let the file grow, regardless of the disk; infinite without a
+        limit.
+        """
         if sys.platform == "win32":
             return math.inf
         import resource
@@ -232,6 +236,9 @@ class RecordingWriter:
             pass
 
     def _writing(self) -> Iterator[None]:
+        """Write the pending rows of one group after the other, then flush the file; an interrupted write is repeated
+        next time.
+        """
         for group in tuple(self._pending):
             with _told_of(self.path):
                 blocks, lengths = self._pending[group], {}
@@ -241,7 +248,7 @@ class RecordingWriter:
                         self._datasets[path], lengths[path] = self._created(path, rows), len(rows)
                     else:
                         lengths[path] = _extend(self._datasets[path], self._lengths.get(path, 0), rows)
-                # At once: what was interrupted is written over, from where it began, the next time.
+                # At once: an interrupted write is repeated from its beginning the next time.
                 self._lengths, self._pending[group] = {**self._lengths, **lengths}, []
             yield
         self._pending = {group: blocks for group, blocks in self._pending.items() if blocks}
@@ -255,7 +262,9 @@ class RecordingWriter:
         return dataset
 
     def close(self) -> None:
-        """Flush and close; twice is once. What cannot be written any more shows when the file is read."""
+        """Flush if there is room, and close; harmless if closed already. No error is raised: ``whole`` says whether all
+        is written.
+        """
         if self._file:
             self._ballast.close()
             with suppress(RecordingError):
@@ -267,7 +276,11 @@ class RecordingWriter:
                 self.whole = not self._pending
 
     def finish(self, *, synced: bool = True) -> None:
-        """Remove the journal of a file that is whole, once the disk has that; RecordingError if it does not take it."""
+        """Remove the journal of a complete file, after syncing that unless ``synced`` is false; RecordingError if
+        syncing fails.
+
+        The journal of an incomplete file stays.
+        """
         if self.journal is not None:
             try:
                 with _told_of(self.path):
@@ -287,7 +300,7 @@ def _joined(blocks: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[A
 
 
 def write_recording(path: Path | str, recording: Recording) -> None:
-    """Write a whole recording, for instance an imported one; RecordingError if the file exists."""
+    """Write a complete recording, such as an imported one; RecordingError if the file exists or cannot be written."""
     writer = RecordingWriter(Path(path), recording.attributes)
     try:
         if recording.site is not None:
@@ -319,7 +332,7 @@ def columns_of(readings: ImuData | Reference) -> dict[str, Any]:
 
 
 def write_results(path: Path, group: str, datasets: Mapping[str, NDArray[Any]], attributes: Mapping[str, Any]) -> None:
-    """Write a group of results into an existing recording, in place of what stood there; RecordingError if not."""
+    """Write a group of results into an existing recording, replacing an earlier one; RecordingError if that fails."""
     wanted = sum(np.asarray(values).nbytes for values in datasets.values())
     with _changing(path, wanted + _CLOSING_BYTES) as file:
         if group in file:
@@ -345,7 +358,7 @@ def _disk_full(path: Path, needed: str) -> RecordingError:
 
 @contextmanager
 def _changing(path: Path, wanted_bytes: int) -> Iterator[Any]:
-    """Open a recording that is there to write into it; RecordingError, with the file as it was, if there is no room."""
+    """Open an existing recording to write into it; RecordingError, with the file unchanged, if the disk is full."""
     if shutil.disk_usage(path.parent).free < wanted_bytes:
         raise _disk_full(path, f"{wanted_bytes / 1e6:.1f} MB are needed): the file is unchanged. Free some space")
     with _told_of(path), h5py.File(path, "r+") as file:
@@ -354,7 +367,7 @@ def _changing(path: Path, wanted_bytes: int) -> Iterator[Any]:
 
 @contextmanager
 def _told_of(path: Path) -> Iterator[None]:
-    """Let what HDF5 could not write be a RecordingError."""
+    """Context that turns write errors of HDF5 into RecordingError."""
     try:
         yield
     except (OSError, RuntimeError) as error:  # HDF5 has both
@@ -364,7 +377,9 @@ def _told_of(path: Path) -> Iterator[None]:
 
 
 def _extend(dataset: Any, length: int, rows: NDArray[Any]) -> int:
-    """Append rows to a dataset of known length by HDF5's own calls: h5py's indexing costs ten times as much."""
+    """Append rows to a dataset of known length; return the new length. Uses HDF5 directly, ten times as fast as h5py's
+    indexing.
+    """
     rows = np.ascontiguousarray(rows)
     total = length + len(rows)
     dataset.id.set_extent((total, *rows.shape[1:]))
@@ -375,6 +390,7 @@ def _extend(dataset: Any, length: int, rows: NDArray[Any]) -> int:
 
 
 def _create(file: Any, path: str, rows: NDArray[Any], *, growing: bool) -> Any:
+    """Create a dataset with its unit; ``growing`` makes it chunked and extensible."""
     row_bytes = max(rows.dtype.itemsize * int(np.prod(rows.shape[1:])), 1)
     chunk = max(min(32768 // row_bytes, 4096), 16)
     extra = {"maxshape": (None, *rows.shape[1:]), "chunks": (chunk, *rows.shape[1:])} if growing else {}

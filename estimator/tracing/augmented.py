@@ -1,4 +1,4 @@
-"""The model with effects added: what it predicts of a run, and how sure it is."""
+"""The model with effects added: its prediction for a run, and its uncertainty."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,10 +17,10 @@ from estimator.types import Floats
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """One effect of a model: its candidate, its term, its fit if it is a ``tone``.
+    """One effect of a model: its candidate, its term, and its fit if it is a ``tone``.
 
-    ``probability`` is how certain it is, ``rivals`` could stand in its place; ``share`` is its probability among these
-    alone, whatever else may be.
+    ``probability`` is how certain the effect is, ``rivals`` are the effects that may act in its place; ``share`` is its
+    probability among these alone, before other doubts reduce it.
     """
 
     candidate: Candidate
@@ -32,7 +32,7 @@ class Part:
 
     @property
     def called(self) -> str:
-        """Name of the effect, or what a law is that has none."""
+        """Name of the effect, or the text of a composed law."""
         law = self.candidate.law
         return f"{in_words(law)} (constructed)" if law else self.candidate.called
 
@@ -46,11 +46,12 @@ class Part:
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Augmented:
-    """States and effects of the gyros ``names`` (n).
+    """Estimated states and effects of the gyros ``names`` (n).
 
-    By gyro ``mean`` (n, c) and ``covariance`` (n, c, c) of [k, b, s_j, s_k, own effects, shared effects], the effects
-    in shares of their largest plausible size; ``parts`` in the order own, shared, tones. ``prior`` (n, 4) is the data
-    sheet's, ``arw`` (n,), ``instability``, ``walk``: the noise, the latter two over the angle random walk.
+    By gyro ``mean`` (n, c) and ``covariance`` (n, c, c) of [k, b, s_j, s_k, own effects, shared effects, tones], the
+    effects in shares of their largest plausible size; ``parts`` are in the same order. ``prior`` (n, 4) are the data
+    sheet's variances. ``arw`` (n,), ``instability`` and ``walk`` are the noise, the latter two over the angle random
+    walk.
     """
 
     names: tuple[str, ...]
@@ -64,9 +65,9 @@ class Augmented:
 
     @classmethod
     def of(cls, evidence: Evidence, parts: Sequence[Part], weight: Floats | None = None) -> Self:
-        """Return the model of an estimate, and of tones that were fitted before it.
+        """Return the estimate of a model under an evidence; tones keep the fit that was made before.
 
-        ``weight`` (G,) is that of the noise models, by default as the recordings say beside the parts.
+        ``weight`` (G,) are the probabilities of the noise models, by default ``noise_weight`` of the parts.
         """
         weight = evidence.noise_weight([part.term for part in parts]) if weight is None else weight
         posterior = evidence.posterior([part.term for part in parts], weight)
@@ -101,7 +102,7 @@ class Augmented:
         )
 
     def estimated(self, posterior: Posterior) -> Self:
-        """Return the same model with another estimate; its tones stay as they are."""
+        """Return the model with another estimate; its tones stay."""
         mean, covariance = self.mean.copy(), self.covariance.copy()
         for g, (own, its) in enumerate(zip(posterior.means, posterior.covariances, strict=True)):
             mean[g, : len(own)], covariance[g, : len(own), : len(own)] = own, its
@@ -114,9 +115,9 @@ class Augmented:
         return slice(start, start + self.parts[number].width)
 
     def columns(self, run: Run, number: int, gyro: int) -> Floats:
-        """Return the columns (b, c) of [states, effects] of a gyro of a run that has this number among the runs fitted.
+        """Return the columns (b, c) of [states, effects] of a gyro of a run.
 
-        A run that was not fitted has the number of none of them, past the last: steps have happened before it.
+        ``number`` is the run's place among the fitted runs; a run that was not fitted has a number past the last.
         """
         columns = [run.state_columns()[gyro]]
         for part in self.parts:
@@ -127,11 +128,16 @@ class Augmented:
         return np.hstack(columns)
 
     def predict(self, run: Run, number: int, gyro: int) -> tuple[Floats, Floats]:
-        """Return the output error (b,) that the model says of a gyro of a run, and the columns behind it (b, c)."""
+        """Return the predicted output error (b,) of a gyro of a run, and the columns behind it (b, c)."""
         columns = self.columns(run, number, gyro)
         return columns @ self.mean[self.names.index(run.array.names[gyro])], columns
 
     def _waves(self, part: Part, run: Run, number: int) -> Floats:
+        """Return the columns (b, width) of a tone on a run, scaled to its largest size.
+
+        A tone that is not locked has two columns for each fitted run, of which only those of run ``number`` are not
+        zero.
+        """
         assert part.tone is not None
         out = np.zeros((len(run.t_s), part.width))
         at = 0 if part.tone.found.locked else 2 * number

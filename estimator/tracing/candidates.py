@@ -1,4 +1,4 @@
-"""What is tried: the effects of the catalogue, and general dependences that stand for what is not in it."""
+"""The candidates: effects of the catalogue, and general dependences that stand for effects not in it."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -26,24 +26,25 @@ from estimator.types import Floats
 
 _OTHER_ORDERS = (3, 5, 6)
 _PICKED_UP, _AROUND = float(np.radians(0.5)), float(np.radians(0.05))  # largest sizes without a name, rad/s
-_STEPS = 100  # instants in a run at which a step is looked for first
+_STEPS = 100  # instants in a run at which the search for a step begins
 _LAGS_S = (15.0, 40.0, 120.0)
 _MEMORIES = frozenset({"lag", "play", "last"})
-_STEADY_K = 0.05  # a temperature that changes by less tells of no effect
+_STEADY_K = 0.05  # a temperature that changes by less shows no effect
 _NEAR_S = 5e-3  # a delay nearer than this to where a search begins is found from there
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """Something to try. ``name`` is unique, ``effect`` what it is called in results.
+    """An effect or dependence to try in the search. ``name`` is unique, ``effect`` gives its name in results.
 
-    ``depends_on`` is set for general dependences: they prove that something is there, not what. ``theta`` holds the
-    value of what is not linear, in ``unit``; ``of`` makes the effect anew for another, ``start`` lists where to begin
-    looking, ``range_log`` is the logarithm of the range it may have in nature. ``run`` is the recording of a step.
-    ``by_size``: what is not linear is the effect's own size, its first parameter. ``sensed`` are the directions (3,)
-    that gyros really sense, with their scale, in place of the nominal ones, ``settings`` those of a model that hold
-    what is not linear and stays as it is. ``flexible``: a law that stands for any function. ``log_prior`` is the
-    logarithm of its share of the expectation; if the effect ``beside`` is in the model, it is so much ``likelier``.
+    ``depends_on`` is set for general dependences, which prove that there is an effect but not which. ``theta`` is the
+    value of the nonlinear parameter, in ``unit``; ``of`` makes the effect for another value, ``start`` are the values
+    at which the search for it begins, ``range_log`` is the logarithm of the range that it may have in nature. ``run``
+    is the number of the recording in which a step lies. ``by_size``: the nonlinear parameter is the size of the effect,
+    its first parameter. ``flexible``: a law that stands for any function of its variable. ``sensed`` are the directions
+    (3,) that gyros really sense, with their scale, in place of the nominal ones. ``settings`` are those of the model
+    that fix the nonlinear parameter. ``log_prior`` is the logarithm of the prior probability; if the effect ``beside``
+    is in the model, ``likelier`` is added to it.
     """
 
     name: str
@@ -66,7 +67,9 @@ class Candidate:
 
     @classmethod
     def among(cls, name: str, of: Callable[[float], Effect], start: Floats, begin: int = 0, **more: Any) -> Self:
-        """Return an effect of which what is not linear is looked for from some values on, number ``begin`` first."""
+        """Return a candidate whose nonlinear parameter is searched from ``start`` values, of which number ``begin`` is
+        set.
+        """
         theta = float(start[begin])
         return cls(name, of(theta), theta=theta, of=of, start=start, **more)
 
@@ -82,7 +85,7 @@ class Candidate:
 
     @property
     def label(self) -> str:
-        """What it is called among rivals: laws of the same variables, all with a memory or all without, are one."""
+        """Name among rivals: laws of the same variables, all with a memory or all without, share one."""
         if not self.law:
             return self.called
         about = " and ".join(sorted(VARIABLES[name][2] for name in variables_of(self.law)))
@@ -98,7 +101,10 @@ class Candidate:
         return self.regressors(run, gyro) * self.effect.largest
 
     def regressors(self, run: Run, gyro: int) -> Floats:
-        """Return the columns (b, p) of gyro number ``gyro`` of a run. A step stays for all later recordings."""
+        """Return the columns (b, p) of the effect for gyro number ``gyro`` of a run.
+
+        For a step of another recording this is a constant: 1 in recordings after it, 0 in those before.
+        """
         if self.run is not None and run.order != self.run:
             return np.full((len(run.t_s), 1), float(run.order > self.run))
         p = self.sensed.get(run.array.names[gyro])
@@ -108,7 +114,11 @@ class Candidate:
 
 
 def candidates_of(runs: Sequence[Run]) -> tuple[list[Candidate], dict[str, str]]:
-    """Return all that can be tried on these runs, and what cannot, with the reason."""
+    """Return all candidates that can be tried on these runs, and the effects that cannot be, with the reason by name.
+
+    An effect cannot be tried if the runs lack a quantity it needs, if the temperature does not change, or if the
+    reference has the same effect itself.
+    """
     offers = frozenset.intersection(*(run.grid.offers for run in runs))
     gimbals = runs[0].grid.gimbals
     span_s = max(float(run.t_s[-1] - run.t_s[0]) for run in runs)
@@ -152,6 +162,11 @@ def _expected(candidate: Candidate, of_kind: Mapping[str, int], warm: bool) -> C
 
 
 def _catalogue(runs: Sequence[Run], gimbals: tuple[str, ...], span_s: float, foreign: bool) -> list[Candidate]:
+    """Return the candidates for the laws of the catalogue that are searched for, without regard to what the runs offer.
+
+    ``foreign``: the reference is another instrument, so that delays may be large. Several names of one effect occur
+    (orders of a harmonic, drifts on one clock, steps of each recording).
+    """
     known = [record for record in records() if record.kind is Kind.LAW and record.searched]
     plain = [record for record in known if record.grid is None]
     by_motion_s = _delay_by_motion(runs) if foreign else 0.0
@@ -202,7 +217,7 @@ def _going_on(tau_s: float, began_s: float) -> Effect:
 
 
 def _scanned(record: Record, gimbals: tuple[str, ...], span_s: float) -> Candidate:
-    """Return an effect with a setting that is looked for among many values."""
+    """Return the candidate of an effect whose setting is searched for on a grid of values."""
     setting = record.grid
     assert setting is not None
     assert setting.grid is not None
@@ -215,7 +230,9 @@ def _scanned(record: Record, gimbals: tuple[str, ...], span_s: float) -> Candida
 
 
 def _far_delays(by_motion_s: float) -> Floats:
-    """Return delays in s (n,) from which a search begins beside 0; that by motion unless it is near one of them."""
+    """Return the delays in s (n,), besides 0, at which a search begins; that by motion unless it is near one of
+    them.
+    """
     far = [-0.1, -0.05, 0.02, 0.05, 0.1]
     known = min(abs(by_motion_s - other) for other in (0.0, *far)) < _NEAR_S
     return np.array(far if known else sorted([*far, by_motion_s]))
@@ -229,9 +246,10 @@ def _delay_by_motion(runs: Sequence[Run]) -> float:
 
 
 def _sensed(runs: Sequence[Run], delay_s: float) -> dict[str, Floats]:
-    """Return the direction (3,) that each gyro senses, with its scale: what it puts out late is all of that.
+    """Return by gyro the direction (3,) that it senses, with its scale, from least squares.
 
-    Least squares of the output error on bias, body rate, and about such a delay of the nominal output.
+    The output error is fitted by a bias, the body rate, and the effect of a delay of about ``delay_s``. Directions that
+    never turn get the nominal value.
     """
     found = {}
     for name in dict.fromkeys(name for run in runs for name in run.array.names):
@@ -256,7 +274,9 @@ def _one_clock(runs: Sequence[Run]) -> float | None:
 
 
 def _on_one_clock(effect: Effect, began_s: float) -> Effect:
-    """Return an effect of the time since a run began as one of the time since the first of them."""
+    """Return an effect of the time since the run began as one of the time since ``began_s``, when the first run
+    began.
+    """
 
     def columns(conditions: Conditions, axes: Axes) -> Floats:
         since = replace(conditions, t_s=np.concatenate([[began_s], conditions.t_s]))
@@ -266,6 +286,10 @@ def _on_one_clock(effect: Effect, began_s: float) -> Effect:
 
 
 def _general(offers: frozenset[str], gimbals: tuple[str, ...], count: int) -> list[Candidate]:
+    """Return the candidates for general dependences (rate, direction, temperature ...), with small prior probability.
+
+    Those of temperature, gravity and axes are there if the runs offer these. ``count`` is the number of named effects.
+    """
     kinds: list[tuple[str, Effect]] = [
         ("rate", _own("rate", _of_rate, 5)),
         ("direction", _own("direction", _of_direction, 2)),
@@ -340,6 +364,9 @@ def _of_time(conditions: Conditions, axes: Axes) -> Floats:
 
 
 def _of_temperature(conditions: Conditions, axes: Axes) -> Floats:
+    """Return the columns (N, 4) of a dependence on temperature: three lags behind it, and its cube; zeros if it is
+    unknown.
+    """
     if conditions.temperature_c is None:
         return np.zeros((len(conditions.t_s), 4))
     rise = conditions.temperature_c - 25.0

@@ -41,7 +41,7 @@ Progress = Callable[[float, str], None]
 _SURPRISED = 8.0
 """Sigmas by which the error on a verification run exceeds chance before a verdict is taken back."""
 _VISIBLE = 3.0
-_TOGETHER, _UNKNOWN = 6.0, 0.5  # sigmas of all numbers of an effect together, and what it then is probable by
+_TOGETHER, _UNKNOWN = 6.0, 0.5  # sigmas of all numbers of an effect together, and its probability then
 
 
 def investigate(
@@ -51,11 +51,14 @@ def investigate(
     most_effects: int = 4,
     progress: Progress | None = None,
 ) -> Investigation:
-    """Return what the model of the gyros in ``recordings`` lacks, and the error before and after on ``verification``.
+    """Return which effects the model of the gyros in ``recordings`` lacks, and the errors before and after on
+    ``verification``.
 
-    Without verification recordings the errors are in-sample, cross-validated by step.
+    Without verification recordings the errors are in-sample, cross-validated by step. ``most_effects`` limits the
+    number of effects added; ``progress`` is called with the share done and a word for the step.
 
-    Raises InvestigationError if the recordings are not of the same gyros, or hold too little.
+    Raises InvestigationError if the recordings are not of the same gyros, hold too little, or if only one of recordings
+    and verification is at rest; RecordingError if memory does not suffice.
     """
     tell = progress or (lambda share, what: None)
     tell(0.0, "reading")
@@ -77,6 +80,7 @@ def investigate(
 def _same(
     recordings: Sequence[Recording], verification: Sequence[Recording], runs: Sequence[Run], held_back: Sequence[Run]
 ) -> None:
+    """Raise InvestigationError with the difference if a recording is not of the same gyros as the first."""
     first = [run for run in runs if run.order == 0]
     for order, other in enumerate([*recordings, *verification]):
         difference = same_devices(first, [run for run in (*runs, *held_back) if run.order == order])
@@ -89,7 +93,10 @@ def _same(
 
 
 def _prepared(columns: Sequence[RunColumns]) -> tuple[Search, dict[str, str]]:
-    """Return a search among all candidates on some runs, and what cannot be tried, with the reason."""
+    """Return a search over all candidates on some runs, and by name the effects that cannot be tried, with the reason.
+
+    Effects that the motion does not excite are removed from the search.
+    """
     runs = [one.run for one in columns]
     span_s = max(float(run.t_s[-1] - run.t_s[0]) + run.length_s for run in runs)
     finely = any(run.recording.several_files for run in runs)
@@ -103,7 +110,7 @@ def _prepared(columns: Sequence[RunColumns]) -> tuple[Search, dict[str, str]]:
 
 
 def _trace(search: Search, most: int, tell: Callable[[float], None] | None = None) -> Found:
-    """Return what is found, laws composed too where no other instrument's laws can be among them."""
+    """Return the result of the search, with composed laws unless the reference is another instrument."""
     found = search.run(most, tell)
     if not any(run.by_another for run in search.runs):
         found = Composer(search, laws_of(search.runs)).composed(found, most)
@@ -120,6 +127,11 @@ def _conclude(
     most: int,
     verification: Sequence[Recording],
 ) -> Investigation:
+    """Return the investigation after the search: effects judged and confirmed, errors before and after, verdict.
+
+    ``most`` is the largest number of effects, used for a second search if the verification run shows an error that the
+    recordings do not.
+    """
     parts, evidence = _visible(search, found), search.evidence
     weight = evidence.noise_weight([part.term for part in parts])
     told = out_of_sample(search.runs, Augmented.of(evidence, parts, weight), evidence.shapes)
@@ -182,20 +194,20 @@ def _conclude(
 
 
 def _explained_by(search: Search, terms: Sequence[Term], doubtful: Sequence[Part]) -> bool:
-    """Return whether effects that are not proved leave nothing beside a model that would be unexplained."""
+    """Return whether the doubtful effects together leave nothing unexplained beside a model."""
     open_terms = [part.term for part in doubtful if part.tone is None]
     return bool(open_terms) and something_beside(search, [*terms, *open_terms]).probability <= CERTAIN
 
 
 def _suspected(search: Search, held_back: Sequence[Run], most: int) -> tuple[Found, Augmented]:
-    """Return what is found with the verification runs among the others, and the model with it."""
+    """Return the result of a search with the verification runs included, and its model."""
     search_of_all, _ = _prepared([*search.columns, *(RunColumns(run) for run in held_back)])
     found = _trace(search_of_all, most)
     return found, Augmented.of(search_of_all.evidence, found.parts)
 
 
 def _parts_notes(certain: Sequence[Part], taken_back: Sequence[str]) -> list[str]:
-    """Return, in words, what was taken back, and what of the effects that were added holds for one run only."""
+    """Return sentences on effects that were taken back, and on tones whose phase holds for one run only."""
     notes = [sentence("tracing.taken_back", effects=", ".join(taken_back))] if taken_back else []
     loose = [part for part in certain if part.tone is not None and not part.tone.found.locked]
     return notes + [sentence("tracing.tone_phases", frequency_hz=part.candidate.theta) for part in loose]
@@ -204,7 +216,10 @@ def _parts_notes(certain: Sequence[Part], taken_back: Sequence[str]) -> list[str
 def _left(
     runs: Sequence[Run], first: int, before: Augmented, after: Augmented
 ) -> tuple[Residual | None, Residual | None]:
-    """Return what two models leave of runs, of which the first has this number; from 0 are those that were fitted."""
+    """Return the residuals of runs under two models, (None, None) without runs.
+
+    ``first`` is the number of the first run; only fitted runs begin at 0. A model without effects is computed once.
+    """
     if not runs:
         return None, None
     found = residuals(runs, [before, after] if after.parts else [before], first, held_back=first > 0)
@@ -212,10 +227,11 @@ def _left(
 
 
 def _visible(search: Search, found: Found) -> list[Part]:
-    """Return the effects found that are some sigmas from zero in a gyro: sums of little are no cause.
+    """Return the effects found that are several sigmas from zero in a gyro, and others with less probability.
 
-    In a few poses at a few temperatures one cause is as good as another: that the simpler one fits is no proof. Where
-    runs only rest, an effect is thus a rival of all that could put out the same.
+    Effects that only together differ from zero are kept with at most ``_UNKNOWN`` and a rival. Where all runs rest, an
+    effect is a rival of each other one that could give the same outputs, since in a few poses a good fit is no proof.
+    All others are left out.
     """
     model = Augmented.of(search.evidence, found.parts)
     seen = []
@@ -239,7 +255,7 @@ def _visible(search: Search, found: Found) -> list[Part]:
 
 
 def _as_small_as_the_earth(search: Search, model: Augmented, part: Part) -> bool:
-    """Return whether the turning Earth, of a site that nobody states, could put out what an effect of gravity does."""
+    """Return whether Earth rate could give the outputs of an effect of gravity: only at rest, with no site stated."""
     if not _at_rest(search.runs) or any(run.recording.site is not None for run in search.runs):
         return False
     where = model.slice_of(part.candidate.name)
@@ -252,7 +268,7 @@ def _as_small_as_the_earth(search: Search, model: Augmented, part: Part) -> bool
 
 
 def _together(model: Augmented, where: slice) -> float:
-    """Return by how many sigmas the numbers of an effect are from zero together, in the gyro that shows most of it.
+    """Return by how many sigmas the numbers of an effect differ from zero together, in the gyro that shows it most.
 
     Each number beyond the first may be a sigma off by chance.
     """
@@ -275,10 +291,11 @@ def _at_rest(runs: Sequence[Run]) -> bool:
 
 
 def _of_the_comparison(search: Search, part: Part) -> bool:
-    """Return whether single steps say nothing of an effect: a delay beside another instrument, rivals at rest.
+    """Return whether cross-validation by single steps says nothing of an effect: a delay against another instrument,
+    rivals at rest.
 
-    The delay is one number of all recordings, and steps show what is wrong with the reference in them. Of rests in a
-    few poses each step is another pose, which the others do not predict.
+    A delay is one number of all recordings, while steps show the reference's errors in them. At rest each step is a
+    pose that the others do not predict.
     """
     if part.candidate.by_size and any(run.by_another for run in search.runs):
         return True
@@ -286,7 +303,7 @@ def _of_the_comparison(search: Search, part: Part) -> bool:
 
 
 def _proven(part: Part, told: OutOfSample | None) -> Part:
-    """Return an effect no more probable than what was left out of the fit makes it, given what was expected of it."""
+    """Return an effect with at most the probability that left-out data and its prior give; unchanged without such."""
     if told is None:
         return part
     odds = told.least + part.candidate.log_prior

@@ -1,4 +1,4 @@
-"""What an investigation ends with: values, without the way they were found."""
+"""The results of an investigation: values, without the way they were found."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Finding(StrEnum):
-    """How an investigation ends."""
+    """The possible results of an investigation."""
 
     NOTHING = "nothing to add"
     ADDED = "added"
@@ -25,7 +25,7 @@ class Finding(StrEnum):
 
 
 class Value(NamedTuple):
-    """One number of an effect in SI units, its standard deviation, its unit."""
+    """One number of an effect in SI units: value, standard deviation, unit."""
 
     value: float
     sd: float
@@ -34,12 +34,12 @@ class Value(NamedTuple):
 
 @dataclass(kw_only=True, frozen=True, slots=True)
 class Added:
-    """An effect that was added: which gyros show it, how probable it is, its parameters.
+    """An effect added to the model: its gyros, probability and parameters.
 
     Parameters of an effect that each gyro has to itself are named "gyro1 linear", those that all share "delay".
-    ``out_of_sample`` is what recordings and steps say of it that were left out of the fit; None for tones and for
-    faults of the data, which are seen in the samples themselves. ``same`` are effects that could put out the same
-    in these recordings, but are much less expected.
+    ``out_of_sample`` is what recordings and steps left out of the fit say of it; None for tones and for faults of the
+    data, which the samples themselves show. ``same`` are effects that could give the same outputs in these recordings,
+    but are much less expected. ``constructed``: the effect is a composed law, which ``expression`` holds.
     """
 
     effect: str
@@ -54,9 +54,10 @@ class Added:
 
 @dataclass(frozen=True, slots=True)
 class OutOfSample:
-    """By how much an effect makes what was left out more probable (natural logarithm): whole recordings, and steps.
+    """By how much (natural logarithm) an effect makes data left out of the fit more probable: whole recordings, and
+    steps.
 
-    ``by_run`` is None where there is one recording only.
+    ``by_run`` is None if there is one recording only.
     """
 
     by_run: float | None
@@ -70,7 +71,9 @@ class OutOfSample:
 
 @dataclass(frozen=True, slots=True)
 class Unexplained:
-    """Structure of the residual that no effect explains: what it depends on, and the share of it that does."""
+    """Structure of the residual that no effect explains: what it depends on, and the share of the residual that
+    does.
+    """
 
     depends_on: str
     share: float
@@ -78,9 +81,9 @@ class Unexplained:
 
 @dataclass(frozen=True, slots=True)
 class Errors:
-    """Error of the compensated rate: rms and largest (rad/s), share of its 95 % intervals that hold (0 to 1).
+    """Error of the compensated rate: rms and largest in rad/s, and the share (0 to 1) of its 95 % intervals that hold.
 
-    The share is over the rests, ramps and steady rates in which the models before and after say different things.
+    The share is over the rests, ramps and steady rates in which the models before and after differ.
     """
 
     rms_rps: float
@@ -90,7 +93,7 @@ class Errors:
 
 @dataclass(kw_only=True, frozen=True, slots=True)
 class PhaseErrors:
-    """Mean error of one gyro over a rest, a ramp or a steady rate of a run: before, after, its noise; rad/s."""
+    """Mean error of one gyro over a rest, ramp or steady rate of a run, in rad/s: before, after, and its noise."""
 
     run: str
     start_s: float
@@ -104,10 +107,10 @@ class PhaseErrors:
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class GyroErrors:
-    """One gyro before and after.
+    """The errors and states of one gyro before and after.
 
-    ``states_before`` and ``states_after`` (4,) have standard deviations ``sd_before`` and ``sd_after``; ``moved`` (4,):
-    by how many of their old sigmas the states moved.
+    ``states_before`` and ``states_after`` (4,) have standard deviations ``sd_before`` and ``sd_after``; ``moved`` (4,)
+    is the change in old sigmas.
     """
 
     name: str
@@ -123,7 +126,7 @@ class GyroErrors:
 
 @dataclass(frozen=True, slots=True)
 class Improvement:
-    """Error before over error after, and its 95 % interval."""
+    """Ratio of the error before to that after, and its 95 % interval."""
 
     ratio: float
     low: float
@@ -132,7 +135,9 @@ class Improvement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelStep:
-    """One model of the chain: its effects, its log evidence beside the first model's, its errors where judged."""
+    """One model of the chain: its effects, log evidence over that of the first, and its errors where they were
+    judged.
+    """
 
     effects: tuple[str, ...]
     log_evidence: float
@@ -141,7 +146,7 @@ class ModelStep:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Suspect:
-    """An effect that was tried: probability that it is what the first model lacks most, and why it was left out."""
+    """An effect that was tried: probability that the first model lacks it most, and why it was left out."""
 
     effect: str
     log_evidence: float
@@ -150,9 +155,9 @@ class Suspect:
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class ResidualView:
-    """What pictures of one gyro need: residual before and after over time, all of one run.
+    """The data for pictures of one gyro: residual before and after over time, all of one run.
 
-    ``t_s``, ``rate_rps``, ``temperature_c``, ``before_rps``, ``after_rps`` are (b,) block means, ``noise_rps`` the
+    ``t_s``, ``rate_rps``, ``temperature_c``, ``before_rps``, ``after_rps`` are (b,) block means; ``noise_rps`` is the
     white noise of one.
     """
 
@@ -169,14 +174,14 @@ class ResidualView:
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Investigation:
-    """Everything that an investigation says. ``in_sample``: no verification run was given.
+    """The results of an investigation. ``in_sample``: no verification run was given.
 
-    ``rivals``: sets of effects that these recordings cannot tell apart; ``rival_sizes``: each of these with its
-    numbers, if it alone were there beside what was added. ``models``: the chain from the first model to the last;
-    ``model`` is the last itself. ``left_out``: effects that could not be tried, with the reason.
-    ``taken_back``: effects that the recordings spoke for and that did not lower the error on the verification run.
-    ``residual_before`` and ``residual_after`` are those of the recordings that were fitted, ``verified_before`` and
-    ``verified_after`` those of the verification run.
+    ``rivals`` are sets of effects that these recordings cannot tell apart, ``rival_sizes`` their numbers, each as if it
+    alone were there beside what was added. ``models`` is the chain from the first model to the last, ``model`` the last
+    one itself. ``left_out`` are effects that could not be tried, with the reason. ``taken_back`` are effects that the
+    recordings support but that did not lower the error on the verification run. ``residual_before`` and
+    ``residual_after`` are those of the fitted recordings, ``verified_before`` and ``verified_after`` those of the
+    verification run.
     """
 
     finding: Finding

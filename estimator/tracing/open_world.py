@@ -1,4 +1,4 @@
-"""Something that has no name: any function of what was measured, as a rival of the effects that have one.
+"""Effects without a name: any function of measured values, as a rival of the named effects.
 
 Each gyro has such a function: a sum of all general dependences and effects, each with a coefficient of its own, all of
 one expected size that is not known. Where an effect alone explains a residual, the sum pays for its many coefficients;
@@ -29,14 +29,18 @@ _CHANCE = 3.0  # natural logarithm by which functions without a name may be the 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenWorld:
-    """Log evidence of a model, ``closed`` without anything more, ``by_size`` with something of each size beside it."""
+    """Log evidence of a model: ``closed`` without any further effect, ``by_size`` with one of each size beside it."""
 
     closed: float
     by_size: Floats
 
     @classmethod
     def beside(cls, evidence: Evidence, model: Sequence[Term], columns: Columns, sizes: Floats) -> Self:
-        """Return that of a model; ``columns``, times ``sizes`` (c,) of 1 rad/s rms, are the functions there may be."""
+        """Return the log evidences for a model; ``columns`` times ``sizes`` (c,) of 1 rad/s rms are the possible
+        functions.
+
+        Without columns the sizes have no evidence (-inf).
+        """
         base = Base(evidence, model, columns.tolist())
         closed = log_mean(base.by_noise(), evidence.shapes.log_prior)
         if not len(columns):
@@ -46,7 +50,7 @@ class OpenWorld:
 
     @property
     def total(self) -> float:
-        """Log evidence of the model, whether something acts beside it or not."""
+        """Log evidence of the model, with or without a further effect."""
         return float(np.logaddexp(self.closed + np.log1p(-_PRESENT), log_mean(self.by_size) + np.log(_PRESENT)))
 
     @property
@@ -56,7 +60,7 @@ class OpenWorld:
 
 
 def something_beside(search: Search, model: Sequence[Term]) -> OpenWorld:
-    """Return how probable it is beside a model that something acts that has no name."""
+    """Return the log evidences of effects without a name acting beside a model."""
     return OpenWorld.beside(search.evidence, model, *functions_of(search))
 
 
@@ -68,7 +72,10 @@ def unnamed(search: Search) -> list[Term]:
 
 
 def functions_of(search: Search) -> tuple[Columns, Floats]:
-    """Return columns that stand for any function of what was measured, and how each is scaled to 1 rad/s rms."""
+    """Return columns that stand for any function of measured values, and the factor that scales each to 1 rad/s rms.
+
+    Columns that do not vary are left out.
+    """
     plain = [term for candidate, term in search.known.values() if not _one_of_many(candidate)]
     columns = np.array([c for term in plain for c in term.columns], dtype=np.intp)
     squares, seconds = np.zeros(len(columns)), 0.0
@@ -83,11 +90,11 @@ def functions_of(search: Search) -> tuple[Columns, Floats]:
 
 
 def weighed_against(search: Search, parts: Sequence[Part]) -> list[Part]:
-    """Return effects no more probable than the structure beside them allows.
+    """Return the effects with the probability that the structure left beside them allows.
 
-    An effect that only imitates another leaves a part of it, in functions that are like itself. Who explains a
-    residual leaves nothing of the kind. Beside a moving reference that has errors of its own, all functions count
-    for all effects but the delay between the two.
+    An effect that only imitates another leaves functions similar to itself, an effect that truly acts does not. If the
+    reference moves and has errors of its own, all functions count for all effects but the delay. Tones stay as they
+    are.
     """
     foreign = any(run.by_another for run in search.runs)
     terms = [part.term for part in parts if part.tone is None]
@@ -107,7 +114,9 @@ def weighed_against(search: Search, parts: Sequence[Part]) -> list[Part]:
 
 
 def _likeness(evidence: Evidence, term: Term, columns: Columns, beside: Sequence[Term]) -> Floats:
-    """Return the share of the squares of columns (c,) that a term's own put out beside others, over all gyros."""
+    """Return the share of the squares of each column (c,) that the columns of a term explain beside others, over all
+    gyros.
+    """
     best = int(np.argmax(evidence.noise_weight(beside)))
     mine = np.array(term.columns)
     both = np.array([*mine, *columns])
@@ -123,5 +132,7 @@ def _likeness(evidence: Evidence, term: Term, columns: Columns, beside: Sequence
 
 
 def _one_of_many(candidate: Candidate) -> bool:
-    """Return whether of an effect one of many is in the model: at some value of what is not linear, or some law."""
+    """Return whether a model holds only one of many forms of a candidate: a value of its nonlinear parameter, or
+    a law.
+    """
     return bool(candidate.law) or (candidate.start is not None and not candidate.by_size)

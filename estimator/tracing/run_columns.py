@@ -12,10 +12,10 @@ from estimator.types import Floats
 
 
 class RunColumns:
-    """Columns of candidates on one run, in the cosine domain and not yet divided by the noise."""
+    """Columns of candidates on one run in the cosine domain, not yet divided by the noise."""
 
     def __init__(self, run: Run) -> None:
-        """Begin with no columns."""
+        """Begin without columns."""
         self.run = run
         self._stretches = stretches_used(run)
         self._kept: dict[tuple[str, float | None, Record], Floats] = {}
@@ -26,10 +26,11 @@ class RunColumns:
         return RunColumns(self.run.coarse())
 
     def of(self, candidate: Candidate, *, keep: bool = False) -> Floats:
-        """Return a candidate's columns (gyros, p, rows), in rad/s at its largest size.
+        """Return a candidate's columns (gyros, p, rows), in rad/s at its largest size; (1, p, rows) if all gyros have
+        the same.
 
-        They are (1, p, rows) if all gyros have the same. Rows are the frequencies of one stretch after the other.
-        ``keep``: the columns are kept for the next call with the same candidate.
+        The rows are the frequencies of one stretch after another. ``keep`` keeps the columns for the next call with the
+        same candidate.
         """
         elsewhere = candidate.run not in (None, self.run.order)  # whenever a step is, before and after it is constant
         key = candidate.name, None if elsewhere else candidate.theta, candidate.effect.record

@@ -1,4 +1,4 @@
-"""What is left of each gyro beside a model, and how much of it a candidate would take: cheap, before it is judged."""
+"""The residual of each gyro beside a model, and how much of it a candidate explains: a cheap first judgement."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -13,9 +13,9 @@ from estimator.tracing.run_columns import RunColumns, of_gyro
 from estimator.tracing.tones.peaks import highest
 from estimator.types import Floats
 
-_NEAR_S = 0.005  # about where its size seems to be an effect is looked for that is exact for its size only
+_NEAR_S = 0.005  # around its apparent size an effect is searched that is exact for its own size only
 _SHORTEST_S = 1e-4  # of a time constant, which is not negative
-_LONGEST_S = 0.3  # of a delay or a time constant: what is slower than this is no such
+_LONGEST_S = 0.3  # of a delay or a time constant: slower effects are not of this kind
 _ROUNDING = 1e-9  # share by which gains of the same columns may differ, scanned with others
 _FIRST_STEP = 0.02  # share of a constant
 _CLOSE = 0.2  # sigmas to which a constant of a law is found
@@ -23,7 +23,7 @@ _TOGETHER = 8  # candidates that are scanned at once: so many columns fit the ca
 
 
 def at(candidate: Candidate, theta: float) -> Candidate:
-    """Return a candidate with another value of what is not linear in it."""
+    """Return a candidate with another value of its nonlinear parameter."""
     assert candidate.of is not None
     return replace(candidate, effect=candidate.of(theta), theta=theta)
 
@@ -34,12 +34,14 @@ def first_of_best(gains: Floats) -> int:
 
 
 class Scan:
-    """What is left of each gyro beside a model, whitened: how much an effect would take of it."""
+    """The whitened residual of each gyro beside a model, to compute how much an effect would explain of it."""
 
     def __init__(
         self, columns: Sequence[RunColumns], evidence: Evidence, terms: Sequence[Term], noise: int | None = None
     ) -> None:
-        """Take what is left beside ``terms``; ``noise`` is the noise model's number, by default the most probable."""
+        """Compute the residuals beside ``terms``; ``noise`` is the number of the noise model, by default the most
+        probable.
+        """
         self._columns = columns
         runs = [one.run for one in columns]
         best = int(np.argmax(evidence.noise_weight(terms))) if noise is None else noise
@@ -55,17 +57,17 @@ class Scan:
             self._gyros.append(_Left(where, np.sqrt(lengths_s / density) / gyro.arw, basis, rest))
 
     def gains(self, candidates: Sequence[Candidate]) -> Floats:
-        """Return by how much half the squares fall if one of some effects is let in (k,), each gyro by itself.
+        """Return by how much half the squares fall if one of some effects is added (k,), each gyro fitted by itself.
 
         Their columns are kept for the next scan.
         """
         return self.bounds(candidates)[0]
 
     def bounds(self, candidates: Sequence[Candidate]) -> tuple[Floats, Floats]:
-        """Return by how much the log evidence rises at most if an effect is let in, and at least (k,) each.
+        """Return bounds (k,) on the rise of the log evidence if each candidate is added: at most and at least.
 
-        At most: half of what the squares fall by, the gain. At least: the log evidence with parameters that are
-        expected to be of the largest plausible size, less what it costs that no size is preferred.
+        The upper bound is the gain, half of the fall of the squares. The lower is the log evidence with parameters
+        whose expected size is the largest plausible one, less the cost of trying all sizes.
         """
         found = np.zeros((2, len(candidates)))
         groups: dict[tuple[int, bool], list[int]] = {}
@@ -79,7 +81,7 @@ class Scan:
         return found[0], found[1]
 
     def gain(self, candidate: Candidate) -> float:
-        """Return by how much half the squares fall if an effect is let in, each gyro by itself."""
+        """Return by how much half the squares fall if an effect is added, each gyro fitted by itself."""
         return float(_gains(*self._products([candidate]))[0])
 
     def products(self, candidate: Candidate) -> tuple[Floats, Floats]:
@@ -88,9 +90,10 @@ class Scan:
         return own[:, 0], with_rest[:, 0]
 
     def _products(self, candidates: Sequence[Candidate], *, keep: bool = False) -> tuple[Floats, Floats]:
-        """Return the products (gyros, k, p, p) of columns beside the model, and with what is left (gyros, k, p).
+        """Return the products (gyros, k, p, p) of the candidates' columns beside the model, and with the residual
+        (gyros, k, p).
 
-        They are those of candidates of the same width.
+        All candidates must have the same number of parameters.
         """
         of_runs = [[columns.of(candidate, keep=keep) for candidate in candidates] for columns in self._columns]
         stacks: dict[tuple[tuple[int, int], ...], Floats] = {}
@@ -110,9 +113,10 @@ class Scan:
         return np.array(products), np.array(with_rest)
 
     def size(self, candidate: Candidate) -> float:
-        """Return the size of an effect, exact for its size, that leaves least: its first parameter, all gyros alike.
+        """Return the size of an effect with a nonlinear size that leaves the least residual, the same for all gyros.
 
-        It is not fitted to its own column, which noise of the reference makes too large.
+        The size is the effect's first parameter. The effect is evaluated anew at each size, because its column alone,
+        enlarged by the noise of the reference, gives too little.
         """
         assert candidate.start is not None
         if len(candidate.start) == 1:  # a table's own rates have next to no noise
@@ -131,14 +135,14 @@ class Scan:
         return highest(gain, low, high)
 
     def _first_size(self, candidate: Candidate) -> float:
-        """Return the size by the candidate as it is: right where it is small."""
+        """Return the size from the candidate's present column, which is right for small sizes."""
         products, with_rest = self._products([candidate])
         own, right = products[:, 0, 0, 0].sum(), with_rest[:, 0, 0].sum()
         sign = -1.0 if candidate.theta and candidate.theta < 0 else 1.0  # a lag of the reference is a size of its own
         return float(np.clip(sign * right / max(own, 1e-30) * candidate.effect.largest[0], -_LONGEST_S, _LONGEST_S))
 
     def _gain_of(self, candidate: Candidate, size: float) -> float:
-        """Return how much more probable a size makes what is left, each gyro under as much noise as then is left."""
+        """Return by how much a size raises the log evidence, with each gyro's noise set to what is then left."""
         share = abs(size) / candidate.effect.largest[0] if size else 0.0
         total = 0.0
         products, with_rest = self._products([at(candidate, size)])
@@ -149,12 +153,15 @@ class Scan:
         return float(total)
 
     def width(self, candidate: Candidate) -> float:
-        """Return by how much what is not linear may move before half a natural logarithm is lost."""
+        """Return by how much the nonlinear parameter may move before the log evidence falls by one half."""
         assert candidate.theta is not None
         return self._width(candidate.theta, lambda theta: self.gain(at(candidate, theta)), _FIRST_STEP)
 
     def _width(self, theta: float, gain: Callable[[float], float], first: float) -> float:
-        """Return how far from ``theta`` the gain falls by one half; it is looked at from a share ``first`` of it on."""
+        """Return the distance from ``theta`` at which the gain falls by one half; at most ``theta``.
+
+        The search begins at the share ``first`` of ``theta`` and doubles the distance.
+        """
         top = gain(theta)
         step = first * theta
         while step < theta:
@@ -165,7 +172,12 @@ class Scan:
         return float(theta)
 
     def tuned(self, candidate: Candidate) -> Candidate:
-        """Return a candidate with the most telling value of what is not linear in it."""
+        """Return a candidate at the value of its nonlinear parameter with the largest gain, near one of its start
+        values.
+
+        ``log_tries`` is the cost of the search: the share of the parameter's range that would do as well. For a
+        candidate ``by_size`` the value is its size and there is no cost.
+        """
         start = candidate.start
         assert start is not None
         if candidate.by_size:
@@ -182,7 +194,7 @@ class Scan:
             return known[key]
 
         low, high = float(start[max(best - 1, 0)]), float(start[min(best + 1, len(start) - 1)])
-        # A law that is gone with another constant has a constant that is known to this share of it.
+        # The constant of a law that changes strongly with it is needed to this accuracy.
         known_to = 1 / np.sqrt(2 * max(gain(float(start[best])), 1.0)) if candidate.law else 0.0
         theta = highest(gain, low, high, _CLOSE * known_to * float(start[best]))
         if gain(theta) < gain(float(start[best])):
@@ -197,10 +209,11 @@ class Scan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Left:
-    """One gyro beside a model, in the cosine domain: rows are the frequencies of all its stretches.
+    """Residual of one gyro beside a model in the cosine domain: rows are the frequencies of all its stretches.
 
-    ``where`` gives each run that has the gyro, and its number there. ``root`` (rows,) is the root of each row's weight,
-    ``basis`` (rows, c) are orthonormal columns that span the model, ``rest`` (rows,) is what the model leaves.
+    ``where`` has for each run with this gyro the run's number and the gyro's number in it. ``root`` (rows,) is the root
+    of each row's weight, ``basis`` (rows, c) are orthonormal columns that span the model, ``rest`` (rows,) is the
+    residual.
     """
 
     where: tuple[tuple[int, int], ...]
@@ -210,7 +223,7 @@ class _Left:
 
 
 def _gains(own: Floats, right: Floats) -> Floats:
-    """Return the gains (k,) of the products (gyros, k, p, p) of columns and those with what is left (gyros, k, p)."""
+    """Return the gains (k,) from products (gyros, k, p, p) of columns and those with the residual (gyros, k, p)."""
     taken = np.linalg.solve(own + 1e-6 * np.eye(own.shape[-1]), right[..., None])[..., 0]
     return np.asarray(0.5 * np.sum(right * taken, axis=(0, 2)))
 
@@ -223,5 +236,5 @@ def _evidence(own: Floats, right: Floats) -> Floats:
 
 
 def _key(candidate: Candidate) -> str | float | None:
-    """Return what tells an option of a candidate from others: a law rounds its constant."""
+    """Return the key of an option of a candidate; a law has its constant rounded."""
     return candidate.law or candidate.theta

@@ -24,16 +24,16 @@ _SET = 0.99  # rivals are as many as share this probability
 _ROUNDS = 12
 _ROOM = 32  # columns for which room is made at once
 _STOP_LOG_PRIOR = 0.0  # nothing more: as likely as all effects together, several times over
-_LOST = 0.3  # share by which the size of a lag may differ from that which it was worked out for
+_LOST = 0.3  # share by which the size of a lag may differ from that of its columns
 _UNEXCITED = 0.5  # sigmas of an effect of the largest plausible size, all gyros and runs together
 _COPIED = 9.0  # squares over noise that a copy of an effect leaves in a gyro, within chance
-_RICH = 0.1  # scale of all effects at once, when it is asked what the noise may be
-_RESOLVED = 0.1  # of the time between readings: shorter delays are not told from how they are interpolated
+_RICH = 0.1  # scale of all effects at once, when the possible noise is determined
+_RESOLVED = 0.1  # of the time between readings: shorter delays are not distinguished from interpolation errors
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """What a search ends with: the effects, the log evidence with one more at a time, what was suspected first."""
+    """Result of a search: effects, log evidence after each addition, and the suspects of the first round."""
 
     parts: tuple[Part, ...]
     log_evidence: tuple[float, ...]
@@ -46,13 +46,13 @@ class Found:
 
 
 class Search:
-    """A search among candidates on the spectra of some runs.
+    """A search over candidates on the spectra of some runs.
 
-    ``known`` are the candidates by name, each with its term; ``heard`` are the tones.
+    ``known`` are the candidates by name, each with its term; ``heard`` are the tones found.
     """
 
     def __init__(self, columns: Sequence[RunColumns], evidence: Evidence) -> None:
-        """Begin with no candidates on the runs that ``columns`` are of: ``add`` brings candidates in."""
+        """Begin without candidates on the runs of ``columns``; ``add`` adds candidates."""
         self.columns, self.runs, self.evidence = list(columns), [one.run for one in columns], evidence
         self.known: dict[str, tuple[Candidate, Term]] = {}
         self.heard = Heard(self.runs, evidence)
@@ -61,7 +61,10 @@ class Search:
         self._free: list[int] = []
 
     def add(self, candidates: Sequence[Candidate]) -> None:
-        """Bring in candidates: their columns are worked out for every gyro."""
+        """Add candidates and compute their columns for every gyro; does nothing without candidates.
+
+        The first call also limits the noise models to those that matter.
+        """
         if not candidates:
             return
         fresh = not self.known
@@ -85,7 +88,7 @@ class Search:
             self.evidence.narrow([[], rich])
 
     def _numbers(self, count: int) -> NDArray[np.intp]:
-        """Return so many numbers of columns that nothing uses."""
+        """Return ``count`` unused column numbers, making room if there are too few."""
         if count > len(self._free):
             first = self.evidence.gyros[0].columns[0].shape[1]
             last = first + max(count - len(self._free), _ROOM)
@@ -102,7 +105,7 @@ class Search:
         self._scored.clear()
 
     def leave_out_unexcited(self) -> list[Candidate]:
-        """Leave out the candidates of which not even the largest plausible size would show; return them."""
+        """Remove the candidates that would not show even at their largest plausible size; return them."""
         out = []
         for candidate, term in self.known.values():
             columns = np.array(term.columns, dtype=np.intp)
@@ -113,12 +116,17 @@ class Search:
         return out
 
     def run(self, most: int, progress: Callable[[float], None] | None = None) -> Found:
-        """Return the most probable model of at most so many effects."""
+        """Return the most probable model of at most ``most`` effects.
+
+        In each round the most probable candidate is added and the model's effects are exchanged where that helps. The
+        search ends if nothing more is more probable than "no more effects", or if the model is full. An effect of a
+        size it cannot have is barred, and a tone is subtracted from the data.
+        """
         chosen: list[str] = []
         terms: dict[str, Term] = {}
         suspects: tuple[Suspect, ...] = ()
         chain = [self.evidence.of([])]
-        tones = 0.0  # what they add to the log evidence
+        tones = 0.0  # their contribution to the log evidence
         for turn in range(_ROUNDS):
             model = [terms[name] for name in chosen]
             self._refine(model, chosen)
@@ -151,7 +159,7 @@ class Search:
                 self._barred.add(best)
                 self._scored.clear()
                 if not chosen and not self.heard.parts:
-                    suspects = ()  # what cannot be is no suspect
+                    suspects = ()  # an impossible effect is no suspect
                 continue
             chosen, terms = self._exchanged(chosen, terms)
             chain.append(self.evidence.of([terms[name] for name in chosen]) + tones)
@@ -159,7 +167,7 @@ class Search:
         return Found(tuple(parts), tuple(chain), suspects)
 
     def _allow_for_misfit(self, chosen: Mapping[str, Term]) -> None:
-        """Count as noise what neither the effects chosen nor all others together explain."""
+        """Count as noise what neither the chosen effects nor all others together explain."""
         self.evidence.allow_for_misfit([chosen.get(name, term) for name, (_, term) in self.known.items()])
         self._scored.clear()
 
@@ -171,6 +179,11 @@ class Search:
         return {name: score for name, score in self._scored[key].items() if name not in chosen}
 
     def _score(self, terms: Sequence[Term]) -> dict[str, tuple[float, Term]]:
+        """Return by name the log evidence with each candidate beside ``terms``, with its log prior, and its scaled
+        term.
+
+        Candidates that are in the model, barred, or general dependences are left out.
+        """
         taken = {t.name for t in terms}
         tried = {
             name: (candidate, term)
@@ -186,7 +199,9 @@ class Search:
         return found
 
     def _suspects(self, options: Mapping[str, float], bare: float) -> tuple[Suspect, ...]:
-        """Return what is probable by name, the most probable first; ``bare`` is the log evidence of the bare model."""
+        """Return the effects by name with their probability, most probable first; ``bare`` is the log evidence without
+        effects.
+        """
         most: dict[str, float] = {}
         for name, value in options.items():
             label = self._label(name)
@@ -195,14 +210,15 @@ class Search:
         return tuple(sorted(found, key=lambda s: -s.probability))
 
     def sensible(self, name: str, term: Term, model: Sequence[Term]) -> bool:
-        """Return whether an effect came out as something that it can be.
+        """Return whether the fitted size of an effect is one that it can have.
 
-        A lag is as long as the lag that it was worked out for.
+        A delay or lag must be as long as the one for which its columns were computed, and longer than the steps of
+        another instrument can hide.
         """
         candidate = self.known[name][0]
         steps_s = [run.step_s for run in self.runs if by_turns(run.recording.reference)]
         if candidate.by_size and steps_s and abs(candidate.theta or 0.0) < _RESOLVED * max(steps_s):
-            return False  # what happens between two readings of another instrument is not known as well as that
+            return False  # the motion between two readings of another instrument is not known well enough
         sizes = self.evidence.posterior([*model, term]).of(term)
         if candidate.by_size and candidate.theta:
             of_it = sizes[:, 0] * candidate.effect.largest[0] / abs(candidate.theta)
@@ -210,7 +226,9 @@ class Search:
         return candidate.effect.record.plausible(sizes)
 
     def _exchanged(self, chosen: list[str], terms: dict[str, Term]) -> tuple[list[str], dict[str, Term]]:
-        """Try to remove and to exchange each effect, until nothing makes the model more probable."""
+        """Return the effects and terms after each was removed or exchanged wherever that makes the model more
+        probable.
+        """
         for _ in range(_ROUNDS):
             changed = False
             for name in list(chosen):
@@ -233,7 +251,10 @@ class Search:
         return chosen, terms
 
     def copies(self, part: Part, terms: Sequence[Term]) -> list[str]:
-        """Return the effects that could put out what this one does, within chance, whatever was expected of them."""
+        """Return the effects that could give the same output as this one within chance, whatever their prior is.
+
+        Empty for shared effects and tones.
+        """
         if part.term.shared or part.tone is not None:
             return []
         best = int(np.argmax(self.evidence.noise_weight(terms)))
@@ -262,12 +283,14 @@ class Search:
         return list(dict.fromkeys(found))
 
     def sharpness(self, part: Part, terms: Sequence[Term]) -> float:
-        """Return the standard deviation of what is not linear in an effect, beside the other terms."""
+        """Return the standard deviation of an effect's nonlinear parameter, beside the other terms."""
         others = [t for t in terms if t.name != part.candidate.name]
         return Scan(self.columns, self.evidence, others).width(part.candidate)
 
     def judged(self, name: str, chosen: Sequence[str], terms: Mapping[str, Term]) -> Part:
-        """Return an effect of a model with its probability and its rivals beside the others."""
+        """Return an effect of a model with its probability and its rivals, computed beside the model's other
+        effects.
+        """
         others = [other for other in chosen if other != name]
         kept = [terms[other] for other in others]
         scores = self.scores(kept, others)
@@ -280,7 +303,9 @@ class Search:
         return Part(self.known[name][0], scores[name][1], share, rivals, share=share)
 
     def _shares(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return the probability by name in results; ``values`` are log evidences by name, "" of nothing more."""
+        """Return the probabilities by name in results; ``values`` are log evidences by candidate, "" for no further
+        effect.
+        """
         total = np.logaddexp.reduce(list(values.values()))
         shares: dict[str, float] = {}
         for name, value in values.items():
@@ -294,7 +319,7 @@ class Search:
         return self.known[name][0].label if name else "nothing"
 
     def _refine(self, terms: Sequence[Term], chosen: Sequence[str]) -> None:
-        """Look for the most telling time constants and instants beside the effects chosen so far."""
+        """Tune time constants, instants and other nonlinear parameters beside the effects chosen so far."""
         open_ones = [c for c, _ in self.known.values() if c.start is not None and c.name not in chosen and not c.law]
         if open_ones:
             scan = Scan(self.columns, self.evidence, terms)

@@ -8,15 +8,16 @@ from estimator.effects.effect import Settings
 from estimator.tracing.augmented import Augmented, Part
 from estimator.types import Floats
 
-_NEXT = 1.5  # the next gyros may be this much worse than those that were looked at
-_SAME = 0.05  # share by which what has its cause in table, site or clock may differ on another day
+_NEXT = 1.5  # the next gyros may be this much worse than the examined ones
+_SAME = 0.05  # share by which errors caused by table, site or clock may differ on another day
 
 
 def error_model_of(found: Augmented) -> ErrorModel:
-    """Return what the estimate of one device says of its type.
+    """Return the error model of a device type that the estimate of one device gives.
 
-    Sizes of effects that each gyro has to itself: mean zero, 1.5 times the rms over the gyros, since the next
-    gyros have other signs. Of effects that all gyros share: the value found, with 1.5 times its sigma and 5 %.
+    Effects that each gyro has to itself get mean zero and 1.5 times the rms over the gyros, since the next gyros have
+    other signs. Effects that all gyros share get the estimate, with 1.5 times its sigma and 5 %. Effects not in the
+    catalogue, or not kept in a model, are left out with a reason.
     """
     effects: dict[str, KnownEffect] = {}
     left_out = {}
@@ -36,6 +37,7 @@ def error_model_of(found: Augmented) -> ErrorModel:
 
 
 def _known(found: Augmented, part: Part) -> KnownEffect:
+    """Return one effect with its expected sizes, its settings and the values found by gyro."""
     effect, p = part.candidate.effect, len(part.candidate.effect.parameters)
     where = found.slice_of(part.candidate.name)
     largest = part.candidate.effect.largest
@@ -63,6 +65,9 @@ def _pairs(values: Floats, sigmas: Floats) -> tuple[tuple[float, float], ...]:
 
 
 def _settings_of(part: Part) -> Settings:
+    """Return the settings of an effect in a model: fixed ones, else the law, else the value of the nonlinear
+    parameter.
+    """
     candidate = part.candidate
     if candidate.settings:
         return candidate.settings

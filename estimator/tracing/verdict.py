@@ -25,7 +25,7 @@ NOTHING_MEASURED = "nothing that was measured"
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """How an investigation ends, why, the sets of effects that cannot be told apart, what no effect explains."""
+    """Result of an investigation: finding, reason, sets of effects that cannot be told apart, the unexplained part."""
 
     finding: Finding
     reason: str
@@ -34,8 +34,12 @@ class Verdict:
 
 
 def verdict_of(added: Sequence[str], doubtful: Sequence[Part], unexplained: Unexplained | None) -> Verdict:
-    """Return the verdict where so much was ``added`` and some effects are ``doubtful``."""
-    # What leaves as much of its kind as it explains is a part of what is unexplained, and no rival of anything.
+    """Return the verdict for the ``added`` effects, the ``doubtful`` ones and the unexplained part.
+
+    Doubtful effects make it CANNOT_TELL; an unexplained part makes it PARTLY or UNEXPLAINED; otherwise it is ADDED or
+    NOTHING.
+    """
+    # An effect that leaves as much of its kind as it explains is a part of the unexplained, and no rival.
     open_ones = [part for part in doubtful if part.share < CERTAIN <= part.probability / part.share]
     rivals = tuple(names for names in rivals_of(open_ones) if len(names) > 1)
     if rivals or (doubtful and not unexplained):
@@ -63,9 +67,10 @@ def verdict_of(added: Sequence[str], doubtful: Sequence[Part], unexplained: Unex
 
 
 def surprised(certain: Sequence[Part], wider: Found, residual: Residual | None) -> Verdict:
-    """Return the verdict where the verification shows an error that the other recordings could not show.
+    """Return the verdict if the verification run shows an error that the other recordings do not show.
 
-    ``wider`` was found with the verification runs among the rest: what would explain the error is named, not added.
+    ``wider`` was found with the verification runs included: effects that would explain the error are named but not
+    added.
     """
     known = {part.candidate.called for part in certain}
     extra = [p for p in wider.parts if p.candidate.called not in known and p.probability >= CERTAIN]
@@ -84,9 +89,9 @@ def rivals_of(parts: Sequence[Part]) -> tuple[tuple[str, ...], ...]:
 
 
 def unexplained_of(residual: Residual | None) -> Unexplained | None:
-    """Return what a residual depends on most, and the share of its power beyond the noise that this takes up.
+    """Return the variable that a residual depends on most, and the share of its power beyond the noise that this has.
 
-    None where next to nothing is left of it beyond the noise.
+    Without such a variable the share is that beyond the noise; None if next to nothing is left.
     """
     power: dict[str, float] = {}
     total = whole = 0.0
@@ -104,7 +109,7 @@ def unexplained_of(residual: Residual | None) -> Unexplained | None:
 
 
 def file_notes(search: Search, terms: Sequence[Term]) -> list[str]:
-    """Return, in words, that biases differ from file to file of an import beside some terms, if they do."""
+    """Return a sentence if biases differ from file to file of an import, beside some terms; else an empty list."""
     if not any(run.recording.several_files for run in search.runs):
         return []
     evidence = search.evidence
@@ -114,9 +119,9 @@ def file_notes(search: Search, terms: Sequence[Term]) -> list[str]:
 
 
 def beyond_noise(search: Search, found: Found) -> Unexplained | None:
-    """Return what no function of what was measured can explain, such as a chirp, if it tells beside the noise found.
+    """Return the part of the residual that no function of measured values explains, such as a chirp.
 
-    Beside another instrument that moves, that one's own errors are of the kind.
+    None if it is small, or if the reference is another moving instrument, whose own errors are of this kind.
     """
     evidence = search.evidence
     best = int(np.argmax(evidence.noise_weight(found.terms)))
@@ -132,7 +137,9 @@ def beyond_noise(search: Search, found: Found) -> Unexplained | None:
 
 
 def faults_added(faults: Sequence[Fault]) -> list[Added]:
-    """Return faults of the data as effects: they are seen in the samples, and what they spoil is left out."""
+    """Return faults of the data as effects, except for held samples: the samples show them, and what they spoil is left
+    out.
+    """
     found = []
     for kind in dict.fromkeys(fault.kind for fault in faults if fault.kind != SAMPLE_HOLD.name):
         own = [fault for fault in faults if fault.kind == kind]
@@ -144,7 +151,11 @@ def faults_added(faults: Sequence[Fault]) -> list[Added]:
 
 
 def added_of(search: Search, found: Found, part: Part, model: Augmented, told: OutOfSample | None) -> Added:
-    """Return an effect of the last model with its numbers; ``told`` is what was left out of the fit says of it."""
+    """Return an effect of the last model with its numbers; ``told`` is what data left out of the fit say of it.
+
+    Numbers are those of the gyros that show it, of all if none does; shared ones are given once. A tone has its
+    frequency, a nonlinear effect its setting.
+    """
     where = model.slice_of(part.candidate.name)
     candidate, shared = part.candidate, part.term.shared
     effect = candidate.effect
@@ -190,10 +201,11 @@ def added_of(search: Search, found: Found, part: Part, model: Augmented, told: O
 def rival_sizes(
     search: Search, found: Found, certain: Sequence[Part], doubtful: Sequence[Part], weight: Floats
 ) -> tuple[Added, ...]:
-    """Return the effects that may be there with their numbers, each as if it alone stood beside those that are certain.
+    """Return the doubtful effects and their rivals with their numbers, each as if it alone acted beside the certain
+    ones.
 
-    ``weight`` (G,) is that of the noise models. The probability is that of the effect that was chosen; of what could
-    stand in its place it is not known.
+    ``weight`` (G,) are the probabilities of the noise models. The probability is that of the chosen effect, NaN for its
+    rivals. Tones are left out.
     """
     terms = [part.term for part in certain if part.tone is None]
     names = [part.candidate.name for part in certain]
@@ -217,7 +229,7 @@ def rival_sizes(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Causes:
-    """What was added, each cause once: without tones that are ``echoes`` of one, by its name, or ``weak``."""
+    """The effects added, each cause once: without tones that are ``echoes`` of another, by its name, or ``weak``."""
 
     parts: list[Part]
     echoes: dict[str, list[Part]]
@@ -227,7 +239,10 @@ class Causes:
     def among(
         cls, search: Search, certain: Sequence[Part], model: Augmented, left: Residual | None, unexplained: object
     ) -> "Causes":
-        """Return the causes among certain parts of a model that leaves this of the recordings."""
+        """Return the causes among the certain parts of a model that leaves the residual ``left``.
+
+        Weak tones are removed only if something is left unexplained.
+        """
         weak = faint(certain, search.evidence, search.runs, model, left) if unexplained and left else []
         echoes = images(certain, search.runs)
         others = [*weak, *(part for own in echoes.values() for part in own)]
@@ -243,7 +258,7 @@ class Causes:
     def added(
         self, search: Search, found: Found, model: Augmented, told: Mapping[str, OutOfSample]
     ) -> tuple[Added, ...]:
-        """Return them with their numbers; ``told`` is what was left out of the fit says of each."""
+        """Return the causes with their numbers; ``told`` is by name what data left out of the fit say of them."""
         return tuple(
             with_images(
                 added_of(search, found, part, model, told.get(part.term.name)),
@@ -254,7 +269,7 @@ class Causes:
 
     @property
     def notes(self) -> list[str]:
-        """What is told of weak tones."""
+        """Sentences on weak tones."""
         return [sentence("tracing.faint_tone", frequency_hz=part.candidate.theta) for part in self.weak]
 
 
@@ -268,7 +283,7 @@ def with_images(added: Added, others: Sequence[Part]) -> Added:
 
 
 def _tone_sd(search: Search, model: Augmented, where: slice) -> float:
-    """Return the standard deviation of a tone's frequency: sqrt(6) / (pi T) over its amplitude in sigmas."""
+    """Return the standard deviation of a tone's frequency in Hz: sqrt(6) / (pi T) over its amplitude in sigmas."""
     span_s = max(float(run.t_s[-1] - run.t_s[0]) for run in search.runs)
     told = sum(
         float(m[where] @ np.linalg.solve(c[where, where], m[where]))

@@ -10,27 +10,29 @@ from drivers.imus.can.imu import load_dbc
 from drivers.imus.signals import parameter_group
 from drivers.types import Floats
 from sims.physics.geometry import tilt_deg
-from sims.wires.frames import FrameSink, Ride
+from sims.wires.frames import FrameSink, ImuTwinSetup
 
 
 class AceinnaDevice:
-    """Sends a sample as SSI2, ACCS, ARI every n-th 10 ms; takes set and get requests.
+    """Sends SSI2, ACCS and ARI for each sample, every n-th 10 ms; answers set and get requests.
 
-    It does not turn its axes by the orientation that is set, and does not filter: it only keeps what is told.
+    Orientation and filter settings are stored, but have no effect on its outputs.
     """
 
     def __init__(
         self,
-        ride: Ride,
+        setup: ImuTwinSetup,
         bus: FrameSink,
         *,
         axis_order: aceinna.AxisOrder | None = None,
         version: bytes = bytes([19, 1, 51, 2, 1]),
         name: aceinna.Name | None = None,
     ) -> None:
-        """It sends at the rate of its three gyros until it is told otherwise."""
-        model, address = ride.options["model"], ride.options["address"]
-        self._ride, self._bus, self._address, self.faults = ride, bus, address, ride.faults
+        """Start with the rate of the three gyros and all packets on; ``axis_order`` defaults to that of the option
+        ``model``.
+        """
+        model, address = setup.options["model"], setup.options["address"]
+        self._setup, self._bus, self._address, self.faults = setup, bus, address, setup.faults
         self._columns = list(aceinna.COLUMNS[axis_order or aceinna.AXIS_ORDERS[model]])
         self._messages = {one.name.lower(): one for one in load_dbc("j1939 twin", aceinna.DBC).messages}
         self.saved = 0
@@ -38,16 +40,19 @@ class AceinnaDevice:
         self._held = {
             aceinna.SOFTWARE_VERSION: version,
             aceinna.ADDRESS_CLAIM: (
-                name or aceinna.Name(identity=305_001 + ride.number, manufacturer=823, function=131)
+                name or aceinna.Name(identity=305_001 + setup.number, manufacturer=823, function=131)
             ).encode(),
-            aceinna.RATE_DIVIDER: bytes([address, round(aceinna.INTERNAL_RATE_HZ / ride.rate_hz)]),
+            aceinna.RATE_DIVIDER: bytes([address, round(aceinna.INTERNAL_RATE_HZ / setup.rate_hz)]),
             aceinna.PACKET_TYPES: bytes([address, sum(aceinna.PACKETS.values()), 0]),
             aceinna.FILTERS: bytes([address, 25, 5]),
             aceinna.ORIENTATION: bytes([address, 0, 0]),
         }
 
     def received(self, msg: can.Message) -> None:
-        """Take a frame from the bus."""
+        """Handle a frame from the bus: requests, save and reset commands, settings, and claims of its own address.
+
+        Remote, error and 11-bit frames are ignored. A device with a lower NAME gets no answer, but the address is kept.
+        """
         if not msg.is_extended_id or msg.is_remote_frame or msg.is_error_frame:
             return
         group, data = parameter_group(msg.arbitration_id), bytes(msg.data)
@@ -65,7 +70,7 @@ class AceinnaDevice:
             self._set(group, data[1:])
 
     async def serve(self) -> None:
-        """Send until cancelled."""
+        """Send samples until cancelled; nothing while the rate divider is 0."""
         loop = asyncio.get_running_loop()
         at = loop.time()
         while True:
@@ -73,27 +78,28 @@ class AceinnaDevice:
             at += (divider or 1) / (aceinna.INTERNAL_RATE_HZ * (1 + 1e-6 * self.faults.clock_ppm))
             await asyncio.sleep(max(at - loop.time(), 0.0))
             if not divider:
-                continue  # told to be quiet
-            rates = self.faults.rates(self._ride.gyros.sample(np.array([at]))[0])
-            force = self._ride.force_mps2(np.array([at]))[0]
+                continue  # switched off
+            rates = self.faults.rates(self._setup.gyros.sample(np.array([at]))[0])
+            force = self._setup.force_mps2(np.array([at]))[0]
             for _ in range(self.faults.times_to_send()):
                 self._send_sample(np.degrees(rates), force)
 
     def _send_sample(self, rates_dps: Floats, force_mps2: Floats) -> None:
-        """Send what is switched on, in the order of a real device's trace."""
+        """Send the packets that are switched on, clipped to their ranges, in the order of a real device's trace."""
         roll, pitch, _ = tilt_deg(force_mps2[None] / max(float(np.linalg.norm(force_mps2)), 1e-9))[0]
         values = {"ssi2": np.array([pitch, roll]), "accs": force_mps2[self._columns], "ari": rates_dps[self._columns]}
         for name, fields in values.items():
             if self._held[aceinna.PACKET_TYPES][1] & aceinna.PACKETS[name]:
                 message = self._messages[name]
                 ranged = zip(message.signals, fields, strict=True)
-                told = {signal.name: np.clip(value, signal.minimum, signal.maximum) for signal, value in ranged}
-                self._send(parameter_group(message.frame_id), message.encode(told))
+                limited = {signal.name: np.clip(value, signal.minimum, signal.maximum) for signal, value in ranged}
+                self._send(parameter_group(message.frame_id), message.encode(limited))
 
     def _answer(self, wanted: bytes, destination: int, host: int) -> None:
         """Answer a request, written by the standard (low byte first) or in Aceinna's way, or refuse it.
 
-        Nobody refuses what everybody was asked (SAE J1939-21, 5.4.4); data messages come by themselves.
+        No answer if the twin is silent. A request to everybody is never refused (SAE J1939-21, 5.4.4), nor is one for
+        the data messages, which are sent without a request.
         """
         groups = int.from_bytes(wanted, "little"), int.from_bytes(wanted)
         if self.faults.silent:
@@ -106,14 +112,14 @@ class AceinnaDevice:
             self._send(aceinna.ACKNOWLEDGEMENT, bytes([1, 0xFF, 0xFF, 0xFF, host]) + wanted)
 
     def _set(self, group: int, values: bytes) -> None:
-        """Take a setting if it is one that the device has."""
+        """Store a setting if the device has it and the values are valid; ignore it otherwise."""
         if group == aceinna.RATE_DIVIDER:
             good = len(values) == 1 and values[0] in aceinna.DIVIDERS
         elif group == aceinna.PACKET_TYPES:
             good = len(values) == 2 and values[0] <= sum(aceinna.PACKETS.values())
         elif group == aceinna.FILTERS:
             good = len(values) == 2 and set(values) <= set(aceinna.FILTERS_HZ)
-            values = values[::-1]  # asked, it tells the accelerometer's first
+            values = values[::-1]  # on request, the accelerometer's comes first
         elif group == aceinna.ORIENTATION:
             good = len(values) == 2 and int.from_bytes(values, "little") in aceinna.ORIENTATIONS
         else:

@@ -11,20 +11,22 @@ import numpy as np
 from drivers.imus.can.imu import ChannelSignals, load_dbc
 from drivers.imus.signals import SignalReader
 from drivers.types import Floats
-from sims.wires.frames import FrameSink, Ride
+from sims.wires.frames import FrameSink, ImuTwinSetup
 
 _BUILT = "can twin"
 _RANGE_RPS = math.radians(2000)
 
 
 class CanNodes:
-    """Sends each channel's messages regularly; those that carry nothing but a temperature, once a second."""
+    """Sends the messages of each channel regularly, and once a second those that carry only a temperature."""
 
-    def __init__(self, ride: Ride, bus: FrameSink) -> None:
-        """The signals are the driver's, in the order of the gyros; DeviceError for what the DBC does not have."""
-        dbc, channels = ride.signals.dbc, ride.signals.channels
-        database = ride.signals.database or load_dbc(_BUILT, dbc)
-        self._ride, self._bus, self._rate_hz, self.faults = ride, bus, ride.rate_hz, ride.faults
+    def __init__(self, setup: ImuTwinSetup, bus: FrameSink) -> None:
+        """Prepare a node for each channel, with the gyros in their order; DeviceError for a signal that the DBC
+        lacks.
+        """
+        dbc, channels = setup.signals.dbc, setup.signals.channels
+        database = setup.signals.database or load_dbc(_BUILT, dbc)
+        self._setup, self._bus, self._rate_hz, self.faults = setup, bus, setup.rate_hz, setup.faults
         self._feels = any(channel.acceleration for channel in channels)
         self._nodes: list[_Node] = []
         first = 0
@@ -32,11 +34,11 @@ class CanNodes:
             signals = ChannelSignals(_BUILT, database, dbc, channel)
             self._nodes.append(_Node(signals, slice(first, first + len(signals.rates))))
             first += len(signals.rates)
-        # A temperature that has a message of its own, or none, is only looked at when it is sent.
+        # A temperature in a message of its own, or in none, is only computed when it is sent.
         self._rarely = all(node.tells_temperature_apart for node in self._nodes)
 
     async def serve(self) -> None:
-        """Send until cancelled."""
+        """Send until cancelled; temperatures are computed only when they are sent."""
         loop = asyncio.get_running_loop()
         device_s, start = 0.0, loop.time()
         sample = 0
@@ -49,21 +51,21 @@ class CanNodes:
             device_s += step_s
             await asyncio.sleep(max(start - loop.time(), 0.0))
             at = np.array([start])
-            rates = self.faults.rates(self._ride.gyros.sample(at)[0]).clip(-_RANGE_RPS, _RANGE_RPS)
+            rates = self.faults.rates(self._setup.gyros.sample(at)[0]).clip(-_RANGE_RPS, _RANGE_RPS)
             rates = self.faults.spoilt(rates[None])[0]
-            force = self._ride.force_mps2(at)[0] if self._feels else np.zeros(3)
+            force = self._setup.force_mps2(at)[0] if self._feels else np.zeros(3)
             with_temperature = sample % every == 0 or not self._rarely
-            temperature_c = self._ride.gyros.temperature_c(start) if with_temperature else math.nan
-            told = _Told(sample, device_s, temperature_c, force)
+            temperature_c = self._setup.gyros.temperature_c(start) if with_temperature else math.nan
+            sent = _Told(sample, device_s, temperature_c, force)
             times = self.faults.times_to_send()
             for node in self._nodes:
-                messages = node.messages(rates[node.gyros], told, with_temperature=with_temperature)
+                messages = node.messages(rates[node.gyros], sent, with_temperature=with_temperature)
                 for message in messages * times:
                     self._bus.send(message)
 
 
 class _Told:
-    """What a device knows at one sampling instant besides the rates."""
+    """The values of a device at one sampling instant, apart from the rates."""
 
     def __init__(self, sample: int, device_s: float, temperature_c: float, force_mps2: Floats) -> None:
         self.sample, self.device_s = sample, device_s
@@ -72,14 +74,14 @@ class _Told:
 
 @dataclass(frozen=True, slots=True)
 class _Field:
-    """What a signal can hold: whole numbers alone, and the ranges that a value has to lie in."""
+    """The values that a signal can hold: whole numbers only, and the ranges that limit them."""
 
     whole: bool
     ranges: tuple[tuple[float, float], ...]
 
     @classmethod
     def of(cls, signal: SignalReader) -> "_Field":
-        """Return what the converter's DBC says of a signal."""
+        """Return the range of the raw number and that of the DBC, in the signal's own unit."""
         field = signal.message.get_signal_by_name(signal.name)
         ranges: list[tuple[float, float]] = []
         if not field.is_float:
@@ -93,9 +95,12 @@ class _Field:
 
 
 class _Node:
-    """One channel: its messages in the order in which they win the bus."""
+    """One channel: its messages in the order of their priority on the bus."""
 
     def __init__(self, signals: ChannelSignals, gyros: slice) -> None:
+        """Prepare the messages of ``signals``, all values at 0; ``gyros`` selects this channel's gyros of the
+        device.
+        """
         self.gyros = gyros
         self._signals = signals
         by_key: dict[tuple[int, bool], Any] = {signal.key: signal.message for signal in signals.all}
@@ -110,6 +115,9 @@ class _Node:
         }
 
     def messages(self, rates_rps: Floats, told: _Told, *, with_temperature: bool) -> list[can.Message]:
+        """Return the messages for one sample; those that carry only a temperature are left out unless
+        ``with_temperature``.
+        """
         signals = self._signals
         for signal, rate in zip(signals.rates, rates_rps.tolist(), strict=True):
             self._put(signal, rate)
@@ -131,7 +139,9 @@ class _Node:
         return out
 
     def _put(self, signal: SignalReader, value: float) -> None:
-        """Keep a value in SI for sending, within the converter's range."""
+        """Store a value in SI for sending, limited to the signal's range; NaN is not stored where the signal holds
+        integers.
+        """
         field = self._fields[id(signal)]
         if field.whole and math.isnan(value):
             return  # it has no word for that

@@ -1,4 +1,4 @@
-"""Twin of an IMU on a byte link that a file describes: what it sends is written by the same description."""
+"""Twin of an IMU on a byte link that a file describes: its output follows the same description."""
 
 from collections.abc import Callable
 
@@ -6,16 +6,18 @@ import can
 
 from drivers.imus.described.imu import Description
 from sims.imus.can_nodes import CanNodes
-from sims.wires.frames import Ride
+from sims.wires.frames import ImuTwinSetup
 
 
 class DescribedDevice(CanNodes):
-    """Measures all the time; sends when it has heard all that starts it, until it has heard all that stops it."""
+    """Measures all the time; sends from when it has received the complete start phrase until it receives the stop
+    phrase.
+    """
 
-    def __init__(self, ride: Ride, write: Callable[[bytes], None]) -> None:
-        """The signals of the ride are a ``Description``."""
-        description: Description = ride.signals
-        super().__init__(ride, self)
+    def __init__(self, setup: ImuTwinSetup, write: Callable[[bytes], None]) -> None:
+        """Prepare for the ``Description`` in ``setup.signals``; it sends at once if that has no start phrase."""
+        description: Description = setup.signals
+        super().__init__(setup, self)
         self._write, self._framing = write, description.framing
         self._start, self._stop = (
             b"".join(data for data, _ in phrases) for phrases in (description.start, description.stop)

@@ -11,9 +11,11 @@ from sims.imus.described import DescribedDevice
 from sims.imus.stim300 import Stim300Device
 from sims.imus.vectornav import VectorNavDevice
 from sims.imus.xsens import XsensDevice
-from sims.wires.frames import Ride as Ride
+from sims.wires.frames import ImuTwinSetup as ImuTwinSetup
 
-TWINS: dict[str, Callable[[Ride, Any], Any]] = {
+Ride = ImuTwinSetup  # the name until 0.5.0, which plug-ins may import
+
+TWINS: dict[str, Callable[[ImuTwinSetup, Any], Any]] = {
     "can": CanNodes,
     "described": DescribedDevice,
     "j1939": AceinnaDevice,
@@ -27,8 +29,8 @@ A twin has ``serve``, which sends until it is cancelled, and ``received`` for by
 """
 
 
-def twin_of(spec: ImuSpec) -> Callable[[Ride, Any], Any]:
-    """Return what makes the twin of a device; PluginError if it brings none."""
+def twin_of(spec: ImuSpec) -> Callable[[ImuTwinSetup, Any], Any]:
+    """Return the maker of a device's twin; PluginError if there is none."""
     if (twin := spec.twin or TWINS.get(spec.family or spec.name)) is None:
         raise PluginError(f"{spec.name} has no twin: its SPEC needs one, or the bench file a link")
     return twin

@@ -15,7 +15,7 @@ from sims.imus.stim300_output import GyroOutput
 from sims.imus.stim300_settings import Settings, utility_reply
 from sims.physics.geometry import upright
 from sims.wires.burst import burst_of, copies_sent
-from sims.wires.frames import Ride
+from sims.wires.frames import ImuTwinSetup
 from sims.wires.line_controller import LineDevice
 
 _START_UP_TICKS = stim300.INTERNAL_RATE_HZ // 2
@@ -26,14 +26,14 @@ _GYRO_OVERLOAD_BIT = 101  # of x in the extended error register
 class Stim300Device(LineDevice):
     """Sends datagrams in bursts of about 10 ms, as an operating system hands them over.
 
-    The knobs of ``faults`` may be turned at any time; a saturated gyro is pegged without a word in the status.
+    The knobs of ``faults`` may be turned at any time; a saturated gyro shows the end of its range, with no status bit.
     """
 
     longest = 200
 
     def __init__(
         self,
-        ride: Ride,
+        setup: ImuTwinSetup,
         write: Callable[[bytes], None],
         *,
         identifier: int = 0x94,
@@ -44,28 +44,29 @@ class Stim300Device(LineDevice):
         cold: bool = False,
         seed: int = 0,
     ) -> None:
-        """The rate of the gyros is one of the device's own. Where nobody tells what is up, it is z.
+        """Prepare a device at the rate of the gyros; ValueError for an unknown datagram ``identifier``. Upright by
+        default.
 
-        A ``cold`` device is powered on when served: it names itself and its first half second carries the start-up
-        bit; else it has been on for long.
+        A ``cold`` device, or any but the first of several, is powered on when served: it sends its part number and the
+        like, and its first half second has the start-up bit. Otherwise it has been on for long.
         """
         if identifier not in stim300.DATAGRAM_CODES.values():
             raise ValueError(f"{identifier:02X} is no datagram of today's firmware")
-        rate_hz = round(ride.rate_hz)
+        rate_hz = round(setup.rate_hz)
         self.settings = Settings(
             rate_hz=rate_hz,
             identifier=identifier,
             gyro_unit=next(code for code, name in UNITS.items() if name == gyro_unit),
             accel_range_g=accel_range_g,
             line_termination=line_termination,
-            serial=serial[:-4] + f"{int(serial[-4:]) + ride.number:04d}",
+            serial=serial[:-4] + f"{int(serial[-4:]) + setup.number:04d}",
         )
         super().__init__(write)
-        self.faults = ride.faults
+        self.faults = setup.faults
         self._base_hz = rate_hz
-        self._temperature_c = ride.gyros.temperature_c
-        self._force_g = ride.up or upright
-        self._output = GyroOutput(ride.gyros.sample, rate_hz)
+        self._temperature_c = setup.gyros.temperature_c
+        self._force_g = setup.up or upright
+        self._output = GyroOutput(setup.gyros.sample, rate_hz)
         self._period_s = 1 / (rate_hz * (1 + self.faults.clock_ppm * 1e-6))
         self._random = np.random.default_rng(seed)
         self._mode = "normal"
@@ -77,7 +78,7 @@ class Stim300Device(LineDevice):
         self.overload_gyro: int | None = None
         """Gyro that the status calls overloaded."""
         self.dropped = self.doubled = 0
-        if cold or ride.number:
+        if cold or setup.number:
             self.reset()
 
     def reset(self) -> None:
@@ -95,7 +96,7 @@ class Stim300Device(LineDevice):
             self._utility(line)
 
     async def serve(self) -> None:
-        """Send until cancelled."""
+        """Send bursts until cancelled; nothing in service mode."""
         loop = asyncio.get_running_loop()
         start, sent = loop.time(), 0
         burst = burst_of(self._base_hz)
@@ -111,9 +112,10 @@ class Stim300Device(LineDevice):
                 self._write(data)
 
     def _burst(self, at: Floats, ticks: Ints, late_s: float) -> bytes:
-        """Return what is sent for these instants: answers first, then the samples they did not take the place of.
+        """Return the bytes for instants ``at``: answers first, then the samples that these did not displace.
 
-        Each is sent ``late_s`` later than it would be one by one, as the host's loop is late; its latency says so.
+        Empty outside normal mode. Samples are dropped or doubled by ``faults``; each datagram states the latency
+        ``late_s``.
         """
         own = self.settings
         step = stim300.INTERNAL_RATE_HZ // own.rate_hz
@@ -140,7 +142,9 @@ class Stim300Device(LineDevice):
         return answers + self._datagrams(raw[rows], status, wanted[rows], force, float(at[-1]), late_s)
 
     def _status(self, wanted: Ints, over: Flags) -> Ints:
-        """Return the status byte of the gyros at each tick."""
+        """Return the status byte of the gyros at each tick ``wanted``; overloads are also noted in the error
+        register.
+        """
         if self.overload_gyro is not None:
             over[:, self.overload_gyro] = True
         status = np.where(wanted <= self._start_up_until, stim300.STATUS_START_UP, 0)
@@ -150,6 +154,9 @@ class Stim300Device(LineDevice):
         return status
 
     def _datagrams(self, raw: Ints, status: Ints, ticks: Ints, force_g: Floats, t_s: float, late_s: float) -> bytes:
+        """Return the bytes of one datagram a row, with all groups; ``force_g`` (n, 3) serves accelerometers and
+        inclinometers.
+        """
         own = self.settings
         n = len(raw)
         start_up = status & stim300.STATUS_START_UP
@@ -173,7 +180,9 @@ class Stim300Device(LineDevice):
         return stim300.encode_special(value, line_termination=self.settings.line_termination)
 
     def _command(self, line: bytes) -> None:
-        """Obey a command of normal mode; what is none is passed over without a word."""
+        """Carry out a command of normal mode; an unknown one is ignored. Answers are queued and each displaces a
+        sample.
+        """
         own = self.settings
         values: dict[bytes, Special] = {
             stim300.ASK_PART_NUMBER: PartNumber(own.part_number, own.revision),

@@ -1,4 +1,4 @@
-"""What the gyros of a STIM300 put out in each of its units, as raw numbers at its own ticks."""
+"""Gyro outputs of a STIM300 in each of its units, as raw numbers at its own ticks."""
 
 from collections.abc import Callable, Collection
 
@@ -16,7 +16,7 @@ _RATE, _INCREMENT, _AVERAGE = 0, 1, 2
 
 
 class GyroOutput:
-    """Turns rates at the gyros' own instants into outputs at the ticks of the datagrams."""
+    """Converts rates at the gyros' instants to outputs at the ticks of the datagrams."""
 
     def __init__(self, sample: Callable[[Floats], Floats], rate_hz: int) -> None:
         """``sample`` gives rates (n, 3) in rad/s at instants that are 1 / ``rate_hz`` apart."""
@@ -27,10 +27,11 @@ class GyroOutput:
     def at(
         self, t_s: Floats, ticks: Ints, wanted: Ints, unit: int, wanted_hz: int, saturated: Collection[int]
     ) -> tuple[Ints, Flags]:
-        """Return raw outputs (k, 3) at the wanted ticks (k,), and which gyros (k, 3) are beyond their range.
+        """Return raw outputs (k, 3) at the ticks ``wanted`` (k,), and which gyros (k, 3) are beyond their range.
 
-        ``t_s`` (n,) are the gyros' instants, ``ticks`` (n,) the device's count of 2000 Hz at them. Gyros ``saturated``
-        (0 to 2) are pegged at their range.
+        ``t_s`` (n,) are the instants of the gyros' samples, ``ticks`` (n,) the device's 2000 Hz count at them. ``unit``
+        is a rate, increment, average or integral, kept up across calls. Gyros in ``saturated`` (0 to 2) are at their
+        range.
         """
         kind = unit & 3
         # A mean over a period is the rate at its middle, to second order.

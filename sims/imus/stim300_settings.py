@@ -1,4 +1,4 @@
-"""How a simulated STIM300 is set, and how a driver asks and tells it: its utility mode."""
+"""Settings of a simulated STIM300, and its utility mode, by which a driver reads and changes them."""
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ _MARGIN = 1.1
 
 @dataclass(kw_only=True, slots=True)
 class Settings:
-    """What a STIM300 keeps about itself."""
+    """The settings that a STIM300 stores."""
 
     rate_hz: int
     identifier: int
@@ -38,9 +38,9 @@ class Settings:
     gyro_filter: int = 4
 
     def configuration(self) -> Configuration:
-        """Return what the configuration datagram says."""
+        """Return the configuration datagram of these settings."""
         layout = LAYOUTS[self.identifier]
-        told = Configuration.of(
+        configuration = Configuration.of(
             rate_hz=self.rate_hz,
             accelerometer=layout.accelerometer,
             inclinometer=layout.inclinometer,
@@ -52,7 +52,7 @@ class Settings:
             accel_range_g=self.accel_range_g,
             revision=self.revision,
         )
-        data = bytearray(told.data)
+        data = bytearray(configuration.data)
         data[3] |= (self.stop_bits == 2) << 3 | _PARITIES.index(self.parity) << 1 | self.terminated
         data[5], data[6] = self.gyro_filter * 0x11, self.gyro_filter << 4
         return Configuration(bytes(data))
@@ -80,7 +80,7 @@ class Settings:
         self.identifier = identifier
 
     def set_gyro_unit(self, code: str) -> None:
-        """Set what the gyros put out."""
+        """Set the unit of the gyro outputs."""
         self.gyro_unit = int(_one_of(code, _GYRO_UNITS))
 
     def save(self) -> None:
@@ -94,7 +94,10 @@ class Settings:
 
 
 def utility_reply(own: Settings, line: bytes) -> UtilityMessage | None:
-    """Return the reply to one line, which may be damaged; None if it is none of utility mode's."""
+    """Return the reply to one line in utility mode: an error code for a damaged, unknown or refused command, else "0".
+
+    None only for an empty line. Settings are changed in ``own``.
+    """
     if not line.startswith(b"$"):
         return UtilityMessage(True, ("", "1")) if line else None
     command = parse_message(line + b"\r")
@@ -117,8 +120,8 @@ def utility_reply(own: Settings, line: bytes) -> UtilityMessage | None:
         act(*given)
     except Refused:
         return UtilityMessage(True, (name, "5"))
-    said = _KNOWN["utility"][name].format(*map(str.upper, given), own=own)
-    return UtilityMessage(True, (name, "0", *(said.split(",") if said else ())))
+    text = _KNOWN["utility"][name].format(*map(str.upper, given), own=own)
+    return UtilityMessage(True, (name, "0", *(text.split(",") if text else ())))
 
 
 def _one_of(code: str, known: Collection[str]) -> str:

@@ -13,7 +13,7 @@ from drivers.packaged import packaged_codes, packaged_toml
 from drivers.types import Floats, Ints
 from sims.physics.geometry import tilt_deg, upright
 from sims.wires.burst import burst_of, copies_sent
-from sims.wires.frames import STANDARD_GRAVITY_MPS2, Ride
+from sims.wires.frames import STANDARD_GRAVITY_MPS2, ImuTwinSetup
 from sims.wires.line_controller import Refused
 
 BAUD_RATES = (9600, 19200, 38400, 57600, 115200, 128000, 230400, 460800, 921600)
@@ -24,7 +24,7 @@ _DECIMAL = re.compile(r"[-+]?[0-9]+(\.[0-9]*)?([eE][-+]?[0-9]{1,2})?")
 _GYRO_RANGE_RPS, _LITTLE_RPS = np.radians((2000.0, 10.0))
 _BITS_PER_BYTE = 10
 
-# What is measured at an instant, as columns; and how each is printed.
+# Measured values at an instant, as columns; and the print format of each.
 _YPR, _MAG, _ACCEL, _GYRO, _TEMPERATURE, _PRESSURE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12), 12, 13
 _RAW_GYRO = slice(14, 17)
 _KNOWN = packaged_toml("sims", "codes.toml")["vectornav"]
@@ -45,31 +45,31 @@ _CHECKSUM, _COMMAND, _TOO_FEW, _TOO_MANY, _PARAMETER, _REGISTER, _NOT_ALLOWED, _
 class VectorNavDevice:
     """A VN-100 with its link at serial port 1, as delivered: VNYMR at 40 Hz, no binary output.
 
-    The knobs of ``faults`` may be turned at any time; where one gyro is saturated, the range of all is little.
-    ``range_rps`` is where the output of every gyro ends else.
+    The knobs of ``faults`` may be turned at any time; if one gyro is saturated, the range of all is small. Otherwise it
+    is ``range_rps``.
     """
 
     def __init__(
-        self, ride: Ride, write: Callable[[bytes], None], *, serial: str = "0100012345", baud: int = 921600
+        self, setup: ImuTwinSetup, write: Callable[[bytes], None], *, serial: str = "0100012345", baud: int = 921600
     ) -> None:
-        """The three gyros were made for 800 Hz over a whole number; faster output repeats their last.
+        """Prepare a device whose gyros sample at 800 Hz over a whole number, else ValueError; faster output repeats
+        samples.
 
-        ``baud`` is its rate as delivered, which limits what can be asked for. Where nobody tells what is up, it stands
-        upright.
+        ``baud`` is the rate as delivered, which limits the outputs that can be set. Upright by default.
         """
-        rate_hz = ride.rate_hz
+        rate_hz = setup.rate_hz
         if vectornav.IMU_RATE_HZ % rate_hz:
             raise ValueError(
                 f"a VectorNav samples at {vectornav.IMU_RATE_HZ} Hz over a whole number, not at {rate_hz:g} Hz"
             )
-        self.faults = ride.faults
+        self.faults = setup.faults
         self.range_rps = float(_GYRO_RANGE_RPS)
-        self._gyros, self._write, self._up = ride.gyros, write, ride.up or upright
+        self._gyros, self._write, self._up = setup.gyros, write, setup.up or upright
         self._decoder = vectornav.VectorNavDecoder(binary=False)
         self._random = np.random.default_rng(list(serial.encode()))
         self._ticks_per_sample = vectornav.IMU_RATE_HZ // round(rate_hz)
         self._tick_s = 1 / (vectornav.IMU_RATE_HZ * (1 + self.faults.clock_ppm * 1e-6))
-        self._identity = {1: ("VN-100S-CR",), 2: ("7",), 3: (f"{int(serial) + ride.number:010d}",), 4: ("2.1.0.0",)}
+        self._identity = {1: ("VN-100S-CR",), 2: ("7",), 3: (f"{int(serial) + setup.number:010d}",), 4: ("2.1.0.0",)}
         off = ("0", "1", "01", "0001")
         self._factory = {5: (str(baud),), 6: ("14",), 7: ("40",), **dict.fromkeys(_BINARY, off)}
         self._factory |= {register: tuple(values.split(",")) for register, values in _MORE.items()}
@@ -79,7 +79,9 @@ class VectorNavDevice:
         self._wake_up()
 
     async def serve(self) -> None:
-        """Send until cancelled, in bursts of about 10 ms, as an operating system hands them over."""
+        """Send outputs until cancelled, in bursts of about 10 ms, as an operating system hands them over; none while
+        paused.
+        """
         loop = asyncio.get_running_loop()
         start = loop.time()
         burst = burst_of(vectornav.IMU_RATE_HZ / self._ticks_per_sample)
@@ -93,7 +95,7 @@ class VectorNavDevice:
             self._tick, self._last = int(ticks[-1]), rows[-1]
 
     def received(self, data: bytes) -> None:
-        """Take bytes from the host and reply to the commands that they complete."""
+        """Reply to each command completed by ``data``, and with a checksum error to each damaged one."""
         damaged = self._decoder.bad_sentences
         for command in self._decoder.feed(data):
             if isinstance(command, vectornav.Sentence):
@@ -103,7 +105,7 @@ class VectorNavDevice:
             self._write(vectornav.encode_sentence(_error(_CHECKSUM)))
 
     def _wake_up(self) -> None:
-        """Begin with what is in flash."""
+        """Start with the settings in flash."""
         self._registers = dict(self._flash)
         self._layouts = {register: _layout(self._registers[register]) for register in _BINARY}
         self._paused = False
@@ -113,7 +115,7 @@ class VectorNavDevice:
         self._wake_up()
 
     def _measured(self, at: Floats) -> Floats:
-        """Return what is measured at these instants, (n, 17)."""
+        """Return all measured values (n, 17) at instants ``at`` (n,), with the faults of the gyros."""
         rows = np.empty((len(at), len(_FORMATS)))
         up = self._up(at)
         rows[:, _YPR] = tilt_deg(-up)[:, ::-1]  # from north, east, down
@@ -131,7 +133,11 @@ class VectorNavDevice:
         return rows
 
     def _outputs(self, rows: Floats, after: int, last: int) -> bytes:
-        """Return what is sent in the ticks after one up to another; the first row was measured at the former."""
+        """Return the bytes sent after tick ``after`` up to tick ``last``, in order, some dropped or doubled by
+        ``faults``.
+
+        ``rows`` are measured values, the first of them at ``after``; outputs faster than the gyros repeat rows.
+        """
         sent: list[tuple[int, bytes]] = []
         for period, encode in self._periodic():
             ticks = np.arange(after - after % period + period, last + 1, period)
@@ -143,7 +149,9 @@ class VectorNavDevice:
         return b"".join(data * times for (_, data), times in zip(sent, copies.tolist(), strict=True))
 
     def _periodic(self) -> list[tuple[int, Callable[[Floats, Ints], list[bytes]]]]:
-        """Return what is set to be sent by itself: its period in ticks, and how measured rows become bytes."""
+        """Return the active outputs: the period of each in ticks, and the function that encodes measured rows at given
+        times.
+        """
         outputs: list[tuple[int, Callable[[Floats, Ints], list[bytes]]]] = []
         for register, layout in self._layouts.items():
             mode, divisor = map(int, self._registers[register][:2])
@@ -160,6 +168,9 @@ class VectorNavDevice:
         return outputs
 
     def _reply(self, command: vectornav.Sentence) -> vectornav.Sentence | bytes:
+        """Carry out a command and return the reply: a sentence, or bytes for a polled frame; a VNERR sentence for a
+        refusal.
+        """
         try:
             if command.header == "VNRRG":
                 return self._read(command)
@@ -189,13 +200,14 @@ class VectorNavDevice:
         return command
 
     def _polled(self, output: int) -> bytes:
-        """Return the frame of a binary output, 1 to 3, as it is now; one that is off is a wrong parameter."""
+        """Return the current frame of binary output 1 to 3; Refused for one that is off."""
         layout = self._layouts.get(_BINARY[0] - 1 + output)
         if layout is None:
             raise Refused(_PARAMETER)
         return _frames(layout, self._last[None], np.array([self._tick * _TICK_NS - self._zero_ns]))[0]
 
     def _read(self, command: vectornav.Sentence) -> vectornav.Sentence:
+        """Return the reply to a read of a register; Refused if there is none."""
         register = _number(_exactly(1, command.fields)[0])
         if register in _COLUMNS:
             values = _printed(self._last, register)
@@ -206,6 +218,9 @@ class VectorNavDevice:
         return vectornav.Sentence("VNRRG", (f"{register:02d}", *values))
 
     def _store(self, command: vectornav.Sentence) -> vectornav.Sentence:
+        """Write a register and return the reply; Refused for a bad register or values, or if the baud rate would not
+        suffice.
+        """
         if not command.fields:
             raise Refused(_TOO_FEW)
         register, values = _number(command.fields[0]), command.fields[1:]
@@ -263,7 +278,10 @@ def _fit(register: int, values: tuple[str, ...]) -> bool:
 
 
 def _layout(values: tuple[str, ...]) -> vectornav.Layout | None:
-    """Return the frame that registers 75 to 77 set: after mode and divisor groups and fields, in hex; None is off."""
+    """Return the frame layout that the values of registers 75 to 77 select (mode, divisor, groups, fields in hex).
+
+    None if no group is selected; Refused if the fields do not fit the groups or are not simulated.
+    """
     try:
         words = [int(text, 16) for text in values[2:]]
         groups, fields = words[0], words[1:]
@@ -289,7 +307,7 @@ def _frames(layout: vectornav.Layout, rows: Floats, time_ns: Ints) -> list[bytes
 
 
 def _values(layout: vectornav.Layout, rows: Floats, time_ns: Ints) -> NDArray[np.void]:
-    """Return frames (n,) of what is measured; what the twin does not simulate is 0."""
+    """Return frames (n,) filled with measured rows and times; fields that the twin does not simulate are 0."""
     values: NDArray[np.void] = np.zeros(len(rows), dtype=layout.dtype)
     for name in layout.dtype.names or ():
         field = name.partition(".")[2]

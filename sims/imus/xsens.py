@@ -13,7 +13,7 @@ from drivers.packaged import packaged_codes
 from drivers.types import Flags, Floats, Ints
 from sims.physics.geometry import tilt_deg
 from sims.wires.burst import burst_of, copies_sent
-from sims.wires.frames import STANDARD_GRAVITY_MPS2, Ride
+from sims.wires.frames import STANDARD_GRAVITY_MPS2, ImuTwinSetup
 
 _TICKS_PER_S = round(1 / mtdata2.SAMPLE_TIME_TICK_S)
 _GYRO_RANGE_RPS = math.radians(2000)
@@ -29,20 +29,21 @@ _COUNTS_AND_STATUS = (
 _FROM_FORCE = (mtdata2.ACCELERATION, mtdata2.EULER_ANGLES)
 _VALUES = (mtdata2.RATE_OF_TURN, mtdata2.TEMPERATURE, *_FROM_FORCE)
 _MORE_ANSWERS = {mid: bytes.fromhex(text) for mid, text in packaged_codes("sims", "xsens", "answer").items()}
-_CLOCK_HZ = 115_200  # of which sampling periods are told
+_CLOCK_HZ = 115_200  # unit of sampling periods
 _FIRMWARE = bytes([1, 8, 2]) + (37).to_bytes(4, "big") + (70964).to_bytes(4, "big")
 _HARDWARE = bytes([2, 0])
 
 
 class XsensDevice:
-    """An MTi that measures since it was switched on, in bursts of about 10 ms as an operating system hands them over.
+    """An MTi that measures since it was switched on; sends in bursts of about 10 ms, as an operating system hands them
+    over.
 
     The knobs of ``faults`` may be turned at any time.
     """
 
     def __init__(
         self,
-        ride: Ride,
+        setup: ImuTwinSetup,
         write: Callable[[bytes], None],
         *,
         serial: str = "03700715",
@@ -50,17 +51,17 @@ class XsensDevice:
         uptime_ticks: int = 0,
         seed: int = 0,
     ) -> None:
-        """Each output has the rate of the three gyros or this over a whole number.
+        """Prepare a device that measures; outputs have the rate of the three gyros or that over a whole number.
 
-        ``serial`` are eight hex digits. Where nobody tells what is up, it has no accelerometers. ``uptime_ticks`` of
-        100 us is how long it has been on.
+        ``serial`` is eight hex digits; ``uptime_ticks`` of 100 us is the time since power-on. Without ``setup.up`` it
+        has no accelerometers.
         """
-        self._gyros, self._write, self._force_g, self.faults = ride.gyros, write, ride.up, ride.faults
-        self._rate_hz = rate_hz = round(ride.rate_hz)
+        self._gyros, self._write, self._force_g, self.faults = setup.gyros, write, setup.up, setup.faults
+        self._rate_hz = rate_hz = round(setup.rate_hz)
         self._period_s = 1 / (rate_hz * (1 + self.faults.clock_ppm * 1e-6))
         self._random = np.random.default_rng(seed)
         self._decoder = XbusDecoder()
-        felt = [] if ride.up is None else [mtdata2.ACCELERATION]
+        felt = [] if setup.up is None else [mtdata2.ACCELERATION]
         self.outputs = (
             mtdata2.Output(mtdata2.PACKET_COUNTER, mtdata2.EVERY),
             mtdata2.Output(mtdata2.SAMPLE_TIME_FINE, mtdata2.EVERY),
@@ -68,12 +69,12 @@ class XsensDevice:
         )
         """Output configuration, which it keeps when it is switched off."""
         self.measuring = True
-        own, period = (int(serial, 16) + ride.number).to_bytes(4), _CLOCK_HZ // rate_hz
+        own, period = (int(serial, 16) + setup.number).to_bytes(4), _CLOCK_HZ // rate_hz
         self._answers: dict[int, bytes] = {
             **_MORE_ANSWERS,
             Mid.REQ_DEVICE_ID: own,
             Mid.INIT: own,
-            # Of one device, at byte 98; trigger, dates and what it was once set to are left at 0.
+            # Of one device, at byte 98; trigger, dates and earlier settings are left at 0.
             Mid.REQ_CONFIGURATION: own + period.to_bytes(2) + bytes(90) + (1).to_bytes(2) + own + bytes(16),
             Mid.REQ_PRODUCT_CODE: product.ljust(20).encode("ascii"),
             Mid.REQ_FIRMWARE: _FIRMWARE,
@@ -91,7 +92,7 @@ class XsensDevice:
                 self._answer(messages.mid, request)
 
     async def serve(self) -> None:
-        """Send until cancelled."""
+        """Send until cancelled; the gyros keep sampling while nothing is sent."""
         loop = asyncio.get_running_loop()
         start, burst, sent = loop.time(), burst_of(self._rate_hz), 0
         while True:
@@ -106,16 +107,19 @@ class XsensDevice:
                 self._write(data)
 
     def restart(self) -> None:
-        """Switch off and on: times and counts begin anew, and it says that it has woken up."""
+        """Switch off and on: times and counts begin anew, and a WakeUp is sent."""
         self._sample = self._uptime_ticks = self._messages = 0
         self.measuring = True
         self._write(encode(Mid.WAKE_UP))
 
     def report(self, error: int) -> None:
-        """Send an Error that nobody has asked for."""
+        """Send an Error unasked."""
         self._write(encode(Mid.ERROR, bytes([error])))
 
     def _answer(self, mid: int, data: bytes) -> None:
+        """Answer a message; while measuring only Reset and GoToConfig, anything else with an Error. Answers are
+        ignored.
+        """
         if mid % 2:
             return  # an answer itself
         if mid == Mid.RESET:
@@ -143,7 +147,11 @@ class XsensDevice:
             self.report(_INVALID_MESSAGE)
 
     def _configure(self, data: bytes) -> None:
-        """Take over what it has of an output configuration, if it knows any of it; without data, say what it is."""
+        """Adopt the known part of an output configuration and answer with the granted one; an Error if no part is
+        known.
+
+        Without data the present configuration is the answer.
+        """
         wanted = mtdata2.decode_outputs(data)
         known = [o for o in wanted or () if mtdata2.kind_of(o.data_id) in _COUNTS_AND_STATUS + _VALUES]
         if wanted is None or (wanted and not known):
@@ -173,7 +181,7 @@ class XsensDevice:
         return self.faults.spoilt(rate, float(np.finfo(np.float32).max))
 
     def _stream(self, at: Floats, index: Ints, rate: Floats) -> bytes:
-        """Return the messages of these samples (n,)."""
+        """Return the messages of these samples (n,), some dropped or doubled by ``faults``."""
         due = self._due(index)
         rows = np.flatnonzero(due.any(axis=1))
         numbers = self._messages + np.arange(len(rows))
@@ -194,7 +202,11 @@ class XsensDevice:
         return b"".join(parts)
 
     def _due(self, index: Ints) -> Flags:
-        """Return which outputs are in the messages of these samples (n, outputs); none at all where all is False."""
+        """Return as flags (n, outputs) which outputs the messages of samples number ``index`` contain.
+
+        Each output is due every so many samples. An output of rate EVERY accompanies the others and makes no message
+        alone.
+        """
         steps = np.array([1 if o.rate_hz == mtdata2.EVERY else self._divider(o) for o in self.outputs])
         timed = [o.rate_hz != mtdata2.EVERY for o in self.outputs]
         due = index[:, None] % steps == 0
@@ -203,7 +215,7 @@ class XsensDevice:
         return np.asarray(due, dtype=np.bool_)
 
     def _values(self, at: Floats, index: Ints, rate: Floats, numbers: Ints) -> Callable[[int], Floats | Ints]:
-        """Return what gives the values (n, fields) of a kind at these samples."""
+        """Return a function that gives the values (n, fields) of a kind of packet at these samples."""
         ticks = self._uptime_ticks + index * _TICKS_PER_S // self._rate_hz
         force_g = self._force_g(at) if self._force_g is not None else np.full((len(at), 3), np.nan)
         made: dict[int, Callable[[], Floats | Ints]] = {

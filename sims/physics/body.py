@@ -1,4 +1,4 @@
-"""What the body really does: its attitude as a quaternion, and its inertial rate as the change of attitude."""
+"""The true motion of the body: its attitude as a quaternion, and its inertial rate as the change of attitude."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -24,7 +24,7 @@ _ALL_RIGHT = np.hstack(list(_EACH_RIGHT))
 
 
 class Body:
-    """A body on the innermost gimbal of a table that stands on the turning Earth."""
+    """A body on the innermost gimbal of a table that stands on the rotating Earth."""
 
     def __init__(
         self,
@@ -37,11 +37,11 @@ class Body:
         earth_turns: bool = True,
         directions: Mapping[str, Floats] | None = None,
     ) -> None:
-        """Gimbals are named outermost first.
+        """Prepare the body; ``gimbals`` are named outermost first.
 
-        ``angles(axis, t_s)`` gives an axis' true angles, now and to come by what it has been told; ``revision``
-        changes whenever it is told something else. ``directions`` are unit vectors (3,) of axes that at home are not
-        along the body axis they are named after.
+        ``angles(axis, t_s)`` gives the true angles of an axis, for future instants by its present command; ``revision``
+        changes with each new command. ``directions`` are unit vectors (3,) of axes that at home are not along the body
+        axis of their name. ``earth_turns`` false leaves the Earth's rate out.
         """
         self.gimbals = tuple(gimbals)
         self._angles = angles
@@ -60,7 +60,9 @@ class Body:
         return self._revision_of_angles()
 
     def rate_rps(self, t_s: Floats) -> Floats:
-        """Return the inertial rate in body axes at each instant, (n, 3)."""
+        """Return the inertial rate in body axes (n, 3) at each instant, from attitudes half a small step before and
+        after.
+        """
         n = len(t_s)
         attitude = self._attitude(np.concatenate([t_s - _HALF_STEP_S, t_s + _HALF_STEP_S]), float(t_s[0]))
         before, after = attitude[:n], attitude[n:]
@@ -78,14 +80,19 @@ class Body:
         return np.column_stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
 
     def up_in_turn(self, period_s: float) -> Callable[[Floats], Floats]:
-        """Return ``up`` for who asks for the next instants, a period apart: worked out ahead until the motion changes.
+        """Return a function like ``up`` for successive instants ``period_s`` apart, computed ahead until the motion
+        changes.
 
-        Instants that are not a period apart are worked out by themselves.
+        Instants that are not ``period_s`` apart are computed individually.
         """
         count = max(round(_AHEAD_S / period_s), 1)
         first_s, ahead, revision = math.inf, np.empty((0, 3)), -1
 
         def up(t_s: Floats) -> Floats:
+            """Return the directions up at evenly spaced instants, from values computed ahead; else compute them now.
+
+            Values are computed ahead anew at another start, at the end, and after the motion has changed.
+            """
             nonlocal first_s, ahead, revision
             n, now_s = len(t_s), float(t_s[0])
             if abs(float(t_s[-1]) - now_s - (n - 1) * period_s) > _SAME_INSTANT_S:

@@ -28,9 +28,9 @@ class Mounting:
 
 
 def mounted(angles_deg: Sequence[tuple[float, float]]) -> Mounting:
-    """Return the axes of gyros whose own z axis was turned by the polar angle about y, then by the azimuth about z.
+    """Return the axes of gyros whose z axis was turned by the polar angle about y, then by the azimuth about z.
 
-    A gyro's tilt axes are its own -x and -y after the turn.
+    Angles (polar, azimuth) in degrees. The tilt axes of a gyro are its -x and -y after the turns.
     """
     axes = []
     for polar, azimuth in np.radians(np.asarray(angles_deg, dtype=np.float64)):
@@ -44,7 +44,10 @@ def mounted(angles_deg: Sequence[tuple[float, float]]) -> Mounting:
 
 
 def along(p: Sequence[Sequence[float]]) -> Mounting:
-    """Return the mounting of gyros given by their sense axes."""
+    """Return the mounting of gyros given by their sense axes, unit vectors (n, 3).
+
+    A gyro along z or -z has a fixed azimuth of 180 or 0 deg.
+    """
     angles = []
     for x, y, z in p:
         if math.hypot(x, y) < 1e-6:

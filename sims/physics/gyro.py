@@ -23,7 +23,7 @@ _SHARE = 0.664 / 0.775
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GyroTruth:
-    """True errors of each gyro (m,), and the noise all have."""
+    """True errors of each gyro (m,), and the noise that all have."""
 
     k: Floats
     b_rps: Floats
@@ -38,7 +38,7 @@ class GyroTruth:
 
 
 class GyroArray:
-    """Rates that the gyros of one device put out, before its own quantisation."""
+    """The outputs of the gyros of one device, before quantisation."""
 
     def __init__(
         self,
@@ -51,9 +51,9 @@ class GyroArray:
         hidden: Hidden | None = None,
         started_s: float = 0.0,
     ) -> None:
-        """``seed`` makes the noise; the same seed gives the same samples.
+        """Prepare the gyros; the same ``seed`` gives the same noise.
 
-        The clock that temperature and hidden effects follow stood at ``started_s`` at the instant 0.
+        The bench clock, which temperature and hidden effects follow, is at ``started_s`` at the instant 0.
         """
         self._truth = truth
         self._body = body
@@ -86,8 +86,8 @@ class GyroArray:
     def sample(self, t_s: Floats) -> Floats:
         """Return the outputs (n, m) in rad/s at n successive sampling instants, the first of which is now.
 
-        The instants to come are worked out ahead; when the table has been told to do something else in the
-        meantime, the true part of what is left is worked out anew. The noise of an instant stays what it was.
+        Coming samples are computed ahead. If the table got a new command meanwhile, their true part is computed anew,
+        while the noise of each instant stays.
         """
         n = len(t_s)
         if n != self._per_call or not len(self._ahead):
@@ -113,6 +113,7 @@ class GyroArray:
         return out if self._chain is None else self._chain.put_out(t_s, out)
 
     def _look_ahead(self, t_s: Floats) -> None:
+        """Compute instants, noise and outputs of the coming calls, each with as many samples as ``t_s``."""
         n = self._per_call = len(t_s)
         calls = max(round(_AHEAD_S / (n * self._period_s)), 1)
         self._ahead_t = (t_s + n * self._period_s * np.arange(calls)[:, None]).ravel()
@@ -123,7 +124,7 @@ class GyroArray:
 
     def _work_out(self, t_s: Floats) -> None:
         if self._chain is not None and self._chain.remembers and len(self._been_t):
-            self._chain.output(self._been_t, keep=True)  # what was worked out ahead may never have come
+            self._chain.output(self._been_t, keep=True)  # samples computed ahead may never have been used
         self._been_t = np.empty(0)
         self._ahead = self._true_output(t_s, keep=False)
         self._revision = self._body.revision
@@ -134,7 +135,7 @@ class GyroArray:
         return np.asarray(self._body.rate_rps(t_s) @ self._sensitivity.T - self._truth.b_rps)
 
     def _step_wander(self, samples: int) -> Floats:
-        """Return what the bias has wandered to (m,) after this many more samples."""
+        """Return the bias (m,) in rad/s after ``samples`` more samples: bias instability and rate random walk."""
         keep, push = self._decay(samples)
         self._wander = keep * self._wander + push * self._random.standard_normal(self._wander.shape)
         if self._truth.rate_random_walk_rps_rts:
@@ -143,7 +144,7 @@ class GyroArray:
         return np.asarray(self._wander_rps * self._wander.sum(axis=0) + self._walk_rps)
 
     def _decay(self, samples: int) -> tuple[Floats, Floats]:
-        """Return what the wander keeps over this many samples, and what is added to it."""
+        """Return the factors of the old wander and of new noise over this many samples."""
         if samples not in self._decays:
             keep = np.exp(-samples * self._period_s / _CORRELATION_TIMES_S)[:, None]
             self._decays[samples] = keep, np.sqrt(1 - keep**2)

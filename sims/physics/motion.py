@@ -27,10 +27,10 @@ class _Segment:
 
 
 class AxisMotion:
-    """Angle and rate of a rotor over time. Times given must not go back before the last command."""
+    """Angle and rate of a rotor over time. Commands must come in the order of their times."""
 
     def __init__(self, angle_rad: float, max_rate_rps: float, max_acceleration_rps2: float) -> None:
-        """Start at rest."""
+        """Start at rest at ``angle_rad``."""
         self.max_rate_rps = max_rate_rps
         self.max_acceleration_rps2 = max_acceleration_rps2
         self._segments = [_Segment(-math.inf, angle_rad, 0.0, 0.0)]
@@ -39,11 +39,11 @@ class AxisMotion:
         self._keep = _KEEP_SEGMENTS
 
     def keep_all(self) -> None:
-        """Remember every segment from now on, for a run that is looked at as a whole."""
+        """Keep every segment from now on, for a run that is evaluated as a whole."""
         self._keep = sys.maxsize
 
     def at(self, t_s: float) -> tuple[float, float]:
-        """Return angle and rate at one instant, not before the segments that are kept."""
+        """Return angle and rate at one instant; before the kept segments, those of the first."""
         for segment in reversed(self._segments):
             if t_s >= segment.t_s:
                 return segment.at(t_s) if segment.t_s > -math.inf else (segment.angle_rad, 0.0)
@@ -76,7 +76,7 @@ class AxisMotion:
         return t_s >= self._ends_s
 
     def jog(self, t_s: float, rate_rps: float, acceleration_rps2: float) -> None:
-        """Go to a rate along a ramp."""
+        """Change to a rate along a ramp, both limited to those of the axis."""
         rate_rps = min(max(rate_rps, -self.max_rate_rps), self.max_rate_rps)
         acceleration = self._acceleration(acceleration_rps2)
         angle, rate = self.at(t_s)
@@ -89,7 +89,10 @@ class AxisMotion:
         self.jog(t_s, 0.0, acceleration_rps2)
 
     def move(self, t_s: float, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
-        """Go to an angle and stay there: a trapezoid of rate, a triangle if the way is short."""
+        """Go to an angle and stay there: a trapezoid of rate, a triangle if the distance is short.
+
+        If the axis is too fast to stop there, it first comes to rest. A rate of 0 is a stop.
+        """
         acceleration = self._acceleration(acceleration_rps2)
         top = min(abs(rate_rps), self.max_rate_rps)
         if top == 0.0:
@@ -111,12 +114,15 @@ class AxisMotion:
             self._segments.append(_Segment(now, here, sign * peak, 0.0))
             now, here = now + flat, here + sign * peak * flat
             now, here, _ = self._ramp(now, here, sign * peak, 0.0, acceleration)
-        self._segments.append(_Segment(now, angle_rad, 0.0, 0.0))  # a servo ends on its target, not beside it
+        self._segments.append(_Segment(now, angle_rad, 0.0, 0.0))  # a servo ends exactly on its target
         self._ends_s = now
 
     def _ramp(
         self, t_s: float, angle: float, rate: float, to: float, acceleration: float
     ) -> tuple[float, float, float]:
+        """Append a ramp to the rate ``to`` and constant rate after it; return instant, angle and rate at the end of the
+        ramp.
+        """
         duration = abs(to - rate) / acceleration
         if duration > 0:
             segment = _Segment(t_s, angle, rate, math.copysign(acceleration, to - rate))
@@ -126,7 +132,7 @@ class AxisMotion:
         return t_s + duration, angle, to
 
     def _start(self, t_s: float) -> None:
-        """Forget what was to come, keep what has been."""
+        """Remove the segments after an instant, before a new motion begins."""
         self.revision += 1
         past = [s for s in self._segments if s.t_s <= t_s]
         self._segments = past[-self._keep :]

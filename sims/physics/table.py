@@ -16,7 +16,7 @@ SAFE_TORQUE_OFF = "safe torque off"  # of one by an open interlock
 
 @dataclass(frozen=True, slots=True)
 class AxisData:
-    """What the maker's plate says of an axis, and where it happens to stand at power-on."""
+    """The rated values of an axis, and its angle at power-on."""
 
     max_rate_rps: float
     max_acceleration_rps2: float
@@ -25,9 +25,9 @@ class AxisData:
 
 
 class TableModel:
-    """Axes x, y, z as far as the table has them; angles are true angles from the mechanical home position.
+    """The axes x, y, z that the table has; angles are true angles from the mechanical home position.
 
-    With ``faults`` an axis moves as its encoder sees it, and only ``angles`` are true.
+    With ``faults`` an axis moves by what its encoder indicates; then only ``angles`` are true.
     """
 
     def __init__(
@@ -37,7 +37,9 @@ class TableModel:
         faults: TableFaults | None = None,
         started_s: float = 0.0,
     ) -> None:
-        """Start at rest, each axis where it stands; ``clock`` gives seconds, ``started_s`` is the bench clock at 0."""
+        """Start at rest, each axis at its start angle; ``clock`` gives seconds, ``started_s`` is the bench clock
+        at 0.
+        """
         faults = faults or TableFaults()
         self.clock = clock
         self.data = dict(axes)
@@ -59,21 +61,24 @@ class TableModel:
         return self._true[axis](t_s) if axis in self._true else np.zeros(len(t_s))
 
     def revision(self) -> int:
-        """Return a number that changes whenever an axis has been told something."""
+        """Return a number that changes with every command to an axis."""
         return sum(motion.revision for motion in self.motion.values())
 
     def encoder_turns(self, axis: str) -> float:
-        """Return what the encoder reads now, a whole number of counts, in turns."""
+        """Return the current encoder reading, a whole number of counts, in turns."""
         counts = self.data[axis].counts_per_turn
         angle = self.read[axis](self.clock())[0] - self._zero[axis]
         return math.floor(angle / (2 * math.pi) * counts + 0.5) / counts
 
     def read_rate_rps(self, axis: str) -> float:
-        """Return what the drive of an axis says of its rate now."""
+        """Return the rate that an axis's drive reports now."""
         return self.read[axis](self.clock())[1]
 
     def freeze_readings(self, axis: str, *, angle: bool = True, rate: bool = True, zero: bool = False) -> None:
-        """Have an axis read from now on as it reads now, or as at home and at rest; it moves on unaffected."""
+        """Freeze the readings of an axis, its angle, its rate or both; the axis itself moves on.
+
+        They stay at the present values, or with ``zero`` at those of home and standstill.
+        """
         read, home_rad = self.read[axis], self._zero[axis]
         held_rad, held_rps = (home_rad, 0.0) if zero else read(self.clock())
 
@@ -112,7 +117,7 @@ class TableModel:
         self.motion[axis].stop(self.clock(), self.data[axis].max_acceleration_rps2)
 
     def trip(self, axis: str, reason: str) -> None:
-        """Pull the fault input of an axis: it brakes by itself and its drive goes to fault."""
+        """Set the fault input of an axis: it brakes by itself and its drive goes to fault."""
         self.tripped[axis] = reason
         self.stop(axis)
 

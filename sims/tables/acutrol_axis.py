@@ -10,18 +10,18 @@ LIMITED_MODES = ("rate", "position", "synthesis")
 
 
 class AclError(Exception):
-    """What the controller says when it does not do what it is told."""
+    """A refusal; its text is the controller's answer."""
 
 
 class AcutrolAxisTwin:
     """One axis; values are in deg, deg/s, deg/s2."""
 
     def __init__(self, table: TableModel, axis: str, wrapped: bool) -> None:
-        """Start off, with the interlock open."""
+        """Start in mode off, with the interlock open; ``wrapped`` angles are reported within 0 to 360 deg."""
         self._table, self._axis, self._wrapped = table, axis, wrapped
         data = table.data[axis]
         self.most = {"rate": math.degrees(data.max_rate_rps), "acceleration": math.degrees(data.max_acceleration_rps2)}
-        self.limits = {(what, mode): self.most[what] for what in self.most for mode in LIMITED_MODES}
+        self.limits = {(quantity, mode): self.most[quantity] for quantity in self.most for mode in LIMITED_MODES}
         self.mode = "off"
         self.powered = False
         """Whether the interlock is closed."""
@@ -37,7 +37,10 @@ class AcutrolAxisTwin:
             self._brake()
 
     def interlock(self, word: str) -> None:
-        """Open, close or reset the interlock."""
+        """Open or reset the interlock, or close it for any other word; AclError on closing in fault.
+
+        Opening switches the axis off; a reset leaves the fault if the table's interlock is open.
+        """
         if word == "open":
             self.power_down()
         elif word == "reset":
@@ -49,7 +52,10 @@ class AcutrolAxisTwin:
             self.powered = True
 
     def enter(self, mode: str) -> None:
-        """Change the mode; position mode holds where the axis stands."""
+        """Change the mode; AclError for any but "off" with an open interlock.
+
+        Rate mode follows the rate demand. Any other mode brakes, and takes the present angle as position demand.
+        """
         if mode != "off" and not self.powered:
             raise AclError("Interlock not closed")
         self.mode = mode
@@ -60,7 +66,10 @@ class AcutrolAxisTwin:
             self._position_demand = self.angle_deg()
 
     def demand(self, what: str, value: float) -> None:
-        """Take a demand; it acts in its own mode."""
+        """Accept a demand for rate, acceleration, delta or position; AclError beyond limits or outside position mode.
+
+        A rate acts at once in rate mode and is stored otherwise; delta and position start a move.
+        """
         if what == "rate":
             if abs(value) > self.limits["rate", "rate"] * 1.001:
                 raise AclError("Demand exceeds limit")
@@ -86,13 +95,13 @@ class AcutrolAxisTwin:
         self.limits[what, mode] = value
 
     def angle_deg(self) -> float:
-        """Return what the encoder says of the angle, which is absolute."""
+        """Return the angle of the absolute encoder."""
         counts = self._table.data[self._axis].counts_per_turn
         angle = self._table.read[self._axis](self._table.clock())[0]
         return math.floor(angle / TURN * counts + 0.5) / counts * 360.0
 
     def read(self, what: str) -> float:
-        """Return a measured value."""
+        """Return the measured position or rate, or for any other word the acceleration."""
         if what == "position":
             return self.angle_deg() % 360.0 if self._wrapped else self.angle_deg()
         if what == "rate":
@@ -111,6 +120,7 @@ class AcutrolAxisTwin:
         )
 
     def _go(self, angle_deg: float) -> None:
+        """Set the position demand and start the move there, with the limits of position mode."""
         self._position_demand = angle_deg
         self._table.motion[self._axis].move(
             self._table.clock(),

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 
 from drivers.packaged import packaged_toml
 from sims.tables.acutrol_axis import LIMITED_MODES, AclError, AcutrolAxisTwin
-from sims.wires.line_controller import LineController, Seat, number
+from sims.wires.line_controller import LineController, TableTwinSetup, number
 
 _VTRIP = 1.1
 _JERK_DPS3 = 100_000.0
@@ -19,29 +19,35 @@ _WORDS: dict[str, list[str]] = packaged_toml("sims", "codes.toml")["acutrol"]
 
 
 class AcutrolController(LineController):
-    """A line ends with LF; an empty one is none."""
+    """A controller of the Acutrol language; a line ends with LF, and empty lines are ignored."""
 
     ends, skipped, longest = b"\n", b"", 256
 
     def __init__(
         self,
-        seat: Seat,
+        setup: TableTwinSetup,
         write: Callable[[bytes], None],
         *,
         wrapped: bool = True,
         identity: str = "Acutronic,ACUTROL3000,{serial},2.4",
     ) -> None:
-        """Axes have numbers as addresses; ``reply_prefix`` of the options is the length of what is before an answer."""
-        super().__init__(seat, write)
-        self._prefix_length = seat.options["reply_prefix"]
-        self._identity = identity.format(serial=3117 + seat.number)
-        self._axes = {number: AcutrolAxisTwin(seat.table, axis, wrapped) for axis, number in seat.addresses.items()}
+        """Prepare for axes with numbers as addresses; the option ``reply_prefix`` is the length of the prefix of
+        answers.
+        """
+        super().__init__(setup, write)
+        self._prefix_length = setup.options["reply_prefix"]
+        self._identity = identity.format(serial=3117 + setup.number)
+        self._axes = {number: AcutrolAxisTwin(setup.table, axis, wrapped) for axis, number in setup.addresses.items()}
         self._answers = 0
 
     def _is_powered(self) -> bool:
         return any(axis.powered for axis in self._axes.values())
 
     def _take(self, line: bytes) -> None:
+        """Carry out a line and send its answer, or the text of an AclError, with the running number as prefix.
+
+        An empty line has no answer. The axes are brought up to date first.
+        """
         if not line.strip():
             return
         for axis in self._axes.values():
@@ -55,6 +61,9 @@ class AcutrolController(LineController):
         self._write(f"{prefix if self._prefix_length else ''}{text}\r\n".encode("ascii", "replace"))
 
     def _carry_out(self, line: str) -> str:
+        """Carry out the commands of a line, separated by ";", and return the values joined, or OK; AclError if one
+        fails.
+        """
         if line == "*idn?":
             return self._identity
         if line == "*stb?":
@@ -71,6 +80,7 @@ class AcutrolController(LineController):
         return ";".join(values) or "OK"
 
     def _part(self, subsystem: str, word: str, query: bool, arguments: str) -> str:
+        """Carry out one command or query of a subsystem and return its answer; AclError if it is wrong."""
         given = [argument.strip() for argument in arguments.split(",")]
         if subsystem == "utility":
             return "OK"
@@ -98,6 +108,7 @@ class AcutrolController(LineController):
         return "OK"
 
     def _limit(self, what: str, query: bool, given: list[str]) -> str:
+        """Set or query a limit; "absolute" is the query of all limits of an axis. AclError for wrong arguments."""
         if what == "absolute":
             most = self._axis(given[0]).most
             values = (most["rate"], most["acceleration"], _JERK_DPS3, -1e6, 1e6, most["rate"] * _VTRIP)
@@ -123,7 +134,7 @@ class AcutrolController(LineController):
 
 
 def _full(word: str, words: Iterable[str]) -> str:
-    """Return the word that a short form means: the first that begins with it."""
+    """Return the first word that begins with a short form; AclError if there is none."""
     for full in words:
         if word and full.startswith(word):
             return full

@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Callable
 
-from sims.wires.line_controller import LineController, Seat
+from sims.wires.line_controller import LineController, TableTwinSetup
 
 STA_MOVING, STA_FAULT, STA_SERVO_OFF, STA_FORWARD_LIMIT, STA_REVERSE_LIMIT = 1, 2, 4, 8, 16
 
@@ -15,12 +15,12 @@ _COMMAND = re.compile(r"([A-Z]{3})([-+]?\d+(?:\.\d*)?)?")
 
 
 class AerosmithController(LineController):
-    """One axis; a line ends with CR."""
+    """A controller of one axis; a line ends with CR."""
 
-    def __init__(self, seat: Seat, write: Callable[[bytes], None]) -> None:
+    def __init__(self, setup: TableTwinSetup, write: Callable[[bytes], None]) -> None:
         """Start with the servo off."""
-        super().__init__(seat, write)
-        self._table, (self._axis,) = seat.table, seat.addresses
+        super().__init__(setup, write)
+        self._table, (self._axis,) = setup.table, setup.addresses
         self._servo_on = False
         self._faulty = False
         self._held_prompt = False
@@ -33,6 +33,10 @@ class AerosmithController(LineController):
         return self._servo_on
 
     def _take(self, line: bytes) -> None:
+        """Carry out a line and send its answer and the prompt; a jog's prompt is held back until the next line.
+
+        Unknown lines are answered with "?".
+        """
         self._update()
         if self._held_prompt:
             self._held_prompt = False
@@ -45,7 +49,7 @@ class AerosmithController(LineController):
             self._write(f"{text}\r\n>".encode() if text else b">")
 
     def _carry_out(self, word: str, value: float) -> str | None:
-        """Return the answer; None if its prompt is held back."""
+        """Carry out a command and return the answer, "?" for a refusal; None if its prompt is held back."""
         if word == "PPO":
             return f"{self._table.encoder_turns(self._axis) * 360.0:.4f}"
         if word == "PVE":
@@ -68,6 +72,7 @@ class AerosmithController(LineController):
         return ""
 
     def _set(self, word: str, value: float) -> str:
+        """Set velocity or acceleration; return "?" if it is not within the rated values, else ""."""
         if not 0.0 < value <= (self._most_dps if word == "VEL" else self._most_dps2) * 1.001:
             return "?"
         if word == "VEL":
@@ -77,6 +82,11 @@ class AerosmithController(LineController):
         return ""
 
     def _move(self, word: str, value: float) -> str | None:
+        """Start a jog, move or homing; return "?" if refused, None for a jog (its prompt is held back), else "".
+
+        Refused with the servo off, for a jog that is too fast or no whole number of deg/s, or towards a pressed limit
+        switch.
+        """
         if not self._servo_on or (word == "JOG" and (abs(value) > self._most_dps * 1.001 or value % 1.0)):
             return "?"
         motion, now = self._table.motion[self._axis], self._table.clock()
@@ -96,6 +106,7 @@ class AerosmithController(LineController):
         return ""
 
     def _switch(self, on: bool) -> None:
+        """Switch the servo on, which clears faults, or brake and switch it off."""
         if on:
             self._table.tripped.pop(self._axis, None)
             self._faulty = False
@@ -112,6 +123,7 @@ class AerosmithController(LineController):
             self._table.zero_encoder(self._axis)
 
     def _status(self) -> int:
+        """Return the status word STA: moving, fault, servo off, limit switches."""
         pressed = self._table.pressed.get(self._axis, 0)
         return (
             STA_MOVING * (self._table.rate_rps(self._axis) != 0.0)

@@ -16,11 +16,11 @@ _READ_ONLY = ("statusword", "position", "rate", "error_code", "serial_number", "
 
 
 class Drive:
-    """One drive. Values are in turns, turns/s and turns/s2, as its registers carry them.
+    """One drive. Values are in turns, turns/s and turns/s2, as in its registers.
 
-    What the profile has, it does: with a register ``access`` it takes nothing from a master that has not written 1
-    there; with ``node_guard`` it trips after so many milliseconds of silence (0: never). Other registers that it
-    does not know keep what is written to them.
+    It behaves as its profile says: with a register ``access`` it accepts nothing from a master that has not written 1
+    there; with ``node_guard`` it trips after so many milliseconds of silence (0: never). Unknown registers store what
+    is written to them.
     """
 
     def __init__(
@@ -28,9 +28,9 @@ class Drive:
     ) -> None:
         """Start in Switch-on disabled; ``watchdog_s`` of silence stops the axis (0: never).
 
-        The controlword is sampled once per ``cycle_s``, counted from zero of the table's clock: status and motion
-        follow at the next sample, and of several controlwords within one cycle only the last has an effect.
-        With 0 a controlword acts at once.
+        The controlword is sampled once per ``cycle_s``, counted from the zero of the table's clock: status and motion
+        follow at the next sample, and only the last of several controlwords within a cycle acts. With 0 it acts at
+        once.
         """
         self._table, self._axis = table, axis
         self._errors, self._interlock = profile.errors, profile.interlock
@@ -48,13 +48,13 @@ class Drive:
         self.values |= {"mode": cia402.MODE_PROFILE_VELOCITY, "serial_number": 1.0, "firmware": 1.0}
 
     def heard(self) -> None:
-        """Note that the master has said something."""
+        """Note that the master has sent something."""
         self._watchdog.heard(self._state is DriveState.OPERATION_ENABLED)
 
     def read(self, register: str) -> float:
-        """Return what a register says now."""
+        """Return the present value of a register."""
         self._update()
-        told: dict[str, Callable[[], float]] = {
+        readers: dict[str, Callable[[], float]] = {
             "statusword": self._statusword,
             "controlword": lambda: self._controlword if self._written is None else self._written,
             "position": lambda: self._table.encoder_turns(self._axis),
@@ -62,10 +62,13 @@ class Drive:
             "error_code": self._error_code,
             self._interlock[0]: lambda: 0 if self._table.interlock_open else self._interlock[1],
         }
-        return told[register]() if register in told else self.values[register]
+        return readers[register]() if register in readers else self.values[register]
 
     def write(self, register: str, value: float) -> None:
-        """Take a value; a controlword acts when the drive samples it."""
+        """Write a register; a controlword acts when the drive samples it, a target rate at once in velocity mode.
+
+        Registers that the profile does not have are ignored.
+        """
         self._update()
         if register == "controlword":
             self._take_controlword(int(value))
@@ -81,7 +84,7 @@ class Drive:
         return register == "access" or self.values.get("access", 1.0) == 1.0
 
     def accepts(self, register: str, value: float) -> bool:
-        """Return whether a value is within what the drive takes."""
+        """Return whether the drive accepts a value for a register."""
         if register == "mode":
             return value in (cia402.MODE_PROFILE_POSITION, cia402.MODE_PROFILE_VELOCITY, cia402.MODE_HOMING)
         if register in ("target_rate", "profile_rate"):
@@ -89,6 +92,7 @@ class Drive:
         return register not in _READ_ONLY
 
     def _take_controlword(self, word: int) -> None:
+        """Store a controlword for the next sample, which is scheduled if none is; without a cycle it acts at once."""
         if not self._cycle_s:
             self._control(word)
             return
@@ -106,6 +110,10 @@ class Drive:
             self._control(word)
 
     def _control(self, word: int) -> None:
+        """Act on a controlword: reset a fault on the rise of bit 7, else change state, then operate if enabled.
+
+        A drive in fault ignores everything but the reset.
+        """
         before, self._controlword = self._controlword, word
         rising = word & ~before
         if rising & 0x80 and self._state is DriveState.FAULT and not self._table.interlock_open:
@@ -119,7 +127,7 @@ class Drive:
             self._operate(word, rising, (word ^ before) & _HALT)
 
     def _walk(self, word: int) -> None:
-        """Carry out the device-control bits 0 to 3 (CiA 402 transitions 2 to 12 and 16)."""
+        """Change state by the bits 0 to 3 of the controlword (CiA 402 transitions 2 to 12 and 16)."""
         state = self._state
         if not word & 0x02:  # disable voltage
             self._release(DriveState.SWITCH_ON_DISABLED)
@@ -149,6 +157,7 @@ class Drive:
         self.heard()
 
     def _operate(self, word: int, rising: int, halt_changed: int) -> None:
+        """Start or change the motion of the present mode: follow the rate, start homing, or start or halt a move."""
         mode = self.values["mode"]
         if mode == cia402.MODE_PROFILE_VELOCITY:
             self._follow_rate()
@@ -193,7 +202,7 @@ class Drive:
         self._homing = False
 
     def _update(self) -> None:
-        """Let what has happened since the last look take effect."""
+        """Apply events since the last call: a trip, the end of a fault reaction, the end of homing."""
         motion = self._table.motion[self._axis]
         settled = motion.settled(self._table.clock())
         if self._axis in self._table.tripped:
@@ -204,6 +213,7 @@ class Drive:
             self._table.zero_encoder(self._axis)
 
     def _statusword(self) -> int:
+        """Return the statusword: state, target reached, limit, and bits 12 and 13 by the mode."""
         word = self._state.value[1] | cia402.VOLTAGE_ENABLED
         mode = self.values["mode"]
         tripped = self._table.tripped.get(self._axis, "")
@@ -222,7 +232,7 @@ class Drive:
         return word
 
     def _error_code(self) -> int:
-        """Return the code of the trip: of the first error that is named like it, else the first of all."""
+        """Return the code of the trip: of the first error whose name begins with its reason, else the first of all."""
         reason = self._table.tripped.get(self._axis)
         if reason is None:
             return 0
@@ -230,11 +240,14 @@ class Drive:
         return next(iter([*named, *self._errors]), 0)
 
     def _silence_s(self) -> float:
-        """Return how long the master may be silent, 0 for ever: the drive's own guard, or the bench's watchdog."""
+        """Return how long the master may be silent, 0 for no limit: the drive's own guard, or the bench's watchdog."""
         limits = [limit for limit in (self.values.get("node_guard", 0.0) / 1000, self._watchdog_s) if limit]
         return min(limits, default=0.0)
 
     def _master_is_silent(self) -> None:
+        """Stop the axis after the master's silence, if it is enabled: power off for the watchdog, a trip for node
+        guarding.
+        """
         if self._state is not DriveState.OPERATION_ENABLED:
             return
         if self._silence_s() == self._watchdog_s:

@@ -13,7 +13,7 @@ _SETTINGS: dict[str, tuple[float, float, float]] = packaged_toml("sims", "codes.
 
 
 class GalilAxisTwin:
-    """Values are in counts, counts/s and counts/s2, as the language has them."""
+    """One axis. Values are in counts, counts/s and counts/s2, as in the language."""
 
     def __init__(self, table: TableModel, axis: str, velocity_window_s: float) -> None:
         """Start with the motor off, at rest."""
@@ -21,7 +21,7 @@ class GalilAxisTwin:
         self._per_turn = table.data[axis].counts_per_turn
         self._offset = 0
         self._mode = "PA"
-        self._stood = 0  # where the last motion stopped, which PA tells
+        self._stood = 0  # where the last motion stopped, which PA reports
         self._way = 0  # direction of the motion under way
         self._end = galil.AT_TARGET  # stop code when the motion under way has ended
         self._stop_code = galil.AT_TARGET
@@ -30,7 +30,9 @@ class GalilAxisTwin:
         self._settings = {word: delivered for word, (delivered, _, _) in _SETTINGS.items()}
 
     def update(self) -> None:
-        """Let what has happened since the last look take effect."""
+        """Apply events since the last call: limit switches, trips, which switch the motor off, and the end of a
+        motion.
+        """
         motion, now = self._table.motion[self._axis], self._table.clock()
         pressed = self._table.pressed.get(self._axis, 0)
         reason = self._table.tripped.get(self._axis)
@@ -49,7 +51,7 @@ class GalilAxisTwin:
             self._moving, self._stop_code = False, self._end
 
     def get(self, word: str) -> float:
-        """Return a value by the command that tells it."""
+        """Return the value that a command or operand reports; Refused for an unknown one."""
         if word in ("TP", "DP"):
             return self._position()
         if word == "TV":
@@ -75,7 +77,10 @@ class GalilAxisTwin:
         return self._settings[word]
 
     def set(self, word: str, value: float) -> None:
-        """Take a value; a jog under way follows at once."""
+        """Set a value, rounded as the controller does; a jog in progress follows at once.
+
+        Refused if it is out of range or not allowed during a motion. DP defines the position.
+        """
         if word in ("PA", "PR", "DP") and self._moving:
             raise Refused(galil.NOT_WHILE_RUNNING)
         if word == "JG" and self._moving and self._mode != "JG":
@@ -100,7 +105,10 @@ class GalilAxisTwin:
             self._jog()
 
     def act(self, word: str) -> None:
-        """Carry out SH, MO, ST, HM or FI."""
+        """Carry out ST, MO or SH, or store HM or FI for the next BG; Refused during a motion, except ST.
+
+        SH does nothing while the axis turns or the interlock is open.
+        """
         if word == "ST":
             if self._moving:
                 self._end = galil.STOPPED
@@ -118,7 +126,7 @@ class GalilAxisTwin:
             self._mode = word
 
     def check_begin(self) -> None:
-        """Refuse to begin what cannot be begun."""
+        """Raise Refused if a motion cannot begin: motor off, moving already, or on a limit switch in that direction."""
         if self.motor_off:
             raise Refused(galil.MOTOR_OFF)
         if self._moving:
@@ -128,7 +136,7 @@ class GalilAxisTwin:
             raise Refused(galil.ON_LIMIT)
 
     def begin(self) -> None:
-        """Start the motion that was set up."""
+        """Start the motion that was set up: jog, homing, index search, or a move limited by the soft limits."""
         self._stood = self._position()
         self._way, self._moving, self._stop_code, self._end = self._direction(), True, 0, galil.AT_TARGET
         acceleration = self._to_rad(self._settings["AC"])
@@ -148,7 +156,7 @@ class GalilAxisTwin:
             self._go(self._within_soft_limits(target), self._settings["SP"])
 
     def abort(self) -> None:
-        """Stop without a ramp; the motor goes off where off-on-error is set."""
+        """Stop without a ramp; the motor goes off if off-on-error is set."""
         if self._moving:
             self._moving, self._stop_code = False, galil.ABORTED
         self._table.stop(self._axis)
@@ -162,7 +170,7 @@ class GalilAxisTwin:
         self.motor_off = True
 
     def _jog(self) -> None:
-        """Turn at the rate of JG, as far as a soft limit lets it."""
+        """Turn at the rate of JG, up to the soft limit if one is set."""
         rate = self._settings["JG"]
         self._way = int(math.copysign(1, rate)) if rate else 0
         limit = self._settings["FL"] if rate > 0 else self._settings["BL"]
@@ -174,6 +182,9 @@ class GalilAxisTwin:
             motion.jog(self._table.clock(), self._to_rad(rate), self._to_rad(self._settings["AC"]))
 
     def _within_soft_limits(self, target: float) -> float:
+        """Return ``target`` limited to the soft limits; a limited one changes the stop code to be reported at the
+        end.
+        """
         if target > self._settings["FL"]:
             self._end = galil.FORWARD_LIMIT
             return self._settings["FL"]
@@ -190,6 +201,7 @@ class GalilAxisTwin:
         self._table.motion[self._axis].stop(self._table.clock(), deceleration_rps2)
 
     def _direction(self) -> int:
+        """Return the direction of the motion that is set up: 1, -1, or 0 if there is nothing to go."""
         if self._mode == "PA":
             way = self._settings["PA"] - self._position()
         elif self._mode == "HM":

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from drivers.packaged import packaged_codes, packaged_toml
 from drivers.tables.galil.language import LONGEST_LINE, UNRECOGNIZED
 from sims.tables.galil_axis import GalilAxisTwin
-from sims.wires.line_controller import LineController, Refused, Seat, number
+from sims.wires.line_controller import LineController, Refused, TableTwinSetup, number
 
 _LETTERS = "ABCDEFGH"
 _SYNONYMS = str.maketrans("XYZW", "ABCD")
@@ -26,31 +26,33 @@ _IN_VOLTS = ("TT", "TL")
 
 
 class GalilController(LineController):
-    """A carriage return or a semicolon ends a command."""
+    """A controller of the Galil language; a carriage return or a semicolon ends a command."""
 
     ends, longest = b"\r;", LONGEST_LINE
 
     def __init__(
         self,
-        seat: Seat,
+        setup: TableTwinSetup,
         write: Callable[[bytes], None],
         *,
         echo: bool = False,
         revision: str = "DMC4030 Rev 1.2c",
         serial: int = 9046,
     ) -> None:
-        """Axes have letters as addresses; velocities are means of the option ``velocity_window`` (s)."""
-        super().__init__(seat, write)
-        by_letter = sorted(seat.addresses.items(), key=lambda a: str(a[1]))
-        self._table, window_s = seat.table, seat.options["velocity_window"]
-        self._axes = {letter: GalilAxisTwin(seat.table, axis, window_s) for axis, letter in by_letter}
-        self._echo, self._revision, self._serial = echo, revision, serial + seat.number
+        """Prepare for axes with letters as addresses; the option ``velocity_window`` (s) is the averaging time of
+        velocities.
+        """
+        super().__init__(setup, write)
+        by_letter = sorted(setup.addresses.items(), key=lambda a: str(a[1]))
+        self._table, window_s = setup.table, setup.options["velocity_window"]
+        self._axes = {letter: GalilAxisTwin(setup.table, axis, window_s) for axis, letter in by_letter}
+        self._echo, self._revision, self._serial = echo, revision, serial + setup.number
         self._error = 0
         self._leading_zeros = False
         self._own: dict[str, list[float]] = {word: list(values) for word, values in _KNOWN["setting"].items()}
 
     def received(self, data: bytes) -> None:
-        """Take bytes from the host, cut anywhere; with echo on each is said again before it is obeyed."""
+        """Take bytes from the host, divided anywhere; with echo, each byte is sent back before it is carried out."""
         for part in [bytes([byte]) for byte in data] if self._echo else [data]:
             if self._echo:
                 self._write(part.replace(b"\r", b"\r\n"))
@@ -60,6 +62,9 @@ class GalilController(LineController):
         return any(not axis.motor_off for axis in self._axes.values())
 
     def _take(self, line: bytes) -> None:
+        """Carry out a command and send its answer and ":"; "?" for a refusal, also of a long line, whose code TC then
+        reports.
+        """
         for axis in self._axes.values():
             axis.update()
         try:
@@ -73,6 +78,7 @@ class GalilController(LineController):
         self._write(f"{text}\r\n:".encode() if text else b":")
 
     def _command(self, command: str) -> str:
+        """Carry out a command and return its answer, empty if it has none; Refused if it fails."""
         if not command:
             return ""
         if command == _REVISION:
@@ -94,6 +100,7 @@ class GalilController(LineController):
         return self._act(word, operand)
 
     def _act(self, word: str, operand: str) -> str:
+        """Carry out a command that is neither a setting nor a value, and return its answer; Refused if unknown."""
         if word == "TC":
             code, self._error = self._error, 0
             return f" {code}" if operand in ("", "0") else f"{code} {_WORDS.get(code, '')}".rstrip()
@@ -121,7 +128,9 @@ class GalilController(LineController):
         return ""
 
     def _setting(self, word: str, operand: str) -> str:
-        """Set or tell values: ``JGA=1000``, ``JGA=?``, ``JG 1000,,500``, ``JG ?,?``."""
+        """Set or return values of axes: ``JGA=1000``, ``JGA=?``, ``JG 1000,,500``, ``JG ?,?``; Refused if one is
+        invalid.
+        """
         one = _ONE_AXIS.fullmatch(operand)
         if one:
             given = {self._axis(one[1]): one[2]}
@@ -137,7 +146,9 @@ class GalilController(LineController):
         return ""
 
     def _own_setting(self, word: str, operand: str) -> str:
-        """Set or tell what the controller has once, not for each axis."""
+        """Set or return a setting of the controller, as opposed to its axes; only values asked for with "?" are
+        returned.
+        """
         own, values = self._own[word], [value.strip() for value in operand.split(",")]
         if len(values) > len(own):
             raise Refused(4)
@@ -147,7 +158,9 @@ class GalilController(LineController):
         return ",".join(f"{own[i]: g}" for i, value in enumerate(values) if value == "?")
 
     def _message(self, operand: str) -> str:
-        """Tell texts in quotation marks, numbers, and what the controller knows (``_TPA``)."""
+        """Return texts in quotation marks, numbers, and operands (``_TPA``) as MG prints them; Refused if there are
+        none.
+        """
         parts = []
         decimals = round(self._own["VF"][0] % 1 * 10)
         own = {"_BN": self._serial, "_AB": int(not self._table.interlock_open)}

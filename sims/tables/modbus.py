@@ -21,7 +21,7 @@ from drivers.tables.modbus.order import READ, WRITE_MORE, WRITE_ONE
 from drivers.tables.modbus.registers import DriveProfile, Register
 from sims.tables.drive import Drive
 from sims.wires.faults import FaultyWay, WireFaults, damaged
-from sims.wires.line_controller import Refused, Seat
+from sims.wires.line_controller import Refused, TableTwinSetup
 from sims.wires.wires import ByteDevice, Write
 
 _BROADCAST = 0
@@ -34,17 +34,17 @@ NOBODY = [SimDevice(1, simdata=[SimData(0, datatype=DataType.REGISTERS)])]
 
 
 class FaultyModbus(FaultyWay[bytes]):
-    """What a wire does to requests and replies on it."""
+    """Faults of a wire, applied to Modbus requests and replies."""
 
     def __init__(self, faults: WireFaults, seed: int | tuple[int, ...]) -> None:
         """Must be made within a running loop."""
-        # A reply is late by what request and reply take: the stock server has no place for two requests at once.
+        # A reply is late by the delays of request and reply: the stock server cannot hold two requests at once.
         both = replace(faults, latency_s=2 * faults.latency_s, jitter_s=2 * faults.jitter_s)
         super().__init__(self._write, both, seed)
         self.server: ModbusTcpServer | None = None
 
     def trace(self, sending: bool, data: bytes) -> bytes:
-        """Return what comes through of a frame at once."""
+        """Return what arrives of a frame at once, possibly damaged; empty if it is lost, or a reply that is delayed."""
         if self.silent or self._random.random() < self._faults.loss:
             return b""
         data = damaged(data, self._faults, self._random)
@@ -62,12 +62,12 @@ class FaultyModbus(FaultyWay[bytes]):
 def pull_plug(server: ModbusTcpServer) -> None:
     """Close all connections of a server and have it listen no more, until ``listen`` is called at the same address."""
     for bound in getattr(server.transport, "sockets", ()):
-        server.init_setup_connect_listen(*bound.getsockname()[:2])  # also where any port was asked for
+        server.init_setup_connect_listen(*bound.getsockname()[:2])  # also if any port was requested
     server.close()
 
 
 class DriveRegisters:
-    """Translates Modbus requests into reads and writes of one drive."""
+    """Translates Modbus requests to reads and writes of one drive."""
 
     def __init__(self, drive: Drive, profile: DriveProfile, counts_per_turn: int) -> None:
         """``counts_per_turn`` scales the registers, as the profile says."""
@@ -76,17 +76,20 @@ class DriveRegisters:
         self._by_address: dict[int, Register] = {r.address: r for r in profile.registers.values()}
 
     def answer(self, pdu: bytes) -> bytes:
-        """Return the reply to a request, both from the function code on."""
+        """Return the reply to a request, an exception reply if it is refused; both start with the function code."""
         self._drive.heard()
         try:
             return pdu[:1] + self._carry_out(pdu[0], pdu[1:])
         except Refused as refusal:
             return _exception(pdu, refusal.code)
-        except ValueError:  # what the drive has to say fits no register
+        except ValueError:  # the drive's value fits no register
             return _exception(pdu, ExcCodes.DEVICE_FAILURE)
 
     def _carry_out(self, function: int, data: bytes) -> bytes:
-        """Check in the order of the specification: function code, quantity, address, value."""
+        """Return the data of the reply, after checking function code, quantity, address, value in the specified order.
+
+        Refused with the exception code if a check fails.
+        """
         if function == READ:
             address, count = _unpacked(">HH", data)
             if not 1 <= count <= _MOST_READ:
@@ -107,6 +110,7 @@ class DriveRegisters:
         return data[:4]
 
     def _write(self, address: int, words: Sequence[int]) -> None:
+        """Write words to the registers from ``address`` on; Refused for one that the drive does not accept."""
         for register in self._at(address, len(words)):
             value = register.decode(words[: register.words], self._counts)
             words = words[register.words :]
@@ -117,7 +121,7 @@ class DriveRegisters:
             self._drive.write(register.name, value)
 
     def _at(self, address: int, count: int) -> list[Register]:
-        """Return what lies at these addresses; a register that is not there, or only half of one, is refused."""
+        """Return the registers that exactly fill ``count`` addresses; Refused for a missing or divided one."""
         found: list[Register] = []
         while count:
             register = self._by_address.get(address)
@@ -129,15 +133,19 @@ class DriveRegisters:
 
 
 class ModbusTcp:
-    """Drives by unit id behind a gateway on TCP; what a unit that is not there is asked it refuses (exception 0Bh)."""
+    """Drives by unit id behind a TCP gateway; requests to a missing unit get exception 0Bh."""
 
     def __init__(self, drives: Mapping[int, DriveRegisters], write: Write) -> None:
-        """Begin with no request."""
+        """Begin without a request."""
         self._drives, self._write = drives, write
         self._buffer = b""
 
     def received(self, data: bytes) -> None:
-        """Answer each request in turn; ConnectionError when nobody can tell where the next one begins."""
+        """Answer each complete request in order; ConnectionError if a length is impossible, as the next start is then
+        unknown.
+
+        Frames of another protocol are discarded.
+        """
         self._buffer += data
         while len(self._buffer) >= _HEADER.size:
             number, protocol, length = _HEADER.unpack_from(self._buffer)
@@ -148,16 +156,16 @@ class ModbusTcp:
                 return
             unit, pdu, self._buffer = self._buffer[6], self._buffer[7:end], self._buffer[end:]
             if protocol:
-                continue  # discarded, says the implementation guide (4.4.2.1)
+                continue  # discarded according to the implementation guide (4.4.2.1)
             drive = self._drives.get(unit)
             reply = drive.answer(pdu) if drive else _exception(pdu, ExcCodes.GATEWAY_NO_RESPONSE)
             self._write(_HEADER.pack(number, 0, len(reply) + 1) + bytes([unit]) + reply)
 
 
 class ModbusRtu:
-    """Drives by unit id on a serial line; those that are not there are silent, a broadcast is answered by none.
+    """Drives by unit id on a serial line; missing units are silent, a broadcast is carried out without a reply.
 
-    A frame ends with 3.5 characters of silence; one that is whole by its length is answered at once.
+    A frame ends with 3.5 characters of silence, or at once if it is complete by its length.
     """
 
     def __init__(self, drives: Mapping[int, DriveRegisters], silence_s: float, write: Write) -> None:
@@ -168,7 +176,7 @@ class ModbusRtu:
         self._silence: asyncio.TimerHandle | None = None
 
     def received(self, data: bytes) -> None:
-        """Take bytes from the master."""
+        """Collect bytes from the master; serve a complete frame at once, anything else after the silence."""
         if self._silence is not None:
             self._silence.cancel()
         self._buffer = (self._buffer + data)[-_LONGEST_FRAME - 1 :]
@@ -180,6 +188,7 @@ class ModbusRtu:
             self._silence = self._loop.call_later(self._silence_s, self._serve)
 
     def _serve(self) -> None:
+        """Carry out the frame received and reply if it is addressed to a unit; damaged frames are dropped."""
         frame, self._buffer = self._buffer, b""
         if not _is_sound(frame):
             return
@@ -193,15 +202,15 @@ class ModbusRtu:
 
 
 class Connection(ServerRequestHandler):
-    """One master's connection to a stock server, whose transport it keeps."""
+    """One master's connection to a pymodbus server, which owns the transport."""
 
     def __init__(self, server: Any, make: Callable[[Write], ByteDevice]) -> None:
-        """Serve it by what ``make`` makes, given how to write."""
+        """Serve the connection by the device of ``make``, which gets the function to write with."""
         super().__init__(server, server.trace_packet, None, server.trace_connect)  # type: ignore[no-untyped-call]
         self._device = make(self._say)
 
     def data_received(self, data: bytes) -> None:
-        """Take bytes from the master; a device that cannot tell where the next request begins closes."""
+        """Take bytes from the master; close if the device cannot find the next request in them."""
         try:
             self._device.received(self.trace_packet(False, data))
         except ConnectionError:
@@ -212,20 +221,22 @@ class Connection(ServerRequestHandler):
             self.send(frame)
 
 
-def drives_by_unit(seat: Seat) -> dict[int, DriveRegisters]:
+def drives_by_unit(setup: TableTwinSetup) -> dict[int, DriveRegisters]:
     """Return a drive for each axis, by its unit id."""
-    table, profile = seat.table, seat.options["profile"]
+    table, profile = setup.table, setup.options["profile"]
     drives = {}
-    for axis, unit_id in seat.addresses.items():
-        drive = Drive(table, axis, profile, seat.watchdog_s, cycle_s=seat.cycle_s)
+    for axis, unit_id in setup.addresses.items():
+        drive = Drive(table, axis, profile, setup.watchdog_s, cycle_s=setup.cycle_s)
         drives[unit_id] = DriveRegisters(drive, profile, table.data[axis].counts_per_turn)
     return drives
 
 
-def modbus_server(seat: Seat, address: tuple[str, int], faults: FaultyModbus | None = None) -> ModbusTcpServer:
-    """Return a server, not yet listening, with one unit id an axis, at a host and port."""
+def modbus_server(
+    setup: TableTwinSetup, address: tuple[str, int], faults: FaultyModbus | None = None
+) -> ModbusTcpServer:
+    """Return a server, not yet listening, for the axes' unit ids at a host and port; ``faults`` affect its frames."""
     server = ModbusTcpServer(NOBODY, address=address, trace_packet=None if faults is None else faults.trace)
-    make = partial(ModbusTcp, drives_by_unit(seat))
+    make = partial(ModbusTcp, drives_by_unit(setup))
     server.callback_new_connection = partial(Connection, server, make)  # type: ignore[method-assign]
     if faults is not None:
         faults.server = server

@@ -11,12 +11,12 @@ _BURST_S = 0.01
 
 
 def burst_of(rate_hz: float) -> int:
-    """Return how many samples go together: those of 10 ms of the wall's clock, whatever the loop's runs at."""
+    """Return the number of samples sent together: those of 10 ms of real time, whatever the loop's clock."""
     return max(round(rate_hz * _BURST_S * loop_scale(asyncio.get_running_loop())), 1)
 
 
 def copies_sent(random: np.random.Generator, count: int, dropped: float, doubled: float) -> Ints:
-    """Return how often each of so many samples is sent, where these shares of them are dropped and doubled."""
+    """Return how often each of ``count`` samples is sent, given the shares that are dropped and doubled."""
     if not dropped and not doubled:
         return np.ones(count, dtype=np.int64)
     none, twice = random.random(count) < dropped, random.random(count) < doubled

@@ -1,4 +1,4 @@
-"""What can go wrong with a twin and its wire: knobs, the same every time for one seed.
+"""Faults of a twin and its wire as settings, the same every time for one seed.
 
 A bench file turns them in [twin.fault] for the table and [twin.NAME.fault] for a device; times count from the start of
 the twins, on the loop's clock. Faults of a wire sit between device and wire, so one serves every wire.
@@ -49,17 +49,16 @@ _RUNAWAY_RPS = math.radians(20.0)
 
 @dataclass(frozen=True, slots=True)
 class WireFaults:
-    """What a wire does to what goes over it, both ways.
+    """Faults of a wire, in both directions.
 
-    Everything comes ``latency_s`` late and ``jitter_s`` more on the average (exponentially scattered), in its order;
-    of what the device sends the share ``late`` comes ``late_by_s`` later still.
-    ``loss`` and ``doubled`` are shares of what is sent at once, or of frames; ``byte_loss`` and ``bit_flips`` shares
-    of bytes. With ``one_byte`` bytes come one at a time. Nothing comes through from ``silent_from_s`` to
-    ``silent_until_s``; the plug is pulled at ``unplug_s`` and put back at ``replug_s``. From ``another_s`` on another
-    device of the same kind is at the far end, just switched on.
+    Everything is delayed by ``latency_s`` and on average ``jitter_s`` more (exponential), in order; of the bytes or
+    frames from the device the share ``late`` is delayed by a further ``late_by_s``. ``loss`` and ``doubled`` are shares
+    of writes or frames; ``byte_loss`` and ``bit_flips`` shares of bytes. With ``one_byte`` bytes come singly. Nothing
+    comes through from ``silent_from_s`` to ``silent_until_s``; the plug is out from ``unplug_s`` to ``replug_s``. From
+    ``another_s`` on, another device of the same kind, just switched on, is at the far end.
 
-    Of what the device sends the share ``swapped`` changes places with what follows; from ``repeats_s`` on the same
-    comes for ever; the second from ``backwards_s`` on is that of before, the newest first.
+    Of what the device sends the share ``swapped`` changes places with the next item; from ``repeats_s`` on the same
+    item is repeated for ever; from ``backwards_s`` on the last second of traffic is replayed in reverse.
     """
 
     latency_s: float = field(default=0.0, metadata=given("s", least=0))
@@ -81,17 +80,17 @@ class WireFaults:
     backwards_s: float = field(default=math.inf, metadata=given("s", least=0))
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
+        """Raise HiddenError for impossible values."""
         check(self)
 
     @property
     def to_device(self) -> Self:
-        """Those that also act on what the host sends."""
+        """The faults that also act on what the host sends."""
         return replace(self, late=0.0, swapped=0.0, repeats_s=math.inf, backwards_s=math.inf)
 
     @property
     def any(self) -> bool:
-        """Whether anything is wrong at all."""
+        """Whether there is any fault."""
         return self != WireFaults()
 
     @property
@@ -102,12 +101,12 @@ class WireFaults:
 
 @dataclass(frozen=True, slots=True)
 class DeviceFaults:
-    """What is wrong with a device under test.
+    """Faults of a device under test.
 
-    Gyro ``stuck`` (from 1; 0 is none) keeps its output and gyro ``saturated`` shows the end of its range, from
-    ``from_s`` to ``until_s``. ``dropped`` and ``doubled`` are shares of samples, ``huge`` of those with impossible
-    rates, where its language has numbers for such; ``clock`` is how much too fast its clock runs. With
-    ``no_temperature`` its temperature is no number.
+    From ``from_s`` to ``until_s`` gyro ``stuck`` (counted from 1; 0 is none) freezes and gyro ``saturated`` shows the
+    end of its range. ``dropped`` and ``doubled`` are shares of samples, ``huge`` that of samples with impossible rates,
+    where the protocol can express them; ``clock`` is the share by which its clock is too fast. With ``no_temperature``
+    its temperature is not a number.
     """
 
     stuck: int = field(default=0, metadata=WHOLE)
@@ -121,7 +120,7 @@ class DeviceFaults:
     clock: float = field(default=0.0, metadata=given("ppm"))
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
+        """Raise HiddenError for impossible values."""
         check(self)
         if min(self.stuck, self.saturated) < 0:
             raise HiddenError("stuck, saturated: gyros are counted from 1")
@@ -134,9 +133,10 @@ class DeviceFaults:
 
 @dataclass(frozen=True, slots=True)
 class TableFault:
-    """A fault at an instant: of an axis its input, limit switch, servo that trips or turns it; of all the interlock.
+    """A fault at one instant: the input, limit switch or servo of an axis, the interlock of all axes, or frozen
+    readings.
 
-    Or readings of an axis that do not change any more, or are zero, while it moves on.
+    Frozen readings do not change any more, or are zero, while the axis moves on.
     """
 
     axis: str = field(metadata=choice(("x", "y", "z")))
@@ -144,7 +144,7 @@ class TableFault:
     kind: str = field(default="fault", metadata=choice(_KINDS))
 
     def strike(self, table: TableModel, *, limits_trip: bool) -> None:
-        """Let it happen; ``limits_trip`` is of drives that know a limit switch only as a reason to trip."""
+        """Apply the fault; ``limits_trip``: the drives treat a limit switch as a reason to trip."""
         if self.kind == "runaway":
             table.motion[self.axis].jog(table.clock(), _RUNAWAY_RPS, table.data[self.axis].max_acceleration_rps2)
         elif self.kind == "interlock":
@@ -158,7 +158,9 @@ class TableFault:
 
 
 def device_faults(table: Mapping[str, object], gyros: int, where: str) -> tuple[DeviceFaults, WireFaults]:
-    """Return what [twin.NAME.fault] says of a device of so many gyros and of its wire; HiddenError if it cannot be."""
+    """Return the faults of a device with ``gyros`` gyros and of its wire, from [twin.NAME.fault]; HiddenError if
+    invalid.
+    """
     device, wire = _split(table, (DeviceFaults, WireFaults), where)
     found = _read(DeviceFaults, device, where)
     for key in ("stuck", "saturated"):
@@ -168,15 +170,17 @@ def device_faults(table: Mapping[str, object], gyros: int, where: str) -> tuple[
 
 
 def wire_faults(table: Mapping[str, object], where: str) -> WireFaults:
-    """Return what [twin.NAME.fault] says of the wire of a device of another kind; HiddenError if it cannot be."""
-    refuse_unknown(table, {key_of(what): what for what in fields(WireFaults)}, where)
+    """Return the wire faults in [twin.NAME.fault] for a device of another kind; HiddenError if invalid."""
+    refuse_unknown(table, {key_of(described): described for described in fields(WireFaults)}, where)
     return _read(WireFaults, table, where)
 
 
 def table_faults(
     table: Mapping[str, object], axes: Collection[str], where: str
 ) -> tuple[TableFault | None, WireFaults]:
-    """Return what [twin.fault] says of a table with these axes and of its wire; HiddenError if it cannot be."""
+    """Return the fault, if any, of a table with these axes, and those of its wire, from [twin.fault]; HiddenError if
+    invalid.
+    """
     fault, wire = _split(table, (TableFault, WireFaults), where)
     found = _read(TableFault, fault, where) if fault else None
     if found is not None and found.axis not in axes:
@@ -185,7 +189,7 @@ def table_faults(
 
 
 def damaged(data: bytes, faults: WireFaults, random: np.random.Generator) -> bytes:
-    """Return what a wire makes of bytes: some with a flipped bit, some lost."""
+    """Return ``data`` with some bits flipped and some bytes lost."""
     if not faults.byte_loss and not faults.bit_flips:
         return data
     octets = np.frombuffer(data, dtype=np.uint8).copy()
@@ -195,14 +199,14 @@ def damaged(data: bytes, faults: WireFaults, random: np.random.Generator) -> byt
 
 
 class FaultyWay(Generic[T]):
-    """One way of a wire: what is lost on it, comes twice, or comes late, in its order."""
+    """One direction of a wire: items are lost, doubled or delayed."""
 
     def __init__(
         self, hand_on: Callable[[T], None], faults: WireFaults, seed: Any, *, silent_unplugged: bool = False
     ) -> None:
-        """Hand what comes through to ``hand_on``; must be made within a running loop.
+        """Prepare to pass what arrives to ``hand_on``; needs a running loop.
 
-        Nothing comes through while it is silent, nor, ``silent_unplugged``, while the plug is out.
+        Nothing arrives while the wire is silent, nor, with ``silent_unplugged``, while the plug is out.
         """
         self._hand_on, self._faults = hand_on, faults
         self._random = np.random.default_rng(seed)
@@ -224,7 +228,11 @@ class FaultyWay(Generic[T]):
                 self._put(self._damaged(each))
 
     def _disordered(self, item: T) -> list[T]:
-        """Return what is sent in place of an item."""
+        """Return the items sent in place of ``item``: a repetition, one of the last second in reverse, or swapped
+        neighbours.
+
+        An item to be swapped is held back for the next call, so the list may be empty.
+        """
         faults, at_s = self._faults, asyncio.get_running_loop().time() - self._began_s
         if at_s >= faults.repeats_s:
             return [self._repeated.setdefault(self._kind(item), item)]
@@ -243,7 +251,7 @@ class FaultyWay(Generic[T]):
         return [item]
 
     def _kind(self, item: T) -> object:
-        """Return what messages have in common that stand for one another."""
+        """Return a key that messages share if one may stand for another; None for all."""
         return None
 
     @property
@@ -256,6 +264,7 @@ class FaultyWay(Generic[T]):
         return item
 
     def _put(self, item: T) -> None:
+        """Deliver an item, after its delay if the wire has one; items keep their order."""
         faults = self._faults
         if not faults.delays:
             self._deliver(item)
@@ -281,7 +290,7 @@ class FaultyWay(Generic[T]):
 
 
 class FaultyBytes(FaultyWay[bytes]):
-    """One way of a wire for bytes."""
+    """One direction of a wire for bytes."""
 
     def __call__(self, data: bytes) -> None:
         """Send bytes."""
@@ -298,10 +307,10 @@ class FaultyBytes(FaultyWay[bytes]):
 
 
 class FaultyFrames(FaultyWay[can.Message]):
-    """One way of a CAN bus to one node. A bus drops damaged frames by itself; a node that is unplugged is silent."""
+    """One direction of a CAN bus to one node. The bus drops damaged frames itself; an unplugged node is silent."""
 
     def __init__(self, sink: FrameSink | Callable[[can.Message], None], faults: WireFaults, seed: Any) -> None:
-        """Hand what comes through to ``sink``; must be made within a running loop."""
+        """Pass the frames that survive to ``sink``; must be created within a running loop."""
         super().__init__(sink if callable(sink) else sink.send, faults, seed, silent_unplugged=True)
 
     def send(self, msg: can.Message) -> None:
@@ -315,7 +324,10 @@ class FaultyFrames(FaultyWay[can.Message]):
 def faulty_device(
     make: Callable[[Write], ByteDevice], faults: WireFaults, seed: int | tuple[int, ...], plug: Plug
 ) -> Callable[[Write], ByteDevice]:
-    """Return ``make`` with the faults of a wire around its device; ``plug`` is that of the wire it is put on."""
+    """Return ``make`` with its device behind a wire with ``faults``, unchanged if there are none.
+
+    ``plug`` is the plug of the wire, whose unplugging is scheduled.
+    """
     if not faults.any:
         return make
     seeds = np.random.SeedSequence(seed).generate_state(2)
@@ -330,7 +342,7 @@ def faulty_device(
 
 
 class Exchanged:
-    """The device at the end of a wire, which may be exchanged for another."""
+    """The device at the end of a wire, which may be replaced by another."""
 
     def __init__(self, device: Any) -> None:
         """Put a device there; one that hears nothing is no harm."""
@@ -341,7 +353,7 @@ class Exchanged:
         getattr(self.device, "received", lambda data: None)(data)
 
     def hung_up(self) -> None:
-        """Tell it that its connection has ended."""
+        """Tell the device that its connection has ended, if it has a method for that."""
         getattr(self.device, "hung_up", lambda: None)()
 
 
@@ -350,15 +362,15 @@ def _share(random: np.random.Generator, share: float) -> bool:
 
 
 def _split(table: Mapping[str, object], kinds: tuple[type, type], where: str) -> tuple[dict[str, object], ...]:
-    """Return what of a table belongs to each kind, the first of which comes first."""
-    known = [{key_of(what): what for what in fields(kind)} for kind in kinds]
+    """Return the parts of a table that belong to each of two kinds; keys of both go to the first."""
+    known = [{key_of(described): described for described in fields(kind)} for kind in kinds]
     refuse_unknown(table, known[0] | known[1], where)
     first = {key: value for key, value in table.items() if key in known[0]}
     return first, {key: value for key, value in table.items() if key not in first}
 
 
 def _read(kind: type[T], table: Mapping[str, object], where: str) -> T:
-    """Return what a table says of a kind; errors begin with where it is."""
+    """Return an object of a kind from a table; errors begin with the place in the file."""
     try:
         return read(kind, table, where)
     except HiddenError as error:

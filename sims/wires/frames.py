@@ -1,4 +1,4 @@
-"""What twins of IMUs share: how they ride, what can be wrong with gyros and clocks; where frames go."""
+"""Common parts of IMU twins: their setup, faults of gyros and clocks, and where frames go."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -14,7 +14,7 @@ STANDARD_GRAVITY_MPS2 = 9.80665
 
 
 class FrameSink(Protocol):
-    """A bus as its nodes see it: a python-can bus, an slcan adapter, a socketcand server."""
+    """A bus as seen by its nodes: a python-can bus, an slcan adapter or a socketcand server."""
 
     def send(self, msg: can.Message) -> None:
         """Send a frame."""
@@ -22,11 +22,11 @@ class FrameSink(Protocol):
 
 @dataclass(slots=True)
 class NodeFaults:
-    """Knobs of a twin; they may be turned while it runs.
+    """Knobs of a twin, which may be turned while it runs.
 
-    ``dropped`` and ``doubled`` are the shares of samples that are left out and sent twice; ``stuck`` gyros keep
-    their last rate, ``saturated`` ones show the end of their range; ``silent`` sends nothing. ``huge`` is the share of
-    samples with impossible rates; ``clock_ppm`` is how much too fast the device's clock runs.
+    ``dropped`` and ``doubled`` are the shares of samples left out and sent twice; ``stuck`` gyros keep their last rate,
+    ``saturated`` ones show the end of their range; ``silent`` sends nothing. ``huge`` is the share of samples with
+    impossible rates; ``clock_ppm`` is by how much the device's clock is too fast.
     """
 
     dropped: float = 0.0
@@ -41,7 +41,7 @@ class NodeFaults:
     _last: Floats | None = None
 
     def times_to_send(self) -> int:
-        """Return how often the sample at hand goes out: 0, 1 or 2 times."""
+        """Return how often to send the present sample: 0, 1 or 2 times."""
         if self.silent:
             return 0
         if not self.dropped and not self.doubled:
@@ -52,14 +52,14 @@ class NodeFaults:
         return 0 if draw < self.dropped else 2 if draw < self.dropped + self.doubled else 1
 
     def spoilt(self, rates_rps: Floats, most_rps: float = 1e300) -> Floats:
-        """Return rates (n, m), some of them impossible: ``most_rps`` is what the wire has a number for."""
+        """Return rates (n, m), some of them impossible: ``most_rps`` is the largest number on the wire."""
         if not self.huge:
             return rates_rps
         self._random = self._random or np.random.default_rng(self.seed)
         return np.where(self._random.random((len(rates_rps), 1)) < self.huge, most_rps, rates_rps)
 
     def rates(self, rates_rps: Floats) -> Floats:
-        """Return what the gyros (m,) put out instead of these rates; infinite is the end of the range."""
+        """Return the rates (m,) with stuck and saturated gyros; infinite stands for the end of the range."""
         if not self.stuck and not self.saturated:
             self._last = rates_rps
             return rates_rps
@@ -73,12 +73,12 @@ class NodeFaults:
 
 
 @dataclass(kw_only=True, frozen=True, slots=True)
-class Ride:
-    """A device under test as it stands on the simulated table.
+class ImuTwinSetup:
+    """A device under test on the simulated table.
 
-    ``gyros`` were made for ``rate_hz``; ``up`` gives what its accelerometers sense (n, 3), in g, at instants (n,), if
-    the table tells. ``options`` are the protocol's keys in the bench file, ``signals`` those of a DBC or a description;
-    the knobs of ``faults`` may be turned at any time. ``number`` is which of several of its kind it is.
+    ``gyros`` sample at ``rate_hz``; ``up`` gives the specific force (n, 3) in g at instants (n,), None if the table
+    does not provide it. ``options`` are the protocol's keys in the bench file, ``signals`` those of a DBC or a
+    description; the knobs of ``faults`` may be turned at any time. ``number`` counts devices of the same kind from 0.
     """
 
     gyros: GyroArray
@@ -90,5 +90,7 @@ class Ride:
     number: int = 0
 
     def force_mps2(self, t_s: Floats) -> Floats:
-        """Return what its accelerometers sense (n, 3), in m/s2, at instants (n,); 0 if nobody tells."""
+        """Return the specific force (n, 3) at its accelerometers, in m/s2, at instants (n,); 0 without a
+        direction up.
+        """
         return np.zeros((len(t_s), 3)) if self.up is None else self.up(t_s) * STANDARD_GRAVITY_MPS2

@@ -1,4 +1,4 @@
-"""What twins that are spoken to have in common: bytes to lines, numbers, refusals, and the watchdog of controllers."""
+"""Common parts of twins with a request language: lines, numbers, refusals, and the controller's watchdog."""
 
 import asyncio
 import math
@@ -19,7 +19,7 @@ class Refused(Exception):
 
 
 class LineDevice:
-    """Takes bytes from the host as they come and writes the answers at once, in order."""
+    """Collects bytes from the host into lines and answers each at once, in order."""
 
     ends, skipped, longest = b"\r", b"", 80
     """Which bytes end a line, which mean nothing, and how long a line may be."""
@@ -30,7 +30,7 @@ class LineDevice:
         self._line, self._too_long = b"", False
 
     def received(self, data: bytes) -> None:
-        """Take bytes from the host, cut anywhere."""
+        """Add bytes and handle each line that they complete; characters beyond ``longest`` are dropped and noted."""
         for byte in data:
             if byte in self.ends:
                 line, self._line = self._line, b""
@@ -50,12 +50,12 @@ class LineDevice:
 
 
 class Watchdog:
-    """Calls back once nothing has been heard for a while, as long as it is armed."""
+    """Calls back after a period of silence while armed."""
 
     def __init__(
         self, clock: Callable[[], float], silence_s: float | Callable[[], float], expired: Callable[[], None]
     ) -> None:
-        """Watch for ``silence_s`` of silence, which may change; 0: never."""
+        """Watch for ``silence_s`` of silence, a number or a function that gives the present one; 0: never."""
         self._clock, self._expired = clock, expired
         self._silence_s = silence_s if callable(silence_s) else lambda: silence_s
         self._heard_s = clock()
@@ -63,7 +63,7 @@ class Watchdog:
         self._armed = False
 
     def heard(self, armed: bool) -> None:
-        """Note that the master has said something, and whether its silence matters now."""
+        """Note that the master has sent something, and whether its silence matters now."""
         self._heard_s, self._armed = self._clock(), armed
         if armed and not self._watching and (silence_s := self._silence_s()):
             self._watch(silence_s)
@@ -73,6 +73,7 @@ class Watchdog:
         asyncio.get_running_loop().call_later(for_s, self._look)
 
     def _look(self) -> None:
+        """Call back if the silence is over, or look again later; nothing if disarmed or without a limit."""
         self._watching = False
         silence_s = self._silence_s()
         remaining_s = self._heard_s + silence_s - self._clock()
@@ -85,11 +86,11 @@ class Watchdog:
 
 
 @dataclass(frozen=True, slots=True)
-class Seat:
-    """A controller as it stands before the simulated table.
+class TableTwinSetup:
+    """A controller in front of the simulated table.
 
     ``addresses`` are those of its axes, outermost first, ``options`` the protocol's keys in the bench file.
-    ``watchdog_s`` of silence stops the axes (0: never). ``number`` is which of several of its kind it is.
+    ``watchdog_s`` of silence stops the axes (0: never). ``number`` counts controllers of the same kind from 0.
     ``cycle_s`` is how often a drive samples its controlword (0: at once).
     """
 
@@ -102,14 +103,14 @@ class Seat:
 
 
 class LineController(LineDevice):
-    """A controller of axes that stops them when its master falls silent."""
+    """A controller that stops its axes when its master falls silent."""
 
     skipped = b"\n"
 
-    def __init__(self, seat: Seat, write: Callable[[bytes], None]) -> None:
+    def __init__(self, setup: TableTwinSetup, write: Callable[[bytes], None]) -> None:
         """Stand where the table is."""
         super().__init__(write)
-        self._watchdog = Watchdog(seat.table.clock, seat.watchdog_s, self._master_is_silent)
+        self._watchdog = Watchdog(setup.table.clock, setup.watchdog_s, self._master_is_silent)
 
     def received(self, data: bytes) -> None:
         """Take bytes from the host, cut anywhere."""
@@ -126,7 +127,7 @@ class LineController(LineDevice):
 
 
 def number(text: str, refusal: Exception) -> float:
-    """Return a finite number; what is none raises the refusal."""
+    """Return the finite number in ``text``; raise ``refusal`` if it is none."""
     try:
         value = float(text)
     except ValueError:

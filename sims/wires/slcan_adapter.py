@@ -23,7 +23,9 @@ _TAKEN: dict[str, str] = packaged_toml("sims", "codes.toml")["slcan"]
 
 
 class SlcanAdapter(LineDevice):
-    """Bridges a byte stream to a bus: frames of the host go to ``on_message``, frames of the bus come by ``send``."""
+    """Bridges a byte stream and a bus: frames from the host go to ``on_message``, frames from the bus come in by
+    ``send``.
+    """
 
     longest = 10 + 2 * 64
 
@@ -36,7 +38,9 @@ class SlcanAdapter(LineDevice):
         version: str = "1013",
         serial: str = "A123",
     ) -> None:
-        """``clock`` in s stamps the frames once the host asks for stamps; without one they carry 0."""
+        """Start with the channel closed. ``clock`` (s) stamps frames once the host asks for stamps; without one they
+        carry 0.
+        """
         super().__init__(write)
         self._on_message, self._clock = on_message, clock
         self._version, self._serial = version, serial
@@ -46,14 +50,17 @@ class SlcanAdapter(LineDevice):
         self._flags = 0
 
     def flag(self, bits: int) -> None:
-        """Raise bits of the status that F tells once: 1, 2 queues full, 4 warning, 8 overrun, 32 passive, 128 error."""
+        """Set bits of the status that F reports once: 1, 2 queues full, 4 warning, 8 overrun, 32 passive, 128 error."""
         self._flags |= bits
 
     def _take(self, line: bytes) -> None:
         self._write(BELL if self._too_long else self._obey(line))
 
     def send(self, msg: can.Message) -> None:
-        """Take a frame from the bus, as a python-can bus would send it; nobody hears it while the channel is closed."""
+        """Pass a frame from the bus to the host, or queue it while the host polls; dropped while the channel is closed.
+
+        A full queue sets a flag. Error frames are dropped.
+        """
         if not self.is_open or msg.is_error_frame:
             return
         line = self._encoded(msg)
@@ -65,7 +72,7 @@ class SlcanAdapter(LineDevice):
             self.flag(1)
 
     def _obey(self, line: bytes) -> bytes:
-        """Return the answer to one command."""
+        """Carry out one command and return its answer, BELL for a refusal."""
         if not line:
             return CR
         try:
@@ -84,11 +91,13 @@ class SlcanAdapter(LineDevice):
         if name == "F" and self.is_open:
             flags, self._flags = self._flags, 0
             return f"F{flags:02X}\r".encode()
-        told = {"V": f"V{self._version}", "N": f"N{self._serial}"}.get(name)
-        return BELL if told is None else told.encode() + CR
+        answer = {"V": f"V{self._version}", "N": f"N{self._serial}"}.get(name)
+        return BELL if answer is None else answer.encode() + CR
 
     def _set_up(self, name: str, rest: str) -> bytes:
-        """Open, close, and what can only be set while closed."""
+        """Open or close the channel, or carry out a setting that is allowed only while closed; return CR, or BELL if
+        refused.
+        """
         if name == "C":
             was_open, self.is_open = self.is_open, False
             self._waiting.clear()
@@ -104,7 +113,9 @@ class SlcanAdapter(LineDevice):
         return CR
 
     def _poll(self, name: str, rest: str) -> bytes:
-        """Hand out the frames that wait, where the host wants to ask for them."""
+        """Switch polling on or off (X), or return the queued frames: the next (P) or all (A); BELL if that is not
+        allowed.
+        """
         if name == "X":
             if rest not in ("0", "1"):
                 return BELL
@@ -119,6 +130,9 @@ class SlcanAdapter(LineDevice):
         return waiting + b"A\r"
 
     def _transmit(self, text: str) -> bytes:
+        """Pass a frame of the host to the bus and return the answer; BELL for an invalid frame or a channel not open
+        for it.
+        """
         message = decode_frame(text)
         if message is None or not self.is_open or self._listens_only:
             return BELL
@@ -146,7 +160,7 @@ def encode_frame(msg: can.Message) -> str:
 
 
 def decode_frame(text: str) -> can.Message | None:
-    """Return the frame of a line, with or without a stamp of four digits; None where it is none."""
+    """Return the frame of a line, with or without a stamp of four digits; None if it is not a valid frame."""
     kind, digits = text[:1], 8 if text[:1].isupper() else 3
     if not kind or kind not in _FRAMES or not _is_hex(text[1 : 1 + digits], digits):
         return None

@@ -14,12 +14,12 @@ _MOST_UNSENT = 1 << 20
 
 
 class SocketcandSession:
-    """What one client sees: bytes in by ``received``, bytes out by ``write``."""
+    """The session of one client: bytes come in by ``received`` and go out by ``write``."""
 
     def __init__(
         self, write: Callable[[bytes], None], channel: str, on_message: Callable[[can.Message], None] | None = None
     ) -> None:
-        """Greet the client; it may open the bus named ``channel``, and no other."""
+        """Greet the client, which may open the bus ``channel`` only."""
         self._write, self._channel, self._on_message = write, channel, on_message
         self._rest = b""
         self._opened = False
@@ -38,6 +38,7 @@ class SocketcandSession:
             self._obey(words)
 
     def _obey(self, words: list[str]) -> None:
+        """Carry out a command and answer it; an unknown or untimely one is counted and answered with an error."""
         name = words[0] if words else ""
         if name == "echo":
             self._write(b"< echo >")
@@ -58,7 +59,7 @@ class SocketcandSession:
 class SocketcandServer:
     """Serves one bus to any number of clients.
 
-    Frames of the bus come by ``send``; those of clients go to ``on_message``.
+    Frames from the bus come in by ``send``; those of clients go to ``on_message``.
     """
 
     def __init__(self, channel: str, on_message: Callable[[can.Message], None] | None = None) -> None:
@@ -76,7 +77,10 @@ class SocketcandServer:
         return str(name[0]), int(name[1])
 
     def send(self, msg: can.Message) -> None:
-        """Take a frame from the bus and send it to all that listen, with the others of this instant."""
+        """Queue a data frame for all listening clients; frames of the same instant are sent together.
+
+        Remote and error frames are ignored.
+        """
         if msg.is_remote_frame or msg.is_error_frame:
             return
         loop = asyncio.get_running_loop()
@@ -91,7 +95,7 @@ class SocketcandServer:
             writer.close()
 
     async def close(self) -> None:
-        """Stop to listen, and wait until all connections are gone; what a client has not taken is lost."""
+        """Stop listening, abort all connections and wait for their end; unsent data are lost."""
         server, self._server = self._server, None
         if server is not None:
             server.close()
@@ -116,6 +120,7 @@ class SocketcandServer:
         task.add_done_callback(self._tasks.discard)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Pass the bytes of one client to its session until it leaves."""
         try:
             with suppress(OSError):
                 while data := await reader.read(4096):
@@ -126,7 +131,7 @@ class SocketcandServer:
 
 
 def _decoded(words: list[str]) -> can.Message | None:
-    """Return the frame of ``id length byte ...`` in hexadecimal, an identifier of 8 digits being extended."""
+    """Return the frame of ``id length byte ...`` in hex, extended if the id has 8 digits; None if it is invalid."""
     try:
         identifier, length, *data = (int(word, 16) for word in words)
         extended = len(words[0]) == 8

@@ -1,4 +1,4 @@
-"""Wires at whose far end a twin of a byte device sits: in memory, a pseudo-terminal, a TCP port.
+"""Wires with a twin of a byte device at the far end: in memory, a pseudo-terminal, a TCP port.
 
 Wires work by the loop alone, without threads. Each can be unplugged by its ``Plug``, and plugged in again. A serial
 port that is not open hears nothing, and is empty when it is opened; an open one keeps 4 kB that nobody reads and loses
@@ -26,14 +26,14 @@ from drivers.links.memory_link import MemoryLink
 Write = Callable[[bytes], None]
 _MOST_WAITING = 65536
 _READ = 4096
-_KEPT = 4095  # what Linux keeps of a terminal that nobody reads, and so what goes there at once
+_KEPT = 4095  # bytes that Linux keeps of a terminal that nobody reads, and so sends at once
 _AGAIN_S = 0.001
 
 
 class ByteDevice(Protocol):
     """A device at the far end of a byte link.
 
-    One with a ``hung_up`` as well is told when a TCP connection has ended: what it was cut in the middle of is past.
+    If it has a ``hung_up``, that is called when a TCP connection has ended, so that unfinished input can be dropped.
     """
 
     def received(self, data: bytes) -> None:
@@ -41,7 +41,7 @@ class ByteDevice(Protocol):
 
 
 class Plug:
-    """Where a wire ends at its device: it can be pulled, and put back."""
+    """The end of a wire at its device, which can be unplugged and plugged in."""
 
     def __init__(self) -> None:
         """Start plugged in, on no wire yet."""
@@ -51,7 +51,7 @@ class Plug:
         self._put_back: Callable[[], None] = _nothing
 
     def attach(self, pulled: Callable[[], None], put_back: Callable[[], None]) -> None:
-        """Let a wire know what happens to it."""
+        """Register the functions of a wire that are called when it is unplugged and plugged in."""
         self._pulled, self._put_back = pulled, put_back
 
     def schedule(self, pull_s: float, push_s: float) -> None:
@@ -82,7 +82,7 @@ class Plug:
 
 @contextmanager
 def in_memory(name: str, make: Callable[[Write], ByteDevice], plug: Plug | None = None) -> Iterator[MemoryLink]:
-    """Put a device on a wire in memory; yield the link that a station uses, for a device of this ``name``."""
+    """Connect a device to a wire in memory; yield the link for a station, which knows the device as ``name``."""
     heard: list[ByteDevice] = []
     link = MemoryLink(name, lambda data: heard[0].received(data))
     plug = plug or Plug()
@@ -97,9 +97,10 @@ def in_memory(name: str, make: Callable[[Write], ByteDevice], plug: Plug | None 
 
 @asynccontextmanager
 async def on_pty(make: Callable[[Write], ByteDevice], plug: Plug | None = None) -> AsyncIterator[str]:
-    """Put a device on a pseudo-terminal; yield the name that a station opens. ``make`` is given what it writes by.
+    """Connect a device to a pseudo-terminal; yield its path. ``make`` is given the function that the device writes
+    with.
 
-    With a ``plug`` the name is a link, which leads nowhere while unplugged, and to another terminal thereafter.
+    With a ``plug`` the path is a symbolic link, dangling while unplugged and then leading to a new terminal.
     """
     with ExitStack() as stack:
         wire = _Pty(stack, plug is not None)
@@ -140,12 +141,15 @@ class _Pty:
 
 
 class _PtyEnd:
-    """Our end of a new raw pseudo-terminal, read and written by the loop; ``name`` is that of the other.
+    """The near end of a new raw pseudo-terminal, read and written by the loop; ``name`` is that of the far end.
 
-    Its other end is open only while a station has it open: that is how the two are told apart.
+    The far end is open only while a station has it open.
     """
 
     def __init__(self, received: Write) -> None:
+        """Open the pseudo-terminal and start reading; close the far end again. Edge-triggered, as it hangs up without a
+        station.
+        """
         self._descriptor, theirs = os.openpty()
         tty.setraw(self._descriptor)
         tty.setraw(theirs)
@@ -166,17 +170,21 @@ class _PtyEnd:
 
     def _read(self) -> None:
         self._events.poll(0)
-        with suppress(OSError):  # nothing more, or nobody there
+        with suppress(OSError):  # no more bytes, or no reader
             while data := os.read(self._descriptor, _READ):
                 self._received(data)
         self._is_open()
 
     def write(self, data: bytes) -> None:
         self._waiting.extend(data)
-        if self._soon is None:  # what is written at one instant goes out in one piece
+        if self._soon is None:  # bytes written at one instant are sent together
             self._soon = self._loop.call_soon(self._send)
 
     def _send(self) -> None:
+        """Write waiting bytes, as many as the station's buffer should hold; drop all if no station has the port open.
+
+        Bytes beyond the capacity of a real line are dropped; the rest is tried again soon.
+        """
         self._soon = None
         if not self._is_open():
             self._waiting.clear()
@@ -194,7 +202,7 @@ class _PtyEnd:
             self._soon = self._loop.call_later(_AGAIN_S * self._scale, self._send)
 
     def _is_open(self) -> bool:
-        """Return whether a station has the port open; what one that has left did not read is flushed."""
+        """Return whether a station has the port open; if not, flush what the last one left unread."""
         if not self._hung_up.poll(0):
             return True
         if self._holds_some:
@@ -205,7 +213,7 @@ class _PtyEnd:
 
     @contextmanager
     def _other_end(self) -> Iterator[int]:
-        """Open the end of the stations for a moment; OSError if one wants it for itself."""
+        """Open the station's end for a moment; OSError if it is locked."""
         port = os.open(self.name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         try:
             yield port
@@ -224,7 +232,7 @@ class _PtyEnd:
 async def on_tcp(
     make: Callable[[Write], ByteDevice], host: str, port: int = 0, plug: Plug | None = None
 ) -> AsyncIterator[tuple[str, int]]:
-    """Put a device on a TCP port, for one station at a time; yield host and port. OSError if the port is taken."""
+    """Connect a device to a TCP port for one station at a time; yield host and port. OSError if the port is taken."""
     wire = _Tcp()
     device = make(wire.write)
     wire.received, wire.hung_up = device.received, getattr(device, "hung_up", _nothing)
@@ -239,7 +247,7 @@ async def on_tcp(
 
 
 class _Tcp:
-    """A TCP port and the stations at it: who comes last is served."""
+    """A TCP port; the station that connected last is served."""
 
     def __init__(self) -> None:
         self.received: Write = _nothing
@@ -260,7 +268,7 @@ class _Tcp:
         return str(name[0]), int(name[1])
 
     def unplug(self) -> None:
-        """Reset the connection, and listen no more."""
+        """Reset the connection and stop listening."""
         if self._server is not None:
             self._server.close()
             self._server = None
@@ -273,25 +281,27 @@ class _Tcp:
         self._keep(asyncio.get_running_loop().create_task(self.listen(*bound)))
 
     async def close(self) -> None:
-        """Leave the port, and wait until all connections are gone."""
+        """Release the port, and wait until all connections are gone."""
         self.unplug()
         await asyncio.gather(*self._tasks)
-        self.unplug()  # what had just been put back
+        self.unplug()  # the link that was just put back
 
     def _keep(self, task: asyncio.Task[Any]) -> None:
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
     def _welcome(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Serve a new station; an earlier connection is aborted."""
         # The task is ours: asyncio's own would be reported with a traceback if it were cancelled at the end.
         before, self._client = self._client, writer
         if before is not None:
-            before.transport.abort()  # it may never take what is left for it
+            before.transport.abort()  # it may never read the remaining bytes
             self.hung_up()
         writer.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._keep(asyncio.get_running_loop().create_task(self._serve(reader, writer)))
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Pass received bytes to the device until the station leaves."""
         with suppress(OSError):
             while data := await reader.read(_READ):
                 self.received(data)

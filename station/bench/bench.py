@@ -1,4 +1,4 @@
-"""The bench file: what stands in the lab, what it may do, and what counts as a pass."""
+"""The bench file: the devices of the lab, their limits, and the limits for a pass."""
 
 import math
 import re
@@ -28,9 +28,9 @@ _LONGEST_NAME = 100  # characters of an operator's name or a serial number
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What PASS means, in SI: sizes of the states, their sigmas, mean NIS, share of samples lost.
+    """The limits for PASS, in SI: sizes of the states, their sigmas, mean NIS, share of samples lost.
 
-    ``written`` are sizes and sigmas as the bench file has them, by their fields; ``units`` those to compare them in.
+    ``written`` has sizes and sigmas as in the bench file, by their fields; ``units`` are those of comparisons.
     """
 
     k: float
@@ -67,7 +67,7 @@ class Limits:
 
     @property
     def stated(self) -> bool:
-        """Whether there is anything to judge by."""
+        """Whether any limit is given."""
         least = (self.nis_low, 1 - self.lost)
         return (
             any(map(math.isfinite, (*self.sizes, *self.sds)))
@@ -78,10 +78,10 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class TwinConfig:
-    """What only twins read: seed, watchdog, the table of truths, unread; what is hidden from the station.
+    """Settings for twins only: seed, watchdog, the table of truths (not read yet), and what is hidden from the station.
 
-    ``drive_cycle_s`` is how often a CiA 402 drive samples its controlword.
-    Temperature and hidden effects follow a clock that stands at ``started_s`` when the loop's stands at 0.
+    ``drive_cycle_s`` is how often a CiA 402 drive samples its controlword. Temperature and hidden effects follow a
+    clock that is at ``started_s`` when the loop's is at 0.
     """
 
     seed: int
@@ -94,14 +94,14 @@ class TwinConfig:
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """A whole bench, and the text of its file.
+    """A complete bench, and the text of its file.
 
-    ``station`` is the name of the place; the patterns say what names of operators and serial numbers of devices look
-    like there (regular expressions for the whole of it), empty for anything; the screen asks anew who operates it after
+    ``station`` names the place; ``operator_pattern`` and ``serial_pattern`` are regular expressions that names of
+    operators and serial numbers must match in full, empty for any; the screen asks again for the operator after
     ``shift_s``. ``excluded`` are effects of the catalogue that devices and table do not have; None for all of them.
-    ``others`` are devices of kinds beside the table and the devices under test. ``plugins`` are files and packages from
-    outside, ``plugin_files`` the files that the bench names or has beside it. ``after_run`` is the program, with its
-    arguments, that is given the result of each run; empty for none.
+    ``others`` are devices of kinds other than table and IMU. ``plugins`` are files and packages in use from outside,
+    ``plugin_files`` the files that the bench names or that stand beside it. ``after_run`` is the program, with
+    arguments, that gets the result of each run; empty for none.
     """
 
     name: str
@@ -138,11 +138,13 @@ class Bench:
         return self.limits.units
 
     def checked_operator(self, text: str) -> str:
-        """Return an operator's name as it is to be kept; UsageError with the pattern if it does not match."""
+        """Return an operator's name in the form to be stored; UsageError with the pattern if it does not match."""
         return _matched(text, self.operator_pattern, "--operator", "operator_pattern")
 
     def checked_serial(self, text: str) -> str:
-        """Return a device's serial number as it is to be kept; UsageError with the pattern if it does not match."""
+        """Return a device's serial number in the form to be stored; UsageError with the pattern if it does not
+        match.
+        """
         return _matched(text, self.serial_pattern, "--serial-number", "serial_pattern")
 
 
@@ -152,7 +154,7 @@ def default_bench_text() -> str:
 
 
 def load_bench(path: Path | None) -> Bench:
-    """Read a bench file, or the built-in one; BenchError with line and key for what is wrong."""
+    """Return the bench of a file, or the built-in one; BenchError with line and key if it is invalid."""
     if path is None:
         return read_bench(default_bench_text(), "built-in bench")
     text = read_text(path, BenchError, "a bench file. Give a .toml file")
@@ -162,10 +164,10 @@ def load_bench(path: Path | None) -> Bench:
 def read_bench(
     text: str, file: str, called: str = "bench", folder: Path = Path(), plugins: Sequence[Path] = ()
 ) -> Bench:
-    """Read the text of a bench file; BenchError with line and key for what is wrong.
+    """Return the bench described by ``text``; BenchError with line and key if it is invalid.
 
-    ``file`` and ``called`` name it, paths count from ``folder``. ``plugins`` are Python files that bring devices
-    and effects of their own, beside those that it lists.
+    ``file`` names it in messages, ``called`` is the bench's name if the text has none; paths count from ``folder``.
+    ``plugins`` are Python files with devices and effects, in addition to the text's; all are imported and registered.
     """
     top = Table.parse(text, file, BenchError)
     own = top.read("bench.bench", folder)
@@ -231,7 +233,7 @@ def _command(words: Sequence[str], folder: Path) -> tuple[str, ...]:
 
 
 def _distinct(imus: Sequence[ImuConfig]) -> tuple[ImuConfig, ...]:
-    """Return the devices with sources of different names: those that two devices share get the device's before."""
+    """Return the devices with sources of different names: a name that occurs twice gets the device's name as prefix."""
     seen = Counter(channel.name for imu in imus if imu.can is not None for channel in imu.can.channels)
     seen.update(imu.name for imu in imus)
     found = []

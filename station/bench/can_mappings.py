@@ -14,7 +14,7 @@ MAPPING_FOLDER = Path(drivers.imus.can.dbc.__path__[0])
 
 
 class MappingError(UsageError):
-    """A mapping file that is missing something or says something impossible; the message names file, line and key."""
+    """An invalid mapping file; the message names file, line and key."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,9 +30,9 @@ class CanMapping(CanSource):
 
 
 def load_mapping(name_or_path: str, folder: Path | None = None) -> CanMapping:
-    """Return a mapping that ships with the station by name, or one from a .toml file by path; MappingError.
+    """Return a mapping by name, of those in the package, or by the path of a .toml file; MappingError if it is invalid.
 
-    A relative path counts from ``folder``, the path of a DBC in a mapping from the mapping's own.
+    A relative path counts from ``folder``, the path of a DBC in a mapping from the mapping's folder.
     """
     path = shipped_or_own(name_or_path, folder, MAPPING_FOLDER, "CAN mapping", MappingError)
     top = Table.load(path, MappingError)
@@ -47,7 +47,11 @@ def load_mapping(name_or_path: str, folder: Path | None = None) -> CanMapping:
 
 
 def shipped_or_own(name_or_path: str, folder: Path | None, shipped: Path, what: str, error: type[UsageError]) -> Path:
-    """Return the file that ships by a name, or is at a path, from ``folder``; the error if there is none."""
+    """Return the path of the file ``name_or_path`` in ``shipped``, or if that ends in .toml, at that path from
+    ``folder``.
+
+    ``error`` is raised if there is none; ``what`` is the kind of file for its message.
+    """
     path = Path(name_or_path)
     path = (folder or Path()) / path if path.suffix == ".toml" else shipped / f"{name_or_path}.toml"
     if not path.is_file():
@@ -57,10 +61,10 @@ def shipped_or_own(name_or_path: str, folder: Path | None, shipped: Path, what: 
 
 
 def channels_of(mapping: CanMapping, device: str, gyros: Sequence[str]) -> tuple[CanChannel, ...]:
-    """Return the mapping's sources under their names on a bench whose array has these gyros; MappingError.
+    """Return the mapping's sources with their names on a bench whose array has these gyros; MappingError if counts
+    differ.
 
-    A source that is the whole device has the device's name, a source of one gyro the gyro's, any other its own in
-    the mapping after the device's.
+    The only source is named as the device, a source of one gyro as the gyro, any other DEVICE.SOURCE.
     """
     if mapping.gyros != len(gyros):
         raise MappingError(
@@ -87,7 +91,7 @@ def read_source(table: Table, units: tuple[tuple[str, str], ...], name: str) -> 
 
 
 def read_units(table: Table) -> tuple[tuple[str, str], ...]:
-    """Return the units that nothing else states, by quantity."""
+    """Return (quantity, unit) for the units that the DBC does not state; the table's error for an unknown unit."""
     units = {quantity: unit for quantity, unit in table.read_all("can_mapping.units").items() if unit is not None}
     for quantity, unit in units.items():
         if plain_unit(unit) not in UNITS[quantity]:

@@ -1,4 +1,4 @@
-"""Descriptions of IMUs on byte links: frames or lines of text, and which of their numbers are what."""
+"""Descriptions of IMUs on byte links: frames or lines of text, and the meaning of their numbers."""
 
 import re
 from dataclasses import replace
@@ -21,13 +21,14 @@ _HEX = re.compile(r"(\s*([0-9A-Fa-f]{2}|\?\?))*\s*")
 
 
 class DescriptionError(UsageError):
-    """A description that lacks something or says something impossible; the message names file, line and key."""
+    """An invalid description; the message names file, line and key."""
 
 
 def load_description(name_or_path: str, folder: Path | None = None, device: str = "") -> Description:
-    """Return a description that ships with the station by name, or one from a .toml file by path; DescriptionError.
+    """Return a description by name, of those in the package, or by the path of a .toml file; DescriptionError if
+    invalid.
 
-    A relative path counts from ``folder``. Its source is called as the ``device``.
+    A relative path counts from ``folder``. Its single source is named ``device``.
     """
     from cantools.database import Database, Message
     from cantools.database.errors import Error
@@ -57,7 +58,10 @@ def load_description(name_or_path: str, folder: Path | None = None, device: str 
 
 
 def _checked(top: Table, source: CanChannel, signals: dict[str, Any]) -> CanChannel:
-    """Return the source with the full names of its signals, which must be there, with the units that they need."""
+    """Return the source with the full names of its signals; the table's error if one is missing or lacks a unit.
+
+    Counter and time must be integers, and only one of them may be given.
+    """
     full: dict[str, Any] = {}
     for key in ("rate", "acceleration", "temperature", "counter", "time"):
         if (names := getattr(source, key)) is None:
@@ -78,7 +82,9 @@ def _checked(top: Table, source: CanChannel, signals: dict[str, Any]) -> CanChan
 
 
 def _frame(table: Table) -> tuple[Frames, list[Any]]:
-    """Return the framing, and the signals in a frame."""
+    """Return the framing and the signals of a table [frame]; its error if frames could not be recognised or are too
+    short.
+    """
     own = table.read_all("description.frame", sync=_bytes, end=_known)
     size, order = own["bytes"], own["byte_order"]
     sync, end = own["sync"], own["end"]
@@ -107,15 +113,19 @@ def _frame(table: Table) -> tuple[Frames, list[Any]]:
     signals = []
     for name in own["fields"].remaining():
         of = own["fields"].table(name)
-        told = of.read_all("description.field")
-        kind, big = told["type"], (told["byte_order"] or order) == "big"
-        at = _place(of, told["at"], int(kind[1:]), size)
-        signals.append(signal(name, at, kind, big, told["scale"], told["offset"]))
+        field = of.read_all("description.field")
+        kind, big = field["type"], (field["byte_order"] or order) == "big"
+        at = _place(of, field["at"], int(kind[1:]), size)
+        signals.append(signal(name, at, kind, big, field["scale"], field["offset"]))
     return framing, signals
 
 
 def _line(table: Table, source: CanChannel) -> tuple[Lines, list[Any], CanChannel]:
-    """Return the framing, the signals in a line, and the source with its wrap as it is then kept."""
+    """Return the framing and the signals of a table [line], and the source with its wrap converted to the stored
+    integer.
+
+    The table's error if a column occurs twice or the separator is empty.
+    """
     own, check, first = table.read_all("description.line"), None, 0
     columns = own["columns"]
     names = [name for name in columns if name != "-"]
@@ -141,7 +151,7 @@ def _line(table: Table, source: CanChannel) -> tuple[Lines, list[Any], CanChanne
 
 
 def _check(table: Table) -> tuple[Check, dict[str, Any]]:
-    """Return a check, and where it is."""
+    """Return the checksum of a table, by name or as a CRC, and the values of the table, which say where it stands."""
     own, known = table.read_all("description.check"), packaged_toml("drivers", "codes.toml")["check"]
     if own["name"] in known:
         return Check(**known[own["name"]]), own
@@ -154,7 +164,7 @@ def _check(table: Table) -> tuple[Check, dict[str, Any]]:
 
 
 def _phrase(table: Table) -> tuple[bytes, float]:
-    """Return what is sent, and the pause behind it."""
+    """Return the bytes to send, and the pause after them."""
     own = table.read_all("description.phrase", hex=_known)
     if (own["text"] is None) == (own["hex"] is None):
         raise table.fail(None, "needs either text or hex")

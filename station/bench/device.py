@@ -1,4 +1,4 @@
-"""What a bench file says of any device: its kind, its protocol, how it is reached."""
+"""Keys of a bench file common to all devices: kind, protocol, link."""
 
 import re
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")  # it is the name of a group of th
 
 
 class AnyDevice(Protocol):
-    """What is known of a device of whatever kind."""
+    """The attributes that the configurations of all kinds of devices share."""
 
     @property
     def name(self) -> str:
@@ -44,7 +44,7 @@ class AnyDevice(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class DeviceConfig:
-    """A device of a kind that the station knows no more of than its record says.
+    """A device of a kind that is known to the station by its record only.
 
     ``options`` are the values of the protocol's keys, ``settings`` those of the kind's.
     """
@@ -65,7 +65,9 @@ class DeviceConfig:
 
 
 def read_device(table: Table, folder: Path, kind: DeviceKind, known: Registry[Any]) -> DeviceConfig:
-    """Read a section of a kind; the table's error with line and key for what is wrong."""
+    """Return the device of a section; the table's error with line and key if it is invalid. Its name defaults to the
+    kind's.
+    """
     own = table.read("bench.device", folder, protocol=known_in(known))
     name = own.pop("name") or kind.name
     if not _NAME.fullmatch(name):

@@ -1,4 +1,4 @@
-"""An [[imu]] section of a bench file: a device under test, how it is reached, what its data sheet says."""
+"""An [[imu]] section of a bench file: a device under test, its link, its data sheet."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -29,9 +29,10 @@ NOT_NAMES = ("table", "seed", "watchdog", "start", "fault", "faults", "hidden", 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImuConfig:
-    """A device under test: how to reach it, what it is made of, what its data sheet says.
+    """A device under test: its link, its array, its data sheet.
 
-    ``can`` where signals of a DBC are mapped, or a file describes them; ``options`` are the protocol's own keys.
+    ``can`` has the signals where a DBC or a description defines them; ``options`` are the values of the protocol's
+    keys.
     """
 
     name: str
@@ -68,7 +69,7 @@ class ImuConfig:
 
     @property
     def knows_temperature(self) -> bool:
-        """Whether every source of the device tells its temperature."""
+        """Whether every source of the device reports its temperature."""
         if self.can is not None:
             return all(channel.temperature is not None for channel in self.can.channels)
         return self.spec.temperature
@@ -81,7 +82,10 @@ class ImuConfig:
 
 
 def read_imu(table: Table, folder: Path, known: Registry[ImuSpec] = IMUS) -> ImuConfig:
-    """Read a section; the table's error with line and key for what is wrong."""
+    """Return the device of a section [[imu]]; the table's error with line and key if it is invalid.
+
+    The array must have as many gyros as the protocol or the description.
+    """
     own = table.read("bench.imu", folder, protocol=known_in(known))
     name, spec, sheet = own["name"], own["spec"], own.pop("datasheet")
     if name in NOT_NAMES:
@@ -103,7 +107,7 @@ def read_imu(table: Table, folder: Path, known: Registry[ImuSpec] = IMUS) -> Imu
 
 
 def _described(table: Table, folder: Path, device: str, array: SensorArray) -> Description:
-    """Return the description that the section names, which must have the gyros of the array."""
+    """Return the description named by the section; the table's error unless it has as many gyros as the array."""
     description: Description = table.read(
         "bench.described", folder, description=lambda name, folder: load_description(name, folder, device)
     )["description"]
@@ -113,6 +117,9 @@ def _described(table: Table, folder: Path, device: str, array: SensorArray) -> D
 
 
 def _array(table: Table, device: str) -> tuple[str, SensorArray]:
+    """Return the name of the array and the array: a known kind, a cone, or "explicit" for stated axes; else the table's
+    error.
+    """
     explicit = table.has("p")
     try:
         if explicit:
@@ -126,7 +133,10 @@ def _array(table: Table, device: str) -> tuple[str, SensorArray]:
 
 
 def _can(table: Table, folder: Path, device: str, array: SensorArray) -> CanSource:
-    """Return the signals: those of a mapping file, or one channel a gyro as the bench file lists them."""
+    """Return the signals: those of a mapping file, or one channel per gyro as listed in the section.
+
+    The table's error if their number is not that of the gyros. The DBC defaults to the built-in one.
+    """
 
     def mapped(name: str, folder: Path) -> CanSource:
         mapping = load_mapping(name, folder)

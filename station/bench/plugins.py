@@ -10,10 +10,11 @@ _GROUP = "turntable_station.effects"
 
 
 def use_effects(files: Iterable[str] = ()) -> list[str]:
-    """Give files to this process and those that it starts; make effects known, those of files in the place of others.
+    """Register the effects of packages and plug-in files, replacing those of the same name; return warnings.
 
-    Returns a line for each effect of a package that cannot be used. Raises PluginError or EffectError for a file that
-    cannot: somebody has asked for it.
+    ``files`` are added to the environment variable that this process and its children read plug-ins from. A package
+    that fails gives a warning, a file that fails PluginError or EffectError, as somebody has asked for it. Empty,
+    without importing numpy, if there are neither packages nor files.
     """
     given = [os.environ.get(GIVEN, ""), *(str(Path(name).absolute()) for name in files)]
     os.environ[GIVEN] = os.pathsep.join(filter(None, dict.fromkeys(given)))

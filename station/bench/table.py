@@ -1,4 +1,4 @@
-"""The [table] section of a bench file: which controller turns the axes, how it is reached, what it may be asked for."""
+"""The [table] section of a bench file: the controller, its link, and the limits of its axes."""
 
 import math
 from collections.abc import Mapping
@@ -23,8 +23,8 @@ TWIN = "twin:"
 class TableConfig:
     """The turntable: protocol and link, gimbals outermost first, axes by name.
 
-    ``options`` are the protocol's own keys. ``read_time_s`` is what a reading of one axis takes, as ``station check``
-    measures it, for plans; 0 if it is not stated.
+    ``options`` are the values of the protocol's keys. ``read_time_s`` is the time to read one axis, as measured by
+    ``station check``, for plans; 0 if not given.
     """
 
     spec: TableSpec
@@ -79,7 +79,10 @@ class TableConfig:
 
 
 def read_table(table: Table, folder: Path, known: Registry[TableSpec] = TABLES) -> TableConfig:
-    """Read the section; the table's error with line and key for what is wrong."""
+    """Return the table of the section [table]; the table's error with line and key if it is invalid.
+
+    Checks the number of axes, their links, and that no two have the same address at the same link.
+    """
     own = table.read("bench.table", folder, protocol=known_in(known))
     spec, gimbals, sheet = own["spec"], own.pop("gimbals"), own.pop("uncertainty")
     if len(gimbals) > spec.most_axes:
@@ -105,11 +108,12 @@ def read_table(table: Table, folder: Path, known: Registry[TableSpec] = TABLES) 
 
 
 def _axis(table: Table, spec: TableSpec, folder: Path) -> AxisSetup:
+    """Return the setup of one axis; the table's error if its travel does not include home or its counts are missing."""
     limits, counts = table.read("bench.axis", each=2), table.read("bench.encoder")["counts_per_turn"]
     low, high = limits["travel_rad"] or (-math.inf, math.inf)
     if not low <= 0 <= high or low == high:
         raise table.fail("travel", 'must go from a negative to a positive angle: ["-90 deg", "90 deg"]')
-    if counts is None:  # where angles are told in degrees, they matter to a twin alone
+    if counts is None:  # where angles are in degrees, they matter to a twin alone
         if spec.proposed_counts:
             raise table.fail(None, "counts_per_turn is missing")
         counts = 3_600_000

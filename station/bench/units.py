@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Units:
-    """One unit for each state, for its value, its sigma and its limits; ``misalignment`` is that of both angles."""
+    """The unit of each state, for its value, sigma and limits alike; ``misalignment`` is that of both angles."""
 
     scale_factor_error: str = "ppm"
     bias: str = "deg/h"

@@ -16,12 +16,12 @@ from station.render.progress import Bar
 T = TypeVar("T")
 R = TypeVar("R")
 
-_PLAIN_LINES = 10  # without a terminal: at most so many lines
+_PLAIN_LINES = 10  # without a terminal: the largest number of lines
 
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """An item that came to nothing, by its name, and why, in one line."""
+    """The name of an item that failed, and the reason in one line."""
 
     item: str
     reason: str
@@ -37,13 +37,12 @@ def run_all(
     quiet: bool = False,
     name_of: Callable[[T], str] = str,
 ) -> tuple[list[R | None], list[Failure]]:
-    """Return what ``work`` makes of each item, in the items' order (None where it failed), and what failed.
+    """Return ``work(item)`` for each item, in order (None where it failed), and the failures.
 
-    ``work``, items and results must be picklable. They run in ``workers`` processes (default: one a core; with one
-    worker or one item in this process), or on the cluster whose scheduler is named (tcp://host:port). None of this
-    changes a bit of the results, if this process has one BLAS thread, too. Progress goes to stderr unless ``quiet``.
-
-    Raises UsageError if there is no such cluster.
+    ``work``, items and results must be picklable. They run in ``workers`` processes (default: one per core; in this
+    process if there is one worker or item), or on the cluster at ``scheduler`` (tcp://host:port). The results are the
+    same in each case to the last bit, if this process, too, has one BLAS thread. Progress goes to stderr unless
+    ``quiet``. UsageError if there is no such cluster.
     """
     results: list[R | None] = [None] * len(items)
     reasons: dict[int, str] = {}
@@ -60,6 +59,10 @@ def run_all(
 def _ends(
     work: Callable[[T], R], items: Sequence[T], scheduler: str | None, workers: int | None
 ) -> Generator[Ended[R]]:
+    """Yield the result of each item as it ends: from the cluster, from processes, or computed here.
+
+    UsageError if plug-in files are in use on a cluster.
+    """
     if scheduler is not None:
         from station.campaigns.cluster import run_on_cluster
 
@@ -76,7 +79,7 @@ def _ends(
 
 
 class _Bar(Bar):
-    """How far a campaign is."""
+    """Progress of a campaign."""
 
     def __init__(self, label: str, total: int, quiet: bool) -> None:
         """Show nothing if quiet."""
@@ -88,7 +91,7 @@ class _Bar(Bar):
     def count(self, failed: int) -> None:
         """Count one item more; ``failed`` of all so far failed."""
         self._done += 1
-        said = f"{failed} failed" if failed else ""
-        line = f"{self._label}: {self._done} of {self._total}  {said}".rstrip()
+        text = f"{failed} failed" if failed else ""
+        line = f"{self._label}: {self._done} of {self._total}  {text}".rstrip()
         due = self._done * _PLAIN_LINES // self._total > (self._done - 1) * _PLAIN_LINES // self._total
-        self._tell(line, 0.0, due, completed=self._done, failed=said)
+        self._tell(line, 0.0, due, completed=self._done, failed=text)

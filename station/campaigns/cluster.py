@@ -1,4 +1,4 @@
-"""Work spread over a Dask cluster that is already there; what its scheduler moves elsewhere ends as if undisturbed."""
+"""Work spread over an existing Dask cluster; work that its scheduler moves elsewhere ends as if undisturbed."""
 
 import asyncio
 import logging
@@ -31,21 +31,22 @@ _AHEAD = 2  # items handed over, for each thread of the cluster: none idles, and
 
 
 class _GoneError(Exception):
-    """The cluster can do no more; the message says why."""
+    """The cluster is lost; the message says why."""
 
 
 def run_on_cluster(
     work: Callable[[T], R], items: Sequence[T], address: str, *, patience_s: float = PATIENCE_S
 ) -> Generator[Ended[R]]:
-    """Yield how each item ended, as they end; closing the iterator takes back what has not begun.
+    """Yield the result of each item as it ends; closing the iterator cancels what has not begun.
 
-    Raises UsageError if distributed is not installed, or no scheduler answers at the address.
+    Items whose worker died are tried once more, alone. If the cluster is lost, all remaining items fail with that
+    reason. UsageError if distributed is not installed, or no scheduler answers at the address.
     """
     distributed = _distributed()
     _check_address(address)
     with ExitStack() as stack:
         stack.callback(logging.disable, logging.root.manager.disable)
-        logging.disable()  # distributed's log: what matters of it comes back as a reason
+        logging.disable()  # distributed's log: important errors come back as a reason
         _check_scheduler(distributed, address)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about versions: each item checks those that matter
@@ -79,9 +80,9 @@ class _Crew:
     def round(
         self, work: Callable[[T], R], items: Sequence[T], indices: Sequence[int], *, alone: bool = False
     ) -> Generator[Ended[R]]:
-        """Yield how each of these items ended, handed over one by one if ``alone``.
+        """Yield the result of each of these items as it ends, submitted one at a time if ``alone``.
 
-        Raises _GoneError if the scheduler is lost, or the last worker.
+        _GoneError if the scheduler or the last worker is lost. Submitted items are cancelled at the end.
         """
         left = deque(indices)
         futures: dict[str, tuple[int, Any]] = {}
@@ -109,7 +110,11 @@ class _Crew:
                 self._client.cancel([future for _, future in futures.values()])
 
     def _ended(self, index: int, future: Any) -> Ended[Any]:
-        """Return how an item ended; TimeoutError if that cannot be told now."""
+        """Return the result of a finished future; one that died with its workers or could not begin gives an Ended with
+        a reason.
+
+        TimeoutError if the result cannot be fetched now, _GoneError if the scheduler is lost (it cancelled the future).
+        """
         if future.cancelled():
             raise _GoneError(f"the scheduler at {self._address} no longer answers")
         if future.status != "error":
@@ -121,13 +126,15 @@ class _Crew:
         return Ended(index, reason=f"the worker could not begin: {one_line(error)}")
 
     def _look(self) -> None:
-        """Count the cluster's threads now and then; _GoneError if there has been none for too long."""
+        """Update the number of the cluster's threads from time to time; _GoneError if it is lost or has had none for
+        too long.
+        """
         now = time.monotonic()
         if self._threads and now - self._looked_at < _LOOK_S:
             return
         try:
             self._threads = sum(self._client.nthreads().values())
-        except Exception as error:  # whatever its network layers raise when the other side is gone
+        except Exception as error:  # its network layers raise anything when the other side is gone
             raise _GoneError(f"the scheduler at {self._address} no longer answers") from error
         self._looked_at = time.monotonic()
         if self._threads:
@@ -137,7 +144,9 @@ class _Crew:
 
 
 def _on_worker(software: tuple[str, ...], work: Callable[[T], R], index: int, item: T) -> Ended[R]:
-    """Do one item on a worker; other versions or more BLAS threads give other digits, so they are refused."""
+    """Do one item on a worker. It fails if versions differ or BLAS has several threads, as the digits would differ,
+    too.
+    """
     if _software() != software:
         return Ended(index, reason=f"the worker has {', '.join(_software())}; here it is {', '.join(software)}")
     if os.environ.get("OPENBLAS_NUM_THREADS", os.environ.get("OMP_NUM_THREADS")) != "1":
@@ -161,6 +170,7 @@ def _distributed() -> Any:
 
 
 def _check_address(address: str) -> None:
+    """Raise UsageError unless ``address`` is tcp://HOST:PORT."""
     try:
         parts = urlsplit(address)
         whole = bool(parts.scheme == "tcp" and parts.hostname and parts.port) and not parts.path
@@ -171,7 +181,9 @@ def _check_address(address: str) -> None:
 
 
 def _check_scheduler(distributed: Any, address: str) -> None:
-    """Raise UsageError unless a scheduler answers: a client that is given anything else may wait for ever."""
+    """Raise UsageError unless a Dask scheduler answers at ``address``: a client might wait for anything else for
+    ever.
+    """
 
     async def ask() -> Any:
         async with distributed.rpc(address, timeout=ANSWER_S) as scheduler:

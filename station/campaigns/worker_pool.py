@@ -26,7 +26,9 @@ _BEFORE_ALL = 1000  # other finalizers of a process have at most 100
 
 @dataclass(frozen=True, slots=True)
 class Ended(Generic[R]):
-    """How the item at ``index`` ended: its value, or why there is none; ``died`` if it took its process along."""
+    """The result of the item at ``index``: its value, or the reason why there is none; ``died`` if its process ended
+    with it.
+    """
 
     index: int
     value: R | None = None
@@ -38,12 +40,12 @@ def attempt(work: Callable[[T], R], index: int, item: T) -> Ended[R]:
     """Do one item in this process."""
     try:
         return Ended(index, work(item))
-    except Exception as error:  # whatever one item meets must not cost the others
+    except Exception as error:  # an error of one item must not cost the others
         return Ended(index, reason=one_line(error))
 
 
 def one_line(error: BaseException) -> str:
-    """Return what an error says in one line; Python's own errors with their type, since few explain themselves."""
+    """Return the text of an error in one line; Python's own errors with their type, since few explain themselves."""
     text, name = " ".join(str(error).split()), type(error).__name__
     if type(error).__module__ in ("builtins", "pickle", "_pickle"):
         return f"{name}: {text}" if text else name
@@ -59,10 +61,10 @@ def run_in_processes(work: Callable[[T], R], items: Sequence[T], count: int) -> 
 def with_second_try(
     first: Generator[Ended[R]], again: Callable[[Sequence[int]], Generator[Ended[R]]]
 ) -> Generator[Ended[R]]:
-    """Yield how each item ended; those whose process died are tried once more when the others are done.
+    """Yield the result of each item; those whose process died are tried once more when the others are done.
 
-    ``again`` does them one at a time: what was killed for want of memory, or because of another, then has all
-    there is, and what kills its process every time is known for it.
+    ``again`` does these one at a time: an item that was killed for lack of memory, or because of another, then has the
+    whole machine, and one that kills its process every time is identified.
     """
     suspects: list[int] = []
     with closing(first):
@@ -76,6 +78,9 @@ def with_second_try(
 
 
 def _round(work: Callable[[T], R], items: Sequence[T], indices: Sequence[int], count: int) -> Generator[Ended[R]]:
+    """Yield the results of the items at ``indices`` from ``count`` new processes, as they end; stop the processes at
+    the end.
+    """
     # Pickled once, and unpickled where a failure can be reported: an error in a starting process is only a traceback.
     do = partial(_done, pickle.dumps(work))
     # Spawned: no state of this process, threads and locks least of all.
@@ -93,12 +98,12 @@ def _round(work: Callable[[T], R], items: Sequence[T], indices: Sequence[int], c
 
 
 def _taken(index: int, future: Future[Ended[bytes]]) -> Ended[Any]:
-    """Return how an item ended, be it by the end of its process."""
+    """Return the result of a finished future; a failure if its process died or the result cannot be unpickled."""
     try:
         ended = future.result()
     except ProcessExpired as error:
         return Ended(index, reason=_last_words(error.exitcode), died=True)
-    except Exception as error:  # what could not be handed over
+    except Exception as error:  # results that cannot be pickled
         return Ended(index, reason=one_line(error))
     return ended if ended.value is None else attempt(pickle.loads, index, ended.value)
 
@@ -107,24 +112,27 @@ def _done(packed: bytes, index: int, item: object) -> Ended[bytes]:
     """Do an item in a process of its own; a result that cannot be pickled is a failure of its item, too."""
     try:
         return attempt(lambda item: pickle.dumps(pickle.loads(packed)(item)), index, item)
-    except SystemExit:  # told to leave; its files are closed by now
+    except SystemExit:  # asked to leave; its files are closed by now
         os._exit(1)
 
 
 def _begin() -> None:
-    # A group of its own: the terminal's Ctrl-C is the parent's to pass on, and what this starts can be ended with it.
+    """Prepare a process of the pool: own process group, no Ctrl-C, orderly end on SIGTERM or with the parent,
+    plug-ins.
+    """
+    # A group of its own: the parent passes on the terminal's Ctrl-C, and child processes can be ended with it.
     os.setpgid(0, 0)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that files are closed and subprocesses ended
-    # The first thing at its end: a process that leaves by itself is not to be told to in the middle of that.
+    # The first thing at its end, so that a process that ends by itself is not interrupted in that.
     Finalize(None, signal.signal, args=(signal.SIGTERM, signal.SIG_IGN), exitpriority=_BEFORE_ALL)
     end_with_parent()
     use_effects()
 
 
 def end_with_parent() -> None:
-    """Have this process of a pool told to leave when the one that asks it is gone, however that ended."""
+    """Start a thread that sends SIGTERM to this process of a pool when its parent has ended in any way."""
     parent = multiprocessing.parent_process()
     assert parent is not None
 
@@ -154,7 +162,9 @@ def _without_ctrl_c() -> Iterator[None]:
 
 @contextmanager
 def _one_blas_thread() -> Iterator[None]:
-    """Give processes started meanwhile one BLAS thread each."""
+    """Let processes that are started within this context have one BLAS thread each; restore the environment
+    afterwards.
+    """
     before = {name: os.environ.get(name) for name in ONE_BLAS_THREAD}
     os.environ.update(ONE_BLAS_THREAD)
     try:

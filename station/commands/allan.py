@@ -22,13 +22,13 @@ from station.schema.quantities import QuantityError, parse
 from station.views.noise import noise_object, warnings_of
 
 _PER_DECADE = 10
-_MOST_UNCERTAIN = 0.5  # above it the square root of the Fisher information says nothing
+_MOST_UNCERTAIN = 0.5  # above it the square root of the Fisher information is meaningless
 
 
 def command_allan(arguments: argparse.Namespace) -> int:
-    """Print N, B and K of every sensor of a recording at rest; always 0.
+    """Print N, B and K of every sensor of a recording at rest; return 0.
 
-    A sensor whose output cannot be used is named on stderr; RecordingError if none can.
+    A sensor that cannot be used is named on stderr; RecordingError if none can. With --plot a picture is drawn, too.
     """
     picture = Path(arguments.plot) if arguments.plot else None
     if picture is not None:
@@ -61,7 +61,7 @@ def command_allan(arguments: argparse.Namespace) -> int:
 
 
 def refused(reason: str, arguments: argparse.Namespace) -> dict[str, Any]:
-    """Return what --json prints when there is no result."""
+    """Return the object for --json if there is no result."""
     return {"recording": arguments.recording, "reason": reason, "sensors": []}
 
 
@@ -75,7 +75,7 @@ def _apart(found: dict[str, list[list[SensorNoise]]]) -> list[SensorNoise]:
 
 
 def _share(text: str) -> float:
-    """Return the share that a text such as "10 %" states; UsageError for one that cannot be."""
+    """Return the share in a text such as "10 %"; UsageError unless it is above 0 and up to 50 %."""
     try:
         share = parse(text, "ratio")
     except QuantityError as error:
@@ -88,7 +88,7 @@ def _share(text: str) -> float:
 def _object(
     recording: str, found: dict[str, list[list[SensorNoise]]], notes: list[str], share: float
 ) -> dict[str, Any]:
-    """Return the noise of all sensors as what --json prints, in SI."""
+    """Return the noise of all sensors for --json, in SI."""
     every = [(source, noise) for source, of_kinds in found.items() for noises in of_kinds for noise in noises]
     return {
         "recording": recording,

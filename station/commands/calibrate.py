@@ -48,11 +48,11 @@ _Rules = tuple[Limits, frozenset[str] | None]  # limits, and effects that are ru
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimated:
-    """What one recording says, without its samples.
+    """The result of one recording, without its samples.
 
-    ``attributes`` are those of the recording that tell which device was measured, how and when. ``seen`` is the
-    largest sigma of all states as a share of what the data sheet promises; ``units`` those to show states in.
-    ``calibration`` is None, and ``seen`` NaN, of a run that ended before there was enough to estimate from.
+    ``attributes`` are those of the recording that identify the device, the script and the time. ``seen`` is the largest
+    sigma of all states relative to the data sheet; ``units`` are those to show states in. For a run that ended too
+    early for an estimate, ``calibration`` is None and ``seen`` NaN.
     """
 
     calibration: Calibration | None
@@ -64,13 +64,16 @@ class Estimated:
 
 @dataclass(frozen=True, slots=True)
 class OtherFile:
-    """A file of the station that is no recording, such as an investigation; ``reason`` says so."""
+    """A file of the station that is not a recording, such as an investigation; ``reason`` says so."""
 
     reason: str
 
 
 def command_calibrate(arguments: argparse.Namespace) -> int:
-    """Estimate the gyros of each recording; the worst exit code of all."""
+    """Calibrate each recording, print the results, and return the worst exit code.
+
+    Files of the station that are not recordings are skipped if a folder was named, else an error.
+    """
     names = recordings_of(arguments.recordings)
     bench = load_bench(Path(arguments.bench)) if arguments.bench else None
     model = ErrorModel.read(Path(arguments.model)) if arguments.model else None
@@ -109,15 +112,15 @@ def command_calibrate(arguments: argparse.Namespace) -> int:
         files = f"{len(skipped)} file{'s' if len(skipped) > 1 else ''}"
         shown = ", ".join(Path(name).name for name in skipped[:_MOST_SKIPPED])
         more = f" and {len(skipped) - _MOST_SKIPPED} more" if len(skipped) > _MOST_SKIPPED else ""
-        told = f"skipped {files} of the station that hold{'' if len(skipped) > 1 else 's'} no recording: {shown}{more}"
-        tell(harmless(told), sys.stderr if arguments.json else sys.stdout)
+        note = f"skipped {files} of the station that hold{'' if len(skipped) > 1 else 's'} no recording: {shown}{more}"
+        tell(harmless(note), sys.stderr if arguments.json else sys.stdout)
     return worst
 
 
 def recordings_of(arguments: Sequence[str]) -> list[str]:
-    """Return the recordings that are meant, each once: a folder means every .h5 in it and below, by name.
+    """Return the recordings named by ``arguments``, each once; a folder stands for every .h5 in it and below, sorted.
 
-    Raises UsageError for a folder without any.
+    UsageError for a folder without any.
     """
     found: dict[Path, str] = {}  # two processes must not write into one file
     for argument in arguments:
@@ -138,12 +141,13 @@ def estimate(
     model: ErrorModel | None = None,
     undeclared: tuple[frozenset[str] | None] | None = None,
 ) -> Estimated | OtherFile:
-    """Estimate the gyros of one recording and judge them, by the rules of its own bench file unless some are given.
+    """Calibrate one recording and judge it, by the limits of its own bench file unless ``limits`` are given.
 
-    ``model``: effects to estimate beside the states; ``undeclared`` holds what a file rules out. A file of the station
-    that is no recording is told as such.
+    ``model`` has effects to estimate with the states; ``undeclared`` holds the effects that a file rules out. With
+    ``write`` the calibration is stored in the recording. A recording of a run that was aborted or driven by hand gives
+    a result without estimate.
 
-    Raises EstimatorError or UsageError for a recording that cannot be used, or not be written into.
+    EstimatorError or UsageError if the recording cannot be used or written to.
     """
     try:
         recording = read_recording(Path(name))
@@ -153,7 +157,7 @@ def estimate(
             return OtherFile(str(error))
         return _without_estimate(read_attributes(Path(name)), error)
     text, plugins = str(recording.attributes.get("bench", "")), recording.attributes.get("plugins", ())
-    # An imported recording carries its mapping in place of a bench; what that rules out has the same keys.
+    # An imported recording carries its mapping in place of a bench, with the same keys for excluded effects.
     declared = text or str(recording.attributes.get("mapping", ""))
     least, excluded = limits or (read_limits(text), read_excluded(declared, plugins))
     excluded = undeclared[0] if undeclared is not None else excluded
@@ -177,7 +181,9 @@ def estimate(
 
 
 def _without_estimate(attributes: Mapping[str, Any], error: EstimatorError) -> Estimated:
-    """Return how the run of a recording ended that cannot be estimated; raise the error if that does not explain it."""
+    """Return the result of a run that ended before it could be estimated; raise ``error`` if its outcome does not
+    explain it.
+    """
     ended = ended_of(attributes)
     if ended is None or ended.outcome in _ESTIMATED:
         raise error
@@ -188,6 +194,10 @@ def _without_estimate(attributes: Mapping[str, Any], error: EstimatorError) -> E
 
 
 def _print_json(ends: Sequence[End]) -> int:
+    """Print each result as a line of JSON, failures included; return the worst exit code.
+
+    The last run of a device also carries its repeatability.
+    """
     worst = 0
     series = {runs[-1][0]: runs for runs in _comparable(ends) if len(runs) > 1}
     for name, end in ends:
@@ -203,14 +213,17 @@ def _print_json(ends: Sequence[End]) -> int:
 
 
 def _print(ends: Sequence[End], *, in_lines: bool, details: bool) -> int:
+    """Print the results in full or, ``in_lines``, as an overview, then repeatability and failures; return the worst
+    code.
+    """
     judged = [(name, end) for name, end in ends if isinstance(end, Estimated)]
     if in_lines:
         folder = os.path.commonpath([Path(name).absolute().parent for name, _ in ends])
         _print_overview(judged, folder)
         counts = Counter(str(end.verdict.outcome) for _, end in judged)
         counts["not estimated"] = len(ends) - len(judged)
-        told = ", ".join(f"{count} {what}" for what, count in counts.items() if count)
-        tell(f"{len(ends)} recordings: {told}")
+        text = ", ".join(f"{count} {outcome}" for outcome, count in counts.items() if count)
+        tell(f"{len(ends)} recordings: {text}")
     else:
         for name, end in judged:
             printing.print_result(end.verdict, end.calibration, Path(name), end.units, details=details)
@@ -224,14 +237,16 @@ def _print(ends: Sequence[End], *, in_lines: bool, details: bool) -> int:
     if alone and len(judged) > 1:
         tell(rendered("station.render", "compared.txt", {"alone": alone, "judged": len(judged)}).strip())
     worst = max((end.verdict.outcome.exit_code for _, end in judged), default=0)
-    sys.stdout.flush()  # what failed comes last, wherever the two streams lead
+    sys.stdout.flush()  # failures come last, wherever the two streams lead
     failed = [(name, reason) for name, reason in ends if isinstance(reason, str)]
     named = [reason if Path(name).name in reason else f"{name}: {reason}" for name, reason in failed]
     return max([worst, *(printing.refuse(reason, False) for reason in named)])
 
 
 def _comparable(ends: Sequence[End]) -> list[list[tuple[str, Estimated]]]:
-    """Return the runs that may be compared with each other, by the rule of ``station history``; none that failed."""
+    """Return groups of runs that may be compared, by the rule of ``station history``; FAIL and runs without estimate
+    are out.
+    """
     groups: dict[tuple[object, ...], list[tuple[str, Estimated]]] = {}
     for name, end in ends:
         if isinstance(end, str) or end.calibration is None or end.verdict.outcome is Outcome.FAIL:
@@ -249,9 +264,8 @@ def _repeats(runs: Sequence[tuple[str, Estimated]]) -> list[Repeatability]:
 
 
 def _print_overview(judged: Sequence[tuple[str, Estimated]], folder: str) -> None:
-    """Print one line a recording, then reasons, those of several recordings once.
-
-    A line says what it is of, how it was judged, how well it shows its states, how true it is.
+    """Print one line per recording: device, verdict, quality; then the reasons, each with the recordings it
+    applies to.
     """
     lines = []
     reasons: dict[str, list[str]] = {}
@@ -273,5 +287,5 @@ def _reasons(verdict: Verdict) -> list[str]:
     if verdict.broken:
         first, *others = (line.broken for line in verdict.broken)
         return [*verdict.because, f"{first}, and {len(others)} more limits exceeded" if others else first]
-    told = verdict.reason.replace("; but ", "; ").split("; ")
-    return told[1:] if verdict.outcome in _ESTIMATED else told  # what every such run has
+    reasons = verdict.reason.replace("; but ", "; ").split("; ")
+    return reasons[1:] if verdict.outcome in _ESTIMATED else reasons  # the first line is that of every such run

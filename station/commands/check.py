@@ -1,4 +1,4 @@
-"""station check: does everything on the bench answer, and what is to be done where it does not."""
+"""station check: whether everything on the bench answers, and advice where it does not."""
 
 import argparse
 import json
@@ -21,7 +21,7 @@ from station.views.json_values import json_object
 
 
 def print_computer(findings: Sequence[Finding]) -> None:
-    """Print what was found about the computer, with the command that helps below each line."""
+    """Print the findings on the computer, each with the command that helps below it."""
     for finding in findings:
         mark = "[red]" if finding.wrong else "[yellow]"
         line = f"{mark}{escape(finding.about)}[/] {escape(finding.text)}"
@@ -31,7 +31,7 @@ def print_computer(findings: Sequence[Finding]) -> None:
 
 
 def command_check(arguments: argparse.Namespace) -> int:
-    """Look at every device of a bench; 0 if all is well, 4 if not."""
+    """Check every device of a bench, and this computer; return 0 if nothing is wrong, else 4."""
 
     def tell(device: str) -> None:
         if not arguments.json:
@@ -49,8 +49,8 @@ def command_check(arguments: argparse.Namespace) -> int:
     computer += watch.findings()
     well = not any(device.wrong for device in found) and not any(finding.wrong for finding in computer)
     if arguments.json:
-        told = [asdict(finding) for finding in computer]
-        print(json.dumps({"ok": well, "devices": json_object(found), "computer": told}))
+        findings = [asdict(finding) for finding in computer]
+        print(json.dumps({"ok": well, "devices": json_object(found), "computer": findings}))
     else:
         print_rendered(stdout(), "station.render", "check.rich", {"bench": bench, "found": found})
         print_computer(computer)

@@ -25,7 +25,7 @@ from station.scripts.script import Script
 def clock(bench: Bench, scale: float | None) -> asyncio.Runner:
     """Return the runner for loops of one clock; virtual or paced time if every link leads to a twin in memory."""
     if not needs_only_memory(bench):
-        gc.freeze()  # what there is by now stays: looking through it again would hold the loop up for 0.2 s
+        gc.freeze()  # present objects stay: examining them again would delay the loop by 0.2 s
         return asyncio.Runner(loop_factory=partial(ScaledLoop, scale or 1.0))
     return asyncio.Runner(loop_factory=VirtualLoop if scale is None else partial(PacedLoop, scale))
 
@@ -52,8 +52,8 @@ async def drive(
         session = Session(opened, script, path, options, on_progress=progress.show, on_event=on_event)
         if host is None:
             return await session.run()
-        told = {key: getattr(options, key) for key in ("time_scale", "operator", "device_serial", "manual")}
-        await host.begin(session, {**introduction(bench, bench_file, script, path, session.gyros), **told})
+        shown_options = {key: getattr(options, key) for key in ("time_scale", "operator", "device_serial", "manual")}
+        await host.begin(session, {**introduction(bench, bench_file, script, path, session.gyros), **shown_options})
         result = await session.run()
         with suppress(asyncio.CancelledError):  # what was seen of the table is told whatever comes now
             await host.end(run_object(result))

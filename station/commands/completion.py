@@ -1,4 +1,4 @@
-"""station completion: what a shell needs to complete commands, options and file names."""
+"""station completion: completion of commands, options and file names in a shell."""
 
 import argparse
 import sys
@@ -11,7 +11,7 @@ _FOLDERS = ("FOLDER",)
 
 
 def command_completion(arguments: argparse.Namespace) -> int:
-    """Print the completion script of a shell."""
+    """Print the completion script of a shell; return 0, or 2 if shtab does not know the shell."""
     import shtab
 
     parser: argparse.ArgumentParser = arguments.parser
@@ -25,7 +25,7 @@ def command_completion(arguments: argparse.Namespace) -> int:
 
 
 def _name_files(parser: argparse.ArgumentParser, file: object, folder: object) -> None:
-    """Mark the arguments that are files and folders, here and in the commands below, by what they are called."""
+    """Mark the arguments that are files or folders, by their metavar, in this parser and its subcommands."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for command in action.choices.values():

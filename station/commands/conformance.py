@@ -1,4 +1,4 @@
-"""station conformance: what the station's own devices do with their twins, does a device of somebody's own do it?"""
+"""station conformance: tests a device and its twin by the rules that the station's own devices fulfil."""
 
 import argparse
 import asyncio
@@ -46,9 +46,8 @@ _ROWS = 3  # of a series
 
 @dataclass(slots=True)
 class Heard:
-    """What an IMU sent, by source, while its table rested and then turned about z.
-
-    ``angles`` are readings of the table, time in s and angle in rad; ``error`` is what ended the stream.
+    """Samples of an IMU, by source, at rest and turning about z; table readings ``angles`` in s, rad; ``error``: the
+    end's.
     """
 
     imu: ImuConfig
@@ -66,11 +65,12 @@ class Heard:
 
 
 async def heard_on(opened: OpenBench) -> Heard:
-    """Return what the IMU of a bench sends in nine seconds."""
+    """Return nine seconds of the IMU's samples, at rest and then turning; its exceptions are stored, not raised."""
     table, source = opened.table, opened.imus[0].source
     heard = Heard(opened.imus[0].config)
 
     async def listen() -> None:
+        """Open the source and collect its blocks; any exception is kept in ``heard.error``."""
         try:
             await source.open()
             await source.identify()
@@ -97,17 +97,19 @@ async def heard_on(opened: OpenBench) -> Heard:
 
 
 def _units(heard: Heard) -> str:
+    """Return what is wrong with rates while turning: unit, scale, sign or order of axes; "" if they are right."""
     for _, t_s, rate_rps, along in heard.sources():
         off_rps = np.nanmean(rate_rps[t_s > t_s[-1] - 2.0], axis=0) - along * _RATE_RPS
         worst = int(np.argmax(np.abs(off_rps)))
         if not abs(off_rps[worst]) < _LITTLE_RPS:
             true_dps, off_dps = math.degrees(along[worst] * _RATE_RPS), math.degrees(off_rps[worst])
-            said = f"gyro {worst + 1} says {true_dps + off_dps:.2f} deg/s while it turns at {true_dps:.2f} deg/s"
-            return f"{said}: check unit, scale and sign, and the order of axes"
+            wrong = f"gyro {worst + 1} says {true_dps + off_dps:.2f} deg/s while it turns at {true_dps:.2f} deg/s"
+            return f"{wrong}: check unit, scale and sign, and the order of axes"
     return ""
 
 
 def _clock(heard: Heard) -> str:
+    """Return what is wrong with sample times: order, rate, or more than 20 ms off the motion; "" if right."""
     for _, t_s, rate_rps, along in heard.sources():
         step_s = np.diff(t_s)
         if not (step_s > 0).all():
@@ -126,8 +128,8 @@ def _clock(heard: Heard) -> str:
 def _complete(heard: Heard) -> str:
     for counts, t_s, *_ in heard.sources():
         if counts.lost or counts.corrupt or abs(len(t_s) / ((t_s[-1] - t_s[0]) * heard.imu.rate_hz) - 1) > 0.01:
-            said = f"byte by byte {len(t_s)} samples came, {counts.lost} were lost, {counts.corrupt} corrupt"
-            return f"{said}: keep incomplete frames until the rest arrives"
+            wrong = f"byte by byte {len(t_s)} samples came, {counts.lost} were lost, {counts.corrupt} corrupt"
+            return f"{wrong}: keep incomplete frames until the rest arrives"
     return ""
 
 
@@ -140,8 +142,9 @@ def _counted(heard: Heard) -> str:
 
 
 def _undamaged(heard: Heard) -> str:
+    """Return what is wrong on a wire that damages bytes: damaged samples accepted, or too few; "" if nothing."""
     for counts, t_s, rate_rps, along in heard.sources():
-        middle_rps = along * _RATE_RPS / 2  # of what the table does
+        middle_rps = along * _RATE_RPS / 2  # of the table's motion
         wild = int((np.abs(rate_rps - middle_rps) > np.abs(middle_rps) + 5 * _LITTLE_RPS).any(axis=1).sum())
         if wild > 1 + 0.01 * (counts.lost + counts.corrupt):
             most_dps = math.degrees(np.nanmax(np.abs(rate_rps)))
@@ -153,11 +156,12 @@ def _undamaged(heard: Heard) -> str:
 
 def _unplugged(heard: Heard) -> str:
     ended, heard.error = heard.error, None
-    told = "without an error" if ended is None else f"with {_told(ended)}"
-    return "" if isinstance(ended, LinkLost) else f"it ended {told}: do not catch LinkLost of its link"
+    ending = "without an error" if ended is None else f"with {_told(ended)}"
+    return "" if isinstance(ended, LinkLost) else f"it ended {ending}: do not catch LinkLost of its link"
 
 
 async def _motion(opened: OpenBench) -> str:
+    """Return what is wrong with jogs and moves of each axis: rate, angle, or arrival; "" if they are right."""
     table, loop = opened.table, asyncio.get_running_loop()
     for axis in opened.bench.table.gimbals:
         await table.jog(axis, _RATE_RPS, _RAMP_RPS2)
@@ -166,9 +170,9 @@ async def _motion(opened: OpenBench) -> str:
         await asyncio.sleep(1.0)
         then = await table.read(axis)
         turned_rps = (then.angle_rad - first.angle_rad) / (then.angle_t_ns - first.angle_t_ns) * 1e9
-        for what, rate_rps in (("rate", then.rate_rps), ("angle", turned_rps)):
+        for quantity, rate_rps in (("rate", then.rate_rps), ("angle", turned_rps)):
             if abs(rate_rps - _RATE_RPS) > 0.01 * _RATE_RPS:
-                return f"axis {axis}, told to turn at 20 deg/s, turns at {math.degrees(rate_rps):.2f} by its {what}"
+                return f"axis {axis}, told to turn at 20 deg/s, turns at {math.degrees(rate_rps):.2f} by its {quantity}"
         await table.move(axis, -0.5, _RATE_RPS, _RAMP_RPS2)
         until_s = loop.time() + 60.0
         while not (await table.status(axis)).target_reached and loop.time() < until_s:
@@ -183,6 +187,7 @@ async def _motion(opened: OpenBench) -> str:
 
 
 async def _late(opened: OpenBench) -> str:
+    """Return what is wrong on a wire that delays: angles of another time, a stop that returns early; "" if nothing."""
     axis, seen = opened.bench.table.gimbals[-1], list[AxisState]()
     for _ in range(3):
         with suppress(DeviceError):  # which a command may meet with where much is lost
@@ -201,6 +206,7 @@ async def _late(opened: OpenBench) -> str:
 
 
 async def _stopped(opened: OpenBench, how: str, at_s: float = 0.0) -> str:
+    """Call the table's method ``how`` at ``at_s`` (loop time) while all axes turn; say if one still turns after it."""
     table, loop = opened.table, asyncio.get_running_loop()
     for axis in opened.bench.table.gimbals:
         await table.jog(axis, _RATE_RPS, _RAMP_RPS2)
@@ -215,7 +221,7 @@ async def _stopped(opened: OpenBench, how: str, at_s: float = 0.0) -> str:
 
 
 async def _ready(opened: OpenBench) -> str:
-    """Bring the device of another kind to where a run needs it, and listen to what it appends."""
+    """Open, identify and ready the device of another kind, and read its series; return what is wrong, "" if nothing."""
     (device,) = opened.others
     config, driver = device.config, device.driver
     await driver.open()
@@ -240,7 +246,7 @@ async def _ready(opened: OpenBench) -> str:
 
 
 async def _left_safe(opened: OpenBench, at_s: float = 2.0) -> str:
-    """Cancel the device of another kind on its way to where a run needs it, and make it safe."""
+    """Cancel the readying of the other device at ``at_s``, make it safe; return what is wrong, "" if nothing."""
     (device,) = opened.others
     config = device.config
     await device.driver.open()
@@ -277,13 +283,13 @@ _OTHER: _Suites = {
 
 
 def suites_of(spec: DeviceSpec) -> _Suites:
-    """Return the suites that a device has to pass: faults of its wire, and what judges it."""
+    """Return the suites that a device has to pass: by name the faults of its wire, and the judging function."""
     suites = {TABLE.name: _TABLE, IMU.name: _FRAMES if spec.on_can else _FRAMES | _BYTES}  # a bus hands over frames
     return suites.get(spec.kind, _OTHER)
 
 
 def _bench_of(spec: DeviceSpec, faults: Mapping[str, Any], plugins: Sequence[Path], description: Path | None) -> Bench:
-    """Return a bench of the device's twin, whose wire has these faults, and of the other twins that it needs."""
+    """Return a bench with the device's twin, whose wire has ``faults``, and usual twins of the other kinds it needs."""
     table = spec if isinstance(spec, TableSpec) else TABLES[USUAL_TABLE]
     imu = spec if isinstance(spec, ImuSpec) else IMUS[USUAL_IMU]
     axes = "zyx"[: spec.most_axes if isinstance(spec, TableSpec) else 1]
@@ -320,15 +326,16 @@ def complaint(
     description: Path | None = None,
     within_s: float = 60.0,
 ) -> str:
-    """Return in words what is wrong with a device by one suite, nothing if it passes; ``plugins`` have its record.
+    """Run one conformance suite on a device's twin in virtual time; return what is wrong in words, "" if it passes.
 
-    ``description`` is the file of a described IMU, by default one that ships. ``within_s`` is how much of the host's
-    time the suite may take.
+    ``plugins`` have its record, ``description`` is the file of a described IMU, by default one of the package. More
+    than ``within_s`` of real time, an exception of the driver, missing methods and tasks left over are failures.
     """
     faults, judge = suites_of(spec)[suite]
     bench = _bench_of(spec, faults, plugins, description)
 
     async def tried() -> str:
+        """Open the bench and the table, judge the device under test, and return what is wrong, "" if nothing."""
         before = asyncio.all_tasks()
         async with open_bench(bench) as opened:
             driver, protocol = _driver_of(spec, opened)
@@ -356,7 +363,7 @@ def complaint(
     def overdue(_: int, frame: Any) -> None:
         place = f"({Path(frame.f_code.co_filename).name}, line {frame.f_lineno})"
         late.append(f"it does not return within {within_s:g} s {place}: it must await what it waits for")
-        runner.get_loop().set_exception_handler(lambda *_: None)  # it is told below
+        runner.get_loop().set_exception_handler(lambda *_: None)  # it is reported below
         raise KeyboardInterrupt  # nothing less comes through a driver and the event loop
 
     before = signal.signal(signal.SIGALRM, overdue)
@@ -364,7 +371,7 @@ def complaint(
     try:
         with asyncio.Runner(loop_factory=VirtualLoop) as runner:
             return runner.run(tried())
-    except (Exception, KeyboardInterrupt) as error:  # whatever it does
+    except (Exception, KeyboardInterrupt) as error:  # the driver may raise anything
         if isinstance(error, KeyboardInterrupt) and not late:
             raise
         return late[0] if late else f"it ended with {_told(error)}"
@@ -374,7 +381,7 @@ def complaint(
 
 
 def _driver_of(spec: DeviceSpec, opened: OpenBench) -> tuple[Any, type]:
-    """Return the driver that is tried, and what it has to be."""
+    """Return the driver under test, and the protocol that it must fulfil."""
     if spec.kind == TABLE.name:
         return opened.table, Turntable
     if spec.kind == IMU.name:
@@ -383,7 +390,7 @@ def _driver_of(spec: DeviceSpec, opened: OpenBench) -> tuple[Any, type]:
 
 
 def _axes_of(description: Path | None) -> list[list[float]]:
-    """Return axes for the gyros of a described IMU that are no triad: along z, y and x in turn; else none."""
+    """Return sense axes along z, y and x in turn for the gyros of a description; empty for none, or a triad."""
     if description is None:
         return []
     gyros = len(load_description(str(description)).channels[0].rates)
@@ -400,7 +407,10 @@ def _told(error: BaseException) -> str:
 
 
 def command_conformance(arguments: argparse.Namespace) -> int:
-    """Try the devices of a Python file, the IMU that a file describes, or one by protocol; 0 if all pass, 1 if not."""
+    """Test the devices of a Python file, a described IMU, or those of a protocol; return 0 if all pass, else 1.
+
+    UsageError if the argument is none of these. Suites that need correct rates are skipped if those are wrong.
+    """
     name, plugins = arguments.module, [Path(arguments.module)] if arguments.module.endswith(".py") else []
     described = Path(name).absolute() if name.endswith(".toml") else None
     modules = [load_file(path) for path in plugins]
@@ -409,7 +419,7 @@ def command_conformance(arguments: argparse.Namespace) -> int:
     found: list[DeviceSpec] = [spec for kind in kinds for spec in brought if spec.kind == kind.name]
     found += [kind.protocols[name] for kind in kinds if name in kind.protocols]
     if described is not None:
-        gyros = len(load_description(str(described)).channels[0].rates)  # tells what is wrong by file, line and key
+        gyros = len(load_description(str(described)).channels[0].rates)  # gives errors with file, line and key
         if gyros < 3:
             raise UsageError(f"{described} describes {gyros} gyros: a bench needs three or more, in all directions")
         found.append(DESCRIBED)
@@ -420,18 +430,18 @@ def command_conformance(arguments: argparse.Namespace) -> int:
         raise UsageError(
             f"{not_one_of(name, known)}; or give a .py with an ImuSpec or a TableSpec, or a .toml that describes an IMU"
         )
-    told, off = [], set[str]()
+    rows, off = [], set[str]()
     for spec, suite in [(one, suite) for one in found for suite in suites_of(one)]:
         skipped = suite in ("clock", "garbage") and spec.name in off
         wrong = "it needs correct rates, and units fails" if skipped else complaint(spec, suite, plugins, described)
-        told.append({"device": spec.name, "suite": suite, "wrong": wrong})
+        rows.append({"device": spec.name, "suite": suite, "wrong": wrong})
         off |= {spec.name} if wrong and suite == "units" else set()
         if not arguments.json:
             word = "skip" if skipped else "FAIL" if wrong else "pass"
             tell(f"{word}  {spec.name}, {suite}{': ' if wrong else ''}{wrong}")
-    well, unmet = not any(finding["wrong"] for finding in told), [one.name for one in found if not one.checked_against]
+    well, unmet = not any(finding["wrong"] for finding in rows), [one.name for one in found if not one.checked_against]
     if arguments.json:
-        print(json.dumps({"ok": well, "findings": told, "experimental": unmet}))
+        print(json.dumps({"ok": well, "findings": rows, "experimental": unmet}))
     elif unmet:
         tell(
             f"EXPERIMENTAL: {', '.join(unmet)}; checked_against of the spec lists the external devices "

@@ -1,4 +1,4 @@
-"""station effects: what an investigation looks for."""
+"""station effects: the effects that an investigation searches for."""
 
 import argparse
 import json
@@ -12,7 +12,7 @@ from station.run.outcome import Outcome
 
 
 def command_effects(arguments: argparse.Namespace) -> int:
-    """Print the catalogue of effects; always 0."""
+    """Print the catalogue of effects; return 0."""
     listed = [_object(effect) for effect in everything()]
     if arguments.json:
         print(json.dumps(listed))
@@ -22,7 +22,7 @@ def command_effects(arguments: argparse.Namespace) -> int:
 
 
 def _object(effect: Effect) -> dict[str, Any]:
-    """Return an effect as --json prints it, names of parameters without the value of what is looked for."""
+    """Return an effect for --json; names of parameters leave out the value of a setting that is searched for."""
     record, parameters = effect.record, effect.parameters
     free = [{"name": setting.name, "unit": setting.unit} for setting in record.settings if setting.name]
     names = [p.name.split(" at ")[0] if " at " in p.name else "size" for p in parameters]

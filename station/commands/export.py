@@ -25,7 +25,11 @@ _STDOUT = "-"
 
 
 def command_export(arguments: argparse.Namespace) -> int:
-    """Write a calibration to a file or to stdout; what the form does not hold goes to stderr."""
+    """Write a calibration, or with other options a list, a series or all formats, to files or stdout; return the exit
+    code.
+
+    What the format does not hold goes to stderr.
+    """
     if arguments.list:
         _print_list(arguments.json)
         return Outcome.PASS.exit_code
@@ -40,14 +44,14 @@ def command_export(arguments: argparse.Namespace) -> int:
     except OSError as error:
         raise UsageError(f"{arguments.recording} cannot be read: {error.strerror or error}") from None
     if arguments.json:
-        told = {"file": arguments.output, "format": arguments.format, "not_held": list(written.not_held)}
-        print(json.dumps({**told, "notes": exported.cautions}))
+        result = {"file": arguments.output, "format": arguments.format, "not_held": list(written.not_held)}
+        print(json.dumps({**result, "notes": exported.cautions}))
     elif arguments.output == _STDOUT:
         sys.stdout.flush()
         text = written.text
         sys.stdout.buffer.write(
             text.encode() if isinstance(text, str) else text
-        )  # whatever the locale: these files are UTF-8
+        )  # regardless of the locale: these files are UTF-8
         sys.stdout.buffer.flush()
     else:
         _print_result(exported, details=arguments.details)
@@ -59,7 +63,7 @@ def command_export(arguments: argparse.Namespace) -> int:
 
 
 def _export_series(arguments: argparse.Namespace) -> int:
-    """Write the series of a device as CSV: times in s, and a column each with its unit in the heading."""
+    """Write the series of a device as CSV, times in s, units in the headings; return 0. UsageError if there is none."""
     if arguments.recording is None or arguments.format is not None:
         raise UsageError("--series takes a recording and no --format: `station export RUN.h5 --series NAME`")
     if arguments.json and arguments.output == _STDOUT:
@@ -73,8 +77,8 @@ def _export_series(arguments: argparse.Namespace) -> int:
         print(text, end="")
     else:
         write_whole(Path(arguments.output), text, replace=arguments.force)
-        told = {"file": arguments.output, "series": arguments.series}
-        print(json.dumps(told) if arguments.json else f"series {arguments.series}: {arguments.output}")
+        result = {"file": arguments.output, "series": arguments.series}
+        print(json.dumps(result) if arguments.json else f"series {arguments.series}: {arguments.output}")
     return Outcome.PASS.exit_code
 
 
@@ -87,7 +91,7 @@ def csv_of(series: Series) -> str:
 
 
 def _print_result(exported: Exported, *, details: bool) -> None:
-    """Print what is exported: how its run ended, and its states."""
+    """Print the verdict of the exported run, if it has one, and the states."""
     ended = exported.verdict
     if ended is not None:
         printing.print_verdict(ended, details=details)
@@ -96,7 +100,7 @@ def _print_result(exported: Exported, *, details: bool) -> None:
 
 
 def _print_cautions(exported: Exported, *, details: bool) -> None:
-    """Say on stderr what speaks against using the calibration; without ``details`` of its notes only how many."""
+    """Print on stderr the reasons against using the calibration; without ``details`` only the number of its notes."""
     notes = len(exported.calibration.notes)
     for line in exported.cautions if details else exported.failure:
         tell(f"note: {line}", sys.stderr)
@@ -105,12 +109,15 @@ def _print_cautions(exported: Exported, *, details: bool) -> None:
 
 
 def refused(reason: str, arguments: argparse.Namespace) -> dict[str, str | None]:
-    """Return what --json prints when nothing was written."""
+    """Return the object for --json if nothing was written."""
     return {"file": None, "format": arguments.format, "reason": reason}
 
 
 def _export_all(arguments: argparse.Namespace, folder: Path) -> int:
-    """Write every form that can hold the calibration as FOLDER/RECORDING-FORM.SUFFIX; say why the others cannot."""
+    """Write every format that can hold the calibration as FOLDER/RECORDING-FORMAT.SUFFIX, and say why others cannot.
+
+    Return 0 if at least one was written, else 2.
+    """
     if arguments.recording is None:
         raise UsageError("give a recording: `station export RUN.h5 --all FOLDER`")
     if arguments.format is not None or arguments.output != _STDOUT:
@@ -142,6 +149,7 @@ def _export_all(arguments: argparse.Namespace, folder: Path) -> int:
 
 
 def _written(arguments: argparse.Namespace) -> tuple[Exported, Written]:
+    """Return what is exported and the file in the chosen format; UsageError for missing or wrong options."""
     if arguments.recording is None or arguments.format is None:
         raise UsageError(
             "give a recording and --format, or --all FOLDER; `station export --list` lists what each format holds"
@@ -156,7 +164,9 @@ def _written(arguments: argparse.Namespace) -> tuple[Exported, Written]:
 
 
 def _write_form(name: str, form: Format, exported: Exported, arguments: argparse.Namespace) -> Written:
-    """Return the calibration in a form; UsageError, with what to do, if the form cannot hold it or fails."""
+    """Return the calibration in a format; UsageError, with what to do, if the format cannot hold it or a plug-in's
+    fails.
+    """
     if form.of_one_device and len(exported.devices) > 1 and not arguments.device:
         raise UsageError(sentence("export.several", recording=arguments.recording, devices=", ".join(exported.devices)))
     try:

@@ -38,9 +38,9 @@ _TEXTS = {"device_serial": "serial", "station": "bench"} | {
 
 
 def command_history(arguments: argparse.Namespace) -> int:
-    """List the recordings of a folder, the newest first, and charts of a device, or a gauge study.
+    """List the recordings of a folder, newest first, with charts of a device, or print a gauge study.
 
-    Return 0; with --valid-on 1 if no calibration was valid on that day.
+    Return 0; with --valid-on 1 if no calibration was valid on that day. UsageError for wrong options.
     """
     folder, data, since = Path(arguments.folder), arguments.json or arguments.csv, arguments.since or ""
     outcome = arguments.outcome and arguments.outcome.upper()
@@ -92,7 +92,7 @@ def command_history(arguments: argparse.Namespace) -> int:
 
 
 def calibration_valid_on(serial: str, day: date, folder: Path | str = "recordings") -> Calibration:
-    """Return the calibration of a device that was valid on a day, from the recordings of a folder and its index.
+    """Return the calibration of a device that was valid on ``day``, from the recordings of a folder.
 
     UsageError with the reason if there was none. The rule is that of ``archive.validity``.
     """
@@ -115,8 +115,8 @@ def _print_valid(arguments: argparse.Namespace, folder: Path) -> int:
     valid = found.entry is not None and not found.reason
     if arguments.json:
         row = None if found.entry is None else _row(found.entry, folder, [])
-        told = {"serial": arguments.serial, "day": day.isoformat(), "valid": valid, "reason": found.reason or None}
-        print(json.dumps({**told, "recording": row}))
+        result = {"serial": arguments.serial, "day": day.isoformat(), "valid": valid, "reason": found.reason or None}
+        print(json.dumps({**result, "recording": row}))
     elif found.entry is not None and valid:
         tell(harmless(f"{recording}: measured {found.entry.when}, valid for {arguments.serial} on {day}"))
     else:
@@ -125,7 +125,7 @@ def _print_valid(arguments: argparse.Namespace, folder: Path) -> int:
 
 
 async def _listed(folder: Path, quiet: bool) -> list[Entry]:
-    """Return the recordings of a folder, the newest first; with progress while some are read."""
+    """Return the recordings of a folder, newest first; progress is shown while new ones are read, unless ``quiet``."""
     archive, found, bar = Archive(), [], None
     with ExitStack() as stack:
         async for entry in archive.entries(folder):
@@ -139,27 +139,29 @@ async def _listed(folder: Path, quiet: bool) -> list[Entry]:
 
 
 def _chart(runs: Sequence[Entry]) -> dict[str, Any]:
-    """Return control charts of runs: values and what is outside (runs, gyros, 4), SI. Failed ones make no limits."""
+    """Return control charts of runs in SI: values and which are outside (runs, gyros, 4). Failed runs set no limits."""
     counted = [not run.failed for run in runs]
     chart = control_chart([[gyro.values for gyro in run.gyros] for run in runs], counted)
-    told = {"bench": runs[0].texts["station"], "script": runs[0].texts["script"], "counted": counted}
+    common = {"bench": runs[0].texts["station"], "script": runs[0].texts["script"], "counted": counted}
     names = {"gyros": [gyro.full_name for gyro in runs[0].gyros], "files": [run.path.name for run in runs]}
-    return {**told, **names, "when": [run.when for run in runs], "units": runs[-1].units, **json_object(chart)}
+    return {**common, **names, "when": [run.when for run in runs], "units": runs[-1].units, **json_object(chart)}
 
 
 def _study(runs: Sequence[Entry]) -> dict[str, Any]:
-    """Return a gauge study of runs, its figures by state in SI; None in place of them if there are too few."""
+    """Return a gauge study of comparable runs, by state in SI; "study" is None unless two devices were measured
+    repeatedly.
+    """
     from estimator.estimation.repeatability import gauge_study  # takes longer than ten thousand recordings to list
 
     conditions = [(run.texts.get("operator", ""), run.texts.get("station", "")) for run in runs]
     times = Counter(zip((run.serial for run in runs), conditions, strict=True))
     repeated = {serial for (serial, _), number in times.items() if number > 1}
-    each = [(run, gyro, str(told)) for run, told in zip(runs, conditions, strict=True) for gyro in run.gyros]
+    each = [(run, gyro, str(condition)) for run, condition in zip(runs, conditions, strict=True) for gyro in run.gyros]
     study = None
     if len(repeated) > 1:
         values, sd = (np.array([getattr(gyro, key) for _, gyro, _ in each], float) for key in ("values", "sds"))
         parts = [str((run.serial, gyro.source, gyro.name)) for run, gyro, _ in each]
-        figures = gauge_study(values, sd, parts, [told for *_, told in each])
+        figures = gauge_study(values, sd, parts, [condition for *_, condition in each])
         study = {key: by_state(value) for key, value in figures.items()}
     operators, benches = (sorted(set(names)) for names in zip(*conditions, strict=True))
     of = {"operators": operators, "benches": benches, "devices": len({run.serial for run in runs})}
@@ -169,8 +171,8 @@ def _study(runs: Sequence[Entry]) -> dict[str, Any]:
 
 
 def _row(entry: Entry, folder: Path, moved: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    told: dict[str, Any] = {name: entry.texts.get(key, "") for key, name in _TEXTS.items()}
-    told |= {"file": os.path.relpath(entry.path, folder), "wrong": entry.wrong, "device": entry.device}
+    row: dict[str, Any] = {name: entry.texts.get(key, "") for key, name in _TEXTS.items()}
+    row |= {"file": os.path.relpath(entry.path, folder), "wrong": entry.wrong, "device": entry.device}
     gyros = [{"name": g.full_name, **by_state(g.values), "sd": by_state(g.sds)} for g in entry.gyros]
     figures = {"nis_mean": entry.nis_mean, "moved": moved, "gyros": gyros}
-    return {"when": entry.when, **told, "when_utc_s": entry.when_utc_s, **figures}
+    return {"when": entry.when, **row, "when_utc_s": entry.when_utc_s, **figures}

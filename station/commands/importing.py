@@ -1,4 +1,4 @@
-"""station import: data measured elsewhere becomes a recording; a first look at a file, and a mapping to begin with."""
+"""station import: converts data measured elsewhere to a recording; shows a file and drafts a mapping."""
 
 import argparse
 import json
@@ -21,7 +21,9 @@ from station.render.terminal import print_all, rich_table, stdout
 
 
 def command_import(arguments: argparse.Namespace) -> int:
-    """Turn foreign data into a recording, or show what is in a file; 2 if a file gave nothing."""
+    """Convert data of other programs to a recording, or with --look show a file; return 2 if a file was lost,
+    else 0.
+    """
     if arguments.look is not None:
         return _look(arguments)
     if not arguments.mapping or not arguments.data or not arguments.output:
@@ -37,6 +39,9 @@ def command_import(arguments: argparse.Namespace) -> int:
 
 
 def _print_imported(imported: Imported, output: Path, *, as_json: bool) -> None:
+    """Print the result of an import: notes, samples per source, and what was refused; all as one object if
+    ``as_json``.
+    """
     samples = {name: len(data.t_ns) for name, data in imported.recording.sources.items()}
     refused = [{"name": entry.name, "reason": entry.reason} for entry in imported.refused]
     if as_json:
@@ -51,7 +56,7 @@ def _print_imported(imported: Imported, output: Path, *, as_json: bool) -> None:
 
 
 def _look(arguments: argparse.Namespace) -> int:
-    """Show the columns of a file with guesses; write the mapping where asked to."""
+    """Show the columns of a file with guesses, and print the mapping or write it to --output; return 0."""
     output = Path(arguments.output) if arguments.output else None
     if output is not None:
         check_new_file(output, "--output")

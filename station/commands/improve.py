@@ -42,12 +42,12 @@ NAMES = {"k": (0,), "b": (1,), "sigma": (2, 3), "sigma_j": (2,), "sigma_k": (3,)
 DEFAULT_FILE = "improved.toml"
 _PERIOD_S = 0.05
 _MOST_ROWS = 50_000
-_AFTER_MOVE_S = 0.05  # the sequencer asks whether a move has arrived when it is due, and again so much later
+_AFTER_MOVE_S = 0.05  # the sequencer asks for the arrival when it is due, and again after this time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Wanted:
-    """What is asked for: sigmas (n, 4), infinite where none; the time given, or None for the least."""
+    """The goal: sigmas (n, 4), infinite where none is required; the time given, or None for the least time."""
 
     sd: Floats
     total_s: float | None
@@ -58,7 +58,7 @@ class Wanted:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Improved:
-    """What was found, against what was asked for, and how long the search took."""
+    """The script found, its goal, and the duration of the search."""
 
     before: Script
     wanted: Wanted
@@ -68,10 +68,9 @@ class Improved:
 
 
 def improve(arguments: argparse.Namespace, bench: Bench, script: Script) -> int:
-    """Find a better script than this one and write it; 1 if the sigmas asked for cannot be reached.
+    """Search a better script than this one and write it; return 1 if the sigmas cannot be reached, else 0.
 
-    Raises UsageError for wrong options and a file that is there already, ScriptError where what is found leaves an
-    axis's travel.
+    UsageError for wrong options or an existing file, ScriptError if the found script exceeds the travel of an axis.
     """
     began_s = time.perf_counter()
     wanted = _wanted(arguments, bench, script)
@@ -85,8 +84,8 @@ def improve(arguments: argparse.Namespace, bench: Bench, script: Script) -> int:
         return _refuse(_why_not(search, bench, wanted, gyros), arguments.json)
     check(found.script, bench.table.limits)
     improved = Improved(script, wanted, found, gyros, time.perf_counter() - began_s)
-    told = {"improved": improved, "bench": bench}
-    write_whole(path, script_text(found.script, rendered("station.commands", "improved_origin.txt", told)))
+    result = {"improved": improved, "bench": bench}
+    write_whole(path, script_text(found.script, rendered("station.commands", "improved_origin.txt", result)))
     if arguments.json:
         print(json.dumps(improved_object(improved, path)))
     else:
@@ -95,7 +94,7 @@ def improve(arguments: argparse.Namespace, bench: Bench, script: Script) -> int:
 
 
 def search_of(bench: Bench, wanted: Wanted, on_progress: Callable[[str], None]) -> Search:
-    """Return the search for this bench's used devices."""
+    """Return the search for a script for the bench's used devices."""
     imus = _used(bench)
     needs = Needs(
         maps=np.vstack([regressor_maps(imu.array) for imu in imus]),
@@ -118,9 +117,9 @@ def search_of(bench: Bench, wanted: Wanted, on_progress: Callable[[str], None]) 
 
 
 def predicted(script: Script, bench: Bench) -> Floats:
-    """Return the covariances (n, 4, 4) of the states that a run of the script will have, noise and table together.
+    """Return the covariances (n, 4, 4) of the states predicted for a run of the script: noise and table.
 
-    They are those of ``station.scripts.plan.make_plan``, without the effects that it adds.
+    They equal those of ``station.scripts.plan.make_plan`` without the effects that it adds.
     """
     period_s = max(_PERIOD_S, script.least_s / _MOST_ROWS)
     motion = planned_motion(script, bench.table.gimbals, period_s)
@@ -140,8 +139,8 @@ def predicted(script: Script, bench: Bench) -> Floats:
 def _gentle_rps2(bench: Bench) -> float:
     """Return the acceleration at which the corners of a ramp, missed between two readings, are lost in the noise.
 
-    A rate interpolated over a corner at a share f of the time h between readings, misses an angle a h^2 f (1 - f) / 2,
-    for any f in the mean square a h^2 / sqrt(120); the noise is that of one block of the live filter.
+    A rate interpolated over a corner at a share f of the time h between readings misses an angle a h^2 f (1 - f) / 2,
+    in the mean square over f a h^2 / sqrt(120); the noise is that of one block of the live filter.
     """
     noise_rad = min(imu.noise.arw for imu in _used(bench)) * math.sqrt(BLOCK_S)
     return noise_rad * math.sqrt(120) * bench.table.poll_rate_hz**2
@@ -155,6 +154,9 @@ def _used(bench: Bench) -> list[ImuConfig]:
 
 
 def _wanted(arguments: argparse.Namespace, bench: Bench, script: Script) -> Wanted:
+    """Return the goal of the options; UsageError if one is out of range, or no sigma is required that the script
+    shows.
+    """
     margin, rest_s = quantity(arguments, "margin", "ratio"), quantity(arguments, "rest", "time")
     if not 0 <= margin < 1 or not 1 <= rest_s <= LONGEST_S / 4:
         raise UsageError('--margin must be from "0 %" to below "100 %", --rest "1 s" or more')
@@ -164,7 +166,7 @@ def _wanted(arguments: argparse.Namespace, bench: Bench, script: Script) -> Want
     else:
         plan = make_plan(script, bench, effects=())
         promised = np.array([gyro.prior_sd for gyro in plan.forecast.gyros])
-        sd = np.where(plan.sd > UNSEEN * promised, np.inf, plan.sd)  # what it does not show, it does not reach
+        sd = np.where(plan.sd > UNSEEN * promised, np.inf, plan.sd)  # a state that is not shown is not reached
     sd = np.where(np.isin(np.arange(4), columns), sd * (1 - margin), np.inf)
     if not np.isfinite(sd).any():
         raise UsageError(
@@ -179,7 +181,7 @@ def _wanted(arguments: argparse.Namespace, bench: Bench, script: Script) -> Want
 
 
 def quantity(arguments: argparse.Namespace, option: str, kind: str) -> float:
-    """Return what an option was given, in SI; UsageError for what is no such quantity."""
+    """Return the value of an option in SI; UsageError if it is not a quantity of that kind."""
     try:
         return parse(getattr(arguments, option), kind)
     except QuantityError as error:
@@ -196,7 +198,7 @@ def _columns(text: str) -> list[int]:
 
 
 def _why_not(search: Search, bench: Bench, wanted: Wanted, gyros: tuple[tuple[str, str], ...]) -> str:
-    """Return which sigmas cannot be reached, and what limits them."""
+    """Return the text that says which sigmas cannot be reached, and what limits them."""
     directions = np.array([way.direction for way in ways_of(bench.table.gimbals, (0.0, math.pi / 2))])
     values = {"wanted": wanted, "axes": bench.table.gimbals, "turns": np.linalg.matrix_rank(directions)}
     if wanted.total_s is None:
@@ -233,7 +235,7 @@ def _quoted(text: str) -> str:
 
 
 def improved_object(improved: Improved, path: Path) -> dict[str, Any]:
-    """Return what was found as what --json prints, in SI; null for what was not asked for."""
+    """Return the script found for --json, in SI; null where nothing was required."""
     script, before = improved.found.script, improved.before
     return {
         "reached": bool((improved.found.sd <= improved.wanted.sd).all()),
@@ -264,6 +266,7 @@ def _with_sequencer_s(script: Script) -> float:
 
 
 def _print(improved: Improved, path: Path, units: Units) -> None:
+    """Print the script found and its sigmas."""
     script = improved.found.script
     values = {
         "improved": improved,

@@ -1,4 +1,4 @@
-"""station init: a bench file, made of answers about the hardware."""
+"""station init: makes a bench file from answers about the hardware."""
 
 import argparse
 import os
@@ -28,7 +28,9 @@ from station.scripts.script import check, paper_script
 
 
 def command_init(arguments: argparse.Namespace) -> int:
-    """Ask, write a bench file, say what to type next; 3 if the questions were not answered to the end."""
+    """Ask about the bench, write the bench file, and print the next commands; return 3 if the questions were not
+    finished.
+    """
     path = Path(arguments.file)
     try:
         dialogue = Dialogue(asks=not arguments.defaults)
@@ -53,7 +55,9 @@ def _check_options(arguments: argparse.Namespace) -> None:
 
 
 def _check_place(path: Path, dialogue: Dialogue, force: bool) -> None:
-    """See that a file can be written, before anything is asked."""
+    """Check, before anything is asked, that the file can be written; UsageError if not, or if overwriting is
+    declined.
+    """
     if path.is_dir():
         raise UsageError(f"{path} is a folder. Give the name of a file")
     folder = next(parent for parent in path.absolute().parents if parent.exists())
@@ -67,6 +71,7 @@ def _check_place(path: Path, dialogue: Dialogue, force: bool) -> None:
 
 
 def _ask(dialogue: Dialogue, arguments: argparse.Namespace, path: Path) -> Data:
+    """Return the bench from the answers: name, table, devices under test, devices of other kinds, and the rest."""
     dialogue.say(sentence("init.begin"))
     folder = path.absolute().parent
     links = Links(serial_ports(), can_interfaces()) if dialogue.asks else Links()
@@ -92,7 +97,7 @@ def _check_name(text: str) -> None:
 
 
 def _say_next(path: Path, bench: Bench) -> None:
-    """Say what was written, and what to type next."""
+    """Print what was written and the next commands, and whether the usual script fits the table."""
     links = {device.name: device.links[0] for device in bench.devices.values()}
     unfit = ""
     try:

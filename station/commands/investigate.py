@@ -1,4 +1,4 @@
-"""station investigate: what the error model lacks, traced in recordings that are there."""
+"""station investigate: effects that the error model lacks, found in existing recordings."""
 
 import argparse
 import json
@@ -32,19 +32,23 @@ from station.scripts.next_script import NextScript, Past, next_script
 from station.views.investigation import investigation_view
 
 _NEXT_FILE = "next-script.toml"
-_MOST_RIVALS = 4  # of what stays unexplained, so many suspects are told apart
+_MOST_RIVALS = 4  # of an unexplained residual, so many suspects are compared
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a table can do, and where that is stated."""
+    """The limits of a table, and where they are stated."""
 
     axes: Mapping[str, AxisLimits]
     stated_in: str
 
 
 def command_investigate(arguments: argparse.Namespace) -> int:
-    """Trace what the model lacks; 0 if nothing or known, 1 if it cannot be told or explained, 2 for bad input."""
+    """Look for errors that the model misses, and write picture, results and next script as asked for.
+
+    Return 0 if nothing was found or the effects were added, 1 if causes cannot be separated or explained, 2 for bad
+    input.
+    """
     picture, model, script_file = _outputs(arguments)
     arguments.recordings, arguments.verify = recordings_of(arguments.recordings), recordings_of(arguments.verify)
     fitted, judging = arguments.recordings, arguments.verify
@@ -58,18 +62,18 @@ def command_investigate(arguments: argparse.Namespace) -> int:
         script_file = script_file or free_path(Path(_NEXT_FILE))
         write_next(script_file, following, limits)
     written = None if following is None else script_file
-    what = investigation_view(found, written, fitted, judging)
+    view = investigation_view(found, written, fitted, judging)
     if model is not None:
-        write_investigation(model, found, what)
+        write_investigation(model, found, view)
     if picture is not None:
         draw_investigation(picture, found)
     if arguments.json:
-        print(json.dumps({**what, "output": arguments.output, "plot": arguments.plot}))
+        print(json.dumps({**view, "output": arguments.output, "plot": arguments.plot}))
     else:
         print_investigation(found, following, written)
         if following is None and exit_code_of(found.finding):
             print(f"no next script: {_why_none(recordings, limits)}")
-            for line in what.get("record_next", []):
+            for line in view.get("record_next", []):
                 print(f"next, record a run that shows {line}")
         for kind, path in (("picture", picture), ("results", model)):
             if path is not None:
@@ -78,13 +82,13 @@ def command_investigate(arguments: argparse.Namespace) -> int:
 
 
 def refused(reason: str, arguments: argparse.Namespace) -> dict[str, Any]:
-    """Return what --json prints when there is no verdict."""
+    """Return the object for --json if there is no verdict."""
     recordings, verification = list(arguments.recordings), list(arguments.verify)
     return {"verdict": None, "reason": reason, "recordings": recordings, "verification": verification}
 
 
 def _outputs(arguments: argparse.Namespace) -> tuple[Path | None, Path | None, Path | None]:
-    """Return picture, results and script to write, checked before the long work."""
+    """Return the paths of picture, results and script, checked before the long work; UsageError if one exists."""
     picture, model, script = (
         Path(name) if name else None for name in (arguments.plot, arguments.output, arguments.next_script)
     )
@@ -103,7 +107,9 @@ def _check_apart(fitted: Sequence[str], judging: Sequence[str]) -> None:
 
 
 def limits_of(recordings: Sequence[Recording], bench: Path | None) -> Limits | None:
-    """Return the limits of the table: of a bench file, or of the one that a recording carries; None if neither."""
+    """Return the limits of the table from a bench file, else from the first recording that carries a bench; None if
+    neither.
+    """
     if bench is not None:
         return Limits(load_bench(bench).table.limits, str(bench))
     for recording in recordings:
@@ -124,9 +130,9 @@ def following_script(
     limits: Limits | None,
     most_s: float = math.inf,
 ) -> NextScript | None:
-    """Return what to drive next within a time, None if all is settled or no table is known.
+    """Return the script to drive next, of at most ``most_s``; None if the finding is settled or no table is known.
 
-    Raises UsageError if the limits are those of another table.
+    UsageError if the limits are those of another table.
     """
     fitted, judging = ([r for r in own if isinstance(r.reference, TableReadings)] for own in (recordings, verification))
     if limits is None or not fitted or found.finding in (Finding.NOTHING, Finding.ADDED):
@@ -161,7 +167,7 @@ def _why_none(recordings: Sequence[Recording], limits: Limits | None) -> str:
 
 
 def _suspects(found: Investigation) -> tuple[str, ...]:
-    """Return what may lie behind something unexplained: effects of its kind, else those that would explain most."""
+    """Return effects that may explain an unexplained residual: those of its kind, else those with the most evidence."""
     variable = "" if found.unexplained is None else found.unexplained.depends_on
     of_its_kind = [record for record in records() if variable in record.suspected_of]
     if of_its_kind:  # those that mainly depend on it first

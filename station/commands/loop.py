@@ -1,4 +1,4 @@
-"""station loop: calibrate, explore, verify on the bench, investigate, drive what tells rivals apart, report."""
+"""station loop: calibrate, explore, verify on the bench, investigate, run a script to separate rivals, report."""
 
 import argparse
 import asyncio
@@ -30,12 +30,15 @@ from station.run.session import RunOptions
 from station.scripts.loop_scripts import exploration_script, verification_script
 from station.scripts.script import Script, check, paper_script
 
-_AROUND_S = 10.0  # connecting, homing and coming to rest, beside the script
+_AROUND_S = 10.0  # for connecting, homing and coming to rest
 _LEAST_CHANCE = 0.05  # of settling it: below it table time is wasted
 
 
 def command_loop(arguments: argparse.Namespace) -> int:
-    """Close the loop on a bench; exit codes as investigate, and those of a run that is aborted or in fault."""
+    """Calibrate, explore, verify and investigate on a bench, and drive deciding scripts until the matter is settled.
+
+    Exit codes as ``station investigate``, or those of an aborted run or a fault; 3 for Ctrl-C between runs.
+    """
     loop: Loop | None = None
     try:
         bench = chosen_bench(arguments)
@@ -56,14 +59,16 @@ def command_loop(arguments: argparse.Namespace) -> int:
 
 
 class _Driver:
-    """Drives scripts one after the other on one clock, so that time and temperature go on between them."""
+    """Drives scripts one after the other on one clock, so that time and temperature continue between them."""
 
     def __init__(self, bench: Bench, runner: asyncio.Runner, arguments: argparse.Namespace, loop: Loop) -> None:
         self.bench, self.arguments = bench, arguments
         self._runner, self._loop = runner, loop
 
     def drive(self, purpose: str, script: Script) -> bool:
-        """Drive a script; return whether it came to its end, else the verdict is in ``stopped``."""
+        """Drive a script; return False if the run was aborted or in fault, with its verdict in ``stopped`` of the
+        loop.
+        """
         loop, number = self._loop, len(self._loop.runs) + 1
         if not self.arguments.json:
             tell(f"run {number}, {purpose}: {script.name}, {script.least_s:.0f} s", sys.stderr)
@@ -86,7 +91,9 @@ class _Driver:
 
 
 def _close(loop: Loop, scripts: Sequence[tuple[str, Script]], driver: _Driver) -> None:
-    """Drive, investigate, drive the next script, until it is settled or the budget is used up."""
+    """Drive the first scripts, then investigate and drive the next script, until it is settled or the time is
+    used up.
+    """
     for purpose, script in scripts:
         if not driver.drive(purpose, script):
             return
@@ -98,7 +105,7 @@ def _close(loop: Loop, scripts: Sequence[tuple[str, Script]], driver: _Driver) -
 
 
 def _investigate(loop: Loop, driver: _Driver) -> Round:
-    """Investigate what is recorded, and find out what to drive next if causes cannot be told apart."""
+    """Investigate the recordings so far; if causes cannot be separated, find and write the next script."""
     fitted, judging = (
         [read_recording(path, trusted=True) for path in loop.recordings(judging=j)] for j in (False, True)
     )
@@ -116,7 +123,7 @@ def _investigate(loop: Loop, driver: _Driver) -> Round:
 
 
 def _why_ended(turn: Round, left_s: float) -> str:
-    """Return why nothing more is to be driven, empty if something is."""
+    """Return why nothing more is to be driven, "" if the round's next script should be."""
     if turn.found.finding is Finding.UNEXPLAINED:
         return "unexplained: no further run can tell the remaining effects of the catalogue apart"
     if turn.found.finding is not Finding.CANNOT_TELL:
@@ -127,7 +134,9 @@ def _why_ended(turn: Round, left_s: float) -> str:
 
 
 def _first_scripts(bench: Bench, budget_s: float) -> list[tuple[str, Script]]:
-    """Return the three runs that every loop begins with; UsageError if the table or the budget does not allow them."""
+    """Return the three runs of every loop; UsageError if the budget is too short, ScriptError if the table cannot drive
+    them.
+    """
     first = {CALIBRATION: paper_script(), EXPLORATION: exploration_script(), VERIFICATION: verification_script()}
     scripts = [(name, check(script, bench.table.limits)) for name, script in first.items()]
     needed_s = sum(script.least_s + _AROUND_S for _, script in scripts)
@@ -146,17 +155,20 @@ def _folder(name: str | None) -> Path:
 
 
 def _report(loop: Loop, as_json: bool) -> int:
-    found, what = loop.rounds[-1].found, loop_object(loop)
-    write_investigation(loop.folder / "investigation.h5", found, what)
+    """Write the investigation, print the result, and return its exit code."""
+    found, result = loop.rounds[-1].found, loop_object(loop)
+    write_investigation(loop.folder / "investigation.h5", found, result)
     if as_json:
-        print(json.dumps(what))
+        print(json.dumps(result))
     else:
         print_loop(loop)
     return exit_code_of(found.finding)
 
 
 def _end(loop: Loop | None, code: int, reason: str, as_json: bool) -> int:
-    """Say on stderr why there is no report, and where the recordings are that there are."""
+    """Print on stderr why there is no report and where the recordings are, with --json an empty result; return
+    ``code``.
+    """
     kept = loop is not None and loop.folder.is_dir()
     where = f"; the recordings are in {loop.folder}" if loop and kept else ""
     tell(f"station: {reason}{where}", sys.stderr)

@@ -1,4 +1,4 @@
-"""station plan: what a script will show, before anything moves."""
+"""station plan: what a script will show, computed before anything moves."""
 
 import argparse
 import json
@@ -29,7 +29,10 @@ EARLY_LATE_FILE = "early-late.toml"
 
 
 def command_plan(arguments: argparse.Namespace) -> int:
-    """Print what a script will show on a bench; 1 if it does not reach the sigmas that the bench requires."""
+    """Print what a script will show on a bench; return 1 if it misses the sigmas that the bench requires, else 0.
+
+    With --improve or --early-late write a better script instead. UsageError for both together.
+    """
     bench = load_bench(Path(arguments.bench) if arguments.bench else None)
     bench = with_links(bench, {}, arguments.device)
     script = load_script(Path(arguments.script), bench.plugin_files) if arguments.script else paper_script()
@@ -58,9 +61,9 @@ def early_late_plan(plan: Plan) -> Plan | None:
 
 
 def _write_early_late(arguments: argparse.Namespace, plan: Plan) -> int:
-    """Write the script that turns each axis early and late; 1 if there is none.
+    """Write the script that turns each axis early and late, and print its sigmas; return 1 if there is none.
 
-    Raises UsageError for a file that is there already.
+    UsageError if the file exists.
     """
     path = Path(arguments.output) if arguments.output else free_path(Path(EARLY_LATE_FILE))
     check_new_file(path, "--output")
@@ -82,7 +85,7 @@ def _write_early_late(arguments: argparse.Namespace, plan: Plan) -> int:
 
 
 def _early_late_object(offered: Plan) -> dict[str, Any]:
-    """Return a script that turns each axis early and late, as --json prints it, in SI."""
+    """Return a script that turns each axis early and late for --json, in SI."""
     return {
         "script": offered.script.name,
         "duration_s": offered.script.least_s,
@@ -104,7 +107,7 @@ def _steps(plan: Plan) -> list[dict[str, Any]]:
 
 
 def _step_object(timed: Timed) -> dict[str, Any]:
-    """Return a step, with axis and rate of its last turn; it has ``longest_s`` if its duration is not known."""
+    """Return a step for --json, with axis and rate of its last turn, and ``longest_s`` if its duration is not fixed."""
     turn = timed.last_turn
     return {
         "label": timed.step.label,
@@ -122,7 +125,7 @@ def _duration(span: Span) -> dict[str, float | None]:
 
 
 def plan_object(plan: Plan) -> dict[str, Any]:
-    """Return the plan as what --json prints, in SI; null for what is infinite."""
+    """Return the plan for --json, in SI; null for infinite numbers."""
     found = plan.forecast
     return {
         "script": plan.script.name,
@@ -159,6 +162,9 @@ def plan_object(plan: Plan) -> dict[str, Any]:
 
 
 def _effect(forecast: EffectForecast, found: Forecast) -> dict[str, Any]:
+    """Return an effect for --json: by parameter its smallest visible size, and the shift of the states at its largest
+    size.
+    """
     names = ["all"] if forecast.effect.shared else [gyro.name for gyro in found.gyros]
     return {
         "name": forecast.effect.name,

@@ -21,17 +21,17 @@ if TYPE_CHECKING:
 
 
 def command_report(arguments: argparse.Namespace) -> int:
-    """Write the report of a recording; 0 if it is written, whatever it says."""
+    """Write a recording's report as HTML and, if asked for, PDF and digital certificate; print the result."""
     html, pdf, dcc = _outputs(arguments)
     keys = [Path(name) for name in (arguments.sign, arguments.certificate) if name]
-    # numpy, h5py and matplotlib are slow to import: what is wrong with the arguments was said before.
+    # numpy, h5py and matplotlib are slow to import: errors in the arguments were reported before.
     from station.exports.exported import raw_sha256
     from station.render.printing import next_after_report
     from station.report.dcc import check_facts, make_dcc, read_key, sign
     from station.report.document import make_report
     from station.report.formal import read_formal
+    from station.report.investigation_chapter import read_traced
     from station.report.recorded import read_recorded
-    from station.report.traced import read_traced
     from station.run.outcome import ended_of
     from station.screen.archive.register import check_number, enter
 
@@ -83,7 +83,7 @@ def command_report(arguments: argparse.Namespace) -> int:
 
 
 def _said(report: "Report", formal: "Formal", verdict: "Verdict | None") -> dict[str, Any]:
-    """Return what a report says of itself, for other programs."""
+    """Return the report's own statements for --json: title, number, outcome, hashes."""
     return {
         "title": report.standing.title,
         "number": report.number,
@@ -97,7 +97,7 @@ def _said(report: "Report", formal: "Formal", verdict: "Verdict | None") -> dict
 
 
 def _document(recorded: "Recorded", formal: "Formal", report: "Report") -> "Document":
-    """Return what the register of documents keeps of a report."""
+    """Return the entry of a report for the register of documents."""
     from station.screen.archive.register import Document
 
     return Document(
@@ -110,10 +110,10 @@ def _document(recorded: "Recorded", formal: "Formal", report: "Report") -> "Docu
 
 
 def _print_result(recorded: "Recorded", verdict: "Verdict | None", *, details: bool) -> None:
-    """Print what comes first: how the run ended or was judged, None for data of no run, and the states."""
+    """Print the verdict of the recording, None for imported data, and the states."""
     from station.bench.units import Units
     from station.render.printing import print_calibration, print_verdict
-    from station.report.standing import limits_of
+    from station.report.document_status import limits_of
     from station.run.outcome import Outcome, Verdict
 
     limits = limits_of(recorded)
@@ -126,31 +126,35 @@ def _print_result(recorded: "Recorded", verdict: "Verdict | None", *, details: b
 
 
 def _print_documents(report: "Report", html: Path, made: Sequence[str | None], steps: Sequence[str]) -> None:
-    """Print what was written, what it is not, and what to do next; ``made`` are PDF and digital certificate."""
+    """Print what was written, warnings, and the next steps; ``made`` are PDF and digital certificate, None where
+    missing.
+    """
     standing = report.standing
     tell(harmless(f"{standing.title} No. {report.number}"))
     if standing.warning:
         tell(harmless(standing.warning))
     print(f"report: {html}")
-    for what, path in zip(("PDF", "digital calibration certificate"), made, strict=True):
+    for document, path in zip(("PDF", "digital calibration certificate"), made, strict=True):
         if path:
-            print(f"{what}: {path}")
+            print(f"{document}: {path}")
     for step in steps:
         tell(f"next: {step}")
 
 
 def refused(reason: str, arguments: argparse.Namespace) -> dict[str, str | None]:
-    """Return what --json prints when there is no report."""
+    """Return the object for --json if there is no report."""
     return {"title": None, "reason": reason, "html": None, "pdf": None, "dcc": None}
 
 
 def _outputs(arguments: argparse.Namespace) -> tuple[Path, Path | None, Path | None]:
-    """Return the files to write, HTML and, where they are wanted, PDF and XML, seen to be free before any long work."""
+    """Return the paths of HTML and, where wanted, PDF and XML, checked to be free; UsageError if not, or for wrong
+    options.
+    """
     if bool(arguments.sign) != bool(arguments.certificate) or (arguments.sign and not arguments.dcc):
         raise UsageError("--sign KEY.pem goes with --certificate CERTIFICATE.pem and --dcc")
     if arguments.output is None:
         wanted = [".pdf"] * arguments.pdf + [".xml"] * arguments.dcc
-        recording = Path(arguments.recording)  # that a folder is none is told when it is read
+        recording = Path(arguments.recording)  # a folder is reported when it is read
         html = free_path(recording.parent / f"{recording.stem}.html", beside=wanted)
         pdf = html.with_suffix(".pdf") if arguments.pdf else None
     else:

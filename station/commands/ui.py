@@ -19,8 +19,8 @@ _DEFECT = 1
 
 
 def command_ui(arguments: argparse.Namespace) -> int:
-    """Show the screen until the operator leaves it; 2 if there is no terminal that can show it."""
-    if "TEXTUAL_DRIVER" not in os.environ:  # else somebody else draws: the server of --web
+    """Show the screen until the operator leaves it, or serve it with --web; UsageError if no terminal can show it."""
+    if "TEXTUAL_DRIVER" not in os.environ:  # otherwise another program draws: the server of --web
         if getattr(arguments, "web", None) is not None:
             from station.screen.web import serve
 
@@ -30,7 +30,7 @@ def command_ui(arguments: argparse.Namespace) -> int:
 
 
 def _check_terminal() -> None:
-    """See that there is a terminal, and that it can show what is drawn; UsageError that says what to do."""
+    """Check that there is a terminal that can show the screen; UsageError that says what to do if not."""
     if not all(stream.isatty() for stream in (sys.stdin, sys.stdout, sys.stderr)):
         raise UsageError("station ui needs a terminal. Without one use station run, or station ui --web")
     terminal = os.environ.get("TERM", "")
@@ -42,7 +42,8 @@ def _check_terminal() -> None:
 
 
 def _show(arguments: argparse.Namespace) -> int:
-    gc.disable()  # until the app is there: nothing of what is loaded is garbage, and looking costs a fifth of the start
+    """Run the screen; return 0. UsageError, naming a file with the details, if it ended because of a defect."""
+    gc.disable()  # until the app runs: no loaded object is garbage, and examining them costs a fifth of the start
     from rich.console import Console
 
     from station.screen.app import StationApp
@@ -57,7 +58,7 @@ def _show(arguments: argparse.Namespace) -> int:
 
 
 def _keep(text: str) -> str:
-    """Keep what is known of a defect in a file; return where, in words, and what to do now."""
+    """Store the text of a defect in a file; return a sentence on where it is and what to do."""
     from station.atomic_write import write_whole
     from station.screen.memory import state_folder
 
@@ -71,9 +72,8 @@ def _keep(text: str) -> str:
 
 
 def choices_of(arguments: argparse.Namespace) -> "Choices":
-    """Return what the options of `station ui`, or of `station run --ui`, choose beforehand.
-
-    UsageError for an option that a watched run cannot have.
+    """Return what the options of `station ui` or `station run --ui` choose beforehand; UsageError for --json or
+    --output.
     """
     from station.screen.choices import Choices
 

@@ -1,1 +1,1 @@
-"""The computer beside the table: what of it stands in the way of a run, and the command that helps."""
+"""The computer beside the table: its obstacles to a run, and commands that remove them."""

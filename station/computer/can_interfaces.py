@@ -15,7 +15,9 @@ _VIRTUAL = ("vcan", "vxcan")
 
 
 def ask_kernel(interface: str) -> dict[str, Any] | None:
-    """Return what `ip` says of a network interface, {} if there is none of that name, None if `ip` cannot be asked."""
+    """Return the description of a network interface by `ip`; {} if there is none of that name, None if `ip` does not
+    run.
+    """
     try:
         done = subprocess.run([*_COMMAND, "dev", interface], capture_output=True, text=True, timeout=_LIMIT_S)
     except (OSError, subprocess.TimeoutExpired):
@@ -28,7 +30,10 @@ def ask_kernel(interface: str) -> dict[str, Any] | None:
 def look_at_can_interface(
     interface: str, ask: Callable[[str], dict[str, Any] | None] = ask_kernel
 ) -> Iterator[Finding]:
-    """Yield what stands in the way of using a SocketCAN interface, for instance can0; ``ask`` describes it as `ip`."""
+    """Yield what prevents the use of a SocketCAN interface, such as can0; nothing if it is fine.
+
+    ``ask`` returns its description as `ip` does, see ``ask_kernel``.
+    """
     if not re.fullmatch(r"[\w.-]{1,15}", interface):
         yield Finding(interface, "is not the name of a network interface", "ip -brief link", wrong=True)
         return

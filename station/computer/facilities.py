@@ -13,7 +13,7 @@ _REQUIRED = {
 
 
 def missing_facility() -> str:
-    """Return in one line what this system lacks and what to do; empty if nothing is missing."""
+    """Return one line about the first module that this system lacks, and what to do; empty if none is missing."""
     for module, purpose in _REQUIRED.items():
         try:
             importlib.import_module(module)
@@ -24,7 +24,7 @@ def missing_facility() -> str:
 
 
 def peer_note() -> str:
-    """Return in one line that the users of a local socket are not known here; empty if they are."""
+    """Return one line saying that this system does not identify users of a local socket; empty if it does."""
     if hasattr(socket, "SO_PEERCRED"):
         return ""
     return (

@@ -1,14 +1,14 @@
-"""What was found about the computer."""
+"""Findings about the computer."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing about the computer that a person should know.
+    """One remark on the computer.
 
-    ``about`` names it (a port, an interface, the clock), ``text`` says what is so, ``command`` is what helps, empty if
-    no command does. ``wrong``: a run cannot work like this; else it is advice.
+    ``about`` is the subject (a port, an interface, the clock), ``text`` the remark, ``command`` what helps, empty if no
+    command does. ``wrong``: a run cannot work like this; otherwise it is advice.
     """
 
     about: str

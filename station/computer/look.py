@@ -1,4 +1,4 @@
-"""All that is looked at on the computer for the links of a bench."""
+"""All checks of the computer for the links of a bench."""
 
 from collections.abc import Iterable
 from urllib.parse import urlsplit
@@ -10,7 +10,7 @@ from station.computer.timekeeping import look_at_load, look_at_power_saving, loo
 
 
 def look_at_computer(links: Iterable[str]) -> list[Finding]:
-    """Return what stands in the way of runs over these links, and advice; nothing if all of them lead to twins.
+    """Return problems and advice for runs over these links; nothing if all of them are twins.
 
     ``links`` are as in a bench file: serial:///dev/ttyUSB0?baud=921600, can:socketcan:can0, can:slcan:/dev/ttyACM0.
     """

@@ -1,4 +1,4 @@
-"""Serial ports: rights, stable names, latency of USB adapters, other programs that hold them."""
+"""Serial ports: rights, stable names, latency of USB adapters, other programs that use them."""
 
 import grp
 import os
@@ -14,9 +14,10 @@ _MOST_LATENCY_MS = 1
 
 
 def look_at_serial_port(port: str, root: Path = Path("/")) -> Iterator[Finding]:
-    """Yield what stands in the way of using a serial port, for instance /dev/ttyUSB0.
+    """Yield problems of a serial port, such as /dev/ttyUSB0, and advice; a missing port or a regular file ends the
+    list.
 
-    ``root`` is the root of the file system that is looked at.
+    ``root`` is the root of the file system to look at.
     """
     path = root / port.lstrip("/")
     if not path.exists():
@@ -34,6 +35,7 @@ def look_at_serial_port(port: str, root: Path = Path("/")) -> Iterator[Finding]:
 
 
 def _missing(port: str, root: Path) -> Finding:
+    """Return the finding that a port does not exist, with the ports that do."""
     there = sorted(f"/dev/serial/by-id/{p.name}" for p in _links_by_id(root))
     if there:
         return Finding(
@@ -45,7 +47,7 @@ def _missing(port: str, root: Path) -> Finding:
 
 
 def _refused(port: str, path: Path) -> Finding:
-    """Return why a port may not be used by this user, and the command that changes it."""
+    """Return the finding that this user may not use a port, and the command that changes it."""
     group_id = path.stat().st_gid
     try:
         group = grp.getgrgid(group_id).gr_name
@@ -64,7 +66,7 @@ def _refused(port: str, path: Path) -> Finding:
 
 
 def _held_by_others(port: str, path: Path, root: Path) -> Iterator[Finding]:
-    """Yield other programs that have the port open, as far as this user may see them."""
+    """Yield each other program that has the port open, as far as this user may see."""
     device = path.stat().st_rdev
     for process in sorted((root / "proc").glob("[0-9]*")):
         if process.name == str(os.getpid()):
@@ -91,7 +93,9 @@ def _links_by_id(root: Path) -> list[Path]:
 
 
 def _unstable_name(port: str, path: Path, root: Path) -> Iterator[Finding]:
-    """Yield the name of the port that stays the same when adapters are plugged in another order."""
+    """Yield the stable names of a port that may change its number when adapters are plugged in again; none for a
+    link.
+    """
     if path.is_symlink():
         return
     for link in _links_by_id(root):
@@ -104,7 +108,7 @@ def _unstable_name(port: str, path: Path, root: Path) -> Iterator[Finding]:
 
 
 def _slow_adapter(port: str, path: Path, root: Path) -> Iterator[Finding]:
-    """Yield that a USB adapter gathers bytes for long before it passes them on, as FTDI's do for 16 ms by default."""
+    """Yield that a USB adapter delays bytes, if its latency timer is long, as FTDI's 16 ms by default."""
     name = path.resolve().name
     setting = f"/sys/bus/usb-serial/devices/{name}/latency_timer"
     with suppress(OSError, ValueError):

@@ -1,4 +1,4 @@
-"""What disturbs the timing of a run: a clock that is set, power saving, other programs."""
+"""Disturbances of a run's timing: clock changes, power saving, other programs."""
 
 import os
 import time
@@ -13,14 +13,14 @@ _PRIORITY_OF_A_RUN = 10
 
 
 class ClockWatch:
-    """Sees whether the system clock is set while it is watched. Kernels stamp CAN frames with that clock."""
+    """Detects whether the system clock is set meanwhile. Kernels stamp CAN frames with that clock."""
 
     def __init__(self) -> None:
         self._began_s = time.monotonic()
         self._offset_s = time.time() - self._began_s
 
     def findings(self) -> Iterator[Finding]:
-        """Yield by how much the clock has stepped since this was made, if it has."""
+        """Yield by how much the clock was set since this object was made, if by more than a small step."""
         now_s = time.monotonic()
         step_s = time.time() - now_s - self._offset_s
         if abs(step_s) > _STEP_S:
@@ -33,7 +33,7 @@ class ClockWatch:
 
 
 def look_at_power_saving(root: Path = Path("/")) -> Iterator[Finding]:
-    """Yield which power saving slows this computer down."""
+    """Yield that processors run at their lowest frequency, and that the computer is on battery."""
     governors = set()
     for path in sorted((root / "sys/devices/system/cpu").glob("cpu[0-9]*/cpufreq/scaling_governor")):
         with suppress(OSError):
@@ -47,7 +47,7 @@ def look_at_power_saving(root: Path = Path("/")) -> Iterator[Finding]:
 
 
 def _on_battery(root: Path) -> bool:
-    """Return whether there are mains adapters and none is in use."""
+    """Return whether there are mains adapters but none is in use."""
     states = []
     for supply in (root / "sys/class/power_supply").iterdir():
         if (supply / "type").read_text().strip() == "Mains":
@@ -56,7 +56,7 @@ def _on_battery(root: Path) -> bool:
 
 
 def look_at_usb_suspend(port: str, root: Path = Path("/")) -> Iterator[Finding]:
-    """Yield that the kernel may suspend the USB adapter of a serial port."""
+    """Yield that the kernel may suspend the USB adapter of a serial port; nothing for a port that is not on USB."""
     name = (root / port.lstrip("/")).resolve().name
     device = (root / "sys/class/tty" / name / "device").resolve()
     for folder in (device, *device.parents):
@@ -73,7 +73,9 @@ def look_at_usb_suspend(port: str, root: Path = Path("/")) -> Iterator[Finding]:
 
 
 def look_at_load(cores: int | None = None, load: float | None = None) -> Iterator[Finding]:
-    """Yield that other programs need more than this computer has; by default of the last minute."""
+    """Yield that programs want more processors than there are: ``load`` by default of the last minute, ``cores`` of
+    this machine.
+    """
     available = cores or os.cpu_count() or 1
     used = os.getloadavg()[0] if load is None else load
     if used > available:
@@ -83,7 +85,7 @@ def look_at_load(cores: int | None = None, load: float | None = None) -> Iterato
 
 
 def _priority_advice() -> tuple[str, str]:
-    """Return, in words and as a command, how a run gets a real-time priority where this user may give one."""
+    """Return, in words and as a command, how to give a run real-time priority; both empty if this user may not."""
     import resource
 
     permitted, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)

@@ -1,4 +1,4 @@
-"""Calibrations written for what is to use them: data, robotics tools, autopilots, source code."""
+"""Calibrations written for their users: data, robotics tools, autopilots, source code."""
 
 GROUP = "turntable_station.exports"
 """Entry points of packages that bring forms of their own: each names a ``station.exports.formats.Format``."""

@@ -1,4 +1,4 @@
-"""What is exported of a recording: its calibration, the compensation of some of its gyros, where they come from."""
+"""The exported part of a recording: calibration, compensation of chosen gyros, and their origin."""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -36,7 +36,7 @@ RAW_RULE = sentence("export.raw_rule")
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Exported:
-    """Gyros of a recording with their calibration. ``identity`` says what they are and where the figures come from."""
+    """Gyros of a recording with their calibration. ``identity`` describes them and the origin of the figures."""
 
     path: Path
     identity: Mapping[str, str]
@@ -50,7 +50,7 @@ class Exported:
 
     @property
     def name(self) -> str:
-        """What the gyros are called together."""
+        """Common name of the devices."""
         return " and ".join(self.devices) or "imu"
 
     @property
@@ -69,22 +69,22 @@ class Exported:
 
     @property
     def cautions(self) -> list[str]:
-        """What speaks against using the calibration: that it was no pass, and what its notes say."""
+        """Reasons against using the calibration: that the run did not pass, and its notes."""
         return [*self.failure, *self.calibration.notes]
 
     @property
     def origin(self) -> list[str]:
-        """Who was measured, how, and under what conditions: lines of text for the head of a file."""
+        """Lines for the head of a file: which device was measured, how, and under which conditions."""
         return rendered(
             "station.exports", "origin.txt", {"exported": self, "state_figures": state_figures(self.units)}
         ).splitlines()
 
 
 def exported_of(path: Path, devices: Sequence[str] = (), instance: int = 0) -> Exported:
-    """Return what is exported of a recording: of these devices under test, or all.
+    """Return what is exported from a recording: the gyros of ``devices``, or of all devices under test.
 
-    Raises RecordingError if there is no calibration, ModelError and CompensationError for effects of another version,
-    UsageError for a device that the recording does not have.
+    RecordingError if there is no calibration, ModelError or CompensationError for effects of another version,
+    UsageError for a device that the recording does not have, or for the file of an error model.
     """
     recording = _read(path)
     calibration = read_calibration(path, trusted=True)
@@ -115,6 +115,7 @@ def _units_of(recording: Recording) -> Units:
 
 
 def _read(path: Path) -> Recording:
+    """Return the recording; UsageError if the file is an error model of a type instead."""
     try:
         return read_recording(path)
     except RecordingError:
@@ -125,23 +126,25 @@ def _read(path: Path) -> Recording:
 
 
 def _identity(path: Path, recording: Recording, gyros: Sequence[GyroCalibration]) -> dict[str, str]:
-    told = recording.attributes
+    """Return the identity of the gyros as texts of one line each, by name; empty ones are left out."""
+    attributes = recording.attributes
     with h5py.File(path, "r") as file:
         kinds = [_kind(file[f"imu/{gyro.source}"].attrs) for gyro in gyros]
     named = {
-        "device": ", ".join(dict.fromkeys(gyro.device for gyro in gyros if gyro.device)) or told.get("device", ""),
+        "device": ", ".join(dict.fromkeys(gyro.device for gyro in gyros if gyro.device))
+        or attributes.get("device", ""),
         "model": ", ".join(dict.fromkeys(filter(None, kinds))),
-        "serial number": told.get("device_serial", ""),
-        "operator": told.get("operator", ""),
-        "station": told.get("station", ""),
-        "script": told.get("script", ""),
+        "serial number": attributes.get("device_serial", ""),
+        "operator": attributes.get("operator", ""),
+        "station": attributes.get("station", ""),
+        "script": attributes.get("script", ""),
         "measured (UTC)": _measured_utc(recording),
-        "outcome": " ".join(str(told[key]) for key in ("outcome", "reason") if key in told),
-        "software version": told.get("software_version", ""),
+        "outcome": " ".join(str(attributes[key]) for key in ("outcome", "reason") if key in attributes),
+        "software version": attributes.get("software_version", ""),
         "recording": path.name,
         "sha256 of the recording": file_sha256(path),
     }
-    # A line each: what a file says of itself must not end the comment that it stands in.
+    # One line each: texts of a file must not end the comment in which they stand.
     return {key: " ".join(str(value).split()) for key, value in named.items() if value}
 
 
@@ -166,7 +169,7 @@ def file_sha256(path: Path) -> str:
 
 
 def raw_sha256(path: Path) -> str:
-    """Return the hash of what was measured, as ``RAW_RULE`` says: estimates and attributes do not change it."""
+    """Return the hash of the measured data, by ``RAW_RULE``: estimates and attributes do not change it."""
     found = hashlib.sha256()
     with h5py.File(path, "r") as file:
         names: list[str] = []

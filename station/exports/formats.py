@@ -14,9 +14,10 @@ from station.exports.written import Written
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """A form: what writes it (or UsageError), what it holds and lacks, for people, whether it is of one device.
+    """An export format: the function that writes it (or UsageError), what it holds and lacks in words, whether per
+    device.
 
-    ``suffix`` ends the names of its files where the station names them.
+    ``suffix`` is that of its files where the station names them.
     """
 
     name: str

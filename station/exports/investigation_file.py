@@ -1,4 +1,4 @@
-"""What an investigation is kept in: an HDF5 file with the verdict as JSON and the residuals before and after."""
+"""The file of an investigation: HDF5 with the verdict as JSON and the residuals before and after."""
 
 import json
 from collections.abc import Mapping
@@ -19,15 +19,13 @@ FORMAT_VERSION = 1
 
 
 def write_investigation(path: Path, found: Investigation, what: Mapping[str, Any]) -> None:
-    """Write group /investigation: ``what`` --json prints as its attribute ``json``, states, residuals by run and gyro.
+    """Write group /investigation: ``what`` as its attribute ``json``, states, and residuals by run and gyro.
 
-    Group ``spectrum`` holds by gyro the densities of the residual of the recordings that were fitted, before and after,
-    and of the noise model, (rad/s)^2/Hz at ``frequency_hz``; ``spectrum_verification`` those of the verification run.
+    Group ``spectrum`` holds by gyro the densities (rad/s)^2/Hz at ``frequency_hz`` of the residual of the fitted
+    recordings, before and after, and of the noise model; ``spectrum_verification`` those of the verification run. The
+    text of the error model, for the next device of the type, is stored as ``estimator.calibration.error_model`` has it.
 
-    ``error_model`` is the text of the model to begin with on the next device of the type: that of
-    ``estimator.calibration.error_model``.
-
-    Raises UsageError if the file is there or cannot be written.
+    UsageError if the file exists or cannot be written; an incomplete file is removed.
     """
     import h5py
 

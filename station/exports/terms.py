@@ -33,7 +33,7 @@ _PLACES = {"lag": 1, "play": 1, "last": 2}
 class Term:
     """One effect: the name of its table, the table (n,) or (n, p), its unit, and the expression for gyro ``i``.
 
-    In the expression "{table}" stands for what the table is called. ``acts``: where it comes in.
+    "{table}" in the expression stands for the table's name. ``acts`` is the point in the chain where it acts.
     """
 
     effect: str
@@ -53,13 +53,13 @@ class Term:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Terms:
-    """All of them, in the order in which they are undone; ``places``: numbers that are kept for each gyro."""
+    """All terms in the order of correction; ``places`` is the count of state variables kept for each gyro."""
 
     all: tuple[Term, ...]
     places: int
 
     def of(self, acts: Acts) -> tuple[Term, ...]:
-        """Return those that come in like this."""
+        """Return the terms that act at this place of the chain."""
         return tuple(term for term in self.all if term.acts is acts)
 
     @property
@@ -68,13 +68,15 @@ class Terms:
         return next(iter(self.of(Acts.LAG)), None)
 
     def uses(self, name: str, acts: Acts | None = None) -> bool:
-        """Return whether an expression uses a name such as "warmth"; of those that come in like this, if given."""
+        """Return whether an expression uses a name such as "warmth"; with ``acts``, only of the terms that act
+        there.
+        """
         some = self.all if acts is None else self.of(acts)
         return any(re.search(rf"\b{name}\b", term.expression) for term in some)
 
     @property
     def given_to_the_rate(self) -> list[str]:
-        """What effects of the rate depend on beside it."""
+        """Return the further names on which effects of the rate depend."""
         return [name for name in ("warmth", "time_s", "accel") if self.uses(name, Acts.RATE)]
 
     @property
@@ -89,7 +91,7 @@ class Terms:
 
 
 def terms_of(compensation: Compensation) -> Terms:
-    """Return the terms of a compensation."""
+    """Return the terms of a compensation; effects of the same name get numbered tables."""
     terms, places = [], 0
     for place, held in enumerate(compensation.effects):
         twice = any(other.name == held.name for other in compensation.effects[:place])
@@ -115,16 +117,22 @@ def terms_of(compensation: Compensation) -> Terms:
 
 
 def _of_law(law: str, places: int) -> tuple[str, int]:
-    """Return what a law adds to the output of gyro ``i``, and how many numbers are kept by now."""
+    """Return the expression of a law's contribution to gyro ``i``, and the count of state variables used up to now.
+
+    Functions with memory (lag, play, decays) take state variables, counted from ``places``.
+    """
 
     def call(name: str, inner: str, constant: str) -> str:
+        """Return a function call as text for a C-like program; functions with a memory take the next places in it."""
         nonlocal places
         if name not in _PLACES:
-            told = f"{inner}, {constant}" if constant else inner
-            return f"{ {'abs': 'fabs', 'sign': '{sign}'}.get(name, name) }({told})"
+            arguments = f"{inner}, {constant}" if constant else inner
+            return f"{ {'abs': 'fabs', 'sign': '{sign}'}.get(name, name) }({arguments})"
         place, places = places, places + _PLACES[name]
-        told = {"lag": f"exp(-step / {constant}), 1e300", "play": f"1.0, 0.5 * {constant}"}.get(name, constant or "0.0")
-        return f"{{{'last' if name == 'last' else 'follow'}}}{place}, i, {inner}, {told})"
+        arguments = {"lag": f"exp(-step / {constant}), 1e300", "play": f"1.0, 0.5 * {constant}"}.get(
+            name, constant or "0.0"
+        )
+        return f"{{{'last' if name == 'last' else 'follow'}}}{place}, i, {inner}, {arguments})"
 
     written = law_terms(law, _SCALAR, call)
     column = "[{}]" if len(written) > 1 else ""
@@ -133,12 +141,13 @@ def _of_law(law: str, places: int) -> tuple[str, int]:
 
 
 def law_terms(law: str, names: Mapping[str, str], call: Callable[[str, str, str], str]) -> list[str]:
-    """Return each term of a law, every operation in brackets; ``names`` are those of its variables.
+    """Return each term of a law as text, every operation in brackets; ``names`` translates its variables.
 
-    ``call`` writes a function from its name, its argument, and its constant: that of a power, too; "" if it has none.
+    ``call(name, argument, constant)`` writes a function; a power is "pow", and the constant is "" if there is none.
     """
 
     def written(node: ast.expr) -> str:
+        """Return a syntax tree as text for a C-like program; small integer powers become products."""
         match node:
             case ast.Constant(value=int() | float() as value):
                 return number(float(value))

@@ -1,4 +1,4 @@
-"""One calibration in one form: the text of the file, and what the file cannot hold."""
+"""One calibration in one format: the text of the file, and what the file cannot hold."""
 
 import json
 import re
@@ -22,14 +22,16 @@ _NOT_FINITE = "the calibration holds a number that is not finite. Estimate it ag
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """Text or bytes of a file; ``not_held``: a line each, what of the calibration it lacks, what is left to do."""
+    """Text or bytes of a file; ``not_held`` has one line for each part of the calibration that it lacks."""
 
     text: str | bytes
     not_held: tuple[str, ...] = ()
 
 
 def number(value: float, digits: int = 17) -> str:
-    """Return a number for C and Python alike; 17 significant digits give the same double back, 9 the same float."""
+    """Return a number as C and Python read it; 17 significant digits restore a double, 9 a float. UsageError if not
+    finite.
+    """
     if not np.isfinite(value):
         raise UsageError(_NOT_FINITE)
     text = format(float(value), f".{digits}g")
@@ -47,7 +49,7 @@ def json_text(value: Mapping[str, object]) -> str:
 
 
 def yaml_text(value: Mapping[str, object]) -> str:
-    """Return values that JSON holds as YAML 1.1 and 1.2, rows of numbers in one line; UsageError as ``json_text``."""
+    """Return JSON values as YAML 1.1 and 1.2, rows of numbers in one line; UsageError as ``json_text``."""
     held = json.loads(json_text(value))  # no two places of it are one object, which YAML would write as an alias
     return str(yaml.dump(held, Dumper=_Dumper, default_flow_style=None, sort_keys=False, allow_unicode=True, width=1e9))
 
@@ -69,13 +71,13 @@ def lines_of(reasons: Mapping[str, str]) -> list[str]:
 
 
 def delay_line(exported: Exported, what: str = "subtract it from the time stamps of the samples") -> list[str]:
-    """Return the line for a delay that a form does not hold; none if there is no delay."""
+    """Return the line on a delay that a format cannot hold; none if there is no delay."""
     delay_s = exported.compensation.delay_s
     return [f"a delay of {delay_s:.6g} s: {what}"] if delay_s else []
 
 
 def head(exported: Exported, what: str, not_held: Sequence[str], mark: str) -> list[str]:
-    """Return the lines that a text begins with, each behind ``mark``."""
+    """Return the first lines of a text, each behind ``mark``: what it is, the origin, and what it does not hold."""
     lines = [what, "", *exported.origin]
     if not_held:
         lines += ["", "Not in this file, or to be done by hand:", *(f"  - {line}" for line in not_held)]
@@ -83,18 +85,19 @@ def head(exported: Exported, what: str, not_held: Sequence[str], mark: str) -> l
 
 
 def from_template(form: str, exported: Exported, dropped: Mapping[str, str], **values: Any) -> Written:
-    """Return what the template of a form makes of ``values``: what it lacks and leaves to do first, then the file."""
+    """Return a file made from the template of a format; its first lines say what it lacks and leaves to be done."""
     values |= {"numbers": lambda row: ", ".join(map(number, row)), "delay_s": exported.compensation.delay_s}
-    what, *notes = rendered("station.exports", f"{form}.jinja", {"head": (), **values}).splitlines()
+    purpose, *notes = rendered("station.exports", f"{form}.jinja", {"head": (), **values}).splitlines()
     not_held = [*notes, *lines_of(dropped)]
-    values["head"] = head(exported, what, not_held, "#")
+    values["head"] = head(exported, purpose, not_held, "#")
     return Written(rendered("station.exports", f"{form}.jinja", values), tuple(not_held))
 
 
 def as_triad(exported: Exported, form: str, keep: Collection[str] = ()) -> tuple[Compensation, dict[str, str]]:
-    """Return what is left for a form that holds three gyros and only some effects, and why each other is not in it.
+    """Return the compensation reduced to the effects ``keep``, for a format of three gyros, and why others are left
+    out.
 
-    UsageError that says what to do if there are not three.
+    UsageError, with what to do, if there are not three gyros.
     """
     count = len(exported.gyros)
     if count != 3:

@@ -1,1 +1,1 @@
-"""A bench file by question and answer: what is asked, what this machine offers, the file that comes of it."""
+"""A bench file by question and answer: the questions, this machine's hardware, the resulting file."""

@@ -17,7 +17,7 @@ _WHERE = re.compile(r"^bench: (\S+: )?")
 
 
 def read_data(data: Mapping[str, Any], read: Callable[[Table], object]) -> None:
-    """Read a part of a bench file; UsageError with what is wrong, without the place, which nobody has seen."""
+    """Read a part of a bench file; UsageError with the fault but not its place, as the user has not seen the file."""
     try:
         read(Table(dict(data), (), "", "bench", BenchError))
     except BenchError as error:
@@ -32,9 +32,10 @@ def ask_key(
     proposed: str | None = None,
     checked: Callable[[Data], object] = lambda data: None,
 ) -> Data:
-    """Return a table with the answer for one of its keys, without it if that is empty.
+    """Return the table ``data`` with the answer for one key, without the key if the answer is empty.
 
-    Its own value is proposed if nothing else is. ``checked`` raises UsageError for a table that cannot be.
+    The present value is proposed unless ``proposed`` is given. ``checked`` raises UsageError for an invalid table, and
+    the question is then repeated.
     """
 
     def made(text: str) -> Data:
@@ -52,7 +53,7 @@ def ask_key(
 
 
 def _value(key: Key, text: str) -> Any:
-    """Return an answer as TOML has it."""
+    """Return an answer as a TOML value: a list for several, a number where possible, else the text."""
     if key.kind == "texts" or key.each:
         return [part for part in re.split(r"\s*,\s*" if key.each else r"[\s,]+", text.strip()) if part]
     if key.kind in ("integer", "number"):

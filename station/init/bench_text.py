@@ -1,4 +1,4 @@
-"""A bench file made of answers: TOML with comments."""
+"""A bench file from answers: TOML with comments."""
 
 from collections.abc import Iterable, Iterator
 
@@ -18,7 +18,7 @@ _HEAD = """\
 
 
 def bench_text(bench: Data, others: Iterable[DeviceKind] = ()) -> str:
-    """Return the whole file; ``others`` are kinds beside the table and the devices under test."""
+    """Return the complete bench file with comments; ``others`` are kinds besides table and IMU."""
     docs: dict[str, str] = {}
     for kind in (TABLE, IMU, *others):
         for path, device in _devices(bench, kind):

@@ -7,27 +7,27 @@ from station.errors import UsageError
 
 
 class EndedError(Exception):
-    """The person, or the file that answers come from, has no more answers."""
+    """There are no more answers, from the person or the file."""
 
 
 class Dialogue:
-    """Asks on stdout and reads from stdin; with ``asks`` false it takes every proposal without a word."""
+    """Asks on stdout and reads from stdin; with ``asks`` false it accepts every proposal silently."""
 
     def __init__(self, asks: bool) -> None:
-        """A pipe may answer, too: it is shown what it answered."""
+        """``asks``: questions are asked. If the answers come from a pipe, they are printed too."""
         self.asks = asks
         self._echo = asks and sys.stdin is not None and not sys.stdin.isatty()
 
     def say(self, text: str = "") -> None:
-        """Say something, if anything is asked at all."""
+        """Print a text, if questions are asked at all."""
         if self.asks:
             print(text)
 
     def ask(self, question: str, proposed: str, check: Callable[[str], object] | None = None) -> str:
-        """Return an answer that ``check`` takes: it raises UsageError, whose message is shown, for what is wrong.
+        """Return an answer that ``check`` accepts; the message of its UsageError is shown and the question repeated.
 
-        Nothing typed is the proposal, a single - is an empty answer. Raises UsageError if the proposal itself is wrong
-        and nobody is asked, EndedError at the end of the input.
+        An empty line accepts the proposal, a single - is an empty answer. UsageError if nobody is asked and the
+        proposal is wrong, EndedError at the end of the input.
         """
         if not self.asks:
             if check is not None:
@@ -47,9 +47,9 @@ class Dialogue:
                 return answer
 
     def choose(self, question: str, options: Mapping[str, str], proposed: str) -> str:
-        """Return one of the options, by its name or a beginning that no other has; each is shown with what it is."""
-        for name, what in options.items():
-            self.say(f"    {name:<12} {what}")
+        """Return one of ``options``, by its name or an unambiguous beginning; all are shown with their descriptions."""
+        for name, meaning in options.items():
+            self.say(f"    {name:<12} {meaning}")
 
         def one_of(answer: str) -> None:
             if len(_meant(answer, options)) != 1:
@@ -58,7 +58,7 @@ class Dialogue:
         return _meant(self.ask(question, proposed, one_of), options)[0]
 
     def agrees(self, question: str, proposed: bool) -> bool:
-        """Return whether the answer is yes."""
+        """Return whether the answer is yes; y, ye, n and so on are accepted."""
 
         def one_of(answer: str) -> None:
             if not answer or not any(word.startswith(answer.lower()) for word in ("yes", "no")):
@@ -67,6 +67,7 @@ class Dialogue:
         return self.ask(question, "yes" if proposed else "no", one_of).lower().startswith("y")
 
     def _read(self, prompt: str) -> str:
+        """Return a line of stdin, echoed if it is not a terminal; EndedError if there is none or it cannot be read."""
         if sys.stdin is None:  # started with a closed one
             raise EndedError
         try:

@@ -1,4 +1,4 @@
-"""What is asked about gyros on CAN, or described by a file: how they lie, and which signals they are."""
+"""Questions about gyros on CAN, or described by a file: their axes and signals."""
 
 import math
 import re
@@ -30,7 +30,10 @@ def built_in_channels(count: int) -> list[Data]:
 
 
 def ask_gyros(dialogue: Dialogue, imu: Data, folder: Path, checked: Callable[[Data], object]) -> Data:
-    """Return the device with its geometry and its signals; ``checked`` raises UsageError for what cannot be."""
+    """Return the device with its array and its signals: a mapping, a DBC with channels, or the built-in DBC.
+
+    ``checked`` raises UsageError for an invalid device; the question is then repeated.
+    """
     dialogue.say("  How are its gyros arranged?")
     bare = {key: value for key, value in imu.items() if key not in ("array", "channels")}
     geometry, count = _ask_geometry(dialogue, dialogue.choose("array", _ARRAYS, "tetrahedron"))
@@ -38,6 +41,9 @@ def ask_gyros(dialogue: Dialogue, imu: Data, folder: Path, checked: Callable[[Da
     dialogue.say(sentence("init.signals"))
 
     def usable(text: str) -> None:
+        """Check the answer: a DBC by reading it, a mapping or no answer (the built-in DBC) by ``checked``; UsageError
+        if wrong.
+        """
         if text.endswith(".dbc"):
             _signals(folder / text)
         elif text:
@@ -54,21 +60,23 @@ def ask_gyros(dialogue: Dialogue, imu: Data, folder: Path, checked: Callable[[Da
 
 
 def ask_description(dialogue: Dialogue, imu: Data, folder: Path) -> Data:
-    """Return the device with its description and, if that does not have three gyros, with its geometry."""
+    """Return the device with its description and, if that does not have three gyros, the array."""
     shipped = ", ".join(sorted(path.stem for path in DESCRIPTIONS.glob("*.toml")))
     question = f"its description: {shipped}, or the path of a .toml"
     chosen = dialogue.ask(question, "csv", lambda text: load_description(text, folder))
     count = len(load_description(chosen, folder).channels[0].rates)
     if count != GYROS["triad"]:
         dialogue.say(f"  How are its {count} gyros arranged?")
-        fitting = {kind: what for kind, what in _ARRAYS.items() if GYROS.get(kind, count) == count}
+        fitting = {kind: meaning for kind, meaning in _ARRAYS.items() if GYROS.get(kind, count) == count}
         geometry, _ = _ask_geometry(dialogue, dialogue.choose("array", fitting, next(iter(fitting))), count)
         imu = {key: value for key, value in imu.items() if key != "array"} | geometry
     return {**imu, "description": chosen}
 
 
 def _ask_geometry(dialogue: Dialogue, kind: str, count: int = 0) -> tuple[Data, int]:
-    """Return the keys of an array, and how many gyros it has; ``count`` if that is known."""
+    """Return the keys of an array of this kind, and its number of gyros, which is asked for unless ``count`` is
+    given.
+    """
     if kind in GYROS:
         return {"array": kind}, GYROS[kind]
     made: Data = ask_key(dialogue, {}, _COUNT, "number of gyros", "3") if not count else {"gyros": count}
@@ -83,7 +91,7 @@ def _ask_geometry(dialogue: Dialogue, kind: str, count: int = 0) -> tuple[Data, 
 
 
 def _direction(text: str) -> list[float]:
-    """Return a direction as a vector of length one; UsageError if it is none."""
+    """Return three numbers as a unit vector; UsageError if they are none, or all zero."""
     try:
         x, y, z = (float(part) for part in re.split(r"[\s,]+", text.strip()))
     except ValueError:
@@ -107,6 +115,7 @@ def _signals(path: Path) -> list[str]:
 
 
 def _ask_channels(dialogue: Dialogue, path: Path, count: int) -> list[Data]:
+    """Return a channel for each of ``count`` gyros: a rate and possibly a temperature, of the DBC's signals."""
     signals = _signals(path)
     dialogue.say("  signals: " + ", ".join(signals))
 

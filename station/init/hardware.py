@@ -1,4 +1,4 @@
-"""What this machine has to reach devices by: serial ports and CAN interfaces."""
+"""Ports of this machine for devices: serial ports and CAN interfaces."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +9,7 @@ _ARPHRD_CAN = "280"  # linux/if_arp.h
 
 @dataclass(frozen=True, slots=True)
 class SerialFound:
-    """A serial port: the link to it, what it says of itself, and whether it is an adapter that was plugged in."""
+    """A serial port: its link, its description, and whether it is a plugged-in adapter."""
 
     link: str
     description: str
@@ -17,15 +17,15 @@ class SerialFound:
 
 
 def serial_ports() -> list[SerialFound]:
-    """Return the serial ports of this machine, those that were plugged in first."""
+    """Return the serial ports of this machine, plugged-in adapters first."""
     from serial.tools import list_ports
 
     found = []
     for port in sorted(list_ports.comports(), key=lambda port: str(port.device)):
         name = str(port.device)
         link = f"serial://{name}" if name.startswith("/") else f"serial:{name}"
-        said = str(port.description or "")
-        found.append(SerialFound(link, "" if said in ("n/a", name) else said, port.vid is not None))
+        description = str(port.description or "")
+        found.append(SerialFound(link, "" if description in ("n/a", name) else description, port.vid is not None))
     return sorted(found, key=lambda port: not port.plugged_in)
 
 

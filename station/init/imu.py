@@ -1,4 +1,4 @@
-"""What is asked about a device under test."""
+"""Questions about a device under test."""
 
 import re
 from collections.abc import Sequence
@@ -19,7 +19,9 @@ _KEYS = {key.name: key for section in ("bench.prior", "bench.imu", "bench.noise"
 
 
 def ask_imu(dialogue: Dialogue, links: Links, folder: Path, protocol: str, link: str, names: Sequence[str]) -> Data:
-    """Return a device under test whose name is not among ``names``; ``protocol``, ``link`` are proposed, if given."""
+    """Return a device under test with a name that is not in ``names``; ``protocol`` and ``link`` are proposed if not
+    empty.
+    """
 
     def checked(made: Data) -> None:
         read_data({"imu": [made]}, lambda top: read_imu(top.tables("imu")[0], folder))
@@ -48,8 +50,8 @@ def ask_imu(dialogue: Dialogue, links: Links, folder: Path, protocol: str, link:
     if spec.signals_of_dbc and dialogue.asks:
         imu = ask_gyros(dialogue, imu, folder, checked)
     imu = ask_key(dialogue, imu, _KEYS["rate"], checked=checked)
-    for name, what in (("arw", "angle random walk"), ("bias_instability", "bias instability")):
-        imu["datasheet"] = ask_key(dialogue, imu["datasheet"], _KEYS[name], f"{what} of the data sheet")
+    for name, meaning in (("arw", "angle random walk"), ("bias_instability", "bias instability")):
+        imu["datasheet"] = ask_key(dialogue, imu["datasheet"], _KEYS[name], f"{meaning} of the data sheet")
     return imu
 
 

@@ -1,4 +1,4 @@
-"""Where devices are: what this machine offers, and whether an answer is a link at all."""
+"""Links of devices: what this machine offers, and whether an answer is a link at all."""
 
 from dataclasses import dataclass, field
 
@@ -10,7 +10,7 @@ from station.init.hardware import SerialFound
 
 @dataclass(slots=True)
 class Links:
-    """Links that this machine offers; a serial port that is taken is not proposed again."""
+    """The links that this machine offers; a serial port in use is not proposed again."""
 
     serial: list[SerialFound] = field(default_factory=list)
     can: list[str] = field(default_factory=list)
@@ -24,7 +24,9 @@ class Links:
         return free[0] if free else TWIN
 
     def ask(self, dialogue: Dialogue, spec: DeviceSpec, device: str, proposed: str = "") -> str:
-        """Return the link of a device; where nobody is asked and none is proposed, the twin."""
+        """Return the link of a device; if nobody is asked, the proposed one or else the twin. It counts as in use from
+        then on.
+        """
         found = self.can if spec.on_can else [f"{p.link} {p.description}".rstrip() for p in self.serial]
         if found:
             dialogue.say("  found here: " + "; ".join(found))

@@ -1,4 +1,4 @@
-"""What is asked about a device of another kind than the table and the devices under test."""
+"""Questions about a device of a kind other than table and IMU."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,13 +15,13 @@ from station.init.links import Links
 
 
 def other_kinds() -> list[DeviceKind]:
-    """Return the kinds that packages bring; one that cannot be used is passed over."""
+    """Return the device kinds of installed packages; unusable ones are left out."""
     found = [kind for kind in KINDS.tried().values() if isinstance(kind, DeviceKind)]
     return [kind for kind in found if kind.name not in (TABLE.name, IMU.name)]
 
 
 def ask_others(dialogue: Dialogue, links: Links, folder: Path, kind: DeviceKind, names: Sequence[str]) -> list[Data]:
-    """Return the devices of a kind that there are, with names that are not among ``names``.
+    """Return the devices of a kind on this bench, at most one if the kind is ``single``, with names not in ``names``.
 
     Paths count from ``folder``.
     """
@@ -33,6 +33,9 @@ def ask_others(dialogue: Dialogue, links: Links, folder: Path, kind: DeviceKind,
 
 
 def _ask_other(dialogue: Dialogue, links: Links, folder: Path, kind: DeviceKind, names: Sequence[str]) -> Data:
+    """Return one device: protocol, link, then its required keys and those to be asked for; UsageError if it is
+    invalid.
+    """
     known = {name: spec for name, spec in kind.protocols.tried().items() if isinstance(spec, DeviceSpec)}
     protocol = dialogue.choose("protocol", {name: spec.said for name, spec in known.items()}, next(iter(known), ""))
     spec = known[protocol]

@@ -1,4 +1,4 @@
-"""What is asked about the lab: where it is, what counts as a pass, what names look like."""
+"""Questions about the lab: its site, its limits for a pass, its patterns for names."""
 
 import math
 from collections.abc import Sequence
@@ -16,9 +16,9 @@ _KNOWN = packaged_toml("station.init", "devices.toml")
 
 
 def ask_rest(dialogue: Dialogue, bench: Data, others: Sequence[str] = ()) -> Data:
-    """Return the bench with its place, its site and its limits, and what its twins are.
+    """Return the complete bench: place, site, limits and twins in addition to the devices in ``bench``.
 
-    ``others`` are sections of devices of other kinds.
+    ``others`` are the sections of devices of other kinds.
     """
     dialogue.say("\nThe lab. Its latitude is needed to remove Earth rate (15 deg/h); - leaves it in the bias.")
     latitude, heading = keys_of("bench.site")
@@ -52,14 +52,14 @@ def ask_rest(dialogue: Dialogue, bench: Data, others: Sequence[str] = ()) -> Dat
 
 
 def _twin(bench: Data) -> Data:
-    """Return what twins are, of all devices, since any of them may be served by `station twin`."""
+    """Return the twin settings of all devices, since any of them may be served by `station twin`."""
     wires = {imu["name"]: "udp_multicast" if IMUS[imu["protocol"]].on_can else "serial" for imu in bench["imu"]}
     truths = {imu["name"]: _KNOWN["truth"] | _stated(imu, "bias_instability") for imu in bench["imu"]}
     return {"start": ["2 deg"] * len(bench["table"]["gimbals"]), "wires": {"table": "tcp", **wires}, **truths}
 
 
 def _stated(imu: Data, *names: str) -> Data:
-    """Return what the data sheet states of these keys."""
+    """Return the values that the data sheet states for these keys."""
     return {name: imu["datasheet"][name] for name in names if name in imu["datasheet"]}
 
 

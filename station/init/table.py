@@ -1,4 +1,4 @@
-"""What is asked about the table."""
+"""Questions about the table."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -16,7 +16,7 @@ _KEYS = {key.name: key for section in ("table", "encoder", "axis", "own_link") f
 
 
 def ask_table(dialogue: Dialogue, links: Links, folder: Path, protocol: str, link: str) -> Data:
-    """Return the table; ``protocol`` and ``link`` are proposed, if given. Paths count from ``folder``."""
+    """Return the table; ``protocol`` and ``link`` are proposed if not empty. Paths count from ``folder``."""
 
     def checked(made: Data) -> None:
         read_data({"table": made}, lambda top: read_table(top.table("table"), folder))
@@ -49,7 +49,7 @@ def ask_table(dialogue: Dialogue, links: Links, folder: Path, protocol: str, lin
 
 
 def _axes(spec: TableSpec, names: Sequence[str]) -> dict[str, Data]:
-    """Return axes as they are proposed; their addresses go by their names, that of x first."""
+    """Return the proposed axes by name; addresses are assigned in the order of the names, x first."""
     order, last = sorted(names), len(spec.addresses) - 1
     usual: Data = {"counts_per_turn": spec.proposed_counts} if spec.proposed_counts else {}
     usual |= {"max_rate": "100 deg/s", "max_acceleration": "50 deg/s2"}
@@ -59,7 +59,7 @@ def _axes(spec: TableSpec, names: Sequence[str]) -> dict[str, Data]:
 
 
 def _proposed(spec: TableSpec, asked: Data, usual: Data, before: Data) -> Data:
-    """Return what is proposed for the next axis: what was said of the one before, and an address that is free."""
+    """Return the proposal for the next axis: the answers for the one ``before``, with a free address."""
     kept = {key: value for key, value in before.items() if key != "link"} or usual
     if spec.address is None:
         return kept
@@ -72,7 +72,9 @@ def _proposed(spec: TableSpec, asked: Data, usual: Data, before: Data) -> Data:
 def _ask_axis(
     dialogue: Dialogue, spec: TableSpec, table: Data, name: str, axis: Data, checked: Callable[[Data], object]
 ) -> Data:
-    """Return one axis, beside those that the table has already; ``axis`` is what is proposed."""
+    """Return one axis, given the table so far; ``axis`` is the proposal. ``checked`` raises UsageError for an invalid
+    table.
+    """
 
     def ask(key: Key, question: str = "") -> Data:
         return ask_key(dialogue, axis, key, question, checked=lambda made: checked({**table, name: made}))

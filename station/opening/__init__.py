@@ -1,4 +1,4 @@
-"""Turns a bench into drivers on links, and builds the twins at the far end of those that say so.
+"""Opens a bench: drivers on their links, and the twins at the far end of twin links.
 
 The only package of the station that knows that there are twins.
 """
@@ -57,7 +57,7 @@ class OpenDevice:
 
     @property
     def counts(self) -> LinkCounts | None:
-        """What went over its link so far; None of a driver that opens them itself and does not tell."""
+        """Counts of its link so far; None for a driver that opens its links itself and does not count."""
         counts = getattr(self.driver, "counts", None) if self.link_counts is None else self.link_counts
         return counts if isinstance(counts, LinkCounts) else None
 
@@ -69,9 +69,9 @@ class OpenDevice:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GuardedDevices:
-    """What another process needs to make devices safe if this one is killed.
+    """All that another process needs to make devices safe if this one is killed.
 
-    ``packed`` makes the drivers (``drivers.recipe``), in the order in which they are made safe; ``locks`` are the
+    ``packed`` rebuilds the drivers (``drivers.recipe``), in the order in which they are made safe; ``locks`` are the
     descriptors that hold their links.
     """
 
@@ -81,7 +81,7 @@ class GuardedDevices:
 
 @dataclass(frozen=True, slots=True)
 class OpenBench:
-    """The drivers of a bench, not yet opened themselves."""
+    """The drivers of a bench. The drivers themselves have not been opened."""
 
     bench: Bench
     table: Turntable
@@ -94,7 +94,7 @@ class OpenBench:
     """All of them by name: the table, those under test, others."""
 
     def __post_init__(self) -> None:
-        """See that ``table`` is the table of ``devices``, by which it is made safe."""
+        """Make ``table`` the driver of the table in ``devices``, by which it is made safe, and list the table first."""
         name = self.bench.table.name
         known = self.devices.get(name)
         if known is None:
@@ -104,7 +104,7 @@ class OpenBench:
 
     @property
     def others(self) -> tuple[OpenDevice, ...]:
-        """The devices of kinds beside the table and the devices under test."""
+        """The devices of kinds other than table and IMU."""
         names = {device.name for device in self.bench.others}
         return tuple(device for device in self.devices.values() if device.name in names)
 
@@ -113,7 +113,7 @@ class OpenBench:
         return in_safe_order(self.devices.values())
 
     def link_counts(self) -> dict[str, LinkCounts]:
-        """Return by device what went over its link; none of one from outside that opens its links itself."""
+        """Return the link counts by device; devices whose drivers do not count are left out."""
         counts = {device.name: device.counts for device in self.devices.values()}
         return {name: found for name, found in counts.items() if found is not None}
 
@@ -126,11 +126,10 @@ def in_safe_order(devices: Iterable[OpenDevice]) -> list[OpenDevice]:
 
 
 def with_links(bench: Bench, links: dict[str, str], devices: Sequence[str]) -> Bench:
-    """Return the bench with other links (by device name, or "table"), and with only these devices used.
+    """Return the bench with other links, by device name or "table", and with only ``devices`` used, if any is named.
 
-    Another link of the table is that of all its axes.
-
-    BenchError for a name that the bench does not have.
+    The table's link replaces those of all its axes. Devices with a link here are used, too, unless devices under test
+    are named. BenchError for a name that the bench does not have.
     """
     table = bench.table.name
     for name in (*links, *devices):
@@ -165,11 +164,11 @@ def needs_only_memory(bench: Bench) -> bool:
 
 @asynccontextmanager
 async def open_bench(bench: Bench, *, time_scale: float = 1.0) -> AsyncIterator[OpenBench]:
-    """Build links, twins and drivers; all twins end with the context.
+    """Build links, twins and drivers of the used devices; all twins end with the context. Drivers are not opened.
 
-    ``time_scale`` is how fast the loop's clock runs: what waits for a host, not for physics, is stretched by it, and
-    not shortened where it is below 1, as devices are slow then, too. The links of what is to be made safe are held:
-    DeviceRefused if another program of this machine has one.
+    ``time_scale`` is how fast the loop's clock runs: times that wait for a host, not for physics, are stretched by it,
+    but never shortened. Links of devices that have to be made safe are locked: DeviceRefused if another program of this
+    machine holds one. BenchError if no device under test is used.
     """
     used = [imu for imu in bench.imus if imu.used]
     if not used:
@@ -201,7 +200,9 @@ async def open_bench(bench: Bench, *, time_scale: float = 1.0) -> AsyncIterator[
 
 
 async def _table(bench: Bench, twins: Twins, time_scale: float) -> tuple[Turntable, bytes]:
-    """Return the driver of the table, and what makes it in another process; nothing for a twin in this one."""
+    """Return the driver of the table, and the pickle that rebuilds it in another process; empty for a twin and on
+    Windows.
+    """
     config = bench.table
     spec = config.spec
     axes = {
@@ -216,7 +217,7 @@ async def _table(bench: Bench, twins: Twins, time_scale: float) -> tuple[Turntab
 
 
 def _other(config: DeviceConfig, twins: Twins, time_scale: float) -> OpenDevice:
-    """Return a device of a kind that the station knows by its record alone."""
+    """Return the driver of a device of another kind, with the pickle that rebuilds it if it has to be made safe."""
     spec = config.spec
     setup = DeviceSetup(
         name=config.name, timeout_s=config.timeout_s * time_scale, options=config.options, settings=config.settings
@@ -232,6 +233,7 @@ def _other(config: DeviceConfig, twins: Twins, time_scale: float) -> OpenDevice:
 
 
 async def _imu(imu: ImuConfig, twins: Twins, time_scale: float) -> OpenImu:
+    """Return the driver of a device under test, with its link counted."""
     spec = imu.spec
     link: Any
     if imu.link == TWIN:

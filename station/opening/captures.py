@@ -41,7 +41,10 @@ _SAME_SAMPLE = 0.6  # of a message's period: one further away is of another samp
 
 
 def _gathered(pieces: Sequence[Mapping[str, Floats]], lead: str) -> Columns:
-    """Return the columns of the pieces that have the leading one, one after another, NaN where a piece lacks one."""
+    """Return the columns of all pieces joined in order, NaN where a piece lacks one.
+
+    Pieces without the column ``lead`` are left out, unless none has it.
+    """
     kept = [piece for piece in pieces if lead in piece] or pieces
     widths = {name: values.shape[1:] for piece in kept for name, values in piece.items()}
     lengths = [len(next(iter(piece.values()))) for piece in kept]
@@ -56,7 +59,7 @@ def _damaged(count: int, what: str) -> tuple[str, ...]:
 
 
 def _xbus(raw: bytes, names: Sequence[str]) -> _Decoded:
-    """Return MTData2 packets by the maker's names, and ``time`` (s) of SampleTimeFine."""
+    """Return MTData2 packets by the maker's names, and ``time`` (s) of SampleTimeFine; notes on damaged messages."""
     decoder = XbusDecoder()
     pieces: list[Columns] = []
     malformed = 0
@@ -90,9 +93,11 @@ def _stim300(section: StrictTable, _folder: Path) -> Capture:
 
 
 def _read_stim300(code: int | None, range_g: int, raw: bytes, names: Sequence[str]) -> _Decoded:
-    """Return ``gyro`` (rad/s), ``accelerometer`` (m/s2), ``temperature`` (degC) and ``time`` (s) of the counter.
+    """Return ``gyro`` (rad/s), ``accelerometer`` (m/s2), ``temperature`` (degC) and ``time`` (s) of the counter, and
+    notes.
 
-    The configuration, if the device has sent it, goes before what is stated.
+    ``code`` is the gyro output, None if not stated, ``range_g`` that of the accelerometers; a configuration sent by the
+    device takes precedence. Nothing if there are fewer than two datagrams.
     """
     decoder = stim300.Stim300Decoder()
     found = decoder.feed(raw)
@@ -131,7 +136,10 @@ def _datagram(data: stim300.Datagrams) -> Columns:
 
 
 def _vectornav(raw: bytes, names: Sequence[str]) -> _Decoded:
-    """Return fields as group.field, those of VNIMU sentences likewise, and ``time`` (s) since start-up."""
+    """Return fields by group.field, those of VNIMU sentences likewise, and ``time`` (s) since start-up.
+
+    Sentences are used only if no frame has the first name. Also notes on damaged messages.
+    """
     decoder = VectorNavDecoder()
     pieces: list[Columns] = []
     sentences: list[tuple[str, ...]] = []
@@ -161,9 +169,10 @@ def _candump(section: StrictTable, folder: Path) -> Capture:
 
 
 def _read_candump(database: Any, dbc: Path, raw: bytes, names: Sequence[str]) -> _Decoded:
-    """Return signals named MESSAGE.Signal in the units of the DBC, and ``time`` (s) of the message of the first.
+    """Return signals named MESSAGE.Signal in units of the DBC, and ``time`` (s) of the message of the first name.
 
-    Signals of other messages are those of the nearest frame, if it is of the same sample.
+    Signals of other messages are those of the nearest frame, NaN if that belongs to another sample. RecordingError for
+    an unknown signal; nothing if the first message does not occur. Also notes on damaged frames.
     """
     try:
         readers = {
@@ -198,12 +207,15 @@ def _read_candump(database: Any, dbc: Path, raw: bytes, names: Sequence[str]) ->
 
 
 def _key(identifier: int, extended: bool, j1939: bool) -> MessageKey:
-    """Return what tells the frames of a message: its identifier, or the parameter group (below zero)."""
+    """Return the key of a message's frames: its identifier, or for J1939 its parameter group (below zero)."""
     return (-1 - parameter_group(identifier) if j1939 and extended else identifier), extended
 
 
 def _nearest(at_s: Floats, t_s: Floats, values: Floats) -> Floats:
-    """Return the values at ``t_s`` (k,) that are nearest to ``at_s`` (n,); NaN where that is of another sample."""
+    """Return the values at ``t_s`` (k,) nearest to ``at_s`` (n,); NaN where the nearest is of another sample.
+
+    A single value is used for all.
+    """
     if len(t_s) < 2:
         return np.full(len(at_s), values[0])
     order = np.argsort(t_s, kind="stable")
@@ -216,8 +228,8 @@ def _nearest(at_s: Floats, t_s: Floats, values: Floats) -> Floats:
 def _read_galil(sample_s: float, raw: bytes, _names: Sequence[str]) -> _Decoded:
     """Return positions of each axis in counts ("A.position", "A.reference", "A.auxiliary"), and ``time`` (s).
 
-    ``time`` counts from the first record; two records must not be 65536 samples apart. What counts is a header that
-    comes again and again, with a length that its blocks have: of all controllers with a header.
+    ``time`` counts from the first record; two records must be less than 65536 samples apart. The most frequent header
+    is used whose length fits its blocks in the layout of a controller family. Nothing if there is none.
     """
     headers = Counter(found[1] for found in _GALIL_HEADER.finditer(raw))
     known = ((header, *_galil_record(header)) for header, _ in headers.most_common())
@@ -234,16 +246,16 @@ def _read_galil(sample_s: float, raw: bytes, _names: Sequence[str]) -> _Decoded:
 
 
 def _galil_record(header: bytes) -> tuple[np.dtype[Any] | None, str]:
-    """Return the layout of records that begin so, None if there is none, and whose it is."""
+    """Return the layout of records with this header and the controller family; None and "" if no family has it."""
     axes = [axis for bit, axis in enumerate("ABCDEFGH") if header[1] >> bit & 1]
     planes = (header[0] & 3).bit_count()
     for family, (general, plane, block) in packaged_toml("drivers", "layouts.toml")["galil"].items():
         first = 4 + general + planes * plane
         if (size := first + len(axes) * block) == int.from_bytes(header[2:], "little"):
             places = {"time": ("<u2", 4)} | {
-                f"{axis}.{what}": ("<i4", first + number * block + at)
+                f"{axis}.{quantity}": ("<i4", first + number * block + at)
                 for number, axis in enumerate(axes)
-                for what, at in (("reference", 4), ("position", 8), ("auxiliary", 16))
+                for quantity, at in (("reference", 4), ("position", 8), ("auxiliary", 16))
             }
             formats, offsets = zip(*places.values(), strict=True)
             return np.dtype({"names": [*places], "formats": formats, "offsets": offsets, "itemsize": size}), family

@@ -21,7 +21,7 @@ LISTEN_S = 2.0
 _OPEN_S = 5.0
 _READINGS = 10
 _OTHERS_S = 1.0  # in which another master that commands an enabled table is seen to do so
-_LOOKS = (0.07, 0.11, 0.19, 0.23, 0.4)  # parts of it between two looks at what drives were told
+_LOOKS = (0.07, 0.11, 0.19, 0.23, 0.4)  # fractions of it between two readings of drives' commands
 _RATE_OFF = 0.02
 _LEAST_PERIOD_S = 1e-5
 _LOOK_AT_TABLE = "Do protocol, link, baud rate, parity and axis addresses match the controller?"
@@ -31,7 +31,7 @@ _LOOK_AT_IMU = "Do protocol, link, baud rate or channel match the device?"
 
 @dataclass(kw_only=True, frozen=True, slots=True)
 class AxisCheck:
-    """One axis as it answered: ``text`` is its condition in words, limits are the bench file's."""
+    """The state of one axis: ``text`` is its condition in words; limits are those of the bench file."""
 
     name: str
     angle_rad: float
@@ -45,7 +45,7 @@ class AxisCheck:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SourceCheck:
-    """Two seconds of one source; ``jitter_s`` is the standard deviation of arrivals against sample times."""
+    """Two seconds of one source; ``jitter_s`` is the standard deviation of arrivals relative to sample times."""
 
     name: str
     rate_hz: float
@@ -61,9 +61,9 @@ class SourceCheck:
 
 @dataclass(slots=True)
 class DeviceCheck:
-    """What one device answered. ``wrong`` says what is wrong and what to do, empty if nothing is.
+    """The answers of one device. ``wrong`` says what is wrong and what to do, empty if nothing is.
 
-    Its protocol is ``experimental`` where driver and twin have met nothing that others made.
+    ``experimental``: neither driver nor twin was tested with anything made by others.
     """
 
     device: str
@@ -78,13 +78,13 @@ class DeviceCheck:
 
     @property
     def measured(self) -> list[str]:
-        """What it measured, in words, beside axes and sources."""
+        """Further measured values in words, beside axes and sources."""
         return []
 
 
 @dataclass(slots=True)
 class OtherCheck(DeviceCheck):
-    """What a device of another kind answered: ``values`` of its series, by column, with their units."""
+    """The answers of a device of another kind: ``values`` of its series, by column, with their units."""
 
     values: dict[str, float] = field(default_factory=dict)
     units: dict[str, str] = field(default_factory=dict)
@@ -98,7 +98,12 @@ class OtherCheck(DeviceCheck):
 async def check_bench(
     opened: OpenBench, *, time_scale: float = 1.0, tell: Callable[[str], None] = lambda device: None
 ) -> list[DeviceCheck]:
-    """Return what each device of an open bench answers, the table first. Nothing moves; every link is closed."""
+    """Return the answers of each device of an open bench, the table first. Nothing moves; every driver is closed at the
+    end.
+
+    ``tell`` gets the name of each device before it is asked. If several send nothing intelligible, swapped links are
+    suggested.
+    """
     found = []
     for device in opened.devices.values():
         tell(device.name)
@@ -119,7 +124,9 @@ async def check_bench(
 
 @contextmanager
 def _heard(check: DeviceCheck, look_at: str) -> Iterator[None]:
-    """Keep what a device does not answer, and what to look at."""
+    """Context that turns the errors of a device into entries of ``check.wrong``; ``look_at`` is what to check for a
+    dead one.
+    """
     try:
         yield
     except TimeoutError:
@@ -128,11 +135,15 @@ def _heard(check: DeviceCheck, look_at: str) -> Iterator[None]:
         check.wrong += [error.message, look_at]
     except DeviceError as error:
         check.wrong.append(error.message)
-    except Exception as error:  # a driver of somebody else's
+    except Exception as error:  # a driver from outside
         check.wrong.append(f"its driver failed ({type(error).__name__}: {error}); `station conformance` tests drivers")
 
 
 async def _check_table(opened: OpenBench, device: OpenDevice, time_scale: float) -> DeviceCheck:
+    """Ask the table for identity, status and readings of each axis, and whether another master commands it.
+
+    Also notes if reading all axes takes longer than the poll rate allows.
+    """
     bench, table = opened.bench, opened.table
     check = DeviceCheck(device.name, bench.table.protocol, ", ".join(bench.table.links))
     check.experimental = not bench.table.spec.checked_against
@@ -141,7 +152,7 @@ async def _check_table(opened: OpenBench, device: OpenDevice, time_scale: float)
         async with asyncio.timeout(_OPEN_S * max(time_scale, 1.0)):
             await table.open()
             check.identity = await table.identify()
-        told = await _orders(table, bench.table.gimbals)
+        orders = await _orders(table, bench.table.gimbals)
         enabled = []
         for axis in bench.table.gimbals:
             status = await table.status(axis)
@@ -175,8 +186,8 @@ async def _check_table(opened: OpenBench, device: OpenDevice, time_scale: float)
                 check.wrong.append(
                     elsewhere if status.enabled else f"axis {axis} turns at {dps:.2f} deg/s. Stop it first"
                 )
-        if told and enabled:
-            check.wrong += await _others(table, bench.table.gimbals, told, time_scale)
+        if orders and enabled:
+            check.wrong += await _others(table, bench.table.gimbals, orders, time_scale)
         slow = sum(axis.round_trip_s for axis in check.axes)
         if slow * bench.table.poll_rate_hz > 1:
             check.wrong.append(sentence("check.too_slow", slow_ms=slow * 1e3, poll_rate_hz=bench.table.poll_rate_hz))
@@ -184,7 +195,9 @@ async def _check_table(opened: OpenBench, device: OpenDevice, time_scale: float)
 
 
 async def _check_other(opened: OpenBench, device: OpenDevice, time_scale: float) -> DeviceCheck:
-    """Ask a device who it is and for one row of its series; it is told nothing."""
+    """Ask a device for its identity, one row of its series, and whether it would accept its set point; it is not
+    commanded.
+    """
     config, driver = device.config, device.driver
     check = OtherCheck(device.name, config.spec.name, ", ".join(config.links))
     check.experimental = not config.spec.checked_against
@@ -203,16 +216,16 @@ async def _check_other(opened: OpenBench, device: OpenDevice, time_scale: float)
 
 
 async def _orders(table: Turntable, axes: Sequence[str]) -> dict[str, Mapping[str, float]]:
-    """Return by axis what drives were told last, nothing where the protocol cannot tell."""
+    """Return by axis the last commands in the drives, nothing if the protocol cannot tell."""
     return {axis: await table.orders(axis) for axis in axes} if isinstance(table, TellsOrders) else {}
 
 
 async def _others(
     table: Turntable, axes: Sequence[str], told: Mapping[str, Mapping[str, float]], time_scale: float
 ) -> list[str]:
-    """Return in words what drives were told while this station told them nothing, at the first look that shows any.
+    """Return sentences about commands that drives got from another master; empty if there were none.
 
-    The looks are unevenly apart: a master that commands to and fro may have come back to the same order by one of them.
+    The drives are looked at several times, at uneven intervals: a master that moves to and fro may repeat a command.
     """
     for part in _LOOKS:
         await asyncio.sleep(part * _OTHERS_S * max(time_scale, 1.0))
@@ -222,7 +235,7 @@ async def _others(
 
 
 def _told_by_others(before: Mapping[str, Mapping[str, float]], now: Mapping[str, Mapping[str, float]]) -> list[str]:
-    """Return in words which axes were told something meanwhile: nothing was by this station."""
+    """Return a sentence for each axis whose last commands changed between ``before`` and ``now``."""
     found = []
     for axis, orders in now.items():
         changed = [name for name, value in orders.items() if value != before[axis].get(name, value)]
@@ -232,6 +245,7 @@ def _told_by_others(before: Mapping[str, Mapping[str, float]], now: Mapping[str,
 
 
 async def _check_imu(opened: OpenBench, device: OpenDevice, time_scale: float) -> DeviceCheck:
+    """Listen to a device for two seconds; return its identity, its sources, and what is wrong with them."""
     imu = next(imu for imu in opened.imus if imu.config.name == device.name)
     config, source = imu.config, imu.source
     check = DeviceCheck(config.name, config.protocol, config.link, experimental=not config.spec.checked_against)
@@ -247,8 +261,8 @@ async def _check_imu(opened: OpenBench, device: OpenDevice, time_scale: float) -
     if silent:
         corrupt = sum(source.counts(name).corrupt for name in silent)
         heard = f", but {corrupt} unknown or damaged frames" if corrupt else ""
-        said = f"no samples from {', '.join(silent)} in {LISTEN_S:g} s{heard}. Is it powered and sending?"
-        check.wrong += [said, _LOOK_AT_IMU]
+        complaint = f"no samples from {', '.join(silent)} in {LISTEN_S:g} s{heard}. Is it powered and sending?"
+        check.wrong += [complaint, _LOOK_AT_IMU]
     for name in source.names:
         if name not in silent:
             source_check = _source(source, name, blocks[name], time_scale)
@@ -265,6 +279,7 @@ _OF_KIND: Mapping[str, Callable[[OpenBench, OpenDevice, float], Awaitable[Device
 
 
 async def _listen(source: ImuSource, duration_s: float) -> dict[str, list[ImuBlock]]:
+    """Return the blocks of each source received within ``duration_s``, held ones included."""
     blocks: dict[str, list[ImuBlock]] = {}
     try:
         async with asyncio.timeout(duration_s):
@@ -278,6 +293,7 @@ async def _listen(source: ImuSource, duration_s: float) -> dict[str, list[ImuBlo
 
 
 def _source(source: ImuSource, name: str, blocks: Sequence[ImuBlock], time_scale: float) -> SourceCheck:
+    """Return rate, losses, jitter, temperature and mean rates of one source; NaN for a gyro without a valid rate."""
     t_ns = np.concatenate([block.t_ns for block in blocks])
     arrival_ns = np.concatenate([block.arrival_ns for block in blocks])
     temperature = np.concatenate([block.temperature_c for block in blocks])
@@ -298,15 +314,15 @@ def _source(source: ImuSource, name: str, blocks: Sequence[ImuBlock], time_scale
 
 
 def _counted(blocks: Sequence[ImuBlock]) -> bool:
-    """Return whether the device tells its own count or clock."""
+    """Return whether the device sends a count or clock of its own."""
     return blocks[0].counter is not None
 
 
 def _sent_hz(t_ns: Stamps, arrival_ns: Stamps, counts: SourceCounts, counted: bool) -> float:
-    """Return how many samples a second a device sends.
+    """Return the number of samples per second that a device sends; 0 for fewer than two.
 
-    Stamps from its own count or clock tell it once that is placed, after the first of them. Without one, stamps,
-    losses and repeats go by the rate of the bench file: only arrivals can deny that.
+    Times from the device's own count or clock show it once they have settled, in their second half. Without a count,
+    times follow the rate of the bench file: only arrivals can contradict it.
     """
     n = len(t_ns)
     if n < 2:
@@ -321,22 +337,24 @@ def _sent_hz(t_ns: Stamps, arrival_ns: Stamps, counts: SourceCounts, counted: bo
 
 
 def _complaints(config: ImuConfig, check: SourceCheck, counted: bool) -> Iterator[str]:
-    """Yield what is wrong with a source that does send."""
+    """Yield what is wrong with a source that sends: its rate, losses, invalid rates, or rates that are too large at
+    rest.
+    """
     who, prefix = ("it", "") if check.name == config.name else (check.name, f"{check.name}: ")
     whole = check.samples + check.lost
     lost = f"{check.lost} of {whole} samples"
     cables = "check cable, baud rate and load of this computer"
     if abs(check.rate_hz / config.rate_hz - 1) > _RATE_OFF:
-        said = f"{who} sends at {check.rate_hz:.1f} Hz, but the bench file says {config.rate_hz:g} Hz. Correct one"
+        complaint = f"{who} sends at {check.rate_hz:.1f} Hz, but the bench file says {config.rate_hz:g} Hz. Correct one"
         whole_hz = check.rate_hz * whole / check.samples
         if not counted and abs(whole_hz / config.rate_hz - 1) < 2 * _RATE_OFF:
-            said += f", or, if {lost} were lost, {cables}"
-        yield said
+            complaint += f", or, if {lost} were lost, {cables}"
+        yield complaint
     elif check.lost or check.corrupt:
         yield f"{prefix}{lost} lost, {check.corrupt} corrupt: {cables}"
     for i, mean in enumerate(check.mean_rps):
         if math.isnan(mean):
             yield f"{prefix}gyro {i + 1} sends no valid rate. Is the device starting up, or defective?"
         elif abs(mean) > math.radians(20.0):
-            said = f"{prefix}gyro {i + 1} reads {math.degrees(mean):.1f} deg/s at rest"
-            yield f"{said}. Do unit and scale match the bench file?"
+            complaint = f"{prefix}gyro {i + 1} reads {math.degrees(mean):.1f} deg/s at rest"
+            yield f"{complaint}. Do unit and scale match the bench file?"

@@ -1,4 +1,4 @@
-"""What the bench file says is wrong with twins and their wires: [twin.fault] and [twin.NAME.fault]."""
+"""Faults of twins and their wires in the bench file: [twin.fault] and [twin.NAME.fault]."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from station.schema.tables import Table
 
 @dataclass(frozen=True, slots=True)
 class BenchFaults:
-    """Faults of the table, of devices by name, of wires by device or "table"."""
+    """Faults of the table, of devices by name, and of wires by device or "table"."""
 
     table: TableFault | None
     devices: Mapping[str, DeviceFaults]
@@ -21,13 +21,13 @@ class BenchFaults:
 
 
 def read_faults(of_table: Any, truths: Table, bench: Bench) -> BenchFaults:
-    """Read them; BenchError for what cannot be."""
+    """Return the faults from [twin.fault] and [twin.NAME.fault]; BenchError if one is invalid."""
     try:
         fault, wire = table_faults(of_table, bench.table.gimbals, "twin.fault")
         devices, wires = {}, {"table": wire}
         for imu in bench.imus:
-            said = truths.again().table(imu.name, optional=True).value("fault", {})
-            devices[imu.name], wires[imu.name] = device_faults(said, len(imu.array), f"twin.{imu.name}.fault")
+            stated = truths.again().table(imu.name, optional=True).value("fault", {})
+            devices[imu.name], wires[imu.name] = device_faults(stated, len(imu.array), f"twin.{imu.name}.fault")
         for other in bench.others:
             section = truths.table(other.name, optional=True)
             wires[other.name] = wire_faults(section.value("fault", {}), f"twin.{other.name}.fault")

@@ -1,4 +1,4 @@
-"""What a link in a bench file means: twin:, serial:, tcp:, rfc2217:, socket:, can:."""
+"""Meanings of links in a bench file: twin:, serial:, tcp:, rfc2217:, socket:, can:."""
 
 import re
 from contextlib import suppress
@@ -17,14 +17,13 @@ _HERE = re.compile(r"//(?:127\.|localhost|\[::1\])|/dev/pts/|udp_multicast|can:v
 _BYTE_LINKS = "write serial:///dev/ttyUSB0?baud=921600, tcp://host:port, rfc2217://host:port, or twin:"
 _SERIAL_OPTIONS = {"baud", "parity", "stop_bits"}
 _TCP_LIMIT_S = 2.0
-_LEAST_GATHER_S = 0.002  # less saves nothing; more, in scaled time, would be more than what a pty holds
+_LEAST_GATHER_S = 0.002  # less saves nothing; more, in scaled time, would exceed the buffer of a pty
 
 
 def driver_link(spec: DeviceSpec, link: str, device: str, time_scale: float = 1.0, *, gather_s: float = 0.0) -> Any:
-    """Return what the driver of a device is put on, by what its record says of links; BenchError if it is none.
+    """Return the link for the driver of a device: CAN frames, serial or TCP bytes, not yet open; BenchError if invalid.
 
-    That is a link to CAN frames or bytes, not yet open, or the Address of a driver that opens links itself;
-    ``gather_s`` is for streams, whose bytes may come in handfuls.
+    A driver that opens links itself gets the Address. Bytes of a serial stream may be handed over every ``gather_s``.
     """
     if spec.on_can:
         return CanLink(device, *can_address(link, device))
@@ -46,12 +45,14 @@ def driver_link(spec: DeviceSpec, link: str, device: str, time_scale: float = 1.
 
 
 def ends_here(link: str) -> bool:
-    """Return whether a link ends on this computer, at a program and no device, as far as its address tells."""
+    """Return whether a link ends at a program on this computer, as far as its address tells."""
     return bool(_HERE.search(link))
 
 
 def can_address(link: str, device: str) -> tuple[str, str, dict[str, Any]]:
-    """Split can:INTERFACE:CHANNEL?option=value, numbers among the options as such; BenchError if it is no such link."""
+    """Split can:INTERFACE:CHANNEL?option=value; numbers among the options are converted. BenchError for any other
+    link.
+    """
     address, _, query = link.partition("?")
     parts = address.split(":", 2)
     if len(parts) != 3 or parts[0] != "can" or not parts[1]:
@@ -66,6 +67,7 @@ def can_address(link: str, device: str) -> tuple[str, str, dict[str, Any]]:
 
 
 def _serial(url: SplitResult, link: str, device: str, baud: int) -> SerialPort:
+    """Return the serial port of a link, with ``baud`` as its default rate; BenchError for an invalid link or option."""
     options = {key: values[0] for key, values in parse_qs(url.query).items()}
     port = url.path if url.scheme == "serial" else link.partition("?")[0]
     if url.scheme not in ("serial", "socket", "rfc2217") or not (url.path or url.netloc) or not port:

@@ -1,4 +1,4 @@
-"""Links that drop while nothing turns are opened again; in a motion, or if one begins meanwhile, the run ends.
+"""Reopening of links lost while nothing turns; during a motion, the run ends instead.
 
 Whatever answers then is asked who it is, and how it is set: another device ends the run.
 """
@@ -16,10 +16,10 @@ _LOOK_S = 0.02
 
 
 class Reopening:
-    """Opens again what is lost, for one run."""
+    """Reopens lost links, for one run."""
 
     def __init__(self, moving: Callable[[], bool], tell: Callable[[str], None], time_scale: float) -> None:
-        """``moving`` says whether the table turns or is about to; ``tell`` keeps what happened in the record."""
+        """``moving`` returns whether the table turns or is about to; ``tell`` notes an event in the recording."""
         self._moving, self._tell, self._scale = moving, tell, time_scale
         self._known: dict[str, Identity] = {}
         self.under_way: set[str] = set()
@@ -28,9 +28,9 @@ class Reopening:
         """How often each device's link was opened again."""
 
     async def identify(self, name: str, device: Device) -> Identity:
-        """Ask an open device of this name what it is: the same from now on. DeviceFault if it is another by now.
+        """Return the identity of an open device, remembered on the first call and compared on later ones.
 
-        LinkLost if it does not say any more what it has said before.
+        DeviceFault if it differs or the device now refuses to answer, LinkLost if a part of it is missing.
         """
         known = self._known.get(name)
         try:
@@ -42,19 +42,22 @@ class Reopening:
         before, after = (astuple(one) for one in (self._known.setdefault(name, now), now))
         if any(old != new for old, new in zip(before, after, strict=True) if old and new):
             other = "a different device" if before[:-1] != after[:-1] else "the same device with other settings"
-            told = [
+            identities = [
                 f"{_said(Identity(*one))}{f', set to {one[-1]}' * (before[:-1] == after[:-1])}"
                 for one in (before, after)
             ]
-            raise DeviceFault(name, f"{other} answers now: when the run began it was {told[0]}, now it is {told[1]}")
+            raise DeviceFault(
+                name, f"{other} answers now: when the run began it was {identities[0]}, now it is {identities[1]}"
+            )
         if any(old and not new for old, new in zip(before, after, strict=True)):
             raise LinkLost(name, "the device no longer identifies itself")
         return now
 
     async def restore(self, name: str, lost: Device, error: LinkLost) -> None:
-        """Open again; LinkLost if the table turns, begins to turn before it is open, or a minute is over.
+        """Reopen a lost link and check that the same device is there; note that in the recording.
 
-        DeviceFault if another device is there.
+        Raises ``error`` at once if the table moves; LinkLost if it has to move before the link is open, or after a
+        minute; DeviceFault if another device answers.
         """
         if self._moving():
             raise error
@@ -64,7 +67,7 @@ class Reopening:
         async def seen() -> None:
             try:
                 await self.identify(name, lost)
-            except BadReply as error:  # what a plug leaves on a wire that is put back
+            except BadReply as error:  # bytes left on a wire that was plugged in again
                 raise LinkLost(error.device, error.message) from None
 
         tries = asyncio.get_running_loop().create_task(reopen(lost, limits, seen=seen))
@@ -84,7 +87,10 @@ class Reopening:
             self._tell(doubt)
 
     async def ask_at_end(self, name: str, device: Device) -> None:
-        """Open a closed device, see that it is the same, and close it; what cannot be asked any more is told."""
+        """Reopen a closed device, check its identity, and close it; a link that fails is only noted.
+
+        Nothing is done for a device that has no identity. DeviceFault if it is another device.
+        """
         if self._known[name] == Identity():
             return
         try:
@@ -96,7 +102,7 @@ class Reopening:
             device.close()
 
     def doubts(self, name: str = "") -> list[str]:
-        """Return of which devices, or of this one, nobody knows whether they are still the same."""
+        """Return sentences on devices (or this one) that may have been exchanged while their link was lost."""
         return [
             f"{lost} reports no serial number, so it may have been exchanged while its link was lost"
             for lost in self.times

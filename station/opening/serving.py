@@ -1,4 +1,4 @@
-"""Twins on real ports: what `station twin` serves."""
+"""Twins on real ports, for `station twin`."""
 
 import asyncio
 import json
@@ -29,9 +29,9 @@ _BUS = "can0"
 async def serve_twins(
     bench: Bench, *, time_scale: float, host: str, port: int, announce: Callable[[str], None]
 ) -> None:
-    """Serve every twin of the bench on real ports until cancelled; announce each address as a line of JSON.
+    """Serve every twin of the bench on real ports until cancelled; ``announce`` gets a line of JSON for each.
 
-    ``port`` is that of the table, 0 for any. What each is served on is said by [twin.wires] of the bench file.
+    ``port`` is that of the table, 0 for any. [twin.wires] of the bench file says what each is served on.
     """
     async with AsyncExitStack() as stack:
         serving = Serving(Twins(bench, stack, time_scale), stack, host)
@@ -46,13 +46,13 @@ async def serve_twins(
 
 
 class Serving:
-    """Puts the twins of one bench on wires."""
+    """Serves the twins of one bench."""
 
     def __init__(self, twins: Twins, stack: AsyncExitStack, host: str) -> None:
         self._twins, self._stack, self._host = twins, stack, host
 
     async def serve(self, device: AnyDevice, port: int) -> dict[str, Any]:
-        """Serve the twin of a device; return what is announced of it, its link first. ``port`` is that of the table."""
+        """Serve the twin of a device; return its announcement, the link first. ``port`` is that of the table."""
         of_kind: dict[str, Callable[[Any], Awaitable[dict[str, Any]]]] = {
             TABLE.name: lambda _: self.table(port),
             IMU.name: self.imu,
@@ -61,21 +61,23 @@ class Serving:
         return await (self.other(device) if serve is None else serve(device))
 
     async def table(self, port: int) -> dict[str, Any]:
-        """Return what is announced of the table."""
+        """Serve the twin of the table on a pseudo-terminal, Modbus TCP or TCP; return its announcement, the link
+        first.
+        """
         config, wire = self._twins.bench.table, self._twins.wire("table")
         addresses = {name: axis.address for name, axis in config.axes.items()}
-        said = {"protocol": config.protocol, "watchdog_s": self._twins.watchdog_s}
+        settings = {"protocol": config.protocol, "watchdog_s": self._twins.watchdog_s}
         if config.spec.opens_links:
-            said |= {"protocol": f"{config.protocol}-{'rtu' if wire == 'serial' else 'tcp'}", "unit_ids": addresses}
+            settings |= {"protocol": f"{config.protocol}-{'rtu' if wire == 'serial' else 'tcp'}", "unit_ids": addresses}
         else:
-            said["axes"] = addresses
+            settings["axes"] = addresses
         if wire == "serial":
-            return {"link": await self._pty("table", self._twins.table_device), **said}
+            return {"link": await self._pty("table", self._twins.table_device), **settings}
         if config.spec.opens_links:
             server = await self._twins.serve_table((self._host, port))
             bound = server.transport.sockets[0].getsockname()
-            return {"link": f"tcp://{bound[0]}:{bound[1]}", **said}
-        return {"link": await self._tcp("table", self._twins.table_device, port), **said}
+            return {"link": f"tcp://{bound[0]}:{bound[1]}", **settings}
+        return {"link": await self._tcp("table", self._twins.table_device, port), **settings}
 
     async def imu(self, imu: ImuConfig) -> dict[str, Any]:
         """Serve a device under test."""
@@ -93,18 +95,18 @@ class Serving:
         return await (self._tcp(device, make, 0) if self._twins.wire(device) == "tcp" else self._pty(device, make))
 
     async def _bus(self, imu: ImuConfig) -> str:
-        """Serve a device on a CAN bus of its own; return its link."""
+        """Serve a device on its own CAN bus; return its link. DeviceError if the bus cannot be opened."""
         wire = self._twins.wire(imu.name)
         if wire == "slcan":
             return await self._slcan(imu)
         if wire == "socketcand":
             return await self._socketcand(imu)
-        # A port of its own, so that two stations on one machine do not hear each other's arrays.
+        # A port of its own, so that two stations on one machine do not receive each other's arrays.
         link = f"can:udp_multicast:{_MULTICAST}?port={_free_port()}&hop_limit=0" if wire == "udp_multicast" else wire
         interface, channel, options = can_address(link, imu.name)
         try:
             bus = can.Bus(channel, interface, **options)
-        except Exception as error:  # interfaces raise what their vendors' libraries raise
+        except Exception as error:  # interfaces raise any exception of their vendors' libraries
             raise DeviceError(f"{imu.name} twin", f"cannot open {link} ({error})") from None
         self._stack.callback(bus.shutdown)
         node = self._twins.bus_device(imu, partial(_Node, bus))
@@ -132,6 +134,7 @@ class Serving:
         return f"serial://{name}"
 
     async def _tcp(self, device: str, make: Callable[[Write], ByteDevice], port: int) -> str:
+        """Serve a device on TCP; return its link. DeviceError if the port is taken."""
         plug = Plug()
         try:
             wire = on_tcp(self._twins.faulty(device, make, plug), self._host, port, plug)
@@ -142,7 +145,7 @@ class Serving:
 
 
 class _Node:
-    """One end of a bus that may be down for a while: what cannot be sent meanwhile is lost."""
+    """One end of a bus that may be down for a while; frames that cannot be sent are lost."""
 
     def __init__(self, bus: can.BusABC, hear: Callable[[can.Message], None]) -> None:
         self._bus, self._hear = bus, hear

@@ -27,10 +27,10 @@ GIMBALS = ("z", "y", "x")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeviceTruth:
-    """What a simulated device really is: its states (n, 4) as in ``estimator.geometry.model.STATES``, and its noise.
+    """The true states (n, 4) of a simulated device, as in ``estimator.geometry.model.STATES``, and its noise.
 
-    ``kind`` names a mounting that the twins know by themselves (triad, tetrahedron, dodecahedron); without it the
-    twin is mounted as the array says. ``stated`` is the noise that the data sheet, and so the recording, states.
+    ``kind`` names a mounting known to the twins (triad, tetrahedron, dodecahedron); otherwise the twin is mounted as
+    the array says. ``stated`` is the noise of the data sheet, which the recording holds.
     """
 
     array: SensorArray
@@ -56,14 +56,12 @@ def simulate(
     started_s: float = 0.0,
     mounts: Mapping[str, tuple[Mounting, GyroTruth]] | None = None,
 ) -> Recording:
-    """Return the recording of a script on a table with these devices, each one source of its name.
+    """Return the recording of a script on a simulated table with these devices, one source each.
 
-    What has no known duration takes as little time as it may.
-
-    Without ``earth_turns`` the data hold no Earth rate. The recording carries the site if there is one, and nothing
-    of ``hidden``, which is what is wrong with devices and table. Its stamps begin at 0, when the clock that
-    temperature and hidden effects follow stands at ``started_s``: runs of one session follow each other. ``mounts``
-    are other mountings and truths than the devices' own.
+    Steps of open duration take their least. Without ``earth_turns`` there is no Earth rate in the data. ``hidden`` has
+    the errors of devices and table; the recording does not mention them. Stamps begin at 0, when the bench clock, which
+    temperature and hidden effects follow, is at ``started_s``: runs of one session follow each other. ``mounts``
+    replaces the mounting and truth of each device. ValueError without devices.
     """
     moves = [
         TimedMove(start_s, turn.axis, turn.to_rad, abs(turn.rate_rps), turn.acceleration_rps2)
@@ -108,7 +106,10 @@ def simulate(
 
 
 def simulate_bench(bench: Bench, script: Script, seed: int) -> Recording:
-    """Return the recording of a script on the twins of a bench, its used devices each as one source."""
+    """Return the recording of a script on the twins of a bench, one source for each used device.
+
+    BenchError if the hidden effects do not fit the devices.
+    """
     truths = bench.twin.truths.again()
     used = [imu for imu in bench.imus if imu.used]
     devices = {
@@ -143,7 +144,7 @@ def simulate_bench(bench: Bench, script: Script, seed: int) -> Recording:
 
 
 def _own(device: DeviceTruth) -> tuple[Mounting, GyroTruth]:
-    """Return how a device is mounted, and what it is, by its own account."""
+    """Return the mounting and the truth that a device states itself."""
     mounting = mounted(MOUNTS_DEG[device.kind]) if device.kind else None
     k, b_rps, sigma_j, sigma_k = device.states.T
     truth = GyroTruth(

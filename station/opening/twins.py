@@ -21,7 +21,7 @@ from drivers.protocols import ByteLink, FrameLink
 from drivers.specs import DeviceSetup
 from drivers.types import Floats
 from estimator.strict_toml import not_one_of
-from sims.imus.registry import Ride, twin_of
+from sims.imus.registry import ImuTwinSetup, twin_of
 from sims.physics.body import Body
 from sims.physics.geometry import MOUNTS_DEG, Mounting, along, mounted
 from sims.physics.gyro import GyroArray, GyroTruth
@@ -29,7 +29,7 @@ from sims.physics.hidden import Hidden, HiddenError
 from sims.physics.hidden.table import TableFaults
 from sims.physics.table import AxisData, TableModel
 from sims.tables.modbus import FaultyModbus, modbus_server, pull_plug
-from sims.tables.registry import Seat, twin_of as twin_of_table
+from sims.tables.registry import TableTwinSetup, twin_of as twin_of_table
 from sims.wires.faults import Exchanged, FaultyFrames, faulty_device
 from sims.wires.frames import FrameSink, NodeFaults
 from sims.wires.wires import ByteDevice, Plug, Write, in_memory
@@ -47,17 +47,21 @@ _APART = 0.005  # scale factors of two devices of a kind
 
 
 class Twins:
-    """The twins of a bench: one table model, gyros that ride on it, and the tasks that serve them."""
+    """The twins of a bench: one table model, the gyros on it, and the tasks that serve them."""
 
     def __init__(self, bench: Bench, stack: AsyncExitStack, time_scale: float) -> None:
+        """Build the table model and read all truths and faults of the bench file; BenchError if one is invalid.
+
+        Tasks and timers end with ``stack``.
+        """
         self.bench, self._stack = bench, stack
         self.watchdog_s = bench.twin.watchdog_s * max(time_scale, 1.0)  # it waits for a host
         loop = asyncio.get_running_loop()
         truths = bench.twin.truths.again()
-        told = truths.read("bench.power_on", each=len(bench.table.gimbals))
+        settings = truths.read("bench.power_on", each=len(bench.table.gimbals))
         axes = {
             name: AxisData(axis.limits.rate_rps, axis.limits.acceleration_rps2, axis.counts_per_turn, angle)
-            for (name, axis), angle in zip(bench.table.axes.items(), told["start"], strict=True)
+            for (name, axis), angle in zip(bench.table.axes.items(), settings["start"], strict=True)
         }
         self._hidden = hidden_of(bench)
         faults = self._hidden.table if self._hidden is not None else TableFaults()
@@ -72,18 +76,20 @@ class Twins:
             heading_rad=heading,
             directions=faults.directions(bench.table.gimbals),
         )
-        self._wires = self._read_wires(told["wires"])
-        self._faults = read_faults(told["fault"], truths, bench)
+        self._wires = self._read_wires(settings["wires"])
+        self._faults = read_faults(settings["fault"], truths, bench)
         self._truths = {imu.name: truth_of(truths, imu) for imu in bench.imus}
         truths.done()
         if (fault := self._faults.table) is not None:
             self._later(fault.at_s, partial(fault.strike, self.table, limits_trip=bench.table.spec.limits_trip))
 
     async def serve_table(self, address: tuple[str, int]) -> Any:
-        """Serve the controller of a driver that opens links itself at a host and port; return pymodbus's server."""
+        """Serve the table's controller on Modbus TCP at a host and port; return pymodbus's server. DeviceError if it is
+        taken.
+        """
         faults = self._faults.wires["table"]
         wire = FaultyModbus(faults, self._seed("table")) if faults.any else None
-        server = modbus_server(self._seat(), address, wire)
+        server = modbus_server(self._table_setup(), address, wire)
         try:
             await server.serve_forever(background=True)
         except RuntimeError:
@@ -100,20 +106,25 @@ class Twins:
         plug.schedule(faults.unplug_s, faults.replug_s)
         return server
 
-    def _seat(self) -> Seat:
+    def _table_setup(self) -> TableTwinSetup:
         config = self.bench.table
         addresses = {name: axis.address for name, axis in config.axes.items()}
-        return Seat(self.table, addresses, config.options, self.watchdog_s, cycle_s=self.bench.twin.drive_cycle_s)
+        return TableTwinSetup(
+            self.table, addresses, config.options, self.watchdog_s, cycle_s=self.bench.twin.drive_cycle_s
+        )
 
     def table_device(self, write: Write) -> ByteDevice:
-        """Return the controller, or the drives on a serial line."""
-        put_there, seat = twin_of_table(self.bench.table.spec), self._seat()
-        end = Exchanged(put_there(seat, write))
+        """Return the table's controller, or the drives on a serial line, which writes with ``write``.
+
+        A fault may replace it later by another one; the axes are then stopped.
+        """
+        put_there, setup = twin_of_table(self.bench.table.spec), self._table_setup()
+        end = Exchanged(put_there(setup, write))
 
         def exchange() -> None:
             for axis in self.bench.table.axes:
                 self.table.stop(axis)  # its brakes close while there is no controller
-            end.device = put_there(replace(seat, number=1), write)
+            end.device = put_there(replace(setup, number=1), write)
 
         self._later(self._faults.wires["table"].another_s, exchange)
         return end
@@ -127,14 +138,17 @@ class Twins:
         return address
 
     def imu_device(self, imu: ImuConfig, out: Write | FrameSink) -> Any:
-        """Put a device on a wire, where it sends from now on; return it."""
+        """Return the twin of an IMU, which sends to ``out`` from now on; a fault may replace it later by another
+        one.
+        """
         faults = self._faults.devices[imu.name]
         knobs = NodeFaults(clock_ppm=faults.clock_ppm, seed=self.bench.twin.seed)
         self._later(faults.from_s, partial(turn_knobs, knobs, faults, True))
         self._later(faults.until_s, partial(turn_knobs, knobs, faults, False))
 
         def put_there(number: int) -> tuple[Any, asyncio.Task[Any]]:
-            ride = Ride(
+            """Return the device twin number ``number`` of an IMU, and the task in which it is served."""
+            setup = ImuTwinSetup(
                 gyros=self.gyros(imu, number),
                 rate_hz=imu.rate_hz,
                 up=self._up(imu),
@@ -143,8 +157,8 @@ class Twins:
                 signals=imu.can,
                 number=number,
             )
-            ride.gyros.thermometer = not faults.no_temperature
-            device = twin_of(imu.spec)(ride, out)
+            setup.gyros.thermometer = not faults.no_temperature
+            device = twin_of(imu.spec)(setup, out)
             return device, self.run(device.serve())
 
         device, serving = put_there(0)
@@ -162,7 +176,7 @@ class Twins:
         return self._in_memory(imu.name, lambda write: self.imu_device(imu, write))
 
     def bus_device(self, imu: ImuConfig, make: Callable[[Callable[[Any], None]], Bus]) -> Bus:
-        """Put a device, which sends from now on, on the bus made with what hears the host's frames; return the bus."""
+        """Put a device twin on the bus that ``make`` creates with the receiver of host frames; return the bus."""
         wire, bus = self._faults.wires[imu.name], make(lambda message: ear(message))
         device = self.imu_device(imu, FaultyFrames(bus, wire, self._seed(imu.name)) if wire.any else bus)
         ear = FaultyFrames(device.received, wire.to_device, (*self._seed(imu.name), 1)) if wire.any else device.received
@@ -175,7 +189,7 @@ class Twins:
         return CanLink(imu.name, "memory", channel, {})
 
     def other_device(self, config: DeviceConfig, write: Write) -> ByteDevice:
-        """Return the twin of a device of another kind; PluginError if its record brings none."""
+        """Return the twin of a device of another kind; PluginError if its record has none."""
         if config.spec.twin is None:
             raise PluginError(f"{config.spec.name} has no twin: its SPEC needs one, or the bench file a link")
         setup = DeviceSetup(
@@ -189,7 +203,10 @@ class Twins:
         return self._in_memory(config.name, partial(self.other_device, config))
 
     def gyros(self, imu: ImuConfig, number: int = 0) -> GyroArray:
-        """Return the gyros of a device, on the table; each ``number`` of its kind has its own scale factors."""
+        """Return the gyros of a device on the table; each ``number`` of its kind has different scale factors and noise.
+
+        BenchError if the hidden effects do not fit them.
+        """
         index = [other.name for other in self.bench.imus].index(imu.name)
         twin, truth = self.bench.twin, self._truths[imu.name]
         try:
@@ -206,7 +223,7 @@ class Twins:
             raise BenchError(f"{twin.hidden}: {imu.name}: {error}") from None
 
     def run(self, twin: Coroutine[Any, Any, Any]) -> asyncio.Task[Any]:
-        """Let a twin work until the bench is closed, or its task is cancelled."""
+        """Start a task for a twin, which is cancelled when the bench is closed; an error in it is then logged."""
         task = asyncio.get_running_loop().create_task(twin)
 
         async def end() -> None:
@@ -219,10 +236,13 @@ class Twins:
         return task
 
     def wire(self, device: str) -> str:
-        """Return what a device is served on."""
+        """Return the kind of wire on which a device is served."""
         return self._wires[device]
 
     def _read_wires(self, table: Table) -> dict[str, str]:
+        """Return the kind of link to serve each device on, by [twin.wires] or by default; the table's error if
+        unknown.
+        """
         wires = {"table": table.string("table", "tcp", one_of=("tcp", "serial"))}
         for imu in self.bench.imus:
             known = ("udp_multicast", "slcan", "socketcand") if imu.spec.on_can else ("serial", "tcp")
@@ -242,7 +262,7 @@ class Twins:
         return lambda t_s: up(t_s) @ p.T
 
     def faulty(self, device: str, make: Callable[[Write], ByteDevice], plug: Plug) -> Callable[[Write], ByteDevice]:
-        """Return ``make`` with what the bench file says is wrong with the wire of this device."""
+        """Return ``make`` with the wire faults of this device in the bench file."""
         return faulty_device(make, self._faults.wires[device], self._seed(device), plug)
 
     def _in_memory(self, device: str, make: Callable[[Write], ByteDevice]) -> ByteLink:
@@ -259,7 +279,9 @@ class Twins:
 
 
 def hidden_of(bench: Bench) -> Hidden | None:
-    """Return what is wrong with the twins of a bench; BenchError for a file that cannot be right."""
+    """Return the hidden effects of a bench, None if it has none; BenchError for an invalid file or an unknown
+    device.
+    """
     if bench.twin.hidden is None:
         return None
     top = Table.load(bench.twin.hidden, BenchError)
@@ -284,6 +306,6 @@ def truth_of(truths: Table, imu: ImuConfig) -> GyroTruth:
 def mounting_of(imu: ImuConfig) -> Mounting:
     if imu.array_name in MOUNTS_DEG:
         return mounted(MOUNTS_DEG[imu.array_name])
-    # Explicit axes are what the bench file says, for the twin as for the estimator.
+    # Explicit axes are those of the bench file, for the twin as for the estimator.
     explicit = Mounting(imu.array.p, imu.array.j, imu.array.k)
     return explicit if imu.array_name == "explicit" else along(imu.array.p.tolist())

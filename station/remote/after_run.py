@@ -1,4 +1,4 @@
-"""The program of a bench file that is given the result of each run, for instance to tell a factory's system."""
+"""The program of a bench file that gets the result of each run, for instance for a factory's system."""
 
 import json
 import os
@@ -17,10 +17,10 @@ _LAST_BYTES = 4096
 
 
 def tell_program(command: Sequence[str], result: Mapping[str, Any], limit_s: float = LIMIT_S) -> str:
-    """Start a program with the result as one JSON object on its standard input, and wait until it ends.
+    """Run a program with ``result`` as one JSON object on its standard input; return what went wrong, "" if it gave 0.
 
-    Return what went wrong in words, empty if its exit code was 0. What it prints is shown only if it failed. What it
-    leaves running is not waited for, but is ended with it if it takes too long, or at Ctrl-C.
+    The last line that it printed is included only if it failed. Processes that it leaves running are not waited for,
+    but are ended with it at the time limit or Ctrl-C.
     """
     with tempfile.TemporaryFile() as printed:
         try:
@@ -44,7 +44,7 @@ def tell_program(command: Sequence[str], result: Mapping[str, Any], limit_s: flo
 
 
 def _end(program: subprocess.Popen[bytes]) -> None:
-    """End a program and what it has started in its session."""
+    """Kill a program and all that it has started in its session."""
     with suppress(ProcessLookupError, PermissionError):
         os.killpg(program.pid, signal.SIGKILL)
     program.wait()

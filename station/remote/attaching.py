@@ -1,4 +1,4 @@
-"""The far side of a session's socket: where it is, which sessions run, and what one says and can be told.
+"""The client side of a session's socket: where it is, which sessions run, messages and commands.
 
 Plain asyncio. What a session says is JSON, a line each (``station.remote.hosting`` has the other end).
 """
@@ -28,7 +28,9 @@ _LONGEST_NAME = len("4194304.sock.new")
 
 
 def socket_folder() -> Path:
-    """Return the folder for sockets of this user, made if it is not there; UsageError if none can be had."""
+    """Return this user's folder for sockets, created if missing; UsageError, with the reasons, if no place is
+    suitable.
+    """
     refused = []
     for folder in _places():
         try:
@@ -52,7 +54,9 @@ def _places() -> list[Path]:
 
 
 def _objection(folder: Path) -> str:
-    """Return why a folder is not to be used: in one of somebody else a stranger could pose as a session."""
+    """Return why a folder must not be used, "" if it may: in one of another user, a stranger could pose as a
+    session.
+    """
     found = folder.lstat()
     if not stat.S_ISDIR(found.st_mode):
         return f"{folder} is no folder"
@@ -68,7 +72,7 @@ def _objection(folder: Path) -> str:
 
 
 def of_this_user(connection: socket.socket) -> bool:
-    """Return whether the process at the other end of a Unix socket is this user's or root's, as far as can be told."""
+    """Return whether this user or root is at the other end of a Unix socket; True where the system does not tell."""
     if not hasattr(socket, "SO_PEERCRED"):
         return True
     _, user, _ = struct.unpack(
@@ -78,7 +82,7 @@ def of_this_user(connection: socket.socket) -> bool:
 
 
 def running_sessions() -> list[Path]:
-    """Return the sockets of this user's running sessions, the newest first; those of dead ones are removed."""
+    """Return the sockets of this user's running sessions, newest first; sockets of ended ones are removed."""
     found = []
     for folder in _places():
         if not os.path.isdir(folder) or _objection(folder):
@@ -93,7 +97,7 @@ def running_sessions() -> list[Path]:
 
 
 def _answers(path: Path) -> bool:
-    """Return whether a process is at the other end; a busy one is one."""
+    """Return whether a process listens at a socket; one that is busy counts."""
     with socket.socket(socket.AF_UNIX) as probe:
         probe.settimeout(_PROBE_S)
         try:
@@ -106,7 +110,7 @@ def _answers(path: Path) -> bool:
 
 
 class RemoteSession:
-    """A session in another process. What is said to it takes effect there; refusals come as messages."""
+    """A session in another process. Requests take effect there; refusals come as messages."""
 
     def __init__(self, transport: asyncio.Transport, inbox: "_Inbox", hello: Mapping[str, Any]) -> None:
         """``connect`` makes one."""
@@ -116,7 +120,10 @@ class RemoteSession:
 
     @classmethod
     async def connect(cls, path: Path) -> Self:
-        """Connect to a session's socket; UsageError if none is there, or one that speaks another language."""
+        """Connect to a session's socket and read its greeting.
+
+        UsageError if nothing answers, or the session is another user's or of another version.
+        """
         loop = asyncio.get_running_loop()
         try:
             async with asyncio.timeout(_CONNECT_S):
@@ -137,45 +144,46 @@ class RemoteSession:
         return cls(transport, inbox, hello)
 
     async def messages(self) -> AsyncIterator[dict[str, Any]]:
-        """Yield what it says, by "kind": "event", "snapshot", "course", "refused", "result"; end when it is gone.
+        """Yield the session's messages, by "kind": "event", "snapshot", "course", "refused", "result"; end when it is
+        gone.
 
-        Snapshots that nobody has taken give way to the newest. A session that ends without "result" was killed.
+        Only the newest unread snapshot is kept. A session that ends without "result" was killed.
         """
         while (message := await self._inbox.next()) is not None:
             yield message
 
     def stop(self) -> bool:
-        """Bring the table to rest and end the run; return whether the system took the word.
+        """Bring the table to rest and end the run; return whether the request was sent.
 
-        From any thread, past the event loop: whatever that is at, or waits for, does not hold it up.
+        May be called from any thread: it bypasses the event loop, which may be busy.
         """
         try:
             with self._transport.get_extra_info("socket").dup() as line:
                 return bool(line.send(_STOP) == len(_STOP))
-        except OSError:  # the session is gone, or takes nothing any more
+        except OSError:  # the session is gone, or reads no more
             return False
 
     def pause(self) -> None:
-        """Hold after the step under way."""
+        """Ask the session to pause after the current step."""
         self._say({"do": "pause"})
 
     def resume(self) -> None:
         self._say({"do": "resume"})
 
     def note(self, text: str) -> None:
-        """Have a note kept in the recording."""
+        """Ask the session to store a note in the recording."""
         self._say({"do": "note", "text": text})
 
     def drive(self, action: str, **given: str | float) -> None:
-        """Say a word of manual mode: "jog", "go", "home", "hold" or "end", with axis and numbers in SI."""
+        """Send a command of manual mode: "jog", "go", "home", "hold" or "end", with axis and numbers in SI."""
         self._say({"do": action, **given})
 
     def ask_course(self) -> None:
-        """Have it told, as a message of the kind "course", how the estimates went so far."""
+        """Ask for a message of kind "course", with the history of the estimates."""
         self._say({"do": "course"})
 
     def close(self) -> None:
-        """Hang up; the session goes on."""
+        """Close the connection; the session continues."""
         self._transport.close()
 
     def _say(self, request: Mapping[str, str | float]) -> None:
@@ -183,7 +191,7 @@ class RemoteSession:
 
 
 class _Inbox(asyncio.Protocol):
-    """Messages as they come, stale snapshots left out."""
+    """Received messages in order; an outdated snapshot is dropped when a newer one comes."""
 
     def __init__(self) -> None:
         self._messages: deque[dict[str, Any]] = deque()
@@ -192,7 +200,7 @@ class _Inbox(asyncio.Protocol):
         self._ended = False
 
     async def next(self) -> dict[str, Any] | None:
-        """Return the next message, None when there will be no more."""
+        """Return the next message, waiting for it; None once the connection has ended and none is left."""
         while not self._messages:
             if self._ended:
                 return None
@@ -203,7 +211,7 @@ class _Inbox(asyncio.Protocol):
     def data_received(self, data: bytes) -> None:
         *lines, self._part = (self._part + data).split(b"\n")
         for line in lines:
-            with suppress(ValueError, RecursionError):  # what is no JSON is none of ours
+            with suppress(ValueError, RecursionError):  # texts that are not JSON are not from a session
                 self._take(json.loads(line))
         self._new.set()
 

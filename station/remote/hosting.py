@@ -1,4 +1,4 @@
-"""The session's side of its socket: whoever connects sees the run, and may stop it, pause it, and add notes.
+"""The session's side of its socket: clients see the run, and may stop it, pause it, and add notes.
 
 JSON, a line each. To a client: "hello", the events so far, then every new event and ten snapshots a second of the
 wall's clock, "result" at the end. From a client: ``{"do": "stop"}``, "pause" (after the step under way), "resume",
@@ -38,15 +38,15 @@ _MOST_CLIENTS = 20
 _LONGEST_LINE = 4096
 _LINES_AT_ONCE = 16  # then others have their turn
 _BREATH_S = 0.05
-_SEND_BYTES = 32768  # in the system's hands: what is there cannot be made newer any more
+_SEND_BYTES = 32768  # in the system's buffer, where data cannot be replaced by newer ones
 _EVENT_BYTES = 16384
-_COURSE_EVERY = 10  # looks: a point a second
+_COURSE_EVERY = 10  # snapshots: a point a second
 _MOST_POINTS = 300
 _DIGITS = 6
 
 
 class Host:
-    """A socket for one run. Entered before anything is opened, so that a socket that cannot be is known by then."""
+    """A socket for one run. Enter it before opening devices: it fails early if the socket cannot be created."""
 
     def __init__(self, time_scale: float = 1.0) -> None:
         """``time_scale`` is how fast the loop's clock runs."""
@@ -64,7 +64,7 @@ class Host:
         self._blind = False
 
     async def __aenter__(self) -> Self:
-        """Make the socket, which nobody sees yet; UsageError if that cannot be."""
+        """Create the socket under a hidden name; UsageError if that fails or the system has no Unix sockets."""
         if not hasattr(socket, "AF_UNIX"):
             raise UsageError("--host: this system has no Unix sockets")
         self._path = socket_folder() / f"{os.getpid()}.sock"
@@ -78,22 +78,22 @@ class Host:
         return self
 
     async def begin(self, run: Session, hello: Mapping[str, Any]) -> None:
-        """Let clients in; ``hello`` is what they are told first, beside version and pid."""
+        """Admit clients; ``hello`` is their first message, along with version and pid."""
         assert self._server is not None
         self._run = run
         self._hello = _line("hello", {"version": VERSION, "pid": os.getpid(), **hello})
         await self._server.start_serving()
-        self._hidden.rename(self._path)  # a socket that is seen is listened to: whoever finds one deaf removes it
+        self._hidden.rename(self._path)  # a visible socket has a listener: clients remove one that does not answer
         self._showing = asyncio.get_running_loop().create_task(self._show())
 
     def tell(self, t_s: float, kind: EventKind, text: str) -> None:
-        """Tell an event, at ``t_s`` of the loop's clock."""
+        """Send an event, at ``t_s`` of the loop's clock, to all clients, and keep it for later ones."""
         self.events.append(_line("event", {"t_s": t_s, "event": kind, "text": text}))
         for client in self.clients:
             client.send_events()
 
     async def end(self, result: Mapping[str, Any]) -> None:
-        """Tell how the run ended, and hang up; who does not take it within a second misses it."""
+        """Send the result to all clients and hang up; those that do not take it within a second miss it."""
         self._snapshots()
         last = _line("result", json_object(result))
         for client in tuple(self.clients):
@@ -106,6 +106,7 @@ class Host:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        """Stop the updates, abort all connections and remove the socket."""
         if self._showing is not None:
             self._showing.cancel()
             with suppress(asyncio.CancelledError):
@@ -119,7 +120,7 @@ class Host:
                 path.unlink()
 
     def welcome(self, client: "_Client") -> None:
-        """Take in a client: hello, events, and where the run is."""
+        """Admit a client and send it the greeting, past events and a snapshot; refuse it if there are too many."""
         if len(self.clients) >= _MOST_CLIENTS:
             client.transport.write(_refused(f"{_MOST_CLIENTS} clients watch this session already"))
             client.transport.close()
@@ -132,7 +133,11 @@ class Host:
             client.transport.write(_line("snapshot", json_object(snapshot)))
 
     def do(self, line: bytes, *, late: bool = False) -> bytes:
-        """Do what a line asks; return its answer, if any; UsageError if it cannot be. ``late``: not to move a table."""
+        """Carry out a client's request, a line of JSON; return the answer, empty if there is none; UsageError if
+        invalid.
+
+        With ``late`` requests that move the table are refused.
+        """
         assert self._run is not None
         try:
             request = json.loads(line)
@@ -161,7 +166,11 @@ class Host:
             self._snapshots(keep=looks % _COURSE_EVERY == 0)
 
     def _snapshots(self, *, keep: bool = False) -> None:
-        """Send what is new to whoever has taken all that came before; ``keep``: as a point of the course, too."""
+        """Send new events to all clients, and a snapshot to those that have taken all before; ``keep`` stores it as a
+        point.
+
+        No snapshot is made if nobody takes it, and none is sent while there is nothing to show.
+        """
         for client in self.clients:
             client.send_events()
         ready = [client for client in self.clients if client.idle]
@@ -176,7 +185,9 @@ class Host:
                 client.transport.write(line)
 
     def _look(self) -> Snapshot | None:
-        """Return the state of the run; None before it begins, and after a defect: who looks on must not end it."""
+        """Return a snapshot of the run; None before it begins, and from the first defect on: watching must not end a
+        run.
+        """
         if self._run is None or self._blind:
             return None
         try:
@@ -187,7 +198,9 @@ class Host:
             return None
 
     def _keep(self, snapshot: Snapshot) -> None:
-        """Keep where the estimates are for who comes later, ready to be sent; a long run is thinned to every other."""
+        """Store the estimates of a snapshot for clients that come later; beyond ``_MOST_POINTS`` every other point is
+        dropped.
+        """
         gyros = {gyro.name: (_rounded(gyro.values), _rounded(gyro.sds)) for gyro in snapshot.gyros}
         if gyros and snapshot.elapsed_s > 0:
             point = {"t_s": snapshot.elapsed_s, "gyros": gyros}
@@ -197,7 +210,7 @@ class Host:
 
 
 class _Client(asyncio.Protocol):
-    """One connection. Lines are acted on as they come, without a detour over tasks."""
+    """One connection. Lines are handled as they arrive, without tasks."""
 
     def __init__(self, host: Host) -> None:
         self._host = host
@@ -211,6 +224,7 @@ class _Client(asyncio.Protocol):
         return not self.transport.get_write_buffer_size() and not self.transport.is_closing()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Welcome the client, or abort the connection of another user."""
         self.transport = cast(asyncio.Transport, transport)
         connection = transport.get_extra_info("socket")
         if not of_this_user(connection):
@@ -224,7 +238,7 @@ class _Client(asyncio.Protocol):
         self._heed()
 
     def connection_lost(self, error: Exception | None) -> None:
-        """Act also on what is not read yet: a STOP counts, though its sender hung up and no answer can be written."""
+        """Handle the lines that are still unread, up to a limit: a STOP counts even if its sender has hung up."""
         self._host.clients.discard(self)
         with suppress(OSError), self.transport.get_extra_info("socket").dup() as rest:
             self._received += rest.recv(_LONGEST_LINE)
@@ -233,19 +247,23 @@ class _Client(asyncio.Protocol):
                 self._host.do(line, late=True)
 
     def send_events(self) -> None:
-        """Send the events that it has not been told, as many as it takes."""
+        """Send the events that the client has not had yet, until its buffer is full."""
         events = self._host.events
         while self._told < len(events) and self.transport.get_write_buffer_size() < _EVENT_BYTES:
             self.transport.write(events[self._told])
             self._told += 1
 
     def end(self, last: bytes) -> None:
-        """Send what it has not been told and the last line, and hang up when that is taken."""
+        """Send the remaining events and the last line, and close the connection after that."""
         self.transport.write(b"".join((*self._host.events[self._told :], last)))
         self.transport.close()
 
     def _heed(self, *, late: bool = False) -> None:
-        """Act on some of the lines that are there; on the rest, of a client that sends without end, a little later."""
+        """Handle up to ``_LINES_AT_ONCE`` of the lines received, and the rest a little later, so that no client takes
+        all time.
+
+        A line that is too long ends the connection.
+        """
         if self.transport.is_closing():
             return
         *lines, self._received = self._received.split(b"\n", _LINES_AT_ONCE)
@@ -275,7 +293,7 @@ class _Client(asyncio.Protocol):
 def introduction(
     bench: Bench, bench_file: str | None, script: Script, recording: Path, gyros: tuple[str, ...]
 ) -> dict[str, Any]:
-    """Return what a client is told of a bench and its run; times in s, limits in SI, null for none."""
+    """Return the greeting's description of a bench and its run; times in s, limits in SI, null for none."""
     steps = [_step_object(timed) for timed in script.timeline()]
     found: dict[str, Any] = json_object(
         {
@@ -298,7 +316,7 @@ def introduction(
 
 
 def _step_object(timed: Timed) -> dict[str, Any]:
-    """Return what a client is told of a step: its times at the earliest, and where its last turn leads."""
+    """Return the greeting's description of a step: its earliest times, and the end of its last turn."""
     turn = timed.last_turn
     return {
         "label": timed.step.label,

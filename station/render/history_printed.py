@@ -1,4 +1,4 @@
-"""The recordings of a folder as a person reads them: a line each, and below it what has moved."""
+"""The recordings of a folder in the terminal: one line each, and below it the states that have moved."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -15,10 +15,10 @@ _MOST_MOVES = 2  # named
 
 
 def recordings_shown(recordings: Sequence[Mapping[str, Any]], console: Console) -> list[Shown]:
-    """Return the table of recordings and the lines that say what moved, for rows as ``station history --json`` has.
+    """Return the table of recordings and a line for each that moved; ``recordings`` are rows of ``station history
+    --json``.
 
-    Script and bench have a column where they differ. A bench has none where that would be too wide: a date or a name
-    that is broken costs more than a bench that --csv tells.
+    Script and bench get a column if they differ. The bench is left out if the table would be too wide.
     """
     columns = ["when", "device", "outcome"]
     read = [row for row in recordings if not row["wrong"]]
@@ -50,9 +50,9 @@ def _outcome(row: Mapping[str, Any]) -> str:
 def _moved(row: Mapping[str, Any]) -> str:
     """Return in a line which states of a recording moved, in sigmas of both runs."""
     moves = row["moved"]
-    told = [f"{move['state'].partition('_r')[0]} of {move['gyro']} {move['sigmas']:+.1f}" for move in moves]
+    parts = [f"{move['state'].partition('_r')[0]} of {move['gyro']} {move['sigmas']:+.1f}" for move in moves]
     more = f" and {len(moves) - _MOST_MOVES} more" if len(moves) > _MOST_MOVES else ""
-    return f"[yellow]![/] {escape(row['file'])} moved: {escape(', '.join(told[:_MOST_MOVES]))}{more} (combined sigmas)"
+    return f"[yellow]![/] {escape(row['file'])} moved: {escape(', '.join(parts[:_MOST_MOVES]))}{more} (combined sigmas)"
 
 
 def _width(table: Table, console: Console) -> int:

@@ -17,7 +17,7 @@ from station.views.figures import FINDING_STYLES
 from station.views.investigation import InvestigationView, investigation_view
 from station.views.json_values import named
 
-if TYPE_CHECKING:  # a loop is what runs: with it come drivers, twins and servers, half a second
+if TYPE_CHECKING:  # importing a loop also imports drivers, twins and servers, half a second
     from station.run.closed_loop import Loop, Round
 
 _LEAST_SHOWN = 0.005  # suspects less probable than this are one line together
@@ -32,7 +32,7 @@ def exit_code_of(finding: Finding) -> int:
 def print_investigation(
     found: Investigation, next_script: NextScript | None, path: Path | None, console: Console | None = None
 ) -> None:
-    """Print the verdict in words, the suspects, the error before and after, what was left out, and what to drive."""
+    """Print the verdict in words, the suspects, the error before and after, what was left out, and the next script."""
     print_all(console or stdout(), _shown(investigation_view(found, path), next_script, path))
 
 
@@ -41,7 +41,7 @@ def _shown(what: InvestigationView, next_script: NextScript | None, path: Path |
 
 
 def print_loop(loop: "Loop") -> None:
-    """Print the report: runs, what each investigation led to, the last one in full."""
+    """Print the report: runs, the result of each investigation, the last one in full."""
     views = [investigation_view(turn.found, turn.script_file) for turn in loop.rounds]
     last = _shown(views[-1], loop.rounds[-1].following, loop.rounds[-1].script_file)
     values = {"driven": loop, "views": views, "verdict_lines": verdict_lines, "last": last}
@@ -49,7 +49,10 @@ def print_loop(loop: "Loop") -> None:
 
 
 def investigation_shown(what: InvestigationView, how: str, drive: str = "") -> list[Shown]:
-    """Return lines and tables of an investigation; ``how`` its next script is driven, ``drive`` what that is."""
+    """Return the lines and tables of an investigation.
+
+    ``how`` is the command that runs its next script, ``drive`` a line on that script, empty if there is none.
+    """
     left_out: dict[str, list[str]] = {}
     for effect, reason in what["left_out"].items():
         left_out.setdefault(reason, []).append(words(effect))
@@ -72,12 +75,12 @@ def investigation_shown(what: InvestigationView, how: str, drive: str = "") -> l
 
 
 def verdict_lines(what: InvestigationView) -> list[str]:
-    """Return what was found, in sentences: effects with their parameters, rivals, what is unexplained."""
+    """Return the result in sentences: effects with their parameters, rivals, the unexplained part."""
     return rendered("station.render", "verdict.txt", {"what": what}).splitlines()
 
 
 def loop_object(loop: "Loop") -> dict[str, Any]:
-    """Return what --json prints: the last investigation, and how it came to that."""
+    """Return the result of a loop for --json: the last investigation, and the rounds and runs that led to it."""
     last = loop.rounds[-1]
     fitted, judging = ([str(path) for path in loop.recordings(judging=j)] for j in (False, True))
     return {
@@ -92,7 +95,7 @@ def loop_object(loop: "Loop") -> dict[str, Any]:
 
 
 def runs_object(loop: "Loop") -> list[dict[str, Any]]:
-    """Return the runs as what --json prints."""
+    """Return the runs of a loop for --json."""
     return [
         {
             **named(run, ("purpose", "table_s")),
@@ -106,6 +109,7 @@ def runs_object(loop: "Loop") -> list[dict[str, Any]]:
 
 
 def _round_object(turn: "Round") -> dict[str, Any]:
+    """Return one round of a loop for --json."""
     whole = dict(investigation_view(turn.found, turn.script_file))
     kept = ("verdict", "reason", "added", "rivals", "unexplained", "before", "after", "models", "next_script")
     following = turn.following

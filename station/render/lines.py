@@ -13,7 +13,7 @@ _WHOLE = re.compile(r"[+-]?\d[\d.]*(?: (?:±|\+-) \d[\d.]*)? (?:%|[a-zA-Z][\w/()
 
 
 def glued(text: str) -> str:
-    """Return a text in which what is not to be broken holds no space."""
+    """Return a text without spaces where it must not be broken."""
     return _WHOLE.sub(lambda found: found[0].replace(" ", GLUE), text)
 
 
@@ -23,17 +23,14 @@ def unglued(text: str) -> str:
 
 
 def tell(text: str, stream: TextIO | None = None) -> None:
-    """Print a line on stdout, or on another stream.
-
-    In a terminal it becomes lines of at most 80 columns, broken between words; elsewhere it stays one line.
-    """
+    """Print a line on ``stream``, by default stdout; in a terminal it is broken between words at 80 columns."""
     stream = stream or sys.stdout
     for line in _broken(text, _width(stream)):
         print(line, file=stream, flush=True)
 
 
 def _width(stream: TextIO) -> int:
-    """Return how many columns a line may have; 0 where it may have any number."""
+    """Return the largest number of columns for a line; 0, no limit, if the stream is not a terminal."""
     if not stream.isatty():
         return 0
     try:
@@ -44,6 +41,7 @@ def _width(stream: TextIO) -> int:
 
 
 def _broken(text: str, width: int) -> list[str]:
+    """Return the lines of a text broken at ``width``; figures stay with their units. A width of 0 breaks nothing."""
     if not width:
         return [text]
     lines: list[str] = []

@@ -17,7 +17,7 @@ _COLUMNS = 3  # sensors side by side in it: 80 characters hold no more
 
 
 def print_noise(noises: Sequence[SensorNoise], share: float) -> None:
-    """Print the noise of sensors that have one unit, and how long to record to know it to a ``share``."""
+    """Print the noise of sensors with a common unit, and the length to record to know it to ``share``."""
     unit, _ = noise_unit(noises[0].unit, 1)
     shown: list[Shown] = [
         (noise_table(f"Noise at rest with intervals of 95 %, {_rest(noises)}", noises), {}),
@@ -43,7 +43,7 @@ def _rest(noises: Sequence[SensorNoise]) -> str:
 
 
 def noise_table(title: str, noises: Sequence[SensorNoise]) -> Table:
-    """Return the table of N, B and K of sensors that have one unit."""
+    """Return the table of N, B and K of sensors with a common unit."""
     units = [noise_unit(noises[0].unit, term) for term in range(len(TERMS))]
     heads = ["sensor", *(f"{name}, {unit}" for name, (unit, _) in zip(TERMS, units, strict=True))]
     rows = []
@@ -54,6 +54,7 @@ def noise_table(title: str, noises: Sequence[SensorNoise]) -> Table:
 
 
 def _lengths(noises: Sequence[SensorNoise], share: float) -> Table:
+    """Return the table of the lengths of rest that give each term a standard uncertainty of ``share``."""
     rows = []
     for noise in noises:
         lengths = zip(TERMS, lengths_s(noise, share), strict=True)
@@ -64,7 +65,7 @@ def _lengths(noises: Sequence[SensorNoise], share: float) -> Table:
 
 
 def _deviations(title: str, noises: Sequence[SensorNoise]) -> Table:
-    """Return Allan deviations with their intervals at some averaging times, a column a sensor."""
+    """Return a table of Allan deviations with intervals at some of the averaging times, one column per sensor."""
     _, factor = noise_unit(noises[0].unit, 1)
     tau_s = noises[0].curve.tau_s
     rows = []

@@ -27,9 +27,9 @@ MARKED = 1.0
 
 
 def print_plan(plan: Plan, console: Console, early_late: Plan | None = None) -> None:
-    """Print the plan: what moves, sigmas of the states, smallest effects, what looks alike, what was assumed.
+    """Print the plan: motion, sigmas of the states, smallest visible effects, effects that look alike, assumptions.
 
-    ``early_late`` is that of a script of the same length which turns each axis early and late, if one is offered.
+    ``early_late`` is the plan of a script of the same length that turns each axis early and late, if one is offered.
     """
     found = plan.forecast
     span = plan.script.span
@@ -61,7 +61,9 @@ def print_plan(plan: Plan, console: Console, early_late: Plan | None = None) -> 
 
 
 def open_steps(script: Script) -> str:
-    """Return in words which steps have no known duration, and that the plan counts on the least; empty if none."""
+    """Return a sentence on the steps of unknown duration, for which the plan assumes the least; empty if there are
+    none.
+    """
     steps = [
         f"{timed.step.label}: {seconds_between(timed.span.least_s, timed.span.most_s)}"
         for timed in script.timeline()
@@ -73,19 +75,19 @@ def open_steps(script: Script) -> str:
 
 
 def required_words(plan: Plan) -> list[str]:
-    """Return the sigmas that the bench requires, in the units of the states; as they were written if in these."""
+    """Return the required sigma of each state as text, in the unit of the state; "-" where none is required."""
     limits, found = plan.bench.limits, []
     for figure, sd, written in zip(state_figures(limits.units), limits.sds, limits.written_sds, strict=True):
-        said = split_quantity(written)
-        if said is not None and said[1] == figure.unit:
-            found.append(written.removesuffix(said[1]).rstrip())
+        quantity = split_quantity(written)
+        if quantity is not None and quantity[1] == figure.unit:
+            found.append(written.removesuffix(quantity[1]).rstrip())
         else:
             found.append(f"{sd * figure.factor:.4g}" if math.isfinite(sd) else "-")
     return found
 
 
 def print_early_late(asked: Plan, offered: Plan, path: Path, console: Console) -> None:
-    """Print the sigmas of a script that turns each axis early and late beside those of the asked one, and its file."""
+    """Print the sigmas of a script that turns each axis early and late, beside those of the asked one, and its file."""
     file_line = escape(f"script: {path}   (station run --script {path})")
     shown: list[Shown] = [
         (beside_table(asked, offered), {}),
@@ -96,7 +98,9 @@ def print_early_late(asked: Plan, offered: Plan, path: Path, console: Console) -
 
 
 def beside_table(asked: Plan, offered: Plan) -> Table:
-    """Return the predicted sigmas of a script that turns each axis early and late, beside those of the asked one."""
+    """Return a table of the predicted sigmas of ``offered``, which turns each axis early and late, beside those of
+    ``asked``.
+    """
     heads = ["gyro"]
     figures = state_figures(asked.bench.units)
     for figure in figures:
@@ -124,7 +128,7 @@ def proved_words(plan: Plan) -> str:
 
 
 def combination(direction: Floats) -> str:
-    """Return a direction of the states in words, such as "k + 0.58 sigma_j"; a bias in it is in rad/s."""
+    """Return a direction (4,) of the states in words, such as "k + 0.58 sigma_j"; a bias in it is in rad/s."""
     names = ("k", "b", "sigma_j", "sigma_k")
     text = ""
     for value, name in zip(direction, names, strict=True):
@@ -137,9 +141,10 @@ def combination(direction: Floats) -> str:
 
 
 def _worst_hidden(forecast: EffectForecast) -> tuple[int, Floats, int] | None:
-    """Return of the parameters that are not seen which does most to the states, and how many others do enough.
+    """Return the unseen parameter that affects the states most: its index, its shifts and the number of others that
+    matter.
 
-    Between the two by how many sigmas it moves the states of each gyro (gyros, 4). None if none does enough.
+    Shifts (gyros, 4) are in sigmas of the states. None if no parameter shifts a state by ``MARKED`` sigmas.
     """
     sigmas = unnoticed(forecast)
     largest = sigmas.max(axis=(1, 2), initial=0.0)
@@ -148,7 +153,7 @@ def _worst_hidden(forecast: EffectForecast) -> tuple[int, Floats, int] | None:
 
 
 def unnoticed(forecast: EffectForecast) -> Floats:
-    """Return by how many sigmas each parameter moves the states of each gyro (P, gyros, 4) where it is not seen."""
+    """Return by how many sigmas each parameter shifts the states (P, gyros, 4); 0 where the parameter is seen."""
     # A gyro whose own parameter is seen is not corrupted unnoticed; a shared one is unseen by all or none.
     return np.where(forecast.seen[:, :, None], 0.0, np.abs(forecast.shift_sigmas))
 

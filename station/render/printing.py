@@ -1,4 +1,4 @@
-"""What a person sees in the terminal: the table of states, the verdict; and the JSON for machines."""
+"""Results in the terminal: the table of states, the verdict; and the JSON for machines."""
 
 import json
 import math
@@ -44,10 +44,10 @@ def print_result(
     details: bool,
     sources: Sequence[Any] = (),
 ) -> None:
-    """Print what a run or a recording came to: the verdict, the states in these units, and what to do next.
+    """Print the result of a run or recording: the verdict, the states in these units, and the next steps.
 
-    With ``details`` also every limit that is broken, where the sigmas come from, the noise, notes, and what was had of
-    each of the ``sources``.
+    With ``details`` also every broken limit, the origin of the sigmas, the noise, notes, and for each of ``sources``
+    its samples, losses and clock. ``calibration`` may be None.
     """
     print_verdict(verdict, details=details)
     if calibration is not None:
@@ -60,9 +60,9 @@ def print_result(
 
 
 def print_calibration(calibration: Calibration, verdict: Verdict, units: Units, *, details: bool) -> None:
-    """Print the states of every gyro with their sigmas, in these units; with ``details`` where the sigmas come from.
+    """Print the states of every gyro with their sigmas, in these units; broken limits are red.
 
-    What breaks a limit is red.
+    With ``details`` also the origin of the sigmas.
     """
     found = [gyro.noise for gyro in calibration.gyros if gyro.noise is not None]
     noises = [(noise.mean.arw, 3600 * noise.instability_below, 3600 * 60 * noise.walk_below) for noise in found]
@@ -83,9 +83,10 @@ def print_calibration(calibration: Calibration, verdict: Verdict, units: Units, 
 
 
 def _undeclared(calibration: Calibration, units: Units) -> list[tuple[str, ...]]:
-    """Return by state its sigma, rms over the gyros, that without undeclared effects, which these are, what shows them.
+    """Return a row for each state: its sigma with and without undeclared effects (rms), the main effects, what shows
+    them.
 
-    Nothing where there are none.
+    Empty if there are none.
     """
     if not calibration.undeclared or not calibration.gyros:
         return []
@@ -108,7 +109,11 @@ def fitted_figures(units: Units, calibration: Calibration) -> tuple[StateUnit, .
 
 
 def _budget(calibration: Calibration) -> Mapping[str, Floats]:
-    """Return where the sigmas come from, (4,) each: noise and the table's own uncertainty, rms over the gyros."""
+    """Return the contributions to the sigmas (4,), rms over the gyros: noise, the table's uncertainty, and the
+    combination.
+
+    Empty if there is one contribution only, or gyros differ in them.
+    """
     budgets = [{c.name: c.u for c in gyro.budget} for gyro in calibration.gyros]
     names = list(budgets[0]) if budgets else []
     if len(names) < 2 or any(list(budget) != names for budget in budgets):
@@ -119,7 +124,7 @@ def _budget(calibration: Calibration) -> Mapping[str, Floats]:
 
 
 def _rest(rests: Sequence[SensorNoise]) -> Mapping[str, Any] | None:
-    """Return the noise of each gyro at rest alone, with where their mean Allan deviation is least."""
+    """Return the noise of each gyro at rest, with the minimum of their mean Allan deviation; None without rest."""
     if not rests:
         return None
     shortest = min((rest.curve for rest in rests), key=lambda curve: len(curve.tau_s))
@@ -133,7 +138,10 @@ def _rest(rests: Sequence[SensorNoise]) -> Mapping[str, Any] | None:
 
 
 def print_repeatability(repeats: Sequence[Repeatability], device: str, script: str, units: Units) -> None:
-    """Print how the states of a device scatter over its runs of a script, beside what their sigmas promise."""
+    """Print the scatter of a device's states over its runs of a script, beside that expected from their sigmas.
+
+    Nothing is printed if ``repeats`` is empty.
+    """
     if not repeats:
         return
     values = {
@@ -147,7 +155,7 @@ def print_repeatability(repeats: Sequence[Repeatability], device: str, script: s
 
 
 def repeatability_object(repeats: Sequence[Repeatability]) -> list[dict[str, Any]]:
-    """Return the repeatability as what --json prints: by gyro the runs and, by state, the figures in SI."""
+    """Return the repeatability for --json: by gyro the number of runs and, by state, the figures in SI."""
     return [
         {
             "name": gyro.name,
@@ -166,14 +174,18 @@ def _size(value: float) -> str:
 
 
 def print_verdict(verdict: Verdict, *, details: bool) -> None:
-    """Print how it ended, and why; causes before what is broken, which is a table: without ``details`` of the worst."""
+    """Print the outcome and its reasons: causes first, then broken limits as a table; without ``details`` the worst."""
     broken = list(verdict.broken) if details else worst_first(verdict.broken)[:MOST_BROKEN]
     values = {"verdict": verdict, "style": OUTCOME_STYLES[verdict.outcome], "broken": broken}
     print_rendered(stdout(), "station.render", "verdict.rich", values)
 
 
 def next_steps(verdict: Verdict, calibration: Calibration | None, recording: Path) -> list[str]:
-    """Return what to do about a verdict, in words."""
+    """Return sentences, with commands, on what to do next after a verdict.
+
+    They depend on its outcome: repeat an aborted run, remedy broken limits or else investigate, write the report of a
+    run that passed. A passed run whose calibration does not prove constancy gets a plan for that, too.
+    """
     if verdict.outcome in (Outcome.ABORTED, Outcome.FAULT):
         return ["`station check` tests every device; then repeat the run"]
     if verdict.outcome is Outcome.MANUAL:
@@ -188,14 +200,14 @@ def next_steps(verdict: Verdict, calibration: Calibration | None, recording: Pat
 
 
 def next_after_report(verdict: Verdict | None, recording: Path) -> list[str]:
-    """Return what to do once there is a report, in words: of what passed, take it where it is used."""
+    """Return sentences on what to do after a report; for a run that passed, how to export the calibration."""
     if verdict is not None and verdict.outcome not in (Outcome.PASS, Outcome.ESTIMATED):
         return next_steps(verdict, None, recording)
     return [f"`station export {recording} --all FOLDER` writes the calibration for firmware and tools"]
 
 
 def refuse(reason: str, as_json: bool, outcome: Outcome | None = None, recording: str | None = None) -> int:
-    """Say on stderr why there is no result, and as JSON an empty one; return the exit code."""
+    """Print on stderr why there is no result, and as JSON an empty one; return the exit code."""
     tell(f"station: {reason}", sys.stderr)
     if as_json:
         print(json.dumps(empty_object(reason, outcome and str(outcome), recording)))
@@ -203,13 +215,13 @@ def refuse(reason: str, as_json: bool, outcome: Outcome | None = None, recording
 
 
 def empty_object(reason: str, outcome: str | None = None, recording: str | None = None) -> dict[str, Any]:
-    """Return what --json prints when there is no result."""
+    """Return the object for --json if there is no result."""
     empty: dict[str, Any] = {"outcome": outcome, "reason": reason, "recording": recording}
     return {**empty, "gyros": [], "nis_mean": None, "samples": 0, "lost": 0}
 
 
 def result_object(verdict: Verdict, recording: str, calibration: Calibration | None) -> dict[str, Any]:
-    """Return the result as what --json prints."""
+    """Return the result for --json; without a calibration its lists are empty and its numbers null or 0."""
     found = calibration or Calibration(gyros=(), nis_mean=math.nan, samples=0, lost=0, notes=())
     return {
         "outcome": str(verdict.outcome),
@@ -236,7 +248,9 @@ def _parity_object(checks: Sequence[GyroParity]) -> dict[str, Any]:
 
 
 def _gyro_object(gyro: GyroCalibration) -> dict[str, Any]:
-    """Return a gyro: its states and sigmas, and by effect and parameter the value, its standard deviation, its unit."""
+    """Return a gyro for --json: states, sigmas, budget, noise, and by effect and parameter the value, its sd and its
+    unit.
+    """
     effects: dict[str, dict[str, list[float | str]]] = {}
     for value in gyro.effects:
         effects.setdefault(value.effect, {})[value.parameter] = [value.value, value.sd, value.unit]

@@ -14,11 +14,11 @@ _REFRESH_S = 0.1  # of the wall's clock: a person watches, however fast the loop
 
 
 def _green_bar() -> BarColumn:
-    return BarColumn(complete_style="green", finished_style="green")  # red, as rich has it, is what goes wrong
+    return BarColumn(complete_style="green", finished_style="green")  # red, rich's default, is for errors
 
 
 class Bar(Progress):
-    """A bar of one task; without a terminal lines, when quiet nothing."""
+    """A progress bar of one task; prints lines if there is no terminal, and nothing if quiet."""
 
     _EVERY = 0.1
     """Without a terminal: one line each tenth of the work."""
@@ -33,9 +33,9 @@ class Bar(Progress):
         transient: bool = False,
         **fields: Any,
     ) -> None:
-        """``begins`` describes the task at first, ``fields`` are what its columns show beside that.
+        """``begins`` is the first description of the task, ``fields`` are further values for its columns.
 
-        A ``transient`` bar is taken away at the end.
+        A ``transient`` bar is removed at the end.
         """
         console = HarmlessConsole(stderr=True)
         self._quiet, self._at_once = quiet, not auto_refresh
@@ -45,7 +45,7 @@ class Bar(Progress):
         self._task = self.add_task(begins, total=total, **fields)
 
     def _tell(self, line: str, share: float, due: bool | None = None, **told: Any) -> None:
-        """Show in the bar what is ``told``; print the line where there is none and it is due, by default by share."""
+        """Show ``told`` in the bar; without a bar print the line if it is due, by default after a step of the share."""
         if not self.disable:
             self.update(self._task, refresh=self._at_once, **told)
         elif not self._quiet and (share - self._shown_share >= self._EVERY if due is None else due):
@@ -64,7 +64,7 @@ class RunProgress(Bar):
         self._shown_share = -1.0
 
     def show(self, look: Callable[[], Snapshot]) -> None:
-        """Show where the run is, not more often than a person can read; ``look`` is asked only then."""
+        """Show the progress of a run, at most a few times per second; ``look`` is called only then."""
         now = time.monotonic()
         if self._quiet or now - self._shown_at < _REFRESH_S:
             return
@@ -87,5 +87,5 @@ class TracingProgress(Bar):
         super().__init__(quiet, *columns, begins="tracing", transient=transient)
 
     def show(self, share: float, text: str) -> None:
-        """Show how much is done, 0 to 1, and what is being done."""
+        """Show the share done, 0 to 1, and the current step."""
         self._tell(f"{share:4.0%}  {text}", share, completed=share, description=text)

@@ -1,4 +1,4 @@
-"""Texts made of templates that ship beside the modules: what is for people stands there, values are made in Python."""
+"""Texts made from templates in packages: wording in the templates, values in Python."""
 
 import math
 from collections.abc import Mapping
@@ -11,11 +11,11 @@ if TYPE_CHECKING:
 
 
 def rendered(package: str, name: str, values: Mapping[str, Any]) -> str:
-    """Return the text of a template in the folder templates of a package.
+    """Return the text of template ``name`` in the folder templates of a package.
 
-    In .html and in .rich every text is escaped but markupsafe.Markup; None is nothing; a name that is not given raises
-    jinja2.UndefinedError. Every template has the functions of ``station.views`` that say values in everyday units, and
-    ``state_figures``: the states in the units that are usual in the field, unless a value of that name is given.
+    In .html and .rich every text is escaped except markupsafe.Markup. None is printed as nothing; an unknown name
+    raises jinja2.UndefinedError. Templates also have the functions of ``station.views`` for values in readable units,
+    and ``state_figures``: the states in the usual units, unless ``values`` has others.
     """
     from station.views.figures import STATE_FIGURES
 
@@ -27,6 +27,7 @@ def rendered(package: str, name: str, values: Mapping[str, Any]) -> str:
 
 @cache
 def _environment(package: str, rich: bool) -> "Environment":
+    """Return the jinja2 environment for the templates of a package, with the shared functions and filters."""
     from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
     from station.views.figures import (
@@ -58,7 +59,7 @@ def _environment(package: str, rich: bool) -> "Environment":
 
 
 def _for_rich(value: Any) -> str:
-    """Return a value as a console of rich prints it as it stands; markup is what is Markup already."""
+    """Return a value as text for a rich console, escaped unless it is Markup already."""
     from markupsafe import Markup
     from rich.markup import escape
 

@@ -1,4 +1,4 @@
-"""What a person sees in the terminal, from templates: lines with the markup of rich, and tables."""
+"""Output to the terminal from templates: lines with the markup of rich, and tables."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, TypeAlias
@@ -30,10 +30,10 @@ def stdout() -> Console:
 
 
 class HarmlessConsole(Console):
-    """A console on which names out of files cannot steer the terminal."""
+    """A console on which control characters in names from files have no effect."""
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-        """Yield the segments of what is shown; only rich's own have control characters."""
+        """Yield the segments of a renderable; only rich's own may have control characters."""
         for segment in super().render(renderable, options):
             yield segment if segment.control else Segment(harmless(segment.text), segment.style)
 
@@ -44,17 +44,20 @@ def print_rendered(console: Console, package: str, name: str, values: Mapping[st
 
 
 def print_all(console: Console, shown: Iterable[Shown]) -> None:
-    """Print lines and tables; lines are broken at 80 columns, but between no figure and its unit."""
-    for what, how in shown:
-        if isinstance(what, str) and not how.keys() & {"soft_wrap", "no_wrap"}:
-            for line in _wrapped(what, console, markup=how.get("markup", True)):
+    """Print lines and tables; lines are broken at 80 columns, but never between a figure and its unit.
+
+    A line with ``soft_wrap`` or ``no_wrap`` is left as it is.
+    """
+    for item, how in shown:
+        if isinstance(item, str) and not how.keys() & {"soft_wrap", "no_wrap"}:
+            for line in _wrapped(item, console, markup=how.get("markup", True)):
                 console.print(line, **{key: value for key, value in how.items() if key != "markup"})
         else:
-            console.print(what, **how)
+            console.print(item, **how)
 
 
 def _wrapped(line: str, console: Console, *, markup: bool) -> list[Text]:
-    """Return a line as lines that fit, without spaces at their ends."""
+    """Return a line broken to fit the console and 80 columns, without trailing spaces."""
     text = Text.from_markup(line, emoji=False) if markup else Text(line)
     text.plain = glued(text.plain)
     broken = list(text.wrap(console, min(console.width, LINE_WIDTH))) or [text]
@@ -65,10 +68,10 @@ def _wrapped(line: str, console: Console, *, markup: bool) -> list[Text]:
 
 
 def shown_of(package: str, name: str, values: Mapping[str, Any]) -> list[Shown]:
-    """Return lines and tables of a template. ``table`` in it begins a ``rich_table``, ``show`` has it where it stands.
+    """Return the lines and tables of a template. In it ``table`` creates a ``rich_table``, and ``show`` places one.
 
-    Of a text ``show`` takes what Console.print takes, for instance soft_wrap. What goes into tables is markup: in it
-    ``escape`` is for names.
+    ``show`` accepts the options of Console.print, for instance soft_wrap. Cells of tables are markup, in which names
+    must go through ``escape``.
     """
     shown: list[Shown] = []
 
@@ -83,7 +86,7 @@ def shown_of(package: str, name: str, values: Mapping[str, Any]) -> list[Shown]:
 class FittingTable(Table):
     """A table that a narrow console shows in parts below each other, each with the names on the left.
 
-    No figure is cut, and what is dim stays beside what it belongs to. Columns that fold are left to fold.
+    No figure is cut, and dim columns stay with the column before. Columns that fold are left to fold.
     """
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
@@ -95,6 +98,7 @@ class FittingTable(Table):
                 yield from part.__rich_console__(console, options)
 
     def _parts(self, console: Console, options: ConsoleOptions) -> Iterator[Table]:
+        """Yield the table as parts that fit the console, each with the leading columns that are aligned left."""
         names = next((n for n, column in enumerate(self.columns) if column.justify != "left"), 1)
         shown, title = list(self.columns[:names]), self.title
         for column in self.columns[names:]:
@@ -129,10 +133,10 @@ def rich_table(
     centred: bool = False,
     frameless: bool = False,
 ) -> Table:
-    """Return a table; ``align`` has "l" or "r" for each column, "d" for a dim "r", the last for all others.
+    """Return a table; ``align`` has "l" or "r" for each column, "d" for a dim "r", the last letter for all others.
 
-    With ``fold`` cells are broken into lines where there is no room, not cut. ``centred`` is the title. A ``frameless``
-    table has a line below its heads alone.
+    With ``fold`` long cells are broken into lines instead of cut. ``centred`` is about the title. A ``frameless`` table
+    has only a line below its heads.
     """
     table = FittingTable(title=title, title_style="bold", title_justify="center" if centred else "left")
     if frameless:

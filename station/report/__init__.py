@@ -1,5 +1,5 @@
-"""The report of a recording: one HTML file that needs nothing else, and the PDF that a browser prints of it.
+"""The report of a recording: one HTML file without external resources, and the PDF that is printed from it.
 
-``recorded`` and ``traced`` read what it is drawn from, ``standing`` says what the document may call itself; a module
-for each chapter or two writes the HTML, ``document`` puts it together, ``browser`` prints.
+``recorded`` and ``investigation_chapter`` read the data, ``document_status`` decides between certificate, specimen and
+report, a module in ``chapters`` prepares each chapter, ``document`` fills the templates and ``pdf`` prints them.
 """

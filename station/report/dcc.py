@@ -15,10 +15,10 @@ from drivers.packaged import packaged_text, packaged_toml
 from station.errors import UsageError, sentence
 from station.render.template import rendered
 from station.report.document import Report
+from station.report.document_status import Kind
 from station.report.figures import COVERAGE
 from station.report.formal import Formal
 from station.report.recorded import Recorded
-from station.report.standing import Kind
 from station.views.seen import seen_by
 
 PROBABILITY = 0.95
@@ -29,16 +29,16 @@ _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def check_facts(formal: Formal) -> None:
-    """See, before any long work, that all is stated that must be; UsageError that lists what is not."""
+    """Check, before any long work, that all mandatory facts are stated; UsageError that lists the missing ones."""
     missing = [fact for fact in _FACTS["mandatory"] if not getattr(formal, fact.replace(".", "_"))]
     if missing:
         raise UsageError(sentence("report.dcc_lacks", missing=", ".join(missing)))
 
 
 def make_dcc(recorded: Recorded, formal: Formal, report: Report, pdf: bytes | None = None) -> bytes:
-    """Return the certificate, with the one of paper inside if there is one; valid by the schema.
+    """Return the digital calibration certificate, valid by the schema, with the PDF embedded if given.
 
-    Raises UsageError if the report is no certificate (nor specimen of one), or if mandatory facts are not stated.
+    UsageError if the report is neither a certificate nor a specimen, or if mandatory facts are missing.
     """
     check_facts(formal)
     if report.standing.kind not in (Kind.CERTIFICATE, Kind.SPECIMEN):
@@ -61,7 +61,7 @@ def make_dcc(recorded: Recorded, formal: Formal, report: Report, pdf: bytes | No
 
 
 def validate(xml: bytes) -> None:
-    """See that a certificate is valid by the schema kept in the package, without network; UsageError says where not."""
+    """Check a certificate by the schema in the package, without network; UsageError with the place of a fault."""
     schema = etree.XMLSchema(etree.parse(str(files("station.report") / "schemas" / "dcc.xsd"), _PARSER))
     if not schema.validate(etree.fromstring(xml, _PARSER)):
         first = schema.error_log[0]
@@ -69,7 +69,9 @@ def validate(xml: bytes) -> None:
 
 
 def sign(xml: bytes, key: Path, certificate: Path) -> bytes:
-    """Return a valid certificate with an enveloped signature of XAdES; UsageError as ``read_key``."""
+    """Return the certificate with an enveloped XAdES signature, still valid by the schema; UsageError as
+    ``read_key``.
+    """
     from signxml.xades.xades import XAdESDataObjectFormat, XAdESSigner
 
     private, pem, method = read_key(key, certificate)
@@ -77,7 +79,7 @@ def sign(xml: bytes, key: Path, certificate: Path) -> bytes:
     signer = XAdESSigner(signature_algorithm=method, data_object_format=described)
     signed = signer.sign(etree.fromstring(xml, _PARSER), key=private, cert=pem)
     text = bytes(etree.tostring(signed, xml_declaration=True, encoding="UTF-8"))
-    # What stands before the root, the stylesheet for browsers, is no part of what is signed.
+    # The stylesheet for browsers, before the root, is not signed.
     stylesheet = re.search(rb"<\?xml-stylesheet[^>]*\?>", xml)
     if stylesheet:
         declaration, _, rest = text.partition(b"?>\n")
@@ -87,7 +89,10 @@ def sign(xml: bytes, key: Path, certificate: Path) -> bytes:
 
 
 def read_key(key: Path, certificate: Path) -> tuple[Any, str, Any]:
-    """Return a private key, its certificate (PEM) and the method to sign with; UsageError where they are not such."""
+    """Return a private key, its certificate (PEM) and the signature method (RSA or ECDSA with SHA-256).
+
+    UsageError if they cannot be read, do not belong together, are of another kind, or packages are missing.
+    """
     try:
         from cryptography import x509
         from cryptography.hazmat.primitives import serialization

@@ -1,4 +1,4 @@
-"""The whole document: one HTML file that needs nothing beside itself."""
+"""The whole document: one HTML file without other files."""
 
 import importlib.metadata
 import platform
@@ -17,19 +17,19 @@ from station.exports.exported import RAW_RULE, file_sha256, raw_sha256
 from station.render.investigation_printed import verdict_lines
 from station.render.plan_printed import combination
 from station.render.template import rendered
-from station.report import figures, pictures, traced as residual
-from station.report.chapters import correction, front, results, unseen
+from station.report import figures, investigation_chapter as residual, pictures
+from station.report.chapters import correction, front, results, unobserved_effects
+from station.report.document_status import Standing, limits_of, number_of, standing_of
 from station.report.formal import Formal, logo_of
+from station.report.investigation_chapter import Traced
 from station.report.recorded import Recorded, laid_out, read_recorded
-from station.report.standing import Standing, limits_of, number_of, standing_of
-from station.report.traced import Traced
 from station.views.seen import seen_by
 
 _PACKAGES = ("turntable-station", "numpy", "scipy", "h5py", "matplotlib")
 _MADE_OF = {
     "asked_for": packaged_toml("station.report", "certificate.toml")["not_stated"],
     "basename": basename,
-    "blind_spots": unseen,
+    "blind_spots": unobserved_effects,
     "combination": combination,
     "correction": correction,
     "figures": figures,
@@ -54,14 +54,14 @@ class Report:
     number: str
     hashes: dict[str, str]
     before: Recorded | None = None
-    not_seen: unseen.Unseen | None = None
+    not_seen: unobserved_effects.Unseen | None = None
 
 
 def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Report:
     """Return the report of a recording with its formal facts, and with an investigation if there is one.
 
-    Raises BenchError if the bench text in the recording cannot be read, EstimatorError for an error model that is of
-    another version.
+    BenchError if the bench text in the recording cannot be read, EstimatorError for an error model of another version,
+    UsageError if the recording as found does not match.
     """
     hashes = {"file": file_sha256(recorded.path), "data": raw_sha256(recorded.path)}
     if traced is not None and traced.path != recorded.path:
@@ -73,7 +73,7 @@ def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Re
     number = formal.certificate_number or number_of(recorded, tuple(hashes.values()), formal.certificate_replaces or "")
     device = formal.item_serial_number or recorded.text("device")
     versions = [f"{name} {importlib.metadata.version(name)}" for name in _PACKAGES]
-    not_seen = unseen.unseen_of(recorded)
+    not_seen = unobserved_effects.unseen_of(recorded)
     values: dict[str, Any] = {
         "recorded": recorded,
         "on_table": isinstance(recorded.recording.reference, TableReadings),
@@ -95,14 +95,14 @@ def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Re
     }
     with laid_out(recorded.path, "its content or its investigation cannot be reported ({})"):
         html = rendered("station.report", "report.html", _MADE_OF | values)
-    # Names and texts of recordings, sources and files: whatever they hold, the document steers and reverses nothing.
+    # Names and texts of recordings, sources and files must not change the document's structure or direction.
     return Report(
         html=harmless(html), standing=standing, number=number, hashes=hashes, before=before, not_seen=not_seen
     )
 
 
 def _as_found(recorded: Recorded, path: Path) -> Recorded:
-    """Return the recording of the device as found; UsageError if that holds nothing to set beside this one."""
+    """Return the recording of the device as found; UsageError unless it is an earlier calibration of the same gyros."""
     before = read_recorded(path)
     serials = {before.text("device_serial"), recorded.text("device_serial"), ""}
     later = recorded.begun_utc and not (before.begun_utc and before.begun_utc <= recorded.begun_utc)

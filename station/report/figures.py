@@ -1,4 +1,4 @@
-"""Figures as people read them, each with its full precision beside it."""
+"""Figures as readers see them, each with its full precision in the file."""
 
 import math
 import re
@@ -29,7 +29,7 @@ def typographic(text: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """What a figure in SI is shown in."""
+    """The unit in which a figure in SI is shown."""
 
     name: str
     factor: float
@@ -60,10 +60,10 @@ def states_in(units: Units) -> tuple[tuple[Markup, Unit], ...]:
 
 
 def figure(value: float, unit: Unit, text: str, source: str | None = None, times: float | None = None) -> Markup:
-    """Return a figure whose value in SI stands in full beside the text.
+    """Return a figure as HTML that also carries its full SI value.
 
-    ``source`` says where the recording has it: "group/dataset[row,column]" or "group@attribute"; ``times`` by what that
-    was multiplied.
+    ``source`` is its place in the recording: "group/dataset[row,column]" or "group@attribute"; ``times`` the factor by
+    which that was multiplied.
     """
     beside = {
         "value": repr(float(value)),
@@ -71,17 +71,19 @@ def figure(value: float, unit: Unit, text: str, source: str | None = None, times
         "data-h5": source,
         "data-times": times,
     }
-    named = (Markup(' {}="{}"').format(name, what) for name, what in beside.items() if what is not None)
+    named = (
+        Markup(' {}="{}"').format(name, value_text) for name, value_text in beside.items() if value_text is not None
+    )
     return Markup("<data{}>{}</data>").format(Markup("").join(named), text)
 
 
 def plain(value: float, unit: Unit, digits: int = 3, source: str | None = None) -> Markup:
-    """Return a figure to so many significant digits, without an exponent where that is readable."""
+    """Return a figure with ``digits`` significant digits, without an exponent where that is readable."""
     return figure(value, unit, significant(value * unit.factor, digits), source)
 
 
 def interval(value: float, low: float, high: float, unit: Unit, place: str) -> Markup:
-    """Return a term of the noise at rest with its interval, "at most" its upper end where the lower one is 0.
+    """Return a term of the noise at rest with its interval; "at most" and the upper end if the lower one is 0.
 
     ``place`` is the index in the datasets of the calibration.
     """
@@ -93,7 +95,7 @@ def interval(value: float, low: float, high: float, unit: Unit, place: str) -> M
 
 
 def fixed(value: float, unit: Unit, decimals: int, source: str | None = None) -> Markup:
-    """Return a figure to so many decimals."""
+    """Return a figure with ``decimals`` decimals."""
     text = _minus(f"{value * unit.factor:.{decimals}f}") if math.isfinite(value) else UNKNOWN
     return figure(value, unit, text, source)
 
@@ -104,12 +106,14 @@ def count(number: int, source: str | None = None) -> Markup:
 
 
 def known(value: float | None, unit: Unit) -> Markup:
-    """Return a figure from JSON, in which null stands for what is not known."""
+    """Return a figure from JSON, where null means unknown."""
     return plain(math.nan if value is None else value, unit)
 
 
 def with_uncertainty(value: float, sd: float, unit: Unit, source: str, source_of_sd: str) -> list[Markup]:
-    """Return a value, its standard and its expanded uncertainty, to two digits of each of these (GUM 7.2.6)."""
+    """Return a value, its standard and its expanded uncertainty, rounded to two digits of the uncertainty (GUM
+    7.2.6).
+    """
     expanded = COVERAGE * sd
     shown = [rounded(x * unit.factor, expanded * unit.factor) for x in (value, expanded)]
     standard = rounded(sd * unit.factor, sd * unit.factor)
@@ -132,7 +136,9 @@ def parameters(sizes: Iterable[Size], values: Iterable[float]) -> Markup:
 
 
 def rounded(value: float, uncertainty: float) -> str:
-    """Return a value to the place at which its uncertainty has its second digit, at most nine decimals."""
+    """Return a value rounded to the second digit of its uncertainty, at most nine decimals; six digits without
+    uncertainty.
+    """
     if not math.isfinite(value):
         return UNKNOWN
     if not math.isfinite(uncertainty) or uncertainty <= 0:
@@ -142,12 +148,12 @@ def rounded(value: float, uncertainty: float) -> str:
 
 
 def stated(value: float, unit: Unit) -> Markup:
-    """Return a figure that somebody stated, as it was most likely written."""
+    """Return a figure that a person stated, as it was most likely written."""
     return figure(value, unit, _minus(f"{value * unit.factor:.6g}"))
 
 
 def significant(value: float, digits: int) -> str:
-    """Return so many significant digits."""
+    """Return a value with ``digits`` significant digits, in exponential form if very large or small."""
     if not math.isfinite(value):
         return UNKNOWN
     if value == 0:

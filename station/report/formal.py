@@ -1,4 +1,4 @@
-"""What a certificate states beside the measurement, by ISO/IEC 17025:2017, 7.8: of the recording, its bench, a file."""
+"""Facts of a certificate beside the measurement, by ISO/IEC 17025:2017, 7.8: from recording, bench, and a file."""
 
 from base64 import b64encode
 from collections.abc import Iterator, Mapping
@@ -22,10 +22,10 @@ _ORDER = ("item_received", "performed_date", "certificate_issued", "certificate_
 
 @dataclass(frozen=True, slots=True)
 class Equipment:
-    """An instrument that was used, and what its own certificate states.
+    """An instrument used, and the statements of its certificate.
 
-    ``laboratory`` gave the ``certificate`` for a calibration on the day ``calibrated``, which is good until ``due``;
-    ``no_due`` says why there is no such day. ``uncertainty`` is in the words of the certificate.
+    ``laboratory`` issued the ``certificate`` for a calibration on the day ``calibrated``, valid until ``due``;
+    ``no_due`` says why there is no such day. ``uncertainty`` is quoted from the certificate.
     """
 
     name: str
@@ -49,10 +49,10 @@ _LEFT_OUT: Mapping[str, Any] = {
 class Formal:
     """The formal facts, attributes by section and key of station/schema/certificate.toml; None: not stated.
 
-    ``item_serial_told`` is what the device says of itself where that is another number, with ``item_serial_reason`` why
-    both are right. ``performed_date`` is that of the recording, UTC, unless somebody stated it. ``performed_humidity``
-    is a share of 1. ``decision_false_accept`` is None of simple acceptance. ``operator`` made the run;
-    ``approved_by_another``: the bench wants the certificate approved by somebody else.
+    ``item_serial_told`` is the number that the device reports if it differs, with ``item_serial_reason`` as
+    explanation. ``performed_date`` is that of the recording, UTC, unless stated. ``performed_humidity`` is a share of
+    1. ``decision_false_accept`` is None for simple acceptance. ``operator`` made the run; ``approved_by_another``: the
+    bench requires approval by somebody else.
     """
 
     stated: Mapping[str, Any]
@@ -64,9 +64,10 @@ class Formal:
 
     @property
     def overdue(self) -> tuple[Equipment, ...]:
-        """Instruments whose calibration was over on the date of measurement, or nobody stated until when it is good.
+        """Instruments whose calibration had expired on the date of measurement, or has no stated expiry and no reason
+        for that.
 
-        Without a date of measurement no stated date can be over.
+        Without a date of measurement no stated date counts as expired.
         """
         day = self.performed_date
         late = (not one.no_due if one.due is None else bool(day) and one.due < day for one in self.equipment)
@@ -82,22 +83,23 @@ class Formal:
 
     @property
     def approved(self) -> bool:
-        """Whether it is approved as the bench wants it."""
-        said = (normalize("NFKC", who or "").casefold() for who in (self.certificate_approved_by, self.operator))
-        by, made = ("".join(filter(str.isalpha, who)) for who in said)  # whatever is between and around the letters
+        """Whether it is approved as the bench requires."""
+        names = (normalize("NFKC", who or "").casefold() for who in (self.certificate_approved_by, self.operator))
+        by, made = ("".join(filter(str.isalpha, who)) for who in names)  # only the letters are compared
         return not self.approved_by_another or by not in ("", made)
 
 
 def kept_facts(recording: Path) -> Path:
-    """Return the file beside a recording in which the form on the screen keeps what was entered."""
+    """Return the file beside a recording in which the form on the screen stores its entries."""
     return recording.with_name(f"{recording.stem}-certificate.toml")
 
 
 def read_formal(recorded: Recorded, meta: Path | None = None, text: str | None = None) -> Formal:
-    """Return the formal facts of a recording: its own, those of its bench, and before these of the file for --meta.
+    """Return the formal facts of a recording: its own, those of its bench, overridden by those of the file ``meta``.
 
-    Without ``meta`` it is the file that the form on the screen kept, if there is one; ``text`` is what it is to hold.
-    Raises UsageError with line and key for a file that is wrong or of another device, BenchError for the bench text.
+    By default ``meta`` is the file kept by the form on the screen, if there is one; ``text`` is used in place of its
+    content. UsageError with line and key for a file that is invalid or of another device, BenchError for the bench
+    text.
     """
     beside, kept = recorded.path.parent, kept_facts(recorded.path)
     text = read_text(meta or kept, UsageError) if text is None and (meta or kept.is_file()) else text or ""
@@ -109,7 +111,7 @@ def read_formal(recorded: Recorded, meta: Path | None = None, text: str | None =
     stated = dict(_facts(bench, beside)) | own
     if logo := stated.get("laboratory_logo"):
         if meta in (None, kept) or "laboratory_logo" not in own:
-            stated["laboratory_logo"] = logo = beside / logo.name  # no other file of this computer, whoever made these
+            stated["laboratory_logo"] = logo = beside / logo.name  # no other file of this computer
         logo_of(logo)
     serial, begun = recorded.text("device_serial"), recorded.begun_utc
     if serial and stated.setdefault("item_serial_number", serial) != serial:
@@ -132,7 +134,7 @@ def read_formal(recorded: Recorded, meta: Path | None = None, text: str | None =
 
 
 def logo_of(path: Path) -> str:
-    """Return a picture as a data URI; UsageError if it cannot be read, or holds none, whatever its name."""
+    """Return a picture as a data URI; UsageError if it cannot be read or is not a complete SVG, PNG or JPEG."""
     from lxml import etree
     from PIL import Image, ImageFile
 
@@ -156,7 +158,10 @@ def logo_of(path: Path) -> str:
 
 
 def _check_dates(top: Table, stated: Mapping[str, Any], begun: datetime | None) -> None:
-    """See that dates are in their order; ``begun``: of the recording, UTC; places are 12 h behind to 14 h ahead."""
+    """Check the order of all dates; the table's error if one is impossible.
+
+    ``begun`` is the start of the recording, UTC; local time may be 12 h behind to 14 h ahead of it.
+    """
     day = stated["performed_date"]
     for one in stated.get("equipment", ()):
         if one.calibrated and one.due and one.due < one.calibrated:
@@ -176,12 +181,14 @@ def _check_dates(top: Table, stated: Mapping[str, Any], begun: datetime | None) 
     for first, then in combinations((field for field in _ORDER if stated.get(field)), 2):
         if (stated[first] - stated[then]).days > ("performed_date" in (first, then)):
             own, other = (first, then) if then == "performed_date" else (then, first)
-            told = [f"{field.replace('_', '.', 1)}{sign} {stated[field]}" for field, sign in ((own, ":"), (other, ","))]
-            raise top.fail_at(f"{' and '.join(told)}, are in the wrong order. Correct one")
+            dates = [
+                f"{field.replace('_', '.', 1)}{sign} {stated[field]}" for field, sign in ((own, ":"), (other, ","))
+            ]
+            raise top.fail_at(f"{' and '.join(dates)}, are in the wrong order. Correct one")
 
 
 def _facts(top: Table, folder: Path) -> Iterator[tuple[str, Any]]:
-    """Yield what a file states, by field."""
+    """Yield (field, value) of the facts stated in a file; missing ones are left out."""
     for section in keys_of("certificate.certificate_file"):
         own = f"certificate.{section.name}"
         if section.kind == "tables":

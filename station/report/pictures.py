@@ -47,7 +47,7 @@ _STYLE = Path(__file__).with_name("report.mplstyle")
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A figure: an image as a data URI, the text in its place, a caption."""
+    """A figure: an image as a data URI, its alternative text, and a caption."""
 
     source: str
     alternative: str
@@ -56,7 +56,7 @@ class Picture:
 
 
 def rates_picture(names: Sequence[str], t_s: Floats, rate_rps: Floats, what: str) -> Picture:
-    """Return the rates (N, axes) of named axes over time."""
+    """Return a picture of the rates (N, axes) of named axes over time, one panel each; ``what`` is for the caption."""
     with _drawn((WIDTH_IN, 0.36 * len(names) + 0.42), len(names), 1, between=0.12) as (figure, panels):
         for column, (name, panel) in enumerate(zip(names, panels[:, 0], strict=True)):
             at, shown = _thinned(t_s, rate_rps[:, column] * DEG_PER_S.factor)
@@ -74,9 +74,9 @@ def rates_picture(names: Sequence[str], t_s: Floats, rate_rps: Floats, what: str
 
 
 def convergence_pictures(recorded: Recorded, states: Sequence[tuple[Markup, Unit]]) -> list[Picture]:
-    """Return how the states of each gyro and their sigmas went, a panel a state; grey lines where steps begin.
+    """Return a picture per gyro of its states and sigmas over time, a panel per state; grey lines where steps begin.
 
-    ``states``: symbol and unit of each.
+    ``states`` has symbol and unit of each state.
     """
     turns_s = [(step.start_ns - recorded.start_ns) * 1e-9 for step in recorded.steps]
     return [
@@ -95,6 +95,7 @@ def _convergence_picture(
     turns_s: Sequence[float],
     states: Sequence[tuple[Markup, Unit]],
 ) -> Picture:
+    """Return the picture of gyro number ``channel`` of a source."""
     t_s = np.asarray((course.t_ns - start_ns) * 1e-9, dtype=np.float64)
     each = slice((len(t_s) - 1) % _every(t_s), None, _every(t_s))  # the last among them
     with _drawn((WIDTH_IN, 0.95), 1, 4, left=0.42, bottom=0.2, top=0.2) as (figure, panels):
@@ -114,7 +115,7 @@ def _convergence_picture(
 
 
 def nis_picture(recorded: Recorded) -> Picture | None:
-    """Return the normalised innovations squared of each source, means of some seconds; None if none are kept."""
+    """Return a picture of the NIS of each source, averaged over blocks; None if none is stored."""
     courses = [(name, course) for name, course in recorded.courses.items() if len(course.nis)]
     if not courses:
         return None
@@ -144,7 +145,7 @@ def nis_picture(recorded: Recorded) -> Picture | None:
 
 
 def allan_picture(recorded: Recorded) -> Picture | None:
-    """Return the Allan deviations of the gyros at rest with their intervals, None if they are not kept."""
+    """Return a picture of the gyros' Allan deviations at rest with their intervals; None if they are not stored."""
     if recorded.rest is None:
         return None
     names, rest = recorded.labels, recorded.rest
@@ -164,10 +165,10 @@ def allan_picture(recorded: Recorded) -> Picture | None:
 
 
 def draw_noise(path: Path, noises: Mapping[str, Sequence[Sequence[SensorNoise]]]) -> None:
-    """Draw the Allan deviations of sensors at rest with their intervals and the fit of N, B and K.
+    """Draw the Allan deviations of sensors at rest with their intervals and the fit of N, B and K, into a file.
 
-    ``noises`` are by source and kind of sensor; each kind of a source has a panel. Raises UsageError if the file cannot
-    be written.
+    ``noises`` are by source and kind of sensor; each kind of a source has a panel. UsageError if the file cannot be
+    written.
     """
     kinds = [(source, kind) for source, of_source in noises.items() for kind in of_source]
     with _drawn((WIDTH_IN, 3.3 * len(kinds)), len(kinds), 1, top=0.3, between=0.7) as (figure, panels):
@@ -213,7 +214,9 @@ def _finish_allan(panel: "Axes", sensors: int) -> None:
 
 
 def residual_picture(view: ResidualView, spectra: Spectra | None) -> Picture:
-    """Return the residual of one gyro before and after: over time, against the rate, and its spectrum."""
+    """Return a picture of one gyro's residual before and after: over time, against the rate, and its spectrum if
+    known.
+    """
     columns = 3 if spectra is not None else 2
     with _drawn((WIDTH_IN, 1.75), 1, columns, bottom=0.55, widths=[1.9, 1, 1][:columns]) as (figure, panels):
         _draw(panels[0], view, spectra)
@@ -223,10 +226,11 @@ def residual_picture(view: ResidualView, spectra: Spectra | None) -> Picture:
 
 
 def draw_investigation(path: Path, found: Investigation) -> None:
-    """Draw of each gyro the residual before and after: over time, against rate, temperature if there is one, spectrum.
+    """Draw each gyro's residual before and after into a file: over time, against rate and temperature, and its
+    spectrum.
 
-    The verification run is drawn, without one the first recording. Raises UsageError if there is nothing to draw or the
-    file cannot be written.
+    The verification run is drawn, or else the first recording. UsageError if there is nothing to draw or the file
+    cannot be written.
     """
     views, spectra = judged_views(found.views), judged_spectra(found)
     if not views:
@@ -242,9 +246,9 @@ def draw_investigation(path: Path, found: Investigation) -> None:
             row[0].set_ylabel(f"{view.gyro}, °/h")
         for panel in panels[:-1].ravel():
             panel.set_xlabel("")
-        what = ", ".join(words(added.effect) for added in found.added)
+        effects = ", ".join(words(added.effect) for added in found.added)
         kind = "verification" if views[0].verification else "in-sample"
-        verdict = f"{found.finding}: {what}" if what else str(found.finding)
+        verdict = f"{found.finding}: {effects}" if effects else str(found.finding)
         figure.suptitle(f"Error of the compensated rate, {kind} run {views[0].run} ({verdict})", fontsize=8)
         labelled = (panel.get_legend_handles_labels()[::-1] for panel in panels[0])
         legend = {label: line for labels, lines in labelled for label, line in zip(labels, lines, strict=True)}
@@ -256,7 +260,7 @@ def draw_investigation(path: Path, found: Investigation) -> None:
 
 
 def _draw(row: "Sequence[Axes]", view: ResidualView, spectra: Spectra | None, *, warm: bool = False) -> None:
-    """Draw one gyro into a row of panels, each with its legend's labels."""
+    """Draw one gyro into a row of panels, with labels for the legend."""
     over_time, *beside = row
     both = (("before", ORANGE, "x", view.before_rps), ("after", BLUE, "o", view.after_rps))
     since = view.t_s - view.t_s[0]
@@ -285,7 +289,7 @@ def _draw(row: "Sequence[Axes]", view: ResidualView, spectra: Spectra | None, *,
 
 
 def _draw_spectra(panel: "Axes", spectra: Spectra) -> None:
-    """Draw roots of one-sided densities."""
+    """Draw the square roots of one-sided densities."""
     for colour, style, density, label in (
         (ORANGE, "-", spectra.before, "_before"),
         (BLUE, "-", spectra.after, "_after"),
@@ -298,7 +302,7 @@ def _draw_spectra(panel: "Axes", spectra: Spectra) -> None:
 
 
 def _plain_decades(panel: "Axes") -> None:
-    """Number logarithmic axes at each decade, and those of two decades or less at 2 and 5, too."""
+    """Label logarithmic axes at each decade, and those of two decades or less also at 2 and 5."""
     from matplotlib.ticker import LogLocator
 
     for axis in (panel.xaxis, panel.yaxis):
@@ -320,15 +324,15 @@ def _drawn(
     between: float = 0.5,
     widths: Sequence[float] | None = None,
 ) -> "Iterator[tuple[Figure, NDArray[np.object_]]]":
-    """Give a figure with panels, in the style of the report.
+    """Context that gives a figure of ``size`` (inches) with panels (rows, columns), in the style of the report.
 
-    Margins and the space ``between`` panels are in inches: to have matplotlib find them doubles the time.
+    Margins and the space ``between`` panels are in inches: letting matplotlib find them doubles the time.
     """
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
     with mpl.rc_context():
-        mpl.rcdefaults()  # not what a matplotlibrc in the working folder says
+        mpl.rcdefaults()  # not those of a matplotlibrc in the working folder
         mpl.rc_file(_STYLE)
         figure = Figure(figsize=size)
         wide, high = size[0] - left - _RIGHT_IN, size[1] - bottom - top
@@ -348,7 +352,9 @@ def _drawn(
 
 
 def _done(figure: "Figure", picture: str, **values: object) -> Picture:
-    """Return the figure with the text in its place and its caption, which stand in a template."""
+    """Return the figure as a compact SVG, with the alternative text and the caption that the template ``picture``
+    gives.
+    """
     alternative, caption = rendered("station.report", "pictures.txt", {"picture": picture, **values}).splitlines()
     out = io.StringIO()
     figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
@@ -370,7 +376,7 @@ def _every(t_s: Floats) -> int:
 
 
 def _thinned(t_s: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Return a curve with fewer points that looks the same: the least and the largest of each stretch."""
+    """Return a curve of fewer points that looks the same: the least and the largest value of each stretch."""
     if len(t_s) <= 2 * _MOST_POINTS:
         return t_s, values
     edges = np.linspace(0, len(t_s), _MOST_POINTS + 1).astype(int)
@@ -391,7 +397,7 @@ def _means(t_s: Floats, values: Floats) -> tuple[Floats, Floats]:
 
 
 def _close_up(panel: "Axes", value: Floats, sd: Floats) -> None:
-    """Show of a curve that begins at the prior what it came to: twelve of its last sigmas to each side."""
+    """Limit the vertical axis to twelve of the last sigmas on each side of a curve's last value."""
     half = 12 * float(sd[-1])
     if np.isfinite(half) and half > 0 and np.isfinite(value[-1]):
         panel.set_ylim(float(value[-1]) - half, float(value[-1]) + half)

@@ -1,4 +1,4 @@
-"""What a report needs of a recording beside its samples: calibration, live estimates, steps, events."""
+"""Data of a recording for the report beside its samples: calibration, live estimates, steps, events."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -23,13 +23,15 @@ if TYPE_CHECKING:
     from h5py import Group
 
 
-_NOTE = "note: "  # what a session writes before a note
+_NOTE = "note: "  # written by a session before a note
 _MAY_LACK_ESTIMATE = (Outcome.MANUAL, Outcome.FAIL, Outcome.ABORTED, Outcome.FAULT)
 
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Course:
-    """How a live filter went: states and sigmas (b, m, 4) at ``t_ns`` (b,); NIS and its degrees of freedom by block."""
+    """The course of a live filter: states and sigmas (b, m, 4) at ``t_ns`` (b,); NIS and its degrees of freedom per
+    block.
+    """
 
     t_ns: Stamps
     states: Floats
@@ -62,7 +64,7 @@ class Event:
 
     @property
     def words(self) -> str:
-        """What happened, or the note."""
+        """Text of the event, or of the note."""
         return self.text.removeprefix(_NOTE)
 
 
@@ -70,8 +72,8 @@ class Event:
 class RestNoise:
     """Noise of the gyros at rest: Allan deviations (n, t) at averaging times (n, t), NaN beyond the last.
 
-    ``low`` and ``high`` (n, t) are the ends of their intervals of 95 %, ``terms_low`` and ``terms_high`` (n, 3) those
-    of N, B and K, the lower end 0 of what was not seen. None of these in files of before.
+    ``low`` and ``high`` (n, t) are the ends of their 95 % intervals, ``terms_low`` and ``terms_high`` (n, 3) those of
+    N, B and K, with 0 as the lower end of a term that was not seen. None for files of older versions.
     """
 
     tau_s: Floats
@@ -85,10 +87,10 @@ class RestNoise:
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Recorded:
-    """A recording and what was kept beside its samples.
+    """A recording with the results stored in it.
 
-    ``calibration`` is None of a run that came to no estimate. ``rest`` is the noise at rest, None if it is not
-    kept. ``courses`` and ``source_attributes`` are by source.
+    ``calibration`` is None for a run without an estimate. ``rest`` is the noise at rest, None if not stored.
+    ``courses`` and ``source_attributes`` are by source.
     """
 
     path: Path
@@ -101,12 +103,12 @@ class Recorded:
     events: tuple[Event, ...]
 
     def label(self, source: str, name: str) -> str:
-        """Return what to call a gyro, different for each."""
+        """Return the label of a gyro, different for each."""
         return labels_of(self.recording).get((source, name), name)
 
     @property
     def labels(self) -> list[str]:
-        """What to call the gyros of the calibration."""
+        """Labels of the calibrated gyros."""
         return [self.label(gyro.source, gyro.name) for gyro in self.calibration.gyros] if self.calibration else []
 
     def text(self, name: str) -> str:
@@ -127,7 +129,7 @@ class Recorded:
         return self.utc("clock_zero_utc_s", self.start_ns)
 
     def utc(self, name: str, after_ns: int = 0) -> datetime | None:
-        """Return an instant that an attribute tells in seconds, and some time after it; None if it does not."""
+        """Return the instant in attribute ``name`` (seconds), plus ``after_ns``; None if it is missing or invalid."""
         with suppress(KeyError, TypeError, OverflowError, OSError, ValueError):
             return datetime.fromtimestamp(float(self.recording.attributes[name]) + after_ns * 1e-9, UTC)
         return None
@@ -141,18 +143,18 @@ class Recorded:
 
 
 def read_recorded(path: Path) -> Recorded:
-    """Read a recording with its results.
+    """Return a recording with its results.
 
-    Raises RecordingError for a file that cannot be read, is damaged, or holds neither a calibration nor the reason why
-    its run came to none.
+    RecordingError for a file that cannot be read, is damaged or has no samples, or has neither a calibration nor the
+    reason why there is none.
     """
     import h5py
 
     recording = read_recording(path)
     if not any(len(data.t_ns) for data in recording.sources.values()):
         raise RecordingError(f"{path} holds no samples, so there is nothing to report")
-    told = "its results do not have the layout of the station: {}"
-    with laid_out(path, told), h5py.File(path, "r") as file:
+    message = "its results do not have the layout of the station: {}"
+    with laid_out(path, message), h5py.File(path, "r") as file:
         calibration = None
         if "calibration" in file or recording.attributes.get("outcome") not in _MAY_LACK_ESTIMATE:
             calibration = read_calibration(path, trusted=True)
@@ -172,7 +174,7 @@ def read_recorded(path: Path) -> Recorded:
 
 
 def labels_of(recording: Recording) -> dict[tuple[str, str], str]:
-    """Return what to call each gyro, by its source and name: the name, after its source where two have the same."""
+    """Return the label of each gyro, by its source and name: the name, after its source where two have the same."""
     keys = [(source, name) for source, data in recording.sources.items() for name in data.array.names]
     names = [name for _, name in keys]
     return {(s, name): name if names.count(name) == 1 else f"{s} {name}" for s, name in keys}
@@ -180,16 +182,22 @@ def labels_of(recording: Recording) -> dict[tuple[str, str], str]:
 
 @contextmanager
 def laid_out(path: Path, message: str) -> Iterator[None]:
-    """Turn what a group made by hand, or cut short, can raise into a RecordingError; ``message`` has {} for it."""
+    """Context that turns any error of a malformed group into a RecordingError; ``message`` has {} for the error's text.
+
+    Errors of the estimator and UsageError pass through.
+    """
     try:
         yield
     except (EstimatorError, UsageError):
         raise
-    except Exception as error:  # jinja has errors of its own for what is not there
+    except Exception as error:  # jinja has errors of its own for missing values
         raise RecordingError(f"{path}: {message.format(first_line(error))}") from None
 
 
 def _rest_noise(group: "Group") -> RestNoise | None:
+    """Return the noise at rest of a calibration, None if it is not stored; ValueError if its arrays do not fit the
+    gyros.
+    """
     if "allan_tau_s" not in group:
         return None
 
@@ -219,6 +227,7 @@ def _rest_noise(group: "Group") -> RestNoise | None:
 
 
 def _course(estimate: "Group", innovation: "Group") -> Course:
+    """Return the course of a live filter; ValueError if its arrays do not fit each other."""
     states, sd, nis, dof = (
         np.asarray(group[name][()], dtype=np.float64)
         for group, name in ((estimate, "states"), (estimate, "sd"), (innovation, "nis"), (innovation, "dof"))

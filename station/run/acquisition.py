@@ -1,4 +1,4 @@
-"""What comes of the devices of a run: into the recording, the live filters, and what can be seen meanwhile."""
+"""Data of the devices of a run: written to the recording, passed to live filters and to the monitor."""
 
 import asyncio
 from collections import defaultdict
@@ -33,20 +33,20 @@ from station.run.snapshot import EventKind, Phase
 from station.run.table_watch import TableRow
 from station.views.json_values import named
 
-_JOURNAL_S = 0.006  # what a killed station loses, at most, beyond what was on its way
-_LOOK_S = 0.2  # between looks at counts, which go into the journal
+_JOURNAL_S = 0.006  # the most that a killed station loses, besides data on their way
+_LOOK_S = 0.2  # between readings of counts, which go into the journal
 _FLUSH_S = 2.0
 _HISTORY_BLOCKS = 50  # of the live filter, which are written together
 _SLOW_S = 0.02  # of the table, after which its answers may be why a run fails
 _FIRST_SAMPLE_S = 3.0
 _SILENCE_S = 1.0
 _LOST_WHILE_READIED = 5  # times that a link may be lost while its device is readied
-_TIMED_S, _SIGMAS = 0.0005, 4.0  # an offset that is told lies beyond both
+_TIMED_S, _SIGMAS = 0.0005, 4.0  # a reported offset exceeds both
 
 
 @dataclass(frozen=True, slots=True)
 class SourceReport:
-    """Counts of one source; its clock against the station's, and its samples against the table, where known."""
+    """Counts of one source, and, where known, its clock against the station's and its samples against the table."""
 
     name: str
     counts: SourceCounts
@@ -54,7 +54,7 @@ class SourceReport:
     offset: TimeOffset | None = None
 
     def attributes(self) -> dict[str, float | int]:
-        """Return what the recording keeps beside the samples."""
+        """Return the attributes of the source in the recording: counts, clock and time offset, as far as known."""
         found: dict[str, float | int] = named(self.counts, ("lost", "repeated", "late", "corrupt"))
         if self.clock is not None:
             found |= {
@@ -68,7 +68,7 @@ class SourceReport:
         return found
 
     def as_object(self) -> dict[str, Any]:
-        """Return what --json prints, in SI."""
+        """Return the object for --json, in SI."""
         return {
             **asdict(self.counts),
             "clock": self.clock and asdict(self.clock),
@@ -77,14 +77,14 @@ class SourceReport:
 
     @property
     def mistimed(self) -> str:
-        """Say so if the samples were not taken when the table was read."""
+        """Sentence on samples that were not taken when the table was read; empty if they were."""
         if self.offset is None or abs(self.offset.offset_s) < max(_TIMED_S, _SIGMAS * self.offset.sd_s):
             return ""
         return f"{self.name} is {self.offset.offset_s * 1e3:+.2f} ± {self.offset.sd_s * 1e3:.2f} ms against the table"
 
 
 class Acquisition:
-    """The recording of one run and all that is written into it until it is closed."""
+    """The recording of one run, and all that is written into it until it is closed."""
 
     def __init__(
         self,
@@ -96,7 +96,10 @@ class Acquisition:
         reopening: Reopening,
         on_event: Callable[[float, EventKind, str], None] | None,
     ) -> None:
-        """Describe table and sources in the recording; ``time_scale`` is how fast the loop's clock runs."""
+        """Prepare the live estimate and describe table and sources in the recording; no device is opened.
+
+        ``time_scale`` is how fast the loop's clock runs. ``on_event(t_s, kind, text)`` gets every event.
+        """
         self._imus, self._others, self._bench = opened.imus, opened.others, opened.bench
         self._devices = tuple(opened.devices.values())
         self._restoring: defaultdict[str, asyncio.Lock] = defaultdict(asyncio.Lock)
@@ -121,6 +124,7 @@ class Acquisition:
             self._add_sources(imu)
 
     def _add_sources(self, imu: OpenImu) -> None:
+        """Add the sources of a device to the recording and to the live estimate."""
         config, table = imu.config, self._bench.table
         noise_rps = float(config.noise.arw * np.sqrt(config.rate_hz))
         timing_s = table.uncertainty.timing_s if table.uncertainty else 0.0
@@ -140,7 +144,7 @@ class Acquisition:
             )
 
     async def open(self, imu: OpenImu) -> Identity:
-        """Open a device under test, and record and return what it says it is."""
+        """Open a device under test, record and return its identity."""
         await imu.source.open()
         identity = await self._reopening.identify(imu.config.name, imu.source)
         for name in imu.source.names:
@@ -148,7 +152,7 @@ class Acquisition:
         return identity
 
     async def open_others(self) -> None:
-        """Open the devices of other kinds, and record what each is; DeviceRefused if one would refuse its set point."""
+        """Open, identify and record the devices of other kinds; DeviceRefused if one would refuse its set point."""
         for device in self._others:
             config, driver = device.config, device.driver
             await driver.open()
@@ -168,9 +172,8 @@ class Acquisition:
         return found
 
     async def prepare_others(self) -> bool:
-        """Bring devices of other kinds to where the run needs them, one by one; return whether there are any.
-
-        One whose link is lost on the way there is told anew once that is open again, a few times.
+        """Ready the devices of other kinds in turn, again a few times after a lost link; return whether there are
+        any.
         """
         for device in self._others:
             self.monitor.phase = Phase.PREPARING
@@ -192,9 +195,10 @@ class Acquisition:
                 await self._reopening.restore(device.name, device.driver, error)
 
     async def follow(self, device: OpenDevice) -> None:
-        """Take in the series of a device until cancelled; a lost link is opened again while nothing turns.
+        """Record the series of a device until cancelled; a lost link is reopened while nothing turns.
 
-        That of a device under test or of the table is opened again by whoever takes in its samples or readings.
+        A table's or tested device's link is reopened elsewhere. DeviceFault: incomplete row, end, or unexpected
+        exception.
         """
         driver = device.driver
         assert isinstance(driver, AppendsSeries)
@@ -217,11 +221,11 @@ class Acquisition:
             except DeviceError:
                 raise
             except Exception as error:  # a driver from outside may raise anything
-                what = f"the series of its driver failed ({type(error).__name__}: {error})"
-                raise DeviceFault(device.name, what) from error
+                reason = f"the series of its driver failed ({type(error).__name__}: {error})"
+                raise DeviceFault(device.name, reason) from error
 
     async def acquire(self, imu: OpenImu) -> None:
-        """Take in samples until cancelled; a lost link is opened again while nothing turns."""
+        """Record the samples of a device until cancelled; a lost link is reopened while nothing turns."""
         while True:
             try:
                 async for name, block in imu.source.blocks():
@@ -232,6 +236,7 @@ class Acquisition:
                 self._last_seen_s |= {name: now_s for name in imu.source.names if name in self._last_seen_s}
 
     def _take_block(self, name: str, block: ImuBlock) -> None:
+        """Record a block and pass it to the live estimate and the monitor; the first adds the accelerometers' axes."""
         self._last_seen_s[name] = asyncio.get_running_loop().time()
         self.beside.attempt("the monitor", lambda: self.monitor.take_block(name, block), None)
         keys = ("t_ns", "arrival_ns", "rate_rps", "temperature_c", "counter", "accel_mps2")
@@ -243,6 +248,7 @@ class Acquisition:
         self.live.sources[name].add(block)
 
     def take_row(self, row: TableRow) -> None:
+        """Record a row of table readings and pass it to the live estimate and the monitor."""
         columns = row._asdict()
         if columns.pop("rate_window_ns") != self._rate_window_ns:
             table, self._rate_window_ns = self._bench.table, row.rate_window_ns
@@ -265,7 +271,7 @@ class Acquisition:
         self.writer.append_text("steps", {"t_start_ns": start_ns, "t_end_ns": end_ns}, "label", label)
 
     def event(self, kind: EventKind, text: str) -> None:
-        """Record what happened, and tell whoever listens."""
+        """Record an event, and pass it to the listener."""
         now_ns = round(asyncio.get_running_loop().time() * 1e9)
         self.writer.append_text("events", {"t_ns": now_ns}, "text", text, kind=np.array([kind.encode()], dtype="S16"))
         on_event = self._on_event
@@ -273,7 +279,7 @@ class Acquisition:
             self.beside.attempt("telling of events", lambda: on_event(now_ns * 1e-9, kind, text), None)
 
     async def first_samples(self) -> None:
-        """Wait for samples of every source; LinkLost if one has none."""
+        """Wait until every source has sent samples; LinkLost, naming those that have not, after a time limit."""
         limit_s = _FIRST_SAMPLE_S * self._scale
         names = {name for imu in self._imus for name in imu.source.names}
         deadline = asyncio.get_running_loop().time() + limit_s
@@ -285,11 +291,14 @@ class Acquisition:
             await asyncio.sleep(0.05)
 
     async def watch_silence(self) -> None:
-        """Look until cancelled whether samples come; LinkLost if those of a source do not."""
+        """Check until cancelled that samples keep coming; LinkLost if a source is silent but its link open.
+
+        Nothing is concluded after a sleep that took too long, as arrived samples may still be unread.
+        """
         limit_s = _SILENCE_S * self._scale
         while True:
             if await self._slept_late(limit_s / 4):
-                continue  # what came meanwhile is still to be taken in
+                continue  # samples that came meanwhile are still to be processed
             now = asyncio.get_running_loop().time()
             silent = [
                 name
@@ -315,11 +324,9 @@ class Acquisition:
         return self.host.blame(error, served_here=device is not None and any(map(ends_here, device.links)))
 
     async def keep_flushing(self) -> None:
-        """Write what has come into the journal, some 150 times a second, and now and then into the recording, too.
+        """Write new data to the journal some 150 times a second, and less often to the recording, until cancelled.
 
-        By the host's time, however fast the loop's clock runs: it is the host that may die. The disk keeps the journal
-        as soon as it can; nothing waits for that. A simulated run, whose seconds last milliseconds, needs no protection
-        from a power cut, and both are written together.
+        Intervals are in the host's time, as it is the host that may fail. In virtual time both are written together.
         """
         loop = asyncio.get_running_loop()
         virtual, journal = is_virtual(loop), self.writer.journal
@@ -353,13 +360,13 @@ class Acquisition:
         await loop.run_in_executor(None, self.writer.write_journal)
 
     def _note_arrived(self) -> None:
-        """Keep in the journal the samples that a source holds back until it can time them."""
+        """Write to the journal the samples that a source holds back until it can time them."""
         for imu in self._imus:
             for name, arrival_ns, rate_rps in imu.source.arrived() if isinstance(imu.source, EarlySource) else ():
                 self.writer.arrived(f"imu/{name}", arrival_ns, rate_rps)
 
     def _note_counts(self) -> None:
-        """Keep in the journal what has been lost so far: of a run that dies nothing else says it."""
+        """Write changed counts to the journal, for a run that dies."""
         for name, report in self._reports_now().items():
             attributes = report.attributes()
             if self._noted.get(name) != attributes:
@@ -375,10 +382,10 @@ class Acquisition:
         }
 
     async def close(self, attributes: Mapping[str, str], *, whole: bool) -> None:
-        """Close the links of all devices under test and, with these attributes, the recording.
+        """Close all sources and other devices, write ``attributes``, and close the recording.
 
-        Of a run that is ``whole`` the devices are first seen to be the same still (DeviceFault for another, and nothing
-        is closed), and the live estimate is finished.
+        A ``whole`` run (no verdict so far) first gets its live estimate finished and identities checked: DeviceFault if
+        another device is there; the recording then stays open.
         """
         self.monitor.end()
         for imu in self._imus:
@@ -398,7 +405,7 @@ class Acquisition:
             if whole:
                 await self._reopening.ask_at_end(device.name, device.driver)
         if whole:
-            with suppress(EstimatorError):  # which the batch estimate tells
+            with suppress(EstimatorError):  # the batch estimate reports it
                 self.live.finish()
         self._take_histories(1)
         if counts := self.monitor.link_counts().get("table"):
@@ -416,7 +423,7 @@ class Acquisition:
                 self.writer.append_rows(f"{group}/{name}", columns)
 
     def causes(self) -> list[str]:
-        """Return what may have made a run fail beside its gyros: samples at other instants, a late computer."""
+        """Return possible causes of a failure besides the gyros: mistimed samples, a slow table, a late computer."""
         took_s = 2e-9 * self._half_width_ns
         took_ms = f"{2e-6 * self._half_width_ns:.0f} ms"
         slow = f"the table answered up to {took_ms} late, so the time of each angle is only known to {took_ms}"
@@ -428,17 +435,16 @@ class Acquisition:
 
 
 def _accelerometer_axes(array: SensorArray) -> Floats:
-    """Return the nominal axes (3, 3) in the body of a device's accelerometers.
-
-    They are those of its gyros if it has three, which a device tells both along; else those of the body.
+    """Return the nominal axes (3, 3) of a device's accelerometers: those of its gyros if it has three, else the
+    body's.
     """
     return array.p if array.p.shape == (3, 3) else np.eye(3)
 
 
 def _link_attributes(prefix: str, counts: LinkCounts) -> dict[str, Any]:
-    return {f"{prefix}link_{what}": count for what, count in asdict(counts).items()}
+    return {f"{prefix}link_{name}": count for name, count in asdict(counts).items()}
 
 
 def identity_attributes(prefix: str, identity: Identity) -> dict[str, Any]:
-    """Return as attributes what a device says it is."""
+    """Return an identity as attributes, without empty values."""
     return {f"{prefix}{key}": value for key, value in asdict(identity).items() if value}

@@ -1,4 +1,4 @@
-"""What a loop on the bench has come to: its runs, its investigations, its table time."""
+"""Results of a loop on the bench: its runs, its investigations, its table time."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +14,7 @@ CALIBRATION, EXPLORATION, VERIFICATION, NEXT = "calibration", "exploration", "ve
 
 @dataclass(frozen=True, slots=True)
 class Driven:
-    """One run of the loop: what it was for, how it ended, the table time that it took."""
+    """One run of the loop: its purpose, its result, the table time it took."""
 
     purpose: str
     script: Script
@@ -24,7 +24,7 @@ class Driven:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Round:
-    """One investigation, after so many runs, and the script that would settle what it leaves open."""
+    """One investigation, the number of runs before it, and the script that would decide what it leaves open."""
 
     runs: int
     found: Investigation
@@ -34,9 +34,9 @@ class Round:
 
 @dataclass(slots=True, eq=False)
 class Loop:
-    """All that a loop has come to so far.
+    """The state of a loop.
 
-    ``ended`` says why it went no further; ``stopped`` is the verdict of a run that did not come to its end.
+    ``ended`` says why it stopped; ``stopped`` is the verdict of a run that was aborted or in fault.
     """
 
     folder: Path

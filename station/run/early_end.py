@@ -21,19 +21,19 @@ from station.run.live import LiveEstimate
 
 _LOOK_EVERY_S = 1.0
 _CONFIRM_EVERY_S = 5.0  # an estimate under coloured noise takes a host a third of a second
-_ENOUGH = 0.9  # of a limit: the samples of the last seconds may raise what is found of the noise
+_ENOUGH = 0.9  # of a limit: the samples of the last seconds may raise the estimated noise
 _NO_STAMPS = np.empty(0, dtype=np.int64)
-_IN_A_ROW = 2  # so many confirmations: an estimate that is looked at often dips below its limit by chance
+_IN_A_ROW = 2  # so many confirmations: a repeated estimate often falls below its limit by chance
 
 
 def check_early_end(bench: Bench) -> None:
-    """See that the bench says what is enough; UsageError if it does not."""
+    """Check that the bench states required sigmas; UsageError if not."""
     if not np.isfinite(bench.limits.sds).any():
         raise UsageError(sentence("run.no_sigmas"))
 
 
 class EarlyEnd:
-    """Watches the live estimate; the sigmas that count are confirmed under coloured noise."""
+    """Watches the live estimate; sigmas that seem to suffice are confirmed with coloured noise."""
 
     def __init__(self, opened: OpenBench, live: LiveEstimate, time_scale: float) -> None:
         """``time_scale`` is how fast the loop's clock runs."""
@@ -42,7 +42,7 @@ class EarlyEnd:
         live.keep_blocks()
 
     async def wait(self) -> str:
-        """Return once enough has been seen, in words."""
+        """Wait until all required sigmas are confirmed several times in a row; return a sentence about it."""
         loop = asyncio.get_running_loop()
         confirmed = 0
         while True:
@@ -60,7 +60,9 @@ class EarlyEnd:
             await asyncio.sleep(_CONFIRM_EVERY_S * self._time_scale)
 
     def _seems_enough(self) -> bool:
-        """Return whether the live filters, which know white noise only, have reached all, and the residual is clean."""
+        """Return whether the live filters, which assume white noise, have reached all sigmas, and NIS is within its
+        limits.
+        """
         sources = self._live.sources.values()
         if not all(source.history.blocks for source in sources):
             return False
@@ -70,7 +72,9 @@ class EarlyEnd:
         return reached and all(limits.nis_low <= nis <= limits.nis_high for nis in both)
 
     def _largest_share(self) -> Callable[[], float]:
-        """Return what finds the largest sigma of now as a share of its limit; it does not touch the run any more."""
+        """Return a function that computes the largest sigma as a share of its limit, from a copy of the present
+        data.
+        """
         devices = []
         for imu in self._imus:
             sources = [self._live.sources[name] for name in imu.source.names]
@@ -81,9 +85,11 @@ class EarlyEnd:
     def _share(
         self, config: ImuConfig, own: Sequence[tuple[LiveSource, Blocks, float]], readings: TableReadings
     ) -> float:
-        """Return the largest sigma of a device as a share of its limit, as ``estimator.estimation.calibrate`` finds it.
+        """Return the largest sigma of a device as a share of its limit, computed as by
+        ``estimator.estimation.calibrate``.
 
-        Of the offset of a source in time counts what the live filter knows by now.
+        ``own`` are its sources with their blocks and the time offset's sigma known by the live filter. Infinite if the
+        data do not suffice.
         """
         runs = []
         for number, (source, blocks, _) in enumerate(own):

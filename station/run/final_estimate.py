@@ -1,4 +1,4 @@
-"""The estimate at the end of a run: from the recorded samples, beside what the live filter came to."""
+"""The estimate at the end of a run from the recorded samples, compared with that of the live filter."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -25,10 +25,10 @@ def final_estimate(
     excluded: frozenset[str] | None,
     reports: Mapping[str, SourceReport],
 ) -> tuple[Calibration, float, dict[str, SourceReport]]:
-    """Return the batch estimate from a closed recording, how far the live filter is from it, and fuller reports.
+    """Calibrate a closed recording, and store the results in it; return calibration, agreement and completed reports.
 
-    ``excluded`` as for ``calibrate``. Results are written into the recording; the live estimate is finished before.
-    EstimatorError if the samples do not suffice.
+    The agreement is the largest difference between live filter and batch estimate, in sigmas. ``excluded`` as for
+    ``calibrate``. The live estimate must be finished. EstimatorError if the samples do not suffice.
     """
     recording = read_recording(path, trusted=True)
     found = calibrate(recording, model=model, excluded=excluded)
@@ -41,7 +41,7 @@ def final_estimate(
 
 
 def _agreement(recording: Recording, live: LiveEstimate) -> float:
-    """Return the largest difference between live filter and batch estimate, in sigmas, under the same noise."""
+    """Return the largest difference between live filter and batch estimate, in sigmas, both with white noise."""
     largest = 0.0
     for name, source in live.sources.items():
         about = source.effects, source.prior, source.noise_rps, source.offset_sd_s, source.history.taken_off

@@ -1,4 +1,4 @@
-"""The estimate while the run goes on: samples wait for the table's readings, then feed the live filters."""
+"""The estimate during the run: samples wait for the table's readings, then go to the live filters."""
 
 import threading
 from collections import deque
@@ -14,18 +14,19 @@ from estimator.recordings.reference import BodyRates, TableReadings, TableUncert
 from station.run.table_watch import TableRow
 
 _ROWS_AT_ONCE = 20  # table readings are taken in by handfuls: a second at 20 Hz
-_FEWEST_PAIRS = 20  # of blocks, for a correlation that says anything
+_FEWEST_PAIRS = 20  # of blocks, for a meaningful correlation
 _HELD_NS = 60_000_000_000  # of body rates, for samples that come late
 
 
 class LiveEstimate:
-    """All sources of a run on one table.
+    """The live estimate of all sources of a run on one table.
 
-    ``advance`` may work in a thread: fitting a ramp takes a quarter of a second, and whoever reads the table, keeps the
-    journal or stops a run does not wait for it.
+    ``advance`` may run in a thread: fitting a ramp takes a quarter of a second, which must not delay readings, the
+    journal or a stop.
     """
 
     def __init__(self, gimbals: tuple[str, ...], site: Site | None) -> None:
+        """Start without sources or readings."""
         self.rates = BodyRates(gimbals, site)
         self.sources: dict[str, LiveSource] = {}
         self._rows: deque[TableRow] = deque()
@@ -36,14 +37,14 @@ class LiveEstimate:
         self._window_ns = 0
 
     def keep_blocks(self) -> None:
-        """Keep from now on what estimates under coloured noise need: sums of rows by block, readings of the table."""
+        """Keep from now on the data for estimates under coloured noise: block sums and table readings."""
         n = len(self._gimbals)
         self._kept_rows = GrowingRows(t_ns=np.int64, angle=(n,), rate=(n,), half_ns=np.int64)
         for source in self.sources.values():
             source.keep_blocks()
 
     def readings(self, uncertainty: TableUncertainty | None) -> TableReadings:
-        """Return the readings of the table that have been kept."""
+        """Return the readings of the table kept so far; ``keep_blocks`` must have been called before."""
         assert self._kept_rows is not None
         with self._keeping:
             kept = [self._kept_rows[name] for name in ("t_ns", "angle", "rate", "half_ns")]
@@ -59,12 +60,12 @@ class LiveEstimate:
         )
 
     def add_row(self, row: TableRow) -> bool:
-        """Keep a row of table readings; return whether there are enough for ``advance``."""
+        """Add a row of table readings; return whether there are enough for ``advance``."""
         self._rows.append(row)
         return len(self._rows) >= _ROWS_AT_ONCE
 
     def advance(self) -> None:
-        """Take in the rows, and use the samples that they cover."""
+        """Use the rows, and the samples that they cover."""
         with self._working:
             self._take_rows()
             for source in self.sources.values():
@@ -76,7 +77,7 @@ class LiveEstimate:
         return body_rate(row.angle_rad[None], row.rate_rps[None], self._gimbals, self._site)
 
     def finish(self) -> None:
-        """Use what is left."""
+        """Use all remaining rows and samples."""
         with self._working:
             self._take_rows()
             self.rates.finish()
@@ -84,6 +85,7 @@ class LiveEstimate:
                 source.advance(self.rates, everything=True)
 
     def _take_rows(self) -> None:
+        """Move the rows that have arrived into the body rates and the kept readings."""
         rows = [self._rows.popleft() for _ in range(len(self._rows))]
         if not rows:
             return
@@ -96,7 +98,7 @@ class LiveEstimate:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Which effects of an error model the live estimate goes without, each once."""
+        """Effects of an error model that the live estimate leaves out, each once."""
         return tuple(dict.fromkeys(note for s in self.sources.values() for note in s.notes))
 
     @property
@@ -123,9 +125,9 @@ class LiveEstimate:
 
     @property
     def whiteness(self) -> float:
-        """Correlation of normalised innovations with those of the block before, over the last half minute.
+        """Correlation of normalised innovations with those of the previous block, over the last half minute.
 
-        0 for a filter that is right, within 1 / sqrt(pairs of blocks); NaN before there are enough.
+        0 for a correct filter, within 1 / sqrt(pairs of blocks); NaN while there are too few.
         """
         recent = [source.recent()[0] for source in self.sources.values()]
         squares = sum(float((x[1:] ** 2).sum() + (x[:-1] ** 2).sum()) / 2 for x in recent)

@@ -18,19 +18,20 @@ from station.scripts.steps.rest import Rest
 
 _HOLDING = Script("manual", (Rest(0.0, "holding"),))
 _FIRST_S = 0.7  # that a jog lasts after its first word: a key that is held repeats after half a second or so
-_RENEWED_S = 0.4  # and after each further word: by the host's clock, for it is a person who may be gone
+_RENEWED_S = 0.4  # and after each further command: by the host's clock, as it is the person who may be gone
 _ENDLESS_RAD = 1e6  # where there is no travel: days of turning
 _HOLD_RPS = math.radians(1.0)  # of a move to where the axis stands; a language may know whole deg/s only
 _DEG = math.degrees(1)
 _WORDS = sentence("manual.words")
-_LEAST, _MOST = 1e-6, 1e6  # numbers that a word may have beside 0, in rad, rad/s, rad/s2
+_LEAST, _MOST = 1e-6, 1e6  # numbers that a command may have beside 0, in rad, rad/s, rad/s2
 
 
 class ManualSequencer(Sequencer):
-    """Carries out the last word that was said, one motion at a time.
+    """Carries out the latest manual command, one motion at a time.
 
-    A jog is a dead man's switch: it goes on while the word comes again, and the axis is brought to rest soon after the
-    last, whatever has become of who said it. An axis with a travel is sent to its end: so the controller keeps it.
+    A jog is a dead man's switch: it must be repeated, and the axis is brought to rest soon after the last repetition,
+    whatever happened to the sender. The jog of an axis with limited travel is a move to its end, so that the controller
+    keeps the limit.
     """
 
     def __init__(
@@ -49,16 +50,16 @@ class ManualSequencer(Sequencer):
         raise UsageError('manual mode has no script to pause. Send "hold" to bring the table to rest')
 
     def times(self, now_s: float) -> tuple[float, Span]:
-        """Return how long it has gone on, in s; nothing is planned."""
+        """Return the time since the start in s, and a planned span of zero."""
         return now_s - self._zero_s, Span.exactly(0.0)
 
     def target_rad(self, axis: str) -> float:
-        """Return the angle to which an axis is being turned, NaN if it is not, or turns without an end."""
+        """Return the target angle of an axis that turns, NaN if it does not, or turns without an end."""
         angle_rad = super().target_rad(axis)
         return math.nan if abs(angle_rad) == _ENDLESS_RAD else angle_rad
 
     def obey(self, action: str, given: Mapping[str, Any]) -> None:
-        """Take a word, which takes the place of the last; UsageError if it is not understood, or beyond a limit."""
+        """Accept a command, which replaces the last; UsageError if it is invalid, beyond a limit, or after "end"."""
         numbers = [value for key, value in given.items() if key != "axis"]
         sound = all(type(value) in (int, float) and (_LEAST <= abs(value) < _MOST or value == 0) for value in numbers)
         match action, given:
@@ -78,7 +79,7 @@ class ManualSequencer(Sequencer):
                 raise UsageError(_WORDS)
 
     def _jog(self, axis: str, rate_rps: float, given: Mapping[str, Any]) -> None:
-        """Begin a jog, or let one go on that is of the same rate."""
+        """Start a jog, or extend the present one if it has the same rate; UsageError at the end of the travel."""
         limits = self._table.limits.get(axis)
         low, high = (limits and limits.travel_rad) or (-_ENDLESS_RAD, _ENDLESS_RAD)
         end = high if rate_rps > 0 else low
@@ -92,7 +93,7 @@ class ManualSequencer(Sequencer):
             self._order([step], now_s + _FIRST_S * self._scale)
 
     def _checked(self, label: str, axis: str, angle_rad: float, rate_rps: float, given: Mapping[str, Any]) -> Move:
-        """Return a step as the table does it; ScriptError if it is beyond a limit."""
+        """Return the move as the table carries it out; ScriptError if it is beyond a limit."""
         limits = self._table.limits.get(axis)
         acceleration = given.get("acceleration_rps2", limits.acceleration_rps2 if limits else 1.0)
         step = Move(axis, angle_rad, rate_rps, acceleration, label)
@@ -106,7 +107,7 @@ class ManualSequencer(Sequencer):
         self._word.set()
 
     async def run(self) -> None:
-        """Carry out words until "end"; DeviceRefused if an axis does not come to rest."""
+        """Carry out commands until "end"; DeviceRefused if an axis does not come to rest."""
         while not self._ended:
             if self._orders:
                 step = self._orders[0]
@@ -119,7 +120,7 @@ class ManualSequencer(Sequencer):
                 await self._word.wait()
 
     async def _obey(self, step: Move) -> None:
-        """Carry out a step as long as it is wanted; what the controller refuses of it does no harm to the next."""
+        """Carry out a move while it is wanted, then halt the axis unless it arrived; a refusal is only reported."""
         loop, axis = asyncio.get_running_loop(), step.axis
         from_rad = self._target_rad[axis]
         way_s = abs((step.angle_rad - from_rad) / step.rate_rps)
@@ -150,7 +151,9 @@ class ManualSequencer(Sequencer):
         self._end_turn(axis)
 
     async def _arrives(self, step: Move, due_s: float) -> bool:
-        """Return whether an axis came where it was sent; false if it is overdue, another word came, or none did."""
+        """Return whether the axis reached its target; False if it is overdue, replaced by another command, or not
+        repeated.
+        """
         loop = asyncio.get_running_loop()
         while self._orders and self._orders[0] is step and loop.time() < min(self._until_s, due_s):
             await asyncio.sleep(WATCH_S)
@@ -162,7 +165,9 @@ class ManualSequencer(Sequencer):
         return False
 
     async def _halt(self, step: Move, turn: Turn) -> float:
-        """Bring an axis to rest along its ramp and have it hold its angle (rad), which is returned."""
+        """Brake an axis along its ramp and hold it; return its angle (rad). DeviceRefused if it does not come to rest
+        in time.
+        """
         axis, angle_rad, now_s = step.axis, math.inf, asyncio.get_running_loop().time()
         ramp_s = abs(step.rate_rps) / step.acceleration_rps2
         self._turn = replace(turn, duration_s=now_s - self._turn_began_s + ramp_s)
@@ -174,7 +179,7 @@ class ManualSequencer(Sequencer):
             if reached and abs(angle_rad - before_rad) < ON_TARGET_RAD:
                 break
             if asyncio.get_running_loop().time() > now_s + ramp_s + OVERDUE_S:
-                said = f"axis {axis} should be at rest, but is not at {angle_rad * _DEG:.2f} deg"
-                raise DeviceRefused("table", said)
+                reason = f"axis {axis} should be at rest, but is not at {angle_rad * _DEG:.2f} deg"
+                raise DeviceRefused("table", reason)
         await self._table.move(axis, angle_rad, _HOLD_RPS, step.acceleration_rps2)  # a rate of zero may drift
         return angle_rad

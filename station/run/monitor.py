@@ -1,4 +1,4 @@
-"""What can be seen of a run while it goes on: keeps what a snapshot needs, and makes one when it is asked for.
+"""The view of a running run: keeps the data for a snapshot, and makes one on request.
 
 What comes with every block and every row is only kept; all work is done for who looks.
 """
@@ -36,7 +36,7 @@ _TURNING_RPS = math.radians(0.02)
 
 @dataclass(frozen=True, slots=True)
 class _Mark:
-    """How far a source was at one instant."""
+    """The progress of a source at one instant."""
 
     at_s: float
     rows: int
@@ -45,30 +45,30 @@ class _Mark:
 
 
 class Beside:
-    """Does what only serves those who look on and must not end a run: counts, snapshots, progress, events told."""
+    """Runs work that only serves observers and must not end a run: counts, snapshots, progress, events."""
 
     def __init__(self, tell: Callable[[str], None]) -> None:
-        """``tell`` is given one sentence for each piece of work that fails, the first time it does."""
+        """``tell`` gets one sentence for each piece of work that fails, at its first failure."""
         self._tell = tell
         self._failed: set[str] = set()
         self.notes: list[str] = []
         """What has been told."""
 
     def attempt(self, what: str, work: Callable[[], T], otherwise: T) -> T:
-        """Return what ``work`` returns, or ``otherwise`` if it raises; ``what`` names it to the operator.
+        """Return ``work()``, or ``otherwise`` if it raises; ``what`` is its name for the operator.
 
-        A lack of memory is raised: it is one of the computer, and the next to meet it would be the recording.
+        MemoryError is raised: the recording would be the next to fail.
         """
         try:
             return work()
         except MemoryError:
             raise
-        except Exception as error:  # whatever a driver, a plug-in or the station itself has wrong
+        except Exception as error:  # drivers, plug-ins and the station itself may fail in any way
             self.failed(what, error)
             return otherwise
 
     def failed(self, what: str, error: Exception) -> None:
-        """Log that a piece of work failed, and tell it, once."""
+        """Log a failure and report it to the operator; only the first one of each ``what``."""
         if what in self._failed:
             return
         self._failed.add(what)
@@ -79,12 +79,12 @@ class Beside:
 
 
 class Monitor:
-    """Looks at one run."""
+    """Collects the state of one run for observers."""
 
     def __init__(
         self, opened: OpenBench, live: LiveEstimate, reopening: Reopening, time_scale: float, beside: Beside
     ) -> None:
-        """Begin before anything has come; how far the run is, whoever drives it says."""
+        """Start without data; progress comes from the sequencer once it is set."""
         self._beside = beside
         self._counts: dict[str, SourceCounts] = {}
         self._open, self._live, self._reopening, self._scale = opened, live, reopening, time_scale
@@ -105,7 +105,7 @@ class Monitor:
         """What the table ended the run with."""
 
     def take_block(self, name: str, block: ImuBlock) -> None:
-        """Keep what came of a source."""
+        """Keep the last block of a source, and count its samples."""
         if len(block.t_ns):
             self._rows[name] += len(block.t_ns)
             self._last[name] = block
@@ -117,7 +117,7 @@ class Monitor:
         )
 
     def mark(self) -> None:
-        """Keep how far each source is, a few times a second: rates are counted from there."""
+        """Record the progress of each source, a few times a second, as the base for rates; old marks are dropped."""
         now_s = asyncio.get_running_loop().time()
         for name, last in self._last.items():
             latency_s = float((last.arrival_ns - last.t_ns).mean()) * 1e-9
@@ -127,26 +127,26 @@ class Monitor:
                 marks.popleft()
 
     def end(self) -> None:
-        """Take it that nothing more will come: what a closed link does not say is no silence."""
+        """Note that no more samples will come, so that a closed link does not count as silent."""
         self._ended_s = asyncio.get_running_loop().time()
 
     def counts(self, source: ImuSource, name: str) -> SourceCounts:
-        """Return the counts of a source; from a driver that fails to tell them, the last that it told."""
+        """Return the counts of a source; the last ones if its driver fails."""
         last = self._counts.get(name, SourceCounts())
         self._counts[name] = self._beside.attempt(f"counts of {name}", lambda: source.counts(name), last)
         return self._counts[name]
 
     def alignment(self, source: ImuSource, name: str) -> Alignment | None:
-        """Return how the clock of a source lies to the loop's; None if its driver does not or cannot tell."""
+        """Return how the clock of a source relates to the loop's; None if its driver does not tell, or fails."""
         return self._beside.attempt(f"clock of {name}", lambda: source.alignment(name), None)
 
     def link_counts(self) -> Mapping[str, LinkCounts]:
-        """Return what went over the link of each device; nothing if a link fails to tell it."""
+        """Return the link counts by device; empty if a link fails to tell."""
         nothing: Mapping[str, LinkCounts] = {}
         return self._beside.attempt("counts of links", self._open.link_counts, nothing)
 
     def newest(self, quantity: str) -> Mapping[str, float]:
-        """Return the newest value of a quantity by source: "temperature_c", where it is measured."""
+        """Return the newest value of a quantity by source; only "temperature_c" is known, others give nothing."""
         values = {}
         if quantity == "temperature_c":
             for name, block in self._last.items():
@@ -160,7 +160,7 @@ class Monitor:
         return self.sequencer.label if self.sequencer is not None and self.phase is Phase.RUNNING else ""
 
     def brief(self) -> Snapshot:
-        """Return what a progress bar shows."""
+        """Return a snapshot with the values for a progress bar only."""
         counts = [self.counts(imu.source, name) for imu in self._open.imus for name in imu.source.names]
         sequencer = self.sequencer
         done_s, left = sequencer.times(asyncio.get_running_loop().time()) if sequencer else (0.0, self.planned)
@@ -177,7 +177,7 @@ class Monitor:
         )
 
     def full(self) -> Snapshot:
-        """Return all there is to see: for ten looks a second, not for each row."""
+        """Return a complete snapshot; meant for ten calls a second, not for each row."""
         now_s = asyncio.get_running_loop().time() if self._ended_s is None else self._ended_s
         return replace(
             self.brief(),
@@ -192,6 +192,7 @@ class Monitor:
         )
 
     def _axis_snapshots(self, now_s: float) -> Iterator[AxisSnapshot]:
+        """Yield the state of each axis at ``now_s``; NaN where nothing was read yet."""
         nothing = np.full(len(self._axes), np.nan)
         angles, rates = (self.row.angle_rad, self.row.rate_rps) if self.row else (nothing, nothing)
         for axis, angle, rate in zip(self._axes, angles.tolist(), rates.tolist(), strict=True):
@@ -212,6 +213,7 @@ class Monitor:
             )
 
     def _source_snapshots(self, now_s: float) -> Iterator[SourceSnapshot]:
+        """Yield the state of each source at ``now_s``; NaN where nothing is known yet."""
         for imu in self._open.imus:
             for name in imu.source.names:
                 counts = self.counts(imu.source, name)
@@ -236,7 +238,11 @@ class Monitor:
         return "ok" if heard else "silent"
 
     def _rate_hz(self, name: str, link: str, now_s: float) -> float:
-        """Return samples a second: by their own instants, for they come in handfuls; of a silent source, until now."""
+        """Return the samples per second of a source since its oldest mark, by sample times; until ``now_s`` if it is
+        silent.
+
+        NaN while there is no mark.
+        """
         marks = self._marks[name]
         if not marks:
             return math.nan
@@ -245,6 +251,7 @@ class Monitor:
         return (self._rows[name] - marks[0].rows) / span_s if span_s > 0 else math.nan
 
     def _gyro_snapshots(self) -> Iterator[GyroSnapshot]:
+        """Yield the state of each gyro by the live filter; NaN where nothing is known yet."""
         w_rps = self._live.body_rate(self.row) if self.row else np.full((1, 3), np.nan)
         for name, source in self._live.sources.items():
             x, states, sd = source.recent()

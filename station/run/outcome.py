@@ -33,7 +33,7 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Outcome and reason of a run or of a calibration; the limits that are broken, and what may be behind that."""
+    """Outcome and reason of a run or a calibration, the broken limits, and their possible causes."""
 
     outcome: Outcome
     reason: str
@@ -47,11 +47,11 @@ _UNSEEN_HINT = sentence("run.unseen")
 
 
 def judge(calibration: Calibration, limits: Limits | None, causes: Sequence[str] = ()) -> Verdict:
-    """Compare a calibration with the limits of its bench; the reason names every limit that is broken.
+    """Compare a calibration with the limits of its bench; the reason names every broken limit.
 
-    Without limits it is neither good nor bad. What speaks against its sigmas is told in any case, and what no sigma can
-    hold fails it; ``causes``, what the run itself may have done wrong, are told where it fails. Where it does not fail
-    the reason also says of which axes, or at which times, nothing proves that what was measured stayed the same.
+    ESTIMATED without limits. Doubts about the sigmas are always part of the reason; errors that no sigma can cover fail
+    the calibration. ``causes``, possible faults of the run itself, are named only if it fails. Otherwise the reason
+    also says for which axes or times nothing proves constancy.
     """
     unproved = tuple(filter(None, [not_proved(calibration.constancy)]))
     if limits is None or not limits.stated:
@@ -75,11 +75,12 @@ def ended_of(attributes: Mapping[str, Any]) -> Verdict | None:
 def judge_recorded(
     calibration: Calibration | None, limits: Limits | None, ended: Verdict | None, *, own_rules: bool = True
 ) -> Verdict:
-    """Judge the calibration of a recording whose run ``ended`` so (None: no run made it).
+    """Judge the calibration of a recording whose run ``ended`` with a verdict, None for imported data.
 
-    A run that was driven by hand, aborted or ended by a fault keeps that outcome; what its data alone come to is told
-    in the reason. So does a run that failed, unless it is judged by other than its ``own_rules``: limits of another
-    bench, or an error model. Then the reason says how it ended. ``calibration`` is None if it came to none.
+    A run that was driven by hand, aborted or in fault keeps its outcome; the result of its data is added to the reason.
+    So does a run that failed, unless it is judged by other than its ``own_rules``, that is other limits or an error
+    model; the reason then says how the run ended. ``calibration`` is None if there is none; ``ended`` must be given
+    then.
     """
     if ended is not None and ended.outcome is Outcome.MANUAL:
         return MANUAL_VERDICT
@@ -97,7 +98,7 @@ def judge_recorded(
 
 
 def _until_then(judged: Verdict) -> str:
-    """Return in words what the data of a run come to that did not get to its end."""
+    """Return in words how the data of an incomplete run compare with the limits."""
     if judged.outcome is Outcome.FAIL:
         first = judged.broken[0].broken if judged.broken else judged.reason
         more = f", and {len(judged.broken) - 1} more limits exceeded" if len(judged.broken) > 1 else ""
@@ -108,7 +109,7 @@ def _until_then(judged: Verdict) -> str:
 
 
 def _mostly_unseen(calibration: Calibration, line: LimitLine) -> bool:
-    """Return whether a sigma comes of undeclared effects for the most part."""
+    """Return whether most of a sigma comes from undeclared effects."""
     assert line.row is not None
     assert line.state is not None
     budget = calibration.gyros[line.row].budget

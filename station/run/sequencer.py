@@ -16,14 +16,14 @@ from station.scripts.script import Script, check_turn
 from station.scripts.steps.kind import Span, Turn, total
 from station.views.figures import seconds_between
 
-WATCH_S = 0.05  # how often arrival is asked for, from this long before it is due
+WATCH_S = 0.05  # how often arrival is checked, from this long before it is due
 OVERDUE_S = 5.0
 ON_TARGET_RAD = math.radians(0.05)
 _PAUSE = "pause"
 
 
 class Sequencer:
-    """Runs steps in order, as their stage; tells when each begins and ends. The table must be enabled and homed."""
+    """Carries out the steps of a script in order, and reports their beginnings and ends. The table must be homed."""
 
     def __init__(
         self,
@@ -33,9 +33,9 @@ class Sequencer:
         tell: Callable[[str], None] = lambda text: None,
         newest: Callable[[str], Mapping[str, float]] = lambda quantity: {},
     ) -> None:
-        """``on_step(label, start_ns, end_ns)`` is called after each step and pause; ``tell`` keeps what happened.
+        """``on_step(label, start_ns, end_ns)`` is called after each step and pause, ``tell`` for each event.
 
-        ``newest`` gives the newest value of a quantity by source.
+        ``newest`` returns the newest value of a quantity by source.
         """
         self._table, self._script, self._on_step, self._tell = table, script, on_step, tell
         self._newest = newest
@@ -53,14 +53,14 @@ class Sequencer:
         self._turn: Turn | None = None
         """The turn under way."""
         self._turn_began_s = 0.0
-        self._sent_s = math.inf  # when the table had been told of it
+        self._sent_s = math.inf  # when the table had got the command
         self.paused = ""
         """Empty, AFTER_THIS_STEP or PAUSED."""
         self._resumed = asyncio.Event()
 
     @property
     def driven_axis(self) -> str | None:
-        """Axis that is being turned."""
+        """The axis being turned, None if none is."""
         return None if self._turn is None else self._turn.axis
 
     @property
@@ -68,7 +68,7 @@ class Sequencer:
         return _PAUSE if self.paused == PAUSED else self._script.steps[self._index].label
 
     def pause(self) -> None:
-        """Hold once the step under way has ended, until ``resume``; UsageError in the last step."""
+        """Pause after the present step until ``resume``; UsageError in the last step. Ignored if paused already."""
         if self.paused:
             return
         if self._index == len(self._spans) - 1:
@@ -90,7 +90,7 @@ class Sequencer:
         raise UsageError("this run follows a script. `station run --manual` starts one that is driven by hand")
 
     def commanded(self, axis: str) -> Commanded:
-        """Return what an axis was told last."""
+        """Return the last command to an axis: target, range, rate, and since when."""
         target, turn = self._target_rad[axis], self._turn
         if turn is None or axis != turn.axis:
             return Commanded(target, target, 0.0, self._stands_since_s[axis])
@@ -98,7 +98,7 @@ class Sequencer:
         return Commanded(low, high, abs(turn.rate_rps), self._turn_began_s, self._course(turn, self._sent_s))
 
     def _course(self, turn: Turn, from_s: float) -> Course:
-        """Return the rate of a turn over time, if it begins at an instant of the loop's clock."""
+        """Return the planned rate of a turn over time if it begins at ``from_s`` (loop time)."""
         return Course(
             sent_s=from_s,
             duration_s=turn.duration_s,
@@ -121,11 +121,11 @@ class Sequencer:
         return math.copysign(self._course(turn, self._turn_began_s).speed_rps(now_s), turn.way_rad)
 
     def target_rad(self, axis: str) -> float:
-        """Return the angle to which an axis is being turned, NaN if it is not."""
+        """Return the target angle of the axis being turned, NaN for any other."""
         return self._turn.to_rad if self._turn is not None and self._turn.axis == axis else math.nan
 
     def wanted_hz(self, now_s: float) -> float:
-        """Return how often the table should be read now, beyond what is usual: 0 but on ramps."""
+        """Return how often the table should be read now beyond its usual rate: more on ramps, otherwise 0."""
         turn = self._turn
         if turn is None:
             return 0.0
@@ -134,7 +134,7 @@ class Sequencer:
         return wanted_hz(turn.ramp_s) if near else 0.0
 
     def times(self, now_s: float) -> tuple[float, Span]:
-        """Return the time done, in s, and the time that remains, by plan."""
+        """Return the planned time of the steps done (s), and the planned time that remains."""
         done_s, ahead = sum(self._done_s), self._spans[len(self._done_s) :]
         if len(self._done_s) > self._index:  # the step has ended
             return done_s, total(ahead)
@@ -149,7 +149,7 @@ class Sequencer:
         return f"after {done_s:.1f} s of {planned}, in step {self.label!r}"
 
     async def run(self) -> None:
-        """Run the script to its end; DeviceRefused if an axis does not get where it was sent."""
+        """Carry out the script; DeviceRefused if an axis does not reach its target."""
         loop = asyncio.get_running_loop()
         for index, (step, span) in enumerate(zip(self._script.steps, self._spans, strict=True)):
             self._index, self._step_began_s = index, loop.time()
@@ -166,7 +166,7 @@ class Sequencer:
                 await self._hold()
 
     async def stand(self, duration_s: float, label: str = "") -> None:
-        """Leave all axes at rest for a time; ``label`` says what for."""
+        """Leave all axes at rest for a time; ``label`` gives its purpose."""
         if self._standing is None or self._standing[0] != label:
             self._record_standing()
             self._standing = label, asyncio.get_running_loop().time()
@@ -175,8 +175,8 @@ class Sequencer:
     def _record_standing(self) -> None:
         """Record the standstill that has ended as a part of the step, if there was one."""
         if self._standing is not None and self._in_parts:
-            what, began_s = self._standing
-            self._record(f"{self.label}: {what}" if what else self.label, began_s)
+            label, began_s = self._standing
+            self._record(f"{self.label}: {label}" if label else self.label, began_s)
         self._standing = None
 
     def _record(self, label: str, began_s: float) -> None:
@@ -192,7 +192,7 @@ class Sequencer:
         self._tell(text)
 
     async def _hold(self) -> None:
-        """Leave the table as it is, at rest under power, until told to go on; time done stands still meanwhile."""
+        """Pause with the table at rest under power until resumed, and record the pause."""
         began_s = asyncio.get_running_loop().time()
         self._tell(f"paused after step {self.label!r}")
         self.paused = PAUSED
@@ -200,7 +200,7 @@ class Sequencer:
         self._record(_PAUSE, began_s)
 
     def _overdue(self, turn: Turn, angle_rad: float) -> Overdue:
-        """Return the error of a step whose axis has not told in time that it has arrived."""
+        """Return the error for an axis that did not report its arrival in time: it is not there, or does not say so."""
         at, to = math.degrees(angle_rad), math.degrees(turn.to_rad)
         if abs(at - to) < math.degrees(ON_TARGET_RAD):
             text = sentence("run.never_arrived", axis=turn.axis, step=self.label, at_deg=at, to_deg=to)
@@ -209,10 +209,10 @@ class Sequencer:
         return Overdue("table", text)
 
     async def turn(self, turn: Turn) -> None:
-        """Turn an axis and see it arrive.
+        """Turn an axis and wait for its arrival; the turn is recorded if the step has several parts.
 
-        DeviceRefused if it does not get where it was sent, or is to do what it cannot: a step may turn it otherwise
-        than it planned.
+        The standstill before it is recorded first. DeviceRefused if the turn is beyond a limit, as a step may differ
+        from its plan, or the axis stops elsewhere; Overdue if it does not arrive in time.
         """
         loop = asyncio.get_running_loop()
         axis = turn.axis
@@ -226,7 +226,7 @@ class Sequencer:
         self._sent_s = loop.time()
         await asyncio.sleep(max(due_s - WATCH_S - loop.time(), 0.0))
         while not (await self._table.status(axis)).target_reached:
-            # A slow line takes long to tell.
+            # A slow line needs long to report it.
             if loop.time() > due_s + (self._sent_s - self._turn_began_s) + OVERDUE_S:
                 raise self._overdue(turn, (await self._table.read(axis)).angle_rad)
             await asyncio.sleep(WATCH_S)

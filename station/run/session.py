@@ -45,7 +45,7 @@ from station.scripts.script import Script
 _log = logging.getLogger(__name__)
 
 _STOP_LIMIT_S = 15.0
-_MOST_INTERRUPTIONS = 10  # of the way out, which is gone again after each
+_MOST_INTERRUPTIONS = 10  # of the way to rest, which is continued after each
 _UNFINISHED = "the run did not end: the station stopped without closing the file"
 _NOTE = "note: "
 _TERMINAL_GONE = "the terminal is gone (SIGHUP): the run continues"
@@ -53,7 +53,7 @@ _TERMINAL_GONE = "the terminal is gone (SIGHUP): the run continues"
 
 @dataclass(kw_only=True, frozen=True, slots=True)
 class Result:
-    """How a run ended, and its calibration if it came to one."""
+    """The result of a run, and its calibration if there is one."""
 
     verdict: Verdict
     recording: Path
@@ -72,12 +72,12 @@ class Result:
 
 @dataclass(kw_only=True, frozen=True, slots=True)
 class RunOptions:
-    """How a run is made.
+    """Options of a run.
 
-    ``model``: effects to estimate beside the states; it must fit the table. ``operator`` and ``device_serial`` are
-    recorded; without the latter, what the device under test says if there is one. A device that says another number
-    ends the run, unless ``serial_reason`` says why both are right. ``outlives_terminal``: SIGHUP does not end the run.
-    ``time_scale`` is how fast the loop's clock runs. ``manual``: words drive the table, the script has no steps.
+    ``model``: effects to estimate with the states; it must fit the table. ``operator`` and ``device_serial`` are
+    recorded; by default the serial number is that of the device under test. A device with another number ends the run,
+    unless ``serial_reason`` explains it. ``outlives_terminal``: SIGHUP does not end the run. ``time_scale`` is how fast
+    the loop's clock runs. ``manual``: commands drive the table, and the script is empty.
     """
 
     reset_fault: bool = False
@@ -104,9 +104,10 @@ class Session:
         on_progress: Callable[[Callable[[], Snapshot]], None] = lambda look: None,
         on_event: Callable[[float, EventKind, str], None] | None = None,
     ) -> None:
-        """Create the recording; nothing is opened yet. RecordingError if the file cannot be created.
+        """Create the recording; no device is opened. RecordingError if the file cannot be created.
 
-        ``on_event(t_s, kind, text)`` is told of every event.
+        ``on_event(t_s, kind, text)`` is called for every event, ``on_progress`` with a function that returns a
+        snapshot.
         """
         config, time_scale = bench.bench, options.time_scale
         self._model = options.model if options.model is not None and options.model.effects else None
@@ -136,10 +137,11 @@ class Session:
         self._early_end = EarlyEnd(bench, self._live, time_scale) if options.end_early else None
 
     async def run(self) -> Result:
-        """Run to the end. Whatever is raised on the way, the table is brought to rest and the recording is closed.
+        """Run to the end and return the result; nothing is raised. The table is always brought to rest and the
+        recording closed.
 
-        What interrupts it, a KeyboardInterrupt or a cancel as well as an error, is its verdict, and what is left of the
-        way is gone then.
+        Whatever interrupts the run, a KeyboardInterrupt, a cancel or an error, becomes its verdict, and the rest is
+        skipped.
         """
         this = asyncio.current_task()
         with heeded_signals(self.stop, self._outlive if self._options.outlives_terminal else None):
@@ -153,12 +155,12 @@ class Session:
             return self._unended()
 
     def _unended(self) -> Result:
-        """Close the recording of a run whose way out failed or was interrupted too often; return what is known."""
+        """Close the recording of a run whose way out failed or was interrupted too often; return the result so far."""
         verdict = self._verdict or Verdict(Outcome.ABORTED, "cancelled")
         safe = self._rested or not self._connected
         look = sentence("run.unended") if safe else sentence("run.unended_in_motion")
         verdict = replace(verdict, reason=f"{verdict.reason}; {look}")
-        with suppress(Exception):  # one of these may be what failed
+        with suppress(Exception):  # one of these may be the part that failed
             self._writer.close()
             write_attributes(self._writer.path, {"outcome": str(verdict.outcome), "reason": verdict.reason})
         return Result(
@@ -170,7 +172,9 @@ class Session:
         )
 
     async def _go_through(self) -> Result:
-        """Work, bring the table to rest, conclude: from where an interruption left it."""
+        """Work, make the devices safe, conclude. Called again after an interruption, it cancels the work and
+        continues.
+        """
         if self._running is None:
             self._running = asyncio.get_running_loop().create_task(self._work())
             if self._reason:
@@ -186,10 +190,7 @@ class Session:
         return await self._conclude()
 
     def snapshot(self) -> Snapshot:
-        """Return the state of the run now, as a whole: for ten looks a second, not for each row.
-
-        What goes wrong with that is told once, and raised for whoever asked.
-        """
+        """Return the complete state of the run; meant for ten calls a second. An error is reported once, and raised."""
         try:
             return self._monitor.full()
         except Exception as error:
@@ -209,7 +210,7 @@ class Session:
             self._running.cancel()
 
     def pause(self) -> None:
-        """Hold after the step under way; UsageError where there is nothing to pause."""
+        """Pause after the current step; UsageError if there is nothing to pause."""
         self._script_under_way().pause()
 
     def resume(self) -> None:
@@ -221,7 +222,7 @@ class Session:
         self._script_under_way().obey(action, given)
 
     def note(self, text: str) -> None:
-        """Keep a note of the operator in the record; UsageError if it is empty, too long, or too late.
+        """Add a note of the operator to the recording; UsageError if it is empty, too long, or too late.
 
         Control characters are dropped, line ends become spaces.
         """
@@ -246,6 +247,11 @@ class Session:
         return self._monitor.sequencer
 
     async def _work(self) -> None:
+        """Open and ready all devices in their order, run the script while services record and watch, then end the
+        services.
+
+        Any error of a device or service ends it; stopping the table is left to the caller.
+        """
         table = self._open.table
         axes = self._bench.table.gimbals
         monitor, acquisition = self._monitor, self._acquisition
@@ -256,7 +262,7 @@ class Session:
                 self._check_serial(imu.config.name, (await acquisition.open(imu)).serial)
                 services.append(serve(group, acquisition.acquire(imu)))
             await acquisition.open_others()
-            await table.open()  # the last: what is not there is known before the table is touched
+            await table.open()  # the last: missing devices are known before the table is touched
             await first_look(table, take_over=self._options.reset_fault)
             self._connected = True  # from here on it is ours to stop
             await self._guard.arm()
@@ -300,7 +306,11 @@ class Session:
                 service.cancel()
 
     def _check_serial(self, device: str, told: str) -> None:
-        """Record the number that the one device under test tells; DeviceError if another is meant, without a reason."""
+        """Record the serial number told by the only device under test; DeviceError if another one was stated without a
+        reason.
+
+        Ignored if there are several devices or it tells none.
+        """
         options, attributes = self._options, {}
         if not told or len(self._open.imus) != 1:
             return
@@ -317,7 +327,7 @@ class Session:
         self._acquisition.beside.attempt("progress", lambda: self._on_progress(self._monitor.brief), None)
 
     async def _run_until_enough(self, group: asyncio.TaskGroup, sequencer: Sequencer, early_end: EarlyEnd) -> None:
-        """Run the script to its end, or until enough has been seen: the table is then still to be stopped."""
+        """Run the script to its end, or until enough has been seen; the table may then still turn."""
 
         async def enough_seen() -> str:
             reason = await early_end.wait()
@@ -339,7 +349,10 @@ class Session:
         return self._monitor.sequencer is not None and self._monitor.sequencer.driven_axis is not None
 
     async def _rest(self) -> None:
-        """Make all devices safe, the table first; what goes wrong with that is part of the verdict."""
+        """Make all devices safe, the table first; does nothing if the table was never connected.
+
+        Troubles become part of the verdict; without a verdict the first makes it FAULT.
+        """
         self._monitor.phase = Phase.STOPPING
         if not self._connected:
             return
@@ -352,6 +365,9 @@ class Session:
         self._event(EventKind.NOTE, text)
 
     async def _conclude(self) -> Result:
+        """Close table and recording, calibrate a run that has no verdict yet, judge it, and store the outcome; return
+        the result.
+        """
         acquisition = self._acquisition
         if not acquisition.closed:
             self._open.table.close()
@@ -362,7 +378,7 @@ class Session:
         if verdict is None:
             self._monitor.phase = Phase.ESTIMATING
             try:
-                # In a thread: who looks on is not to think that the session hangs.
+                # In a thread, so that the session does not seem to hang.
                 about = (self._writer.path, self._live, self._model, self._bench.excluded, dict(acquisition.reports))
                 work = partial(final_estimate, *about)
                 found = await asyncio.get_running_loop().run_in_executor(None, work)
@@ -393,7 +409,9 @@ class Session:
         )
 
     def _verdict_of(self, error: BaseException) -> Verdict:
-        """Return the verdict for what ended the run: a device's error first, a stop, else a defect of the station."""
+        """Return the verdict for an error: of a device first, else of the estimator, a stop, this computer, or a
+        defect.
+        """
         errors = list(leaves(error))
         for device_error in errors:
             if isinstance(device_error, DeviceError):
@@ -410,13 +428,13 @@ class Session:
         if isinstance(first, asyncio.CancelledError):
             return Verdict(Outcome.ABORTED, self._reason or "cancelled")
         _log.debug("the run ended by what no device did", exc_info=first)
-        what = f"{type(first).__name__}: {first}"
+        reason = f"{type(first).__name__}: {first}"
         if isinstance(first, MemoryError | OSError):
             need = "more memory" if isinstance(first, MemoryError) else "its disk and its ports checked"
-            return Verdict(Outcome.ABORTED, f"this computer failed and needs {need} ({what})")
+            return Verdict(Outcome.ABORTED, f"this computer failed and needs {need} ({reason})")
         at = traceback.extract_tb(first.__traceback__)[-1:]
         where = "".join(f" ({Path(frame.filename).name}, line {frame.lineno})" for frame in at)
-        return Verdict(Outcome.ABORTED, f"defect of the station, please report it: {what}{where}")
+        return Verdict(Outcome.ABORTED, f"defect of the station, please report it: {reason}{where}")
 
     def _outlive(self) -> None:
         if not self._terminal_gone and not self._acquisition.closed:
@@ -425,6 +443,9 @@ class Session:
 
 
 def _attributes(bench: OpenBench, script: Script, options: RunOptions) -> dict[str, Any]:
+    """Return the attributes of the recording: software, bench, script, devices, operator, clock; the outcome is ABORTED
+    so far.
+    """
     config = bench.bench
     links = [axis.link or config.table.link for axis in config.table.axes.values()]
     attributes: dict[str, Any] = {
@@ -443,9 +464,9 @@ def _attributes(bench: OpenBench, script: Script, options: RunOptions) -> dict[s
     if config.site is not None:
         attributes["site_latitude_rad"] = config.site.latitude_rad
         attributes["site_heading_rad"] = config.site.heading_rad
-    told: dict[str, Any] = {"operator": options.operator, "device_serial": options.device_serial}
-    told |= {"plugins": sorted({*config.plugins, *script.plugins}), "model_sha256": model_sha256(options.model)}
-    attributes |= {key: value for key, value in told.items() if value}
+    found: dict[str, Any] = {"operator": options.operator, "device_serial": options.device_serial}
+    found |= {"plugins": sorted({*config.plugins, *script.plugins}), "model_sha256": model_sha256(options.model)}
+    attributes |= {key: value for key, value in found.items() if value}
     loop = asyncio.get_running_loop()
     if is_virtual(loop):  # runs that begin alike are alike, to the last byte; a simulated clock has no place in the day
         begun = repr((attributes, script, options.reset_fault, options.end_early))

@@ -1,4 +1,4 @@
-"""What a screen may look at while a run goes on: one frozen value, also as JSON.
+"""The state of a running run for screens: one frozen value, also as JSON.
 
 All figures in SI units; NaN where nothing is known, null in JSON.
 """
@@ -15,7 +15,7 @@ AFTER_THIS_STEP, PAUSED = "after this step", "paused"
 
 
 class Phase(StrEnum):
-    """Where a run is; the label of a step is another matter, and may be any text."""
+    """The phase of a run, as opposed to the label of a step."""
 
     CONNECTING = "connecting"
     ENABLING = "enabling"
@@ -27,7 +27,7 @@ class Phase(StrEnum):
 
 
 class EventKind(StrEnum):
-    """What an event is about; its text is for people."""
+    """The subject of an event; its text is for people."""
 
     SCRIPT = "script"
     LINK = "link"
@@ -39,10 +39,10 @@ class EventKind(StrEnum):
 
 @dataclass(kw_only=True, frozen=True, slots=True)
 class AxisSnapshot:
-    """One axis of the table: the last readback, and the rate that the script asks for now.
+    """One axis of the table: its last reading, and the rate that the script commands now.
 
-    ``state``: "at rest", "turning", what is done to the table before the script ("connecting", "enabling", "homing"),
-    or its fault in its own words. ``target_rad``: the angle to which it is being turned, NaN if it is not.
+    ``state``: "at rest", "turning", the phase before the script ("connecting", "enabling", "homing"), or the table's
+    fault in its own words. ``target_rad``: the angle it is moving to, NaN if it does not move.
     """
 
     name: str
@@ -55,12 +55,12 @@ class AxisSnapshot:
 
 @dataclass(frozen=True, slots=True)
 class GyroSnapshot:
-    """One gyro as the live filter sees it now, or as a recording has it, without ``nis``.
+    """One gyro as seen by the live filter, or from a recording, then without ``nis``.
 
-    ``values`` (k, b_rps, sigma_j_rad, sigma_k_rad) and their standard deviations ``sds``; ``nis``: mean square of
-    its normalised innovations of the last half minute, 1 for a filter that is right. ``rate_rps``: its newest sample;
-    ``expected_rps``: what a gyro with these values measures as the table was last seen to turn; ``residual``: its last
-    normalised innovation, mostly within 2 of a filter that is right.
+    ``values`` (k, b_rps, sigma_j_rad, sigma_k_rad) and their standard deviations ``sds``; ``nis``: mean square of its
+    normalised innovations over the last half minute, 1 for a correct filter. ``rate_rps``: its newest sample;
+    ``expected_rps``: the output of a gyro with these values at the last motion of the table; ``residual``: its last
+    normalised innovation, mostly within 2 for a correct filter.
     """
 
     name: str
@@ -80,10 +80,10 @@ class GyroSnapshot:
 
 @dataclass(frozen=True, slots=True)
 class SourceSnapshot:
-    """One source: its counts, its rate over the last two seconds, how late and how unevenly its samples come.
+    """One source: its counts, its rate over the last two seconds, delay and jitter of its samples.
 
-    ``latency_s`` from the instant of a sample to its arrival, without the least delay, which cannot be known;
-    ``jitter_s`` what arrivals scatter, rms; ``link``: "ok", "reopening" or "silent".
+    ``latency_s`` is from the instant of a sample to its arrival, without the least delay, which cannot be known;
+    ``jitter_s`` the rms scatter of arrivals; ``link``: "ok", "reopening" or "silent".
     """
 
     name: str
@@ -112,15 +112,13 @@ class SeriesSnapshot:
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """State of a run at one instant; times in seconds of the loop's clock. ``label``: of the step under way, or "".
+    """State of a run at one instant; times in seconds of the loop's clock. ``label``: that of the present step, or "".
 
-    ``remaining_s`` is what remains at least, ``longer_s`` by how much it may be longer: 0 where it is known, infinite
-    or NaN for no limit.
-
-    ``nis_mean`` per degree of freedom over the whole run, ``nis_recent`` over the last half minute; ``whiteness``:
-    correlation of the innovations with those of the block before, 0 for a good filter; ``recent``: how many innovations
-    both are of. ``paused``: "", ``AFTER_THIS_STEP`` or ``PAUSED``. ``links``: of each device what went over its
-    link and what went wrong, in words.
+    ``remaining_s`` is the least remaining time, ``longer_s`` by how much it may be longer: 0 if known, infinite or NaN
+    for no limit. ``nis_mean`` per degree of freedom is over the whole run, ``nis_recent`` over the last half minute;
+    ``whiteness``: correlation of the innovations with those of the previous block, 0 for a good filter; ``recent``: the
+    number of innovations of the latter two. ``paused``: "", ``AFTER_THIS_STEP`` or ``PAUSED``. ``links``: traffic and
+    errors of each device's link, in words.
     """
 
     phase: Phase
@@ -143,27 +141,27 @@ class Snapshot:
 
     @property
     def doing(self) -> str:
-        """What is under way, in words: the step's label while the script runs."""
+        """Current activity in words: the step's label while the script runs, else the phase."""
         return self.label or self.phase
 
     @property
     def share(self) -> float:
-        """How much of the run is done, 0 to 1; half of the time by which it may be longer counts as remaining."""
+        """Share of the run that is done, 0 to 1; half of the time by which it may be longer counts as remaining."""
         longer_s = self.longer_s if math.isfinite(self.longer_s) else 0.0
         return self.elapsed_s / max(self.elapsed_s + self.remaining_s + longer_s / 2, 1e-9)
 
 
 def snapshot_of(found: Mapping[str, Any]) -> Snapshot:
-    """Return the snapshot of an object; what it holds beside the fields is passed over.
+    """Return the snapshot in an object of JSON; unknown keys are ignored.
 
-    KeyError, TypeError or ValueError if it is none.
+    KeyError, TypeError or ValueError if it is not a snapshot.
     """
     snapshot: Snapshot = of_type(Snapshot, found)
     return snapshot
 
 
 def of_type(kind: Any, value: Any) -> Any:
-    """Return a value of JSON as what a field of this type holds; null is a number that is not known."""
+    """Return a JSON value converted to a field's type; null becomes an unknown number."""
     if get_origin(kind) is tuple:
         return tuple(of_type(get_args(kind)[0], item) for item in value)
     if types := _types_of(kind):

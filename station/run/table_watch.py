@@ -15,9 +15,9 @@ from drivers.types import AxisState, Floats
 from station.run.sequencer import Sequencer
 from station.run.uncommanded import MotionGuard, check_axes
 
-_STATUS_EVERY = 5  # condition is asked for in every so many-th reading
-_STATUS_AT_LATEST_S = 0.6  # and on a slow link before a drive stops that hears nothing
-_IDLE_S = 0.4  # so often each axis is looked at that has not been told to turn: it may do so by itself
+_STATUS_EVERY = 5  # the condition is read with every so many-th reading
+_STATUS_AT_LATEST_S = 0.6  # and on a slow link before a drive stops for lack of messages
+_IDLE_S = 0.4  # so often each axis without a command is read: it may turn by itself
 _KEPT = 5  # readings before that a mean rate is judged by
 _WELL_NS = 1e6  # to which an instant needs to be known
 
@@ -25,7 +25,7 @@ _WELL_NS = 1e6  # to which an instant needs to be known
 class TableRow(NamedTuple):
     """Angles and rates (axes,) at one instant, which may be off by the half width of the round trips.
 
-    Rates are means over the ``rate_window_ns`` that ends at it.
+    Rates are means over the ``rate_window_ns`` that ends at that instant.
     """
 
     t_ns: int
@@ -36,11 +36,11 @@ class TableRow(NamedTuple):
 
 
 class Aligner:
-    """Turns readings of single axes, each at its own instant, into rows at one instant.
+    """Combines readings of single axes, each at its own instant, into rows at a common instant.
 
-    An angle is carried to the row's instant, that of the fastest axis' rate, by the rate, a rate by interpolation
-    between readings. A row is given when the rates around it are known: one reading later. Rates that are means are
-    those up to the angle of the fastest axis; while they tell of what was before the first reading there is no row.
+    The instant of a row is that of the fastest axis' rate; angles are carried there by the rate, rates by interpolation
+    between readings. A row is complete one reading later, when the rates around it are known. Mean rates are those up
+    to the angle of the fastest axis; there is no row while they include time before the first reading.
     """
 
     def __init__(self, axes: tuple[str, ...]) -> None:
@@ -51,7 +51,10 @@ class Aligner:
         self._since_ns: int | None = None  # instant of the first reading
 
     def add(self, states: Mapping[str, AxisState]) -> list[TableRow]:
-        """Take in one reading of all axes; return the rows that are known now."""
+        """Add one reading of all axes; return the rows that are now complete, possibly none.
+
+        A reading that is not later than the one before is dropped.
+        """
         self._readings.append(dict(states))
         if len(self._readings) > 1 and self._at_ns(-1) <= self._at_ns(-2):
             self._readings.pop()  # its instant is of another axis than that of the reading before
@@ -78,7 +81,7 @@ class Aligner:
         return state.angle_t_ns if state.rate_window_ns else state.rate_t_ns
 
     def _row(self, index: int) -> list[TableRow]:
-        """Return the row of a reading, or nothing where its rates are not known."""
+        """Return the row of a reading in a list, empty if its rates are not known."""
         at_ns, states = self._at_ns(index), self._readings[index].values()
         half_width_ns, window_ns = (max(getattr(s, key) for s in states) for key in ("half_width_ns", "rate_window_ns"))
         if self._since_ns is None or (window_ns and at_ns - window_ns < self._since_ns):
@@ -91,7 +94,7 @@ class Aligner:
             times = np.array([r.rate_t_ns + r.rate_window_ns // 2 - at_ns for r in own], dtype=np.float64)
             series = np.array([r.rate_rps for r in own])
             if state.rate_window_ns:
-                # What is known much worse than this reading is not asked.
+                # Instants known much worse than this reading's are not used.
                 known = np.array([r.half_width_ns <= 2 * state.half_width_ns + _WELL_NS for r in own])
                 known[index + 2 :] = False
                 rates[column] = _smooth(times[known], series[known])
@@ -104,8 +107,8 @@ class Aligner:
 
 
 def _smooth(times_ns: Floats, rates: Floats) -> float:
-    """Return the rate at 0, or at the end next to it, by the cubic through the last four (Lagrange)."""
-    apart = np.diff(times_ns, append=np.inf) > _WELL_NS  # what is nearer tells the same
+    """Return the rate at time 0, or at the nearest end, by the cubic through the last four readings (Lagrange)."""
+    apart = np.diff(times_ns, append=np.inf) > _WELL_NS  # nearer instants are equivalent
     times, series = times_ns[apart][-4:], rates[apart][-4:]
     at, between = min(max(0.0, times[0]), times[-1]) - times, np.subtract.outer(times, times)
     np.fill_diagonal(between, 1.0)
@@ -122,14 +125,15 @@ async def watch_table(
     on_row: Callable[[TableRow], None],
     on_lost: Callable[[LinkLost], Awaitable[None]],
 ) -> None:
-    """Read until cancelled; DeviceFault when an axis goes to fault, leaves operation, turns or stands by itself.
+    """Read the table and pass rows to ``on_row`` until cancelled.
 
-    ``rate_hz`` is how often it is read, and ``sequencer`` may want more; a slow link gives what it can. ``on_lost``
-    opens a link again that was lost, or raises.
+    DeviceFault when an axis goes to fault, leaves operation, or moves or stands without a command. The table is read at
+    ``rate_hz``, faster if ``sequencer`` wants it, slower if the link is slow. ``on_lost`` reopens a lost link or
+    raises.
 
-    An axis that is driven or turns is read every time. Of the others the one is read that was not for the longest
-    time, if that is 0.4 s, so that a slow bus has its time for what turns: what has not been told to move is still
-    there, or is seen to move within a second.
+    An axis that is driven or turns is read every time. Of the others only the one read longest ago is read, at most
+    every 0.4 s, which leaves a slow bus its time for axes that turn: unexpected motion is still seen within a second.
+    The last rows are passed on at the end.
     """
     loop = asyncio.get_running_loop()
     guard = MotionGuard(table, sequencer.commanded)
@@ -139,7 +143,7 @@ async def watch_table(
     counter = itertools.count()
     checked_s, read_s = dict.fromkeys(axes, due_s), dict.fromkeys(axes, due_s)
     turned: set[str] = set()
-    broken_off = False  # in the middle of taking a row in: what takes them is not asked again, and blames nobody
+    broken_off = False  # interrupted while a row is recorded: the recorder is not called again
 
     def give(rows: list[TableRow]) -> None:
         nonlocal broken_off
@@ -149,13 +153,18 @@ async def watch_table(
             broken_off = False
 
     async def read_once() -> None:
+        """Read the axes that turn, or the one not read for longest, check limits and status, and pass the readings on.
+
+        The other axes keep their last values at the new instant. Every few readings, or after a time, status is read,
+        too.
+        """
         count = next(counter)
         busy = [a for a in axes if a == sequencer.driven_axis or states[a].rate_rps != 0.0 or a in turned]
         oldest = min((a for a in axes if a not in busy), key=lambda a: read_s[a], default=None)
         if oldest is not None and (not busy or loop.time() - read_s[oldest] >= _IDLE_S):
             busy.append(oldest)
         read_s.update(dict.fromkeys(busy, loop.time()))
-        # An angle may be of before the stop that the rate is of: read once more.
+        # The angle may be from before the stop, and the rate from after it: read once more.
         turned.clear()
         turned.update(axis for axis in busy if states[axis].rate_rps != 0.0)
         states.update({axis: await table.read(axis) for axis in busy})

@@ -1,4 +1,4 @@
-"""What an axis does against what it was told: motion that nobody asked for, and rest where motion was asked for."""
+"""Motion of an axis compared with its commands: motion without a command, and rest despite one."""
 
 import asyncio
 import math
@@ -12,10 +12,10 @@ from drivers.protocols import Turntable
 from drivers.types import AxisLimits, AxisState
 from station.errors import sentence
 
-_ANGLE_RAD = math.radians(0.1)  # twice of what an axis may be off where a step ends
+_ANGLE_RAD = math.radians(0.1)  # twice the allowed error of an axis at the end of a step
 _RATE_RPS = math.radians(1.0)
 _RATE_SHARE = 1.1
-_LATE_S = 0.25  # that a controller may carry on with a rate it was told to leave
+_LATE_S = 0.25  # for which a controller may continue with a rate after a stop
 _SIGMAS = 6.0  # of the rate that a standing axis reports
 _FORGET = 0.05
 _LOOKS, _AGAIN_S = 3, 0.02
@@ -24,15 +24,15 @@ _HOMING_LOOK_S = 0.1
 AT_REST_S = 1.5
 """Time from when readings stop to tell the truth to when the axis is to stand."""
 _SEEN_S = 0.25  # of that: readings are taken again, the fault is raised, the stop is sent
-_SHORTEST_WINDOW_S = 0.2  # controllers and gateways may tell the same reading twice
+_SHORTEST_WINDOW_S = 0.2  # controllers and gateways may repeat a reading
 _LATEST_START_S = 0.3  # that a drive may take to begin a motion, at least
-_STANDS = 0.5  # share of the way that was asked for, below which an axis stands
-_RATE_OFF = 0.25  # share of a steady rate by which all readings of it may differ from what the position tells
+_STANDS = 0.5  # share of the commanded way, below which an axis stands
+_RATE_OFF = 0.25  # share of a steady rate by which all its readings may differ from the positions
 _COUNTS = 2  # that a difference of two readings may be off
 
 
 class Course(NamedTuple):
-    """A trapezoid of rate that an axis was told to follow from ``sent_s`` on, by the loop's clock."""
+    """A trapezoid of rate that an axis was commanded to follow from ``sent_s`` on (loop time)."""
 
     sent_s: float
     duration_s: float
@@ -57,9 +57,9 @@ class Course(NamedTuple):
 
 
 class Commanded(NamedTuple):
-    """What an axis was told: to be between two angles, no faster than a rate, since an instant of the loop's clock.
+    """The command of an axis: to be between two angles, no faster than a rate, since an instant (loop time).
 
-    ``course`` is how it is to turn, None where the station has no plan of that.
+    ``course`` is the planned motion, None where there is no plan.
     """
 
     low_rad: float
@@ -74,20 +74,24 @@ class Commanded(NamedTuple):
 
 
 class UntrueReadings(DeviceFault):
-    """The readings of an axis contradict what it was told, or each other: whether it turns they do not tell."""
+    """The readings of an axis contradict its command or each other, so that they do not show whether it turns."""
 
 
 class MotionGuard:
-    """Looks at readings; one that cannot be is taken again before it is believed."""
+    """Checks readings against commands; a suspicious one is repeated before it is believed."""
 
     def __init__(self, table: Turntable, commanded: Callable[[str], Commanded]) -> None:
-        """``commanded`` says what an axis was told last."""
+        """``commanded`` returns the last command to an axis."""
         self._table, self._commanded = table, commanded
         self._noise_rps2 = dict.fromkeys(table.limits, 0.0)
         self._readings: dict[str, deque[AxisState]] = {axis: deque() for axis in table.limits}
 
     async def look(self, axis: str, first: AxisState) -> None:
-        """Look at a reading; DeviceFault if the axis does what it was not told, UntrueReadings if it seems to stand."""
+        """Check a reading of an axis, repeating it while it is suspicious.
+
+        DeviceFault if the axis has tripped or does something it was not commanded to do; UntrueReadings if its readings
+        contradict its command or each other.
+        """
         state = first
         for _ in range(_LOOKS - 1):
             if not self._off(axis, state) and not self._untrue(axis, state):
@@ -95,11 +99,11 @@ class MotionGuard:
             await asyncio.sleep(_AGAIN_S)
             state = await self._table.read(axis)
         if untrue := self._untrue(axis, state):
-            await check_axes(self._table, (axis,))  # an axis that has tripped stands, and says why
+            await check_axes(self._table, (axis,))  # an axis that has tripped stands, and has a reason
             raise UntrueReadings("table", untrue)
         if not self._off(axis, state):
             return
-        told = self._commanded(axis)
+        command = self._commanded(axis)
         turned_rad, took_s = state.angle_rad - first.angle_rad, (state.angle_t_ns - first.angle_t_ns) * 1e-9
         rate_dps = math.degrees(max(turned_rad / took_s, state.rate_rps, key=abs))
         does = f"turns at {rate_dps:.1f} deg/s"
@@ -108,31 +112,37 @@ class MotionGuard:
             does = f"reports a rate of {rate_dps:.1f} deg/s and a position that changed by {turned_deg:.2f} deg"
             does = f"{does} in {took_s:.2f} s: it turns, or its readings are frozen or wrong"
         if abs(rate_dps) < math.degrees(_RATE_RPS):
-            off_deg = math.degrees(told.off_rad(state.angle_rad))
+            off_deg = math.degrees(command.off_rad(state.angle_rad))
             does = f"stands {off_deg:+.2f} deg from where it should be (it was turned, or its encoder has jumped)"
-        raise DeviceFault("table", f"axis {axis} {does}; {_was_told(told)}")
+        raise DeviceFault("table", f"axis {axis} {does}; {_was_told(command)}")
 
     def _off(self, axis: str, state: AxisState) -> bool:
-        """Return whether a reading is none of an axis that does what it was told."""
-        told = self._commanded(axis)
-        # A mean rate says something of this command only if all that it is the mean of came after it.
-        if state.rate_t_ns - state.rate_window_ns // 2 >= told.since_s * 1e9:
+        """Return whether a reading is outside the commanded angles or rate; its noise and the time since the command
+        count.
+        """
+        command = self._commanded(axis)
+        # A mean rate is evidence on this command only if its whole interval came after it.
+        if state.rate_t_ns - state.rate_window_ns // 2 >= command.since_s * 1e9:
             noise_rps = math.sqrt(self._noise_rps2[axis])
-            if abs(state.rate_rps) > _RATE_SHARE * told.rate_rps + _RATE_RPS + _SIGMAS * noise_rps:
+            if abs(state.rate_rps) > _RATE_SHARE * command.rate_rps + _RATE_RPS + _SIGMAS * noise_rps:
                 return True
-            if not told.rate_rps:
+            if not command.rate_rps:
                 self._noise_rps2[axis] += _FORGET * (state.rate_rps**2 - self._noise_rps2[axis])
-        judged = state.angle_t_ns >= told.since_s * 1e9
-        return judged and abs(told.off_rad(state.angle_rad)) > _ANGLE_RAD + _LATE_S * told.rate_rps
+        judged = state.angle_t_ns >= command.since_s * 1e9
+        return judged and abs(command.off_rad(state.angle_rad)) > _ANGLE_RAD + _LATE_S * command.rate_rps
 
     def _untrue(self, axis: str, state: AxisState) -> str:
-        """Return in words how the readings of an axis contradict its course or each other, empty if they do not."""
-        told, limits = self._commanded(axis), self._table.limits[axis]
+        """Add a reading, and return in words how those of the last moments contradict the course or each other, "" if
+        not.
+
+        "", too, while the readings do not yet span the time needed to decide.
+        """
+        command, limits = self._commanded(axis), self._table.limits[axis]
         readings = self._readings[axis]
         if not readings or state.angle_t_ns > readings[-1].angle_t_ns:
             readings.append(state)
         until_s = state.angle_t_ns * 1e-9
-        late_s, window_s = _patience_s(told, limits)
+        late_s, window_s = _patience_s(command, limits)
         round_trips_s = 4 * state.half_width_ns * 1e-9
         mean_s = 2 * state.rate_window_ns * 1e-9  # two means, one after the other
         window_s = max(window_s - round_trips_s, _SHORTEST_WINDOW_S, mean_s)
@@ -143,13 +153,17 @@ class MotionGuard:
         if until_s - from_s < window_s:
             return ""
         way = _Way(tuple(readings), limits.resolution_rad)
-        for found in (self._stands(axis, told, late_s + round_trips_s, way), self._contradicts(axis, way)):
+        for found in (self._stands(axis, command, late_s + round_trips_s, way), self._contradicts(axis, way)):
             if found:
-                return f"axis {axis} {found}; {_was_told(told)}"
+                return f"axis {axis} {found}; {_was_told(command)}"
         return ""
 
     def _stands(self, axis: str, told: Commanded, late_s: float, way: "_Way") -> str:
-        """Return in words that an axis reads as if it stood, where it turns by its course even if it is so late."""
+        """Return in words that an axis reads as if it stood, or its rate is wrong, although its course turns it, even
+        if late.
+
+        "" if that is not so, or the course may be over.
+        """
         course = told.course
         if course is None or (course.may_be_over(way.until_s) and abs(way.angle_rad - course.target_rad) < _ANGLE_RAD):
             return ""
@@ -168,7 +182,7 @@ class MotionGuard:
         return ""
 
     def _rate_is_off(self, axis: str, course: Course, way: "_Way", least_rps: float) -> bool:
-        """Return whether an axis turns steadily and reports rates of which none is that of its position."""
+        """Return whether an axis turns at its full rate and none of its reported rates agrees with its position."""
         if least_rps < abs(course.rate_rps) or not way.rates_rps:
             return False
         mean_rps = way.turned_rad / way.took_s
@@ -177,7 +191,9 @@ class MotionGuard:
         return nearest_rps > _RATE_OFF * least_rps + _RATE_RPS + doubt_rps
 
     def _contradicts(self, axis: str, way: "_Way") -> str:
-        """Return in words that an axis reports a rate, and a position that stands; rates must all be of one sign."""
+        """Return in words that an axis reports a rate while its position stands, "" if not; rates must all have one
+        sign.
+        """
         least_rps = min(map(abs, way.rates_rps), default=0.0) - _SIGMAS * math.sqrt(self._noise_rps2[axis])
         if least_rps < _RATE_RPS or min(way.rates_rps) < 0.0 < max(way.rates_rps):
             return ""
@@ -187,9 +203,10 @@ class MotionGuard:
 
 
 class _Way:
-    """What the readings of one window tell, oldest first: there are at least two."""
+    """What the readings of one time window show; there are at least two, oldest first."""
 
     def __init__(self, readings: tuple[AxisState, ...], resolution_rad: float) -> None:
+        """Compute times, angle turned, length of the path, and the rates averaged entirely within the window."""
         first, last = readings[0], readings[-1]
         self._resolution_rad = resolution_rad
         self.from_s, self.until_s = first.angle_t_ns * 1e-9, last.angle_t_ns * 1e-9
@@ -205,7 +222,7 @@ class _Way:
         ]
 
     def doubt_rad(self, rate_rps: float) -> float:
-        """Return what the way may be off: by the counts, and by not knowing when within its round trip an angle was."""
+        """Return the uncertainty of the way: from the counts, and from the unknown instant within its round trip."""
         return _COUNTS * self._resolution_rad + rate_rps * 2 * self.half_width_s
 
     @property
@@ -223,10 +240,9 @@ class _Way:
 
 
 def _patience_s(told: Commanded, limits: AxisLimits) -> tuple[float, float]:
-    """Return how late an axis may begin to turn, and for how long it may then read as if it stood.
+    """Return how late (s) an axis may start to turn, and for how long (s) it may then read as if it stood.
 
-    Both together are as long as it still comes to rest in time: on a gentle ramp it takes longer to turn so fast that
-    it matters.
+    Together they leave enough time to bring it to rest: on a gentle ramp it takes longer until the rate matters.
     """
     to_see_s = AT_REST_S - _SEEN_S
     at_rate_s = to_see_s - told.rate_rps / limits.acceleration_rps2
@@ -243,7 +259,7 @@ def _was_told(told: Commanded) -> str:
 
 
 async def check_axes(table: Turntable, axes: tuple[str, ...]) -> None:
-    """See that every axis is in operation; DeviceFault if one is not."""
+    """Check that every axis is in operation; DeviceFault if one has a fault or is not enabled."""
     for axis in axes:
         status = await table.status(axis)
         if status.trouble:
@@ -253,7 +269,9 @@ async def check_axes(table: Turntable, axes: tuple[str, ...]) -> None:
 
 
 async def watch_homing(table: Turntable) -> None:
-    """Look at all axes until cancelled; DeviceFault if one turns that is not, or not any more, on its way home."""
+    """Check the readings of all axes until cancelled; DeviceFault if one turns that is not homing, or has
+    finished it.
+    """
     loop = asyncio.get_running_loop()
     homed_s = dict.fromkeys(table.limits, loop.time())
 

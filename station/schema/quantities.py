@@ -10,11 +10,14 @@ UNITS = {kind: tuple(units) for kind, units in packaged_toml("station.schema", "
 
 
 class QuantityError(ValueError):
-    """A text that is no such quantity; the message says what would be."""
+    """A text that is not a quantity of the kind wanted; the message says what would be."""
 
 
 def parse(text: object, kind: str) -> float:
-    """Return the SI value of a text such as "0.1 deg/s"; QuantityError for a wrong or missing unit."""
+    """Return the SI value of a text such as "0.1 deg/s" of this kind, such as "rate".
+
+    QuantityError for a wrong or missing unit, or a value that is not finite.
+    """
     units = UNITS[kind]
     example = f'"20 {units[0 if kind == "ratio" else min(1, len(units) - 1)]}"'
     known = ", ".join(units)
@@ -24,8 +27,8 @@ def parse(text: object, kind: str) -> float:
         raise QuantityError(f"{text!r} is not a number with a unit. Write for instance {example}")
     number, unit = found
     if unit not in units:
-        what = f"unit {unit!r} does not measure {kind}" if unit else "a unit is missing"
-        raise QuantityError(f"{text!r}: {what}; use one of {known}")
+        problem = f"unit {unit!r} does not measure {kind}" if unit else "a unit is missing"
+        raise QuantityError(f"{text!r}: {problem}; use one of {known}")
     value = number * unit_size(unit)[0]
     if not math.isfinite(value):
         raise QuantityError(f"{text!r} is too large a number")

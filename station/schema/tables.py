@@ -1,4 +1,4 @@
-"""TOML files that people write, read strictly by what the TOML files beside this module declare of their keys."""
+"""TOML files written by people, read strictly by the declarations of keys in the TOML files beside this module."""
 
 import math
 import re
@@ -32,34 +32,36 @@ def keys_of(section: str) -> tuple[Key, ...]:
 
 
 class Table(StrictTable):
-    """One table of a file that a person writes."""
+    """One table of a file written by a person."""
 
     def fail_at(self, message: str) -> Exception:
-        """Return an error of a message that begins with where it is in the file: "tone.1.size: ..."."""
-        where, _, what = message.partition(": ")
+        """Return the error for a message that begins with its place in the file: "tone.1.size: ..."."""
+        where, _, problem = message.partition(": ")
         *way, key = (int(part) if part.isdigit() else part for part in where.split("."))
         place = type(self)({}, tuple(way), self._text, self._file, self._error)
-        return place.fail(str(key), what)
+        return place.fail(str(key), problem)
 
     def read(
         self, section: str, folder: Path = Path(), *, each: int = 1, **made: Callable[[str, Path], Any]
     ) -> dict[str, Any]:
-        """Take the keys of a section, by the fields that they become; None for one that is left out and has no default.
+        """Return the values of a section's keys by field; None for one that is left out and has no default.
 
-        Paths count from ``folder``; ``each`` is how many values there are where each has its own. ``made`` makes
-        something else of some texts; what its ValueError says is told.
+        Paths count from ``folder``; ``each`` is the length of lists with one value for each. ``made`` has converters
+        (text, folder) by key, the message of whose ValueError is shown. The table's error for an invalid value.
         """
         keys = (replace(key, read=made.get(key.name)) for key in keys_of(section))
         return {key.field or key.name: self.option(key, folder, each) for key in keys}
 
     def read_all(self, section: str, folder: Path = Path(), **more: Any) -> dict[str, Any]:
-        """Take a section likewise, and complain of what else there is."""
+        """Take a section as ``read`` does, and raise the table's error for unknown keys."""
         found = self.read(section, folder, **more)
         self.done()
         return found
 
     def check(self, *sections: str) -> None:
-        """See that a table, and all within it, is as these sections declare it."""
+        """Check the table and all tables in it against the declarations of ``sections``; the table's error if one is
+        invalid.
+        """
         keys = {key.name: key for section in sections for key in keys_of(section)}
         for name in {**keys, **dict.fromkeys(self.remaining())}:
             if name != "*" and (key := keys.get(name) or keys.get("*")):
@@ -74,7 +76,9 @@ class Table(StrictTable):
         return {key.name: self.option(key, folder) for key in keys}
 
     def option(self, key: Key, folder: Path = Path(), each: int = 1) -> Any:
-        """Take one key as it is declared."""
+        """Return the value of one key as declared; None, or [] for tables, if it is left out. The table's error if
+        invalid.
+        """
         if not self.has(key.name) and key.default is None and not key.required:
             return [] if key.kind == "tables" else None
         if key.kind == "table":
@@ -93,7 +97,9 @@ class Table(StrictTable):
 
 
 def known_in(known: Registry[T]) -> Callable[[str, Path], T]:
-    """Return what makes of the name of a record the record; its ValueError tells which there are, and the nearest."""
+    """Return a converter from the name of a record to the record; its ValueError lists the known names and the
+    nearest.
+    """
 
     def record(name: str, _: Path) -> T:
         try:
@@ -105,7 +111,7 @@ def known_in(known: Registry[T]) -> Callable[[str, Path], T]:
 
 
 def _value(key: Key, value: object, folder: Path, each: int) -> Any:
-    """Return what a key says; ValueError for what it cannot say."""
+    """Return the value of a key, converted by its kind; ValueError if it is invalid."""
     if key.each:
         values = value if isinstance(value, list) else [value] * each
         if len(values) != each:
@@ -141,7 +147,9 @@ def _value(key: Key, value: object, folder: Path, each: int) -> Any:
 
 
 def _texts(key: Key, value: object) -> tuple[str, ...]:
-    """Return a list of texts, or one, which are all different where they are of a few."""
+    """Return a list of texts, or a single text, as a tuple; ValueError if invalid. Texts of a fixed choice must
+    differ.
+    """
     listed = value if isinstance(value, list) else [value]
     if not listed or not all(isinstance(one, str) for one in listed):
         raise ValueError(key.told.format(value) or f'{value!r}: write names, ["a", "b", "c"]')
@@ -151,7 +159,7 @@ def _texts(key: Key, value: object) -> tuple[str, ...]:
 
 
 def _number(key: Key, value: object) -> float:
-    """Return a number within its bounds, in SI if it has a unit."""
+    """Return a number within the key's bounds, in SI if it has a unit; ValueError if it is invalid."""
     number: float
     if key.kind == "integer":
         number = int(typed(value, (int,), "a whole number"))
@@ -176,7 +184,7 @@ def _within(key: Key, number: float) -> bool:
 
 
 def link_of(value: object) -> str:
-    """Return a link; ValueError if it is no text, or its host or port cannot be told."""
+    """Return a link; ValueError if it is not a text, or its scheme, host or port is invalid."""
     link = str(typed(value, (str,), "a text"))
     try:
         url = urlsplit(link)

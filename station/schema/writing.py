@@ -1,4 +1,4 @@
-"""Files that people will edit, written with what is declared of their keys as comments."""
+"""Files for people to edit, written with the declarations of their keys as comments."""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
@@ -19,10 +19,10 @@ def lines_of(
     *,
     more: Iterable[Key] = (),
 ) -> Iterator[str]:
-    """Yield the lines of a table with these sections, and the keys ``more``, whose values are those of TOML.
+    """Yield the lines of a TOML table with these sections and the keys ``more``; values in ``data`` are TOML values.
 
-    A key that is left out is shown behind a # if it has an example, a table if it must not be there. ``docs`` are
-    comments in place of those that are declared, by path: "table.link", or "imu.array.rate" of the device of a name.
+    A key that is left out is written as a comment if it has an example, and so is an optional table. ``docs`` are
+    comments that replace the declared ones, by path: "table.link", or "imu.array.rate" for the device "array".
     """
     keys = {key.name: key for key in (*(key for section in sections for key in keys_of(section)), *more)}
     inner = {own: value for own, value in data.items() if isinstance(value, dict) or (not path and _tables(value))}

@@ -35,12 +35,12 @@ from station.screen.memory import REMEMBERED, Remembered, load_remembered, save_
 from station.screen.sessions.link import SessionLink, sessions_on, sessions_there, stop_session
 from station.screen.sessions.live_run import LiveRun, Stage
 from station.screen.sessions.programs import SessionProcess
-from station.screen.sessions.tray import NO_RESULT, RUNNING, WAITING, Spot, Tray
-from station.screen.tabs.giving_out import offered
+from station.screen.sessions.tray import NO_RESULT, RUNNING, WAITING, Tray, TrayItem
 from station.screen.tabs.history import HistoryScreen
 from station.screen.tabs.manual import begin_manual
 from station.screen.tabs.prepare import PrepareScreen
 from station.screen.tabs.prospects import Prospect
+from station.screen.tabs.recording_actions import offered
 from station.screen.tabs.result import ResultScreen
 from station.screen.tabs.run import RunScreen
 from station.screen.tabs.tray import MountDialog, TrayScreen
@@ -54,7 +54,7 @@ _STOP_KEYS = (STOP_KEY, "ctrl+c")
 
 
 class _StopFirst(Driver):
-    """Tells STOP where keys are read, in a thread of its own: the app may be waiting, for a terminal or a disk."""
+    """A driver that sends STOP in the thread that reads keys, as the app may be waiting for a terminal or a disk."""
 
     def process_message(self, message: Message) -> None:
         if isinstance(message, events.Key) and message.key in _STOP_KEYS:
@@ -77,12 +77,12 @@ class StationApp(App[None]):
     ]
 
     def __init__(self, choices: Choices, *, attach: bool = False) -> None:
-        """``attach``: begin with a session that runs."""
+        """Load what was entered last and combine it with ``choices``; ``attach``: begin with a running session."""
         if attach:
             self.DEFAULT_MODE = "run"
         super().__init__()
         self.remembered: Remembered = load_remembered()
-        self.register_theme(Theme(**packaged_toml("station.screen", "themes.toml")))  # beside those of textual
+        self.register_theme(Theme(**packaged_toml("station.screen", "themes.toml")))  # in addition to those of textual
         self.theme = self.remembered.theme if self.remembered.theme in self.available_themes else self.theme
         entered = {key: getattr(choices, key) or getattr(self.remembered, key) for key in REMEMBERED}
         self.choices = replace(choices, **entered)
@@ -106,7 +106,7 @@ class StationApp(App[None]):
 
     @property
     def tray(self) -> Tray:
-        """The tray of the bench that is chosen, as it is kept: another screen may have changed it."""
+        """The stored tray of the chosen bench: another screen may have changed it."""
         return Tray(whole(self.choices.bench))
 
     async def on_event(self, event: events.Event) -> None:
@@ -128,44 +128,45 @@ class StationApp(App[None]):
         self.work(self._find_sessions, "sessions")
 
     async def on_unmount(self) -> None:
-        """Hang up; a session goes on."""
+        """Close the connection; a session continues."""
         if self._link is not None:
             self._link.close()
         await self.archive.close()
 
     def action_stop(self) -> None:
-        """Bring the table to rest, now: nothing is asked and nothing is waited for.
+        """Bring the table to rest at once, without any question.
 
-        The session that is shown; a session that is about to be started; if none is shown, all that run.
+        Stops the session that is shown, or one about to be started; if none is shown, all running sessions.
         """
-        told, self._told_by_key = self._told_by_key, False
+        sent, self._told_by_key = self._told_by_key, False
         mounted, self.mounted = self.mounted, False
         if self.workers.cancel_group(self, "start") or mounted:
             self.notify("the run was not started", title="STOP", severity="warning")
         if self._link is not None and self.busy:
-            if not (told or self._link.stop()):
+            if not (sent or self._link.stop()):
                 self.notify("the session cannot be reached: use the emergency stop of the table", severity="error")
         elif self.shown is None:
             self.work(self._stop_all, "sessions")
         self.show_stop()
 
     def stop_from_thread(self) -> None:
-        """Tell the session that is shown to stop, from the thread that reads keys; ``action_stop`` does the rest."""
+        """Send STOP to the session that is shown, from the thread that reads keys; ``action_stop`` does the rest."""
         link = self._link
         if link is not None and self.busy:
             self._told_by_key = link.stop()
 
     async def _stop_all(self) -> None:
+        """Stop all running sessions, and show the first."""
         sockets = await asyncio.to_thread(running_sessions)
         if sockets:
             run = LiveRun()
             run.ask_to_stop()
-            self._follow(run, socket=sockets[0])  # which tells it, and shows how it comes to rest
+            self._follow(run, socket=sockets[0])  # which sends STOP, and shows how it comes to rest
             await asyncio.gather(*map(stop_session, sockets[1:]))
             self.notify(f"{len(sockets)} told to stop", title="STOP", severity="warning")
 
     def action_help(self) -> None:
-        """Show all keys of the screen, in groups, from the tables of keys."""
+        """Show all keys of the screen, in groups; nothing if a dialog is on top."""
         screen = self.screen
         if not isinstance(screen, StationScreen):
             return
@@ -180,7 +181,7 @@ class StationApp(App[None]):
         self.push_screen(HelpDialog(groups))
 
     def get_system_commands(self, screen: Screen[Any]) -> Iterable[SystemCommand]:
-        """Offer what can be made of the recording on the screen, and what textual offers; keys are told by F1."""
+        """Yield the palette's commands: actions on the recording shown, manual mode, and textual's except "Keys"."""
         if isinstance(screen, StationScreen) and screen.recording is not None:
             yield from offered(self, screen.recording)
         if isinstance(screen, StationScreen):
@@ -190,7 +191,7 @@ class StationApp(App[None]):
         yield from (command for command in super().get_system_commands(screen) if command.title != "Keys")
 
     async def action_quit(self) -> None:
-        """Leave; if a session runs, ask what is to become of it. A question is left first, also a form."""
+        """Leave the screen; if a session runs, ask what to do with it. An open dialog is closed instead."""
         if isinstance(self.screen, StationDialog):
             self.screen.dismiss(None)
             return
@@ -209,21 +210,22 @@ class StationApp(App[None]):
             self.exit()
 
     def start_run(self, prospect: Prospect) -> None:
-        """Start a session with what was chosen on a bench, keep what was entered, and show the session."""
+        """Start a session with the chosen bench and script, store the entries, and show the session."""
         self._remember()
         self.work(partial(self._start, prospect), "start")
 
     async def _start(self, prospect: Prospect) -> None:
+        """Start and follow a session for the prepared run; say so if one runs on this bench already, or if it fails."""
         others = await sessions_on(prospect.bench, self.choices.bench)
         if self.busy or others:
-            said = f"process {others[0]}" if others else "it is on F3"
-            self.notify(f"a session is already running on this bench: {said}", title="Not started", severity="error")
+            session = f"process {others[0]}" if others else "it is on F3"
+            self.notify(f"a session is already running on this bench: {session}", title="Not started", severity="error")
             return
         choices = self.choices.by_hand(prospect.all_twins) if prospect.manual else self.choices
         recording = await asyncio.to_thread(lambda: choices.new_recording().absolute())
         scale = choices.scale or (twin_scale(load_by_processor()) if prospect.all_twins else None)
         if not prospect.manual:
-            spot = Spot(choices.serial, whole(choices.script))
+            spot = TrayItem(choices.serial, whole(choices.script))
             self.tray.change(spot, state=RUNNING, recording=str(recording.resolve()))
         try:
             process = SessionProcess(choices.run_arguments(recording, scale))
@@ -234,12 +236,12 @@ class StationApp(App[None]):
         self._follow(LiveRun(recording, choices.script), process=process)
 
     def pause_run(self) -> None:
-        """Hold the run after the step under way, or let it go on."""
+        """Pause the run after the current step, or resume it."""
         if self._link is not None and self.busy:
             self._link.pause()
 
     def drive(self, action: str, **given: str | float) -> None:
-        """Say a word of manual mode to the session that is shown."""
+        """Send a command of manual mode to the session that is shown."""
         if self._link is not None and self.busy:
             self._link.drive(action, **given)
 
@@ -263,7 +265,7 @@ class StationApp(App[None]):
         save_remembered(self.remembered)
 
     def prepare(self, script: str | None) -> None:
-        """Show the preparation, with another script if one is given."""
+        """Show the preparation, with another script unless ``script`` is None."""
         if script is not None:
             self.choices = replace(self.choices, script=script)
         if self.current_mode == "prepare":
@@ -278,8 +280,8 @@ class StationApp(App[None]):
             question = templated("mount.rich", {"spot": spot, "scanned": scanned}).plain
             self.push_screen(MountDialog(question, begun=spot.serial), partial(self._mount, spot))
 
-    def _mount(self, spot: Spot, serial: str | None) -> None:
-        """Prepare the run of a device that is mounted, which then starts by itself."""
+    def _mount(self, spot: TrayItem, serial: str | None) -> None:
+        """Prepare the run of a mounted device, which then starts by itself; None cancels, another number asks again."""
         if serial == spot.serial:
             self.mounted = True
             self.choices = replace(self.choices, serial=serial)
@@ -295,6 +297,7 @@ class StationApp(App[None]):
         self.work(self._choose, "sessions")
 
     async def _find_sessions(self) -> None:
+        """Offer running sessions at the start; with --attach show the only one, or the preparation if there is none."""
         if not self._begins_attached:
             if not self._is_small:
                 await self._choose(quiet=True)
@@ -309,6 +312,7 @@ class StationApp(App[None]):
             self.switch_mode("prepare")
 
     async def _choose(self, *, quiet: bool = False) -> None:
+        """Offer a list of running sessions; ``quiet``: only if there are any and none is shown."""
         found = await sessions_there()
         self.others = len(found)
         if found and not (quiet and self.busy):
@@ -335,9 +339,9 @@ class StationApp(App[None]):
             self._follow(LiveRun(), socket=Path(socket))
 
     def work(self, what: Callable[[], Coroutine[Any, Any, None]], group: str) -> None:
-        """Do something beside the screens, instead of what its group was at.
+        """Run ``what`` in the background, cancelling earlier work of the same group.
 
-        A defect in it must not take STOP away, so it is only told.
+        An exception in it is only reported, so that STOP stays available.
         """
 
         async def guarded() -> None:
@@ -351,16 +355,18 @@ class StationApp(App[None]):
         self.run_worker(worker, group=group, exclusive=True)
 
     def _follow(self, run: LiveRun, *, process: SessionProcess | None = None, socket: Path | None = None) -> None:
+        """Show a session, by its process or its socket, and follow its messages; an earlier one is let go."""
         if self._link is not None:
             self._link.close()
         self.shown = run
         self._link = SessionLink(run, process=process, socket=socket)
         self.switch_mode("run")
-        # What is there by now stays: without looking it through again and again nothing holds STOP up for long.
+        # Present objects stay: without examining them again and again nothing delays STOP for long.
         self.set_timer(_SETTLED_S, gc.freeze)
         self.work(partial(self._link.follow, self._changed), "session")
 
     def _changed(self) -> None:
+        """Update the screen after a change of the session; if it ended, update the tray, show the result, or leave."""
         run = self.shown
         self._tick()
         if run is None or run.stage is not Stage.ENDED:
@@ -380,11 +386,11 @@ class StationApp(App[None]):
                 self.action_next_on_tray()
 
     async def _look_into(self, run: LiveRun, recording: Path) -> None:
-        """Add what the recording says of a session that has gone without a word."""
+        """Complete the state of a session that ended without a message from its recording."""
         entry = (await self.archive.read(recording)).entry
         self.tray.end(recording, entry.texts.get("outcome") or NO_RESULT)
-        said = entry.wrong or f"{entry.texts.get('outcome', '')}  {entry.texts.get('reason', '')}"
-        run.trouble = f"{run.trouble}. Its recording: {said}"
+        reason = entry.wrong or f"{entry.texts.get('outcome', '')}  {entry.texts.get('reason', '')}"
+        run.trouble = f"{run.trouble}. Its recording: {reason}"
 
     def take_recording(self) -> tuple[Path, bool] | None:
         """Return the recording that is to be shown and was not yet, and whether it is of a run that has just ended."""
@@ -392,6 +398,7 @@ class StationApp(App[None]):
         return found
 
     def _tick(self) -> None:
+        """Update STOP, report refusals of the session, and update the screens, also those below a dialog."""
         self.show_stop()
         while self.shown is not None and self.shown.refusals:
             self.clear_notifications()  # a key that is held is refused again and again
@@ -402,22 +409,22 @@ class StationApp(App[None]):
                     screen.tick()
 
     def show_stop(self) -> None:
-        """Show at the bottom what the run does; if it is settled, what belongs to the recording on the screen."""
+        """Show the run's state in the bars; if the run is settled, a line on the recording that is shown."""
         with suppress(ScreenStackError):
             below = next((screen for screen in self.screen_stack if isinstance(screen, StationScreen)), None)
-            run, said = self.shown, ""
+            run, line = self.shown, ""
             if below is not None and (run is None or run.settled):
-                said = below.said_of_recording
+                line = below.said_of_recording
                 if run is not None and not below.shows(run.recording):
-                    run = None  # what has ended is not what is looked at
+                    run = None  # a run that has ended is not shown
             for bar in (bar for screen in self.screen_stack for bar in screen.query(StopBar)):
-                bar.show(run, self.others, said)
+                bar.show(run, self.others, line)
             if below is not None and below.small:
                 for small in below.query(Small):  # none before it is laid out
-                    small.show_run(run, said)
+                    small.show_run(run, line)
 
     def _watch_terminal(self) -> None:
-        """End when nobody is at the other end: a server of the screen that was killed says nothing."""
+        """End the process if the terminal is gone: a killed server of the screen sends no message."""
         if self.is_headless or not _hung_up(sys.__stdin__):
             return
         os._exit(0)
@@ -430,10 +437,11 @@ def _session_words(path: Path, hello: Mapping[str, object]) -> str:
 
 
 def _hung_up(stream: TextIO | None) -> bool:
+    """Return whether the far end of a stream is gone, or the stream is closed."""
     poll = select.poll()
     try:
         if stream is not None:
-            poll.register(stream, 0)  # for what is told unasked: gone, broken, closed
+            poll.register(stream, 0)  # for events that are always reported: gone, broken, closed
     except (OSError, ValueError):
         return True
     return bool(poll.poll(0))

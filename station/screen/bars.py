@@ -1,4 +1,4 @@
-"""What every screen has: the row of screens on top, STOP at the bottom, and what stays where there is little room."""
+"""Parts of every screen: the row of screens on top, STOP at the bottom, and the layout for small terminals."""
 
 import math
 from typing import cast
@@ -11,7 +11,7 @@ from textual.widgets import Static
 
 from station.errors import sentence
 from station.render.template import rendered
-from station.screen.seen_app import SeenApp
+from station.screen.app_protocol import SeenApp
 from station.screen.sessions.live_run import LiveRun
 from station.views.figures import OUTCOME_STYLES, clock_between, number
 
@@ -24,16 +24,16 @@ SCREENS = tuple((name.lower(), key, name) for key, name in _NAMES.items())
 
 
 class Lines(Static):
-    """Text of a fixed height whose updates cost no layout, and nothing at all if nothing changed."""
+    """Text of a fixed height; updates cost no layout, and nothing if the text is the same."""
 
     def __init__(self, *, id: str | None = None, classes: str | None = None) -> None:
-        """Begin empty; text is shown as it is, brackets too."""
+        """Begin empty; text is shown literally, including brackets."""
         super().__init__("", id=id, classes=classes, markup=False)
         self._shown: object = ""
         self._height = 0
 
     def show(self, text: object, lines: int) -> None:
-        """Show a text (str or rich Text) of so many lines."""
+        """Show a text (str or rich Text) of ``lines`` lines; nothing is done if it is shown already."""
         if text == self._shown:
             return
         self._shown = text
@@ -43,19 +43,21 @@ class Lines(Static):
 
 
 class TopBar(Static):
-    """The screens by name, the one that is shown marked; a click changes to another."""
+    """The names of the screens, the present one marked; a click changes to another."""
 
     def __init__(self, mode: str) -> None:
         """``mode`` is the screen's own."""
         names = [
-            f"[bold reverse] {key} {name} [/]" if mode == its else f"[@click=app.switch_mode('{its}')] {key} {name} [/]"
-            for its, key, name in SCREENS
+            f"[bold reverse] {key} {name} [/]"
+            if mode == screen_name
+            else f"[@click=app.switch_mode('{screen_name}')] {key} {name} [/]"
+            for screen_name, key, name in SCREENS
         ]
         super().__init__(" ".join(names) + "   [dim]Ctrl+Q quits[/]", id="top")
 
 
 class StopBar(Widget):
-    """STOP, with its key, and what the run is doing: red while a table may move. The whole bar is the button."""
+    """STOP with its key, and the state of the run; red while a table may move. The whole bar is the button."""
 
     def __init__(self) -> None:
         super().__init__(id="stop-bar")
@@ -66,7 +68,7 @@ class StopBar(Widget):
         cast(SeenApp, self.app).show_stop()
 
     def show(self, run: LiveRun | None, others: int, said: str = "") -> None:
-        """Show a run's state; if none is shown, how many ``others`` there are, or what is ``said`` of a recording."""
+        """Show the state of a run; without one the number of ``others``, or the text ``said`` about a recording."""
         values = {"run": run, "others": others, "said": said, "stop": STOP_WORDS, "silence_s": SILENCE_S}
         line = rendered("station.screen", "stop.txt", {**values, "clock_between": clock_between})
         kind, _, text = line.strip("\n").partition(" ")
@@ -81,13 +83,13 @@ class StopBar(Widget):
         return self._text.replace("[", r"\[")
 
     def on_mouse_down(self, event: events.MouseDown) -> None:
-        """Stop when the button goes down: nobody waits for it to come up."""
+        """Stop as soon as the button goes down."""
         event.stop()
         cast(SeenApp, self.app).action_stop()
 
 
 class Small(Lines):
-    """The run in a few lines, for a telephone or a small terminal: verdict, step, time left; in place of the rest."""
+    """The run in a few lines, shown instead of the rest on a telephone or small terminal: verdict, step, time left."""
 
     def __init__(self, least: tuple[int, int]) -> None:
         """``least`` are the columns and rows that the screens need."""
@@ -95,13 +97,16 @@ class Small(Lines):
         self._needs = sentence("screen.too_small", width=least[0], height=least[1])
 
     def show_run(self, run: LiveRun | None, said: str) -> None:
-        """Show a run, or if there is none what is ``said`` of the recording that is chosen."""
+        """Show a run, or without one the text ``said`` on the chosen recording."""
         lines = Text("\n").join([*_lines(run, said), Text(), Text(self._needs, style="dim")])
         self.show(lines, len(lines.split()))
 
 
 def _lines(run: LiveRun | None, said: str) -> list[Text]:
-    """Return what is most wanted to be known of a run, most of all first."""
+    """Return lines about a run, the most important first; one line on the outcome once it has ended.
+
+    Without a run the line is ``said``, or that no session runs; "starting" before the first snapshot.
+    """
     if run is None:
         return [Text(said or "no session runs", style="bold")]
     if run.outcome:

@@ -1,4 +1,4 @@
-"""The frame of the screens: what a terminal that is too small shows, where STOP is, how a tick gets there."""
+"""The frame of the screens: the view for terminals that are too small, the place of STOP, the ticks."""
 
 from pathlib import Path
 from typing import Any, ClassVar, cast
@@ -10,8 +10,8 @@ from textual.containers import VerticalScroll
 from textual.screen import Screen
 from textual.widgets import Footer, Input
 
+from station.screen.app_protocol import SeenApp
 from station.screen.bars import Small, StopBar, TopBar
-from station.screen.seen_app import SeenApp
 
 LEAST_WIDTH, LEAST_HEIGHT = 80, 24
 _TALL, _LARGE = 34, (200, 52)
@@ -22,12 +22,12 @@ def keys_of(kind: type) -> list[Binding]:
     tables = [base.__dict__.get("BINDINGS", ()) for base in kind.__mro__ if base.__module__.startswith("station.")]
     found: dict[str, Binding] = {}
     for key in Binding.make_bindings(key for table in tables for key in table):
-        found.setdefault(key.key, key)  # a base comes after what overrides it
+        found.setdefault(key.key, key)  # base classes come after the classes that override them
     return [key for key in found.values() if key.description]
 
 
 class StationScreen(Screen[None]):
-    """One of the screens: a row of names, what it has to say, keys, STOP."""
+    """One of the screens: a row of names, its content, keys, STOP."""
 
     MODE: ClassVar[str] = ""
     WIDE: ClassVar[int] = 120
@@ -40,7 +40,7 @@ class StationScreen(Screen[None]):
     """The recording that is shown, or chosen."""
 
     def compose(self) -> ComposeResult:
-        """Lay out the frame; ``body`` is the screen's own."""
+        """Lay out the frame around the screen's own ``body``."""
         yield TopBar(self.MODE)
         with VerticalScroll(id="body"):
             yield from self.body()
@@ -50,30 +50,30 @@ class StationScreen(Screen[None]):
         yield StopBar()
 
     def body(self) -> ComposeResult:
-        """Yield what is between the bars and scrolls."""
+        """Yield the widgets between the bars, which scroll."""
         yield from ()
 
     def row_below(self) -> ComposeResult:
-        """Yield what stays in sight below the body."""
+        """Yield the widgets that stay in sight below the body."""
         yield from ()
 
     def tick(self) -> None:
-        """Show what has changed; called ten times a second while the screen is in sight."""
+        """Show changes; called ten times a second while the screen is in sight."""
 
     def redraw(self) -> None:
-        """Draw what depends on the room there is, and on the gyro that is shown."""
+        """Draw again what depends on the size of the screen and on the gyro shown."""
 
     @property
     def said_of_recording(self) -> str:
-        """What the bar at the bottom says of the recording that is shown; empty if there is nothing to say."""
+        """Text of the bottom bar on the recording that is shown; empty for none."""
         return ""
 
     def shows(self, recording: Path | None) -> bool:
-        """Return whether the run of a recording is what this screen shows."""
+        """Return whether this screen shows the run of a recording."""
         return self.recording is None or (recording is not None and self.recording.absolute() == recording.absolute())
 
     def keys(self) -> list[Binding]:
-        """Return the keys of this screen that do something now."""
+        """Return the keys of this screen that have an effect now."""
         found = []
         for key in keys_of(type(self)):
             name, _, _ = key.action.partition("(")
@@ -87,7 +87,7 @@ class StationScreen(Screen[None]):
         return [key for kind in kinds for key in keys_of(kind)]
 
     def action_chart(self) -> None:
-        """Give the next chart the focus."""
+        """Focus the next chart."""
         self.focus_next("Chart")
 
     def action_gyro(self, step: int) -> None:
@@ -97,7 +97,7 @@ class StationScreen(Screen[None]):
 
     @property
     def station(self) -> SeenApp:
-        """The app, as what it is."""
+        """The app, with its own type."""
         return cast(SeenApp, self.app)
 
     @property
@@ -115,7 +115,7 @@ class StationScreen(Screen[None]):
 
 
 class Field(Input):
-    """A line of input, one row high, whose cursor stands still: nothing but news is to move on these screens."""
+    """A one-line input field whose cursor does not blink: only news should move on these screens."""
 
     def __init__(self, **options: Any) -> None:
         """``options`` are those of ``Input``."""

@@ -1,4 +1,4 @@
-"""One chart, drawn by textual-plot. It loads numpy: import it where nobody waits for a picture."""
+"""One chart, drawn by textual-plot. It loads numpy: import it only where nobody waits for a picture."""
 
 import math
 from bisect import bisect_left, bisect_right
@@ -28,7 +28,7 @@ _LABEL_WIDTH, _TICK_WIDTH, _MARGIN, _DIAL_REACH = 9, 6, 0.06, 1.08
 
 
 class _Canvas(Canvas):
-    """A canvas whose lines always have a style: those without one end the app where colours are taken away."""
+    """A canvas whose lines always have a style: lines without one end the app where colours are switched off."""
 
     def refresh(self, *regions: Region, repaint: bool = True, layout: bool = False, recompose: bool = False) -> Self:
         """Ask once for all dots: each that is set asks for the whole canvas to be painted."""
@@ -42,7 +42,7 @@ class _Canvas(Canvas):
 
 
 class _Ticks(NumericAxisFormatter):
-    """As many ticks as there is room for, with the digits that they need; a unit stands at the first of them."""
+    """Axis ticks as room permits, with as many digits as needed; the unit stands at the first."""
 
     room, unit = 1, ""
     began_utc_s: float | None = None
@@ -54,6 +54,9 @@ class _Ticks(NumericAxisFormatter):
         return ticks[min(range(len(ticks)), key=lambda at: abs(ticks[at]), default=0) % step :: step]
 
     def get_labels_for_ticks(self, ticks: Sequence[float]) -> list[str]:
+        """Return the labels of ticks: dates or times of day if the axis has a begin, else numbers; repeated dates are
+        empty.
+        """
         if self.began_utc_s is not None:
             dates = [datetime.fromtimestamp(self.began_utc_s + tick * _DAY_S) for tick in ticks]
             span_days = ticks[-1] - ticks[0] if ticks else 0.0
@@ -65,7 +68,7 @@ class _Ticks(NumericAxisFormatter):
 
 
 class Chart(PlotWidget, inherit_bindings=False):
-    """A chart with a title; focused, it goes back and forth in time, and takes a shorter or a longer time."""
+    """A chart with a title; when focused, keys move and scale its time window."""
 
     COMPONENT_CLASSES: ClassVar[set[str]] = {
         f"chart--{style}" for style in ("line", "band", "limit", "mark", "first", "second", "third")
@@ -81,7 +84,7 @@ class Chart(PlotWidget, inherit_bindings=False):
     KEYBOARD_ZOOM_FACTOR = 0.5
 
     def __init__(self, draw: Callable[[], None], name: str) -> None:
-        """``draw`` has this chart drawn: it gets its size late, in a part that is scrolled to."""
+        """``draw`` draws this chart; it is called on a resize, as a chart out of sight gets its size late."""
         super().__init__(classes=name)
         self._draw_again = draw
         self._x_formatter, self._y_formatter = self._over, self._along = _Ticks(), _Ticks()
@@ -90,7 +93,7 @@ class Chart(PlotWidget, inherit_bindings=False):
         self.set_reactive(PlotWidget.margin_left, 0 if name in DIALS else _LABEL_WIDTH)
 
     def on_resize(self) -> None:
-        """Draw anew once the size is there."""
+        """Draw again once the size is known."""
         self.call_after_refresh(self._draw_again)
 
     def action_enlarge(self) -> None:
@@ -101,14 +104,14 @@ class Chart(PlotWidget, inherit_bindings=False):
             self.screen.maximize(self, container=False)
 
     def compose(self) -> ComposeResult:
-        """Lay out what ``PlotWidget`` draws on."""
+        """Lay out the parts that ``PlotWidget`` draws on."""
         with Grid():
             for name in ("margin-top", "margin-left", "plot", "margin-bottom"):
                 yield _Canvas(1, 1, id=name)
         yield Legend(id="legend")
 
     def show(self, drawing: Drawing, window: tuple[float, float] | None) -> None:
-        """Show a drawing, all of its time or a window of it; its title has the words that there is room for."""
+        """Show a drawing, for all of its time or for ``window``; the title has as many words as fit."""
         time = window or (drawing.span[0], max(drawing.span[1], drawing.span[0] + 1.0))
         low, high = (-math.inf, math.inf) if drawing.dial else time
         cells = max(self.size.width - _LABEL_WIDTH, _TICK_WIDTH)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, cast
 from textual.binding import Binding
 from textual.containers import Grid
 
+from station.screen.app_protocol import SeenApp
 from station.screen.drawings import Drawing
-from station.screen.seen_app import SeenApp
 
 if TYPE_CHECKING:
     from station.screen.chart import Chart
@@ -21,7 +21,7 @@ _TICKS = 3
 
 
 class Charts(Grid):
-    """Charts by name, drawn by a function that returns what each is to show; None while there is nothing."""
+    """Charts by name. A function returns the drawing of each, None while there is nothing to show."""
 
     BINDINGS = [Binding("0", "show_all", "All of the time", show=False)]  # noqa: RUF012
 
@@ -33,7 +33,7 @@ class Charts(Grid):
         self._window: tuple[float, float] | None = None
 
     def on_show(self) -> None:
-        """Bring the charts once the first picture is out: what draws them takes a while to load."""
+        """Load the charts after the first picture, as their libraries take a while to load."""
         self.call_after_refresh(lambda: cast(SeenApp, self.app).work(self._bring, f"charts {id(self)}"))
 
     async def _bring(self) -> None:
@@ -47,6 +47,7 @@ class Charts(Grid):
             self.call_after_refresh(lambda: cast(SeenApp, self.app).work(self._mount_missing, f"more {id(self)}"))
 
     async def _mount_missing(self) -> None:
+        """Create the charts that have a name but no widget yet; their library is loaded in a thread."""
         kind = (await asyncio.to_thread(import_module, "station.screen.chart")).Chart
         missing = range(len(self._charts), len(self._names))
         if not self.is_attached or not missing:
@@ -58,7 +59,9 @@ class Charts(Grid):
         self.draw()
 
     def on_resize(self) -> None:
-        """Choose the columns that leave each chart the most room; if that is too little for all, show one."""
+        """Choose the number of columns that gives each chart the most room; if they do not all fit, show one at a
+        time.
+        """
         count, size = sum(chart.display for chart in self._charts) or len(self._names), self.size
         room = {n: min(size.width / n / _WIDE_TO_HIGH, size.height / -(-count // n)) for n in range(1, count + 1)}
         across = max(room, key=room.__getitem__)
@@ -67,7 +70,7 @@ class Charts(Grid):
         self.styles.grid_rows = "1fr" if fits else "100%"
 
     def draw(self, only: int | None = None) -> None:
-        """Draw all charts, or one of them."""
+        """Draw all charts, or number ``only``; charts out of sight are skipped, those without a drawing hidden."""
         for at, chart in enumerate(self._charts):
             if only not in (None, at):
                 continue
@@ -86,7 +89,7 @@ class Charts(Grid):
             self.draw(seen[self._turn // _TICKS])
 
     def _in_sight(self, chart: "Chart") -> bool:
-        """Return whether any of a chart is within what this part is scrolled to, or it has all the room."""
+        """Return whether any part of a chart is visible, or the chart is maximized."""
         top = chart.virtual_region.y - self.scroll_offset.y
         return chart.is_maximized or -chart.size.height < top < self.size.height
 
@@ -96,6 +99,6 @@ class Charts(Grid):
         self.draw()
 
     def action_show_all(self) -> None:
-        """Show all of the time, and what comes."""
+        """Show the whole time range, including what comes."""
         self._window = None
         self.draw()

@@ -1,4 +1,4 @@
-"""What the operator chose: bench, script, folder, and what else goes to the commands."""
+"""The operator's choices: bench, script, folder, and further options of the commands."""
 
 import os
 from dataclasses import dataclass, replace
@@ -17,7 +17,7 @@ def twin_scale(load: float) -> float:
 
 
 def load_by_processor() -> float:
-    """Return the load of the last minute by processor, 0 where the system does not tell it."""
+    """Return the load of the last minute by processor, 0 if the system does not tell it."""
     try:
         return os.getloadavg()[0] / (os.cpu_count() or 1)
     except (AttributeError, OSError):
@@ -26,9 +26,9 @@ def load_by_processor() -> float:
 
 @dataclass(frozen=True, slots=True)
 class Choices:
-    """What a run is started with. Empty texts are the built-in bench and the 360 s script.
+    """The options a run is started with. Empty texts stand for the built-in bench and the 360 s script.
 
-    ``device_options`` go to every command that opens or plans for devices, ``run_options`` to the run only.
+    ``device_options`` are for every command that opens or plans for devices, ``run_options`` for the run only.
     """
 
     bench: str = ""
@@ -52,7 +52,7 @@ class Choices:
         return ["plan", "--json", *_given(self.script), *bench, *self.device_options]
 
     def run_arguments(self, recording: Path, scale: float | None) -> list[str]:
-        """Return the arguments of the run that is to be watched."""
+        """Return the command line of a hosted run into ``recording``; ``scale`` None leaves it out."""
         given = {
             "--bench": self.bench,
             "--script": self.script,
@@ -66,7 +66,7 @@ class Choices:
         return ["run", "--host", "--json", *words, *self.link_options, *self.device_options, *self.run_options]
 
     def by_hand(self, all_twins: bool) -> Self:
-        """Return what manual mode is started with on the same bench: no script, no serial no.; twins in real time."""
+        """Return the choices for manual mode on the same bench: no script, no serial number; twins in real time."""
         options = ("--manual", *(option for option in self.run_options if option == "--reset-fault"))
         scale = self.scale or (1.0 if all_twins else None)
         return replace(self, script="", serial="", serial_reason="", scale=scale, run_options=options)

@@ -18,9 +18,9 @@ _NAMES_OF_KEYS = {"LEFT": "←", "RIGHT": "→", "CTRL+Q": "Ctrl+Q", "CTRL+C": "
 
 
 class StationDialog(ModalScreen[str | None]):
-    """A question over a screen, with STOP below it as everywhere.
+    """A question over a screen, with STOP below as everywhere.
 
-    ``answers`` are what comes back, and the words for it; ``begun`` is what is chosen or written at first.
+    ``answers`` are (result, words); ``begun`` is the answer or text at the start.
     """
 
     BINDINGS: ClassVar = [("escape", "dismiss(None)", "Back")]
@@ -36,12 +36,12 @@ class StationDialog(ModalScreen[str | None]):
         yield StopBar()
 
     def answers(self) -> ComposeResult:
-        """Yield what may be answered."""
+        """Yield the widgets for possible answers."""
         yield from ()
 
 
 class HelpDialog(StationDialog):
-    """All keys that do something on a screen, in groups; STOP comes first."""
+    """All keys that have an effect on a screen, in groups; STOP comes first."""
 
     def __init__(self, groups: Mapping[str, Sequence[Binding]]) -> None:
         """``groups``: title of each group and its keys, from the tables of keys."""
@@ -50,7 +50,7 @@ class HelpDialog(StationDialog):
 
 
 def _group(title: str, keys: Sequence[Binding]) -> str:
-    """Return the lines of a group, two keys a line. A key with several names is one entry."""
+    """Return the lines of a group of keys, two entries a line; keys with the same description are one entry."""
     shown: dict[str, list[str]] = {}
     for binding in keys:
         name = binding.key_display or (binding.key.upper() if len(binding.key) > 1 else binding.key)
@@ -61,7 +61,7 @@ def _group(title: str, keys: Sequence[Binding]) -> str:
 
 
 class AskDialog(StationDialog):
-    """A question with a few answers as buttons; the first is the careful one."""
+    """A question with a few answers as buttons; the first is the cautious one."""
 
     def answers(self) -> ComposeResult:
         with Horizontal(classes="buttons"):

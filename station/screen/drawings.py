@@ -1,4 +1,4 @@
-"""What the charts show: a run as it goes, the states of a gyro over time and over calibrations, a script's motion."""
+"""The contents of the charts: a run, the states of a gyro over time and over calibrations, a script's motion."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -25,7 +25,7 @@ _ARC_PARTS, _GIMBALS_APART = 24, 0.3
 
 
 class Curve(NamedTuple):
-    """Values over time, in a style of the charts; with ``sds`` they are points with bars."""
+    """Values over time in one of the charts' styles; with ``sds`` points with error bars."""
 
     times: Sequence[float]
     values: Sequence[float]
@@ -34,7 +34,7 @@ class Curve(NamedTuple):
 
 
 class StateLimit(NamedTuple):
-    """The largest size of a state, SI, infinite for none; ``written`` is it as the bench file has it, if known."""
+    """The largest size of a state in SI, infinite for none; ``written`` is the text in the bench file, if known."""
 
     size: float = math.inf
     written: str = ""
@@ -46,9 +46,10 @@ class StateLimit(NamedTuple):
 
 
 class Drawing(NamedTuple):
-    """One chart: words of its title with their styles, curves, the range of values (None: that of the curves).
+    """One chart: title words with styles, curves, the range of values (None: that of the curves).
 
-    ``span`` is the range of times in the unit ``over``, ``marks`` are instants. A ``dial`` is round, to a radius of 1.
+    ``span`` is the range of times in the unit ``over``, ``marks`` are instants. A ``dial`` is round, with a radius of
+    1.
     """
 
     words: Sequence[tuple[str, str]]
@@ -65,7 +66,7 @@ class Drawing(NamedTuple):
 def run_drawing(name: str, run: LiveRun, gyro: GyroSnapshot) -> Drawing | None:
     """Return a chart of a run, one of ``RUN_CHARTS`` or ``series_charts``, with its steps marked.
 
-    None for the series of a device that this run does not have.
+    None for a series of a device that this run does not have. The run must have been seen.
     """
     if name == "axes" and run.snapshot is not None:
         return _axes_drawing(run, run.snapshot)
@@ -85,7 +86,7 @@ def run_drawing(name: str, run: LiveRun, gyro: GyroSnapshot) -> Drawing | None:
 
 
 def series_charts(snapshot: Snapshot) -> list[str]:
-    """Return the names of the charts of what devices append to the recording, a column each."""
+    """Return the names of the charts of devices' series, one for each column."""
     return [f"{_SERIES}{at}" for at in range(len(snapshot.series))]
 
 
@@ -98,7 +99,9 @@ def _series_drawing(at: int, seen: Sequence[Snapshot]) -> Drawing:
 
 
 def _seen(name: str, run: LiveRun, gyro: GyroSnapshot, nis_limits: Sequence[float]) -> Drawing:
-    """Return a chart of what was seen of a run: rate of a gyro beside what it should measure, residual, and so on."""
+    """Return a chart of the run's snapshots: NIS, temperature, residual, or else the rate of a gyro beside the expected
+    one.
+    """
     times, last = [s.elapsed_s for s in run.seen], run.seen[-1]
     if name == "NIS":
         reach = [_SIGMAS * math.sqrt(2 / s.recent) if s.recent else math.nan for s in run.seen]
@@ -125,27 +128,29 @@ def _seen(name: str, run: LiveRun, gyro: GyroSnapshot, nis_limits: Sequence[floa
 
 
 def _told_limit(limits: Mapping[str, Any], key: str) -> StateLimit:
-    """Return a limit of what a session tells; one of another version may not tell how it was written."""
+    """Return a limit from a session's message; one of another version may lack how it was written."""
     size, written = limits.get(key), limits.get("written")
     text = written.get(key, "") if isinstance(written, Mapping) else ""
     return StateLimit() if size is None else StateLimit(float(size), str(text))
 
 
 def _axes_drawing(run: LiveRun, snapshot: Snapshot) -> Drawing:
-    """Return the gimbals, the outermost outside, each with a hand at its angle, zero on top, and the way to go."""
+    """Return a dial of the gimbals, outermost outside, each with a hand at its angle, zero on top, and an arc to its
+    target.
+    """
     styles, curves = dict(zip(sorted(a.name for a in snapshot.axes), _AXIS_STYLES, strict=False)), []
     words: list[tuple[str, str]] = []
     for place, axis in enumerate(snapshot.axes):
         radius, at, style = 1.0 - place * _GIMBALS_APART, axis.angle_rad, styles[axis.name]
-        turns, told = axis.state == "turning" and not run.at_rest, [(f"{axis.name} {number(at * _DEG, 1)}°", style)]
+        turns, position = axis.state == "turning" and not run.at_rest, [(f"{axis.name} {number(at * _DEG, 1)}°", style)]
         curves.append(_arc(radius, 0.0, 2 * math.pi, style if turns else "mark"))
         goal = axis.target_rad
         if turns and math.isfinite(goal):
             curves.append(_arc(radius, at, min(max(goal, at - 2 * math.pi), at + 2 * math.pi), "line"))
-            told += [(f"to {number(goal * _DEG, 0)}°", "line"), (f"{number(axis.rate_rps * _DEG, 1)}°/s", style)]
+            position += [(f"to {number(goal * _DEG, 0)}°", "line"), (f"{number(axis.rate_rps * _DEG, 1)}°/s", style)]
         hand = radius, radius - _GIMBALS_APART
         curves.append(Curve([-r * math.sin(at) for r in hand], [r * math.cos(at) for r in hand], style))
-        words = [*told, *words] if turns else [*words, *told]
+        words = [*position, *words] if turns else [*words, *position]
     return Drawing([("axes", ""), *words], curves, dial=True)
 
 
@@ -162,13 +167,12 @@ def state_drawing(
     figures: Sequence[StateUnit] = STATE_FIGURES,
     began_utc_s: float | None = None,
 ) -> Drawing:
-    """Return how a state of a gyro narrowed, between one sigma below and above it.
+    """Return a chart of a state's estimate over time, as a band of one sigma.
 
-    ``figures`` are the states in the units of the bench.
-
-    Over days it is that of one calibration after the other, points with bars. Before the motion that shows the state
-    it is as wide as the prior, and said to be that. The range of values is that of the last fifth of the time, so that
-    a band which narrows is seen to; a limit is drawn where it is near, and else said.
+    ``figures`` are the states in the units of the bench. If ``over`` is not "s", points with error bars show successive
+    calibrations instead. Before the motion that shows the state, the band is as wide as the prior, and the title says
+    so. The values' range is that of the last fifth of the time, so that the narrowing can be seen; a limit is drawn if
+    it is near, and otherwise only named.
     """
     state, days = figures[index], over != "s"
     words = [(f"{state.name} ({state.unit})", "")]

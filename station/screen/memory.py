@@ -1,4 +1,4 @@
-"""What the screen remembers from one day to the next: the operator and when that was confirmed, files, the theme."""
+"""State that the screen stores: the operator and when that was confirmed, files, the theme."""
 
 import json
 import os
@@ -22,7 +22,7 @@ REMEMBERED = ("operator", "bench", "script")
 
 @dataclass(frozen=True, slots=True)
 class Remembered:
-    """What was entered last; ``operator_utc_s`` is when the operator was, in seconds since 1970."""
+    """The values entered last; ``operator_utc_s`` is when the operator was entered, in seconds since 1970."""
 
     operator: str = ""
     bench: str = ""
@@ -32,13 +32,13 @@ class Remembered:
 
 
 def state_folder() -> Path:
-    """Return the folder for what programs remember (XDG base directories)."""
+    """Return the folder for stored state of programs (XDG base directories)."""
     given = os.environ.get("XDG_STATE_HOME", "")
     return (Path(given) if given.startswith("/") else Path.home() / ".local" / "state") / _FOLDER
 
 
 def is_of_this_user_alone(folder: Path) -> bool:
-    """Return whether nobody but this user and root can change what is in a folder; OSError if it cannot be seen."""
+    """Return whether only this user and root can change a folder's content; OSError if it cannot be examined."""
     if os.name != "posix":
         return True
     found = folder.lstat()
@@ -51,7 +51,7 @@ def whole(path: str) -> str:
 
 
 def load_remembered() -> Remembered:
-    """Return what is remembered; nothing if the file is missing or no such file."""
+    """Return the stored entries; empty ones if the file is missing or invalid."""
     found = load_state(_FILE)
     texts = {key: str(found.get(key, "")) for key in (*REMEMBERED, "theme")}
     with suppress(*MISSHAPEN):
@@ -64,7 +64,7 @@ def save_remembered(remembered: Remembered) -> None:
 
 
 def load_state(file: str) -> dict[str, Any]:
-    """Return what a file of the state folder holds; nothing if it is missing or no such file."""
+    """Return the content of a file in the state folder; empty if it is missing or invalid."""
     with suppress(UsageError, *MISSHAPEN):
         return dict(json.loads(harmless(read_text(state_folder() / file, UsageError))))
     return {}

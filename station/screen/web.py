@@ -32,7 +32,10 @@ _POLICY = (
 
 
 def _guard(key: str, port: int) -> Any:
-    """Return what refuses pages of other sites: they reach the loopback by names of theirs, and open websockets."""
+    """Return a middleware that refuses other hosts and origins (403), and addresses without the key (404).
+
+    Pages of other sites reach the loopback by their own names and can open websockets.
+    """
     from aiohttp import web
 
     own = [f"{name}:{port}" for name in (_HOST, "localhost")]
@@ -49,9 +52,11 @@ def _guard(key: str, port: int) -> Any:
 
 
 def serve(port: int, words: Sequence[str]) -> int:
-    """Serve the screen until Ctrl-C; ``words`` are the options of `station ui`, port 0 is any free one.
+    """Serve the screen on the loopback until Ctrl-C; return 0. ``words`` are options of `station ui`; port 0 is any
+    free one.
 
-    Every page is a process of its own, which ends with its page; sessions go on. UsageError if the port is taken.
+    Every page has its own process, which ends with the page; sessions continue. UsageError if the port is taken or a
+    package is missing.
     """
     try:
         from aiohttp import web
@@ -64,7 +69,7 @@ def serve(port: int, words: Sequence[str]) -> int:
     except OSError as error:
         raise UsageError(f"port {port} is not available ({error.strerror}). Choose another with --web") from None
     port = listening.getsockname()[1]
-    # Whoever can press keys here can turn the table: pages of other sites and other users do not know the key.
+    # Keys pressed here can turn the table: pages of other sites and other users do not know the key.
     # No cookie holds it: a browser shows cookies to the servers of all ports.
     key = secrets.token_urlsafe(16)
     path = f"/{key}"
@@ -84,6 +89,7 @@ def serve(port: int, words: Sequence[str]) -> int:
     open_pages: set[asyncio.Task[object]] = set()
 
     async def draw(request: web.Request) -> web.StreamResponse:
+        """Serve a page over its WebSocket, listed in ``open_pages`` as long as it is open."""
         page = asyncio.current_task()
         assert page is not None
         open_pages.add(page)

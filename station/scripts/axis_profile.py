@@ -17,10 +17,11 @@ _LEAST_TICK = 9
 
 
 def profile_lines(motion: PlannedMotion, width: int) -> list[str]:
-    """Return the drawing, ``width`` characters wide: bars up for positive rates, hanging from the line for negative.
+    """Return a drawing of the rates, ``width`` characters wide: bars up for positive rates, down for negative ones.
 
-    Standstill that may take longer is marked with ~. Each axis has a row, a second one below it if it ever turns
-    backwards, scaled to its own largest rate; a column shows the largest rate of its time. Below is the time.
+    Each axis has a row, and a second one below it if it ever turns backwards, scaled to its largest rate; a column
+    shows the largest rate of its time. Standstill of open duration is marked with ~. The last two lines are the time
+    axis.
     """
     columns = max(width - len(_LABEL.format("", "")), 10)
     edges = np.linspace(0, len(motion.t_s), columns + 1).astype(int)[:-1]
@@ -41,7 +42,7 @@ def _rate(rate_rps: float) -> str:
 
 
 def _columns_within(motion: PlannedMotion, edges: NDArray[np.int64]) -> str:
-    """Return what standstill is drawn with, a character for each column that begins at these instants."""
+    """Return the character for standstill in each column that begins at these rows of the motion."""
     ends = np.append(edges[1:], len(motion.t_s)) - 1
     characters = []
     for begin_s, end_s in zip(motion.t_s[edges], motion.t_s[ends], strict=True):
@@ -51,7 +52,7 @@ def _columns_within(motion: PlannedMotion, edges: NDArray[np.int64]) -> str:
 
 
 def _bars(size: Floats, largest: float, blocks: str, rest: str = "") -> str:
-    """Return a bar for each size; what does not turn is drawn with the characters of ``rest``, or left blank."""
+    """Return a bar for each size; columns without rotation get the characters of ``rest``, or blanks."""
     steps = len(blocks) - 1
     share = np.clip(size / largest, 0, 1) if largest else np.zeros_like(size)
     still = rest or " " * len(share)
@@ -64,6 +65,7 @@ def _bars(size: Floats, largest: float, blocks: str, rest: str = "") -> str:
 
 
 def _time_axis(duration_s: float, columns: int) -> list[str]:
+    """Return the ruler and the labels of the time axis."""
     most = max(columns // _LEAST_TICK, 1)
     step = next((s for s in _STEPS_S if duration_s / s <= most), duration_s)
     ruler, labels = ["─"] * columns, [" "] * columns

@@ -15,25 +15,25 @@ from station.scripts.steps.rest import Rest
 END_REST_S = 10.0
 """Longest rest that is left at either end: until the first turn and after the last one nothing is proved."""
 _LEAST_REST_S = 1.0  # in the middle
-_LEAST_SHARE = 0.2  # of the rests between steps that must be left beside moves
+_LEAST_SHARE = 0.2  # of the rests between steps that must remain between moves
 _PERIOD_S = 0.1
 _HOME_RAD = math.radians(0.01)
 
 
 def planned_constancy(script: Script, gimbals: Sequence[str]) -> tuple[AxisCoverage, ...]:
-    """Return over which time a run of this script can show that what it measures stays the same, by axis."""
+    """Return by axis the time over which a run of this script can prove constancy."""
     return planned_coverage(planned_motion(script, gimbals, _PERIOD_S).readings(None))
 
 
 def early_and_late(script: Script, limits: Mapping[str, AxisLimits], gimbals: Sequence[str]) -> Script | None:
-    """Return a script of the same length that goes through the steps twice, in half of the time each.
+    """Return a script of the same length that goes through the steps twice, each time in half of their time.
 
-    The second time every turn goes the other way, so that it ends where it began. Where axes would then turn at other
-    angles of the others, so that the body turns about other directions, all go home in between and turn the same way.
-    What is longer than 10 s of the rests at both ends goes between the two.
+    In the second pass every turn has the opposite direction, so that it ends where it began. Where axes would then turn
+    at different angles of the others, all axes go home in between and turn the same way again. What exceeds 10 s of the
+    rests at both ends is spent between the passes.
 
-    None if no such script exists: where turns would be shorter than their ramps, moves take too long to be made twice,
-    an axis would still not be turned far apart in time, or a step can only be done as it is, or has no known duration.
+    None if there is no such script: turns would be shorter than their ramps, moves take too long to be made twice, an
+    axis would still not be turned far apart in time, or a step cannot be changed or has an open duration.
     """
     if not script.span.is_exact or any(not step.turns and not step.rest_s for step in script.steps):
         return None
@@ -52,10 +52,11 @@ def early_and_late(script: Script, limits: Mapping[str, AxisLimits], gimbals: Se
 
 
 def _twice(script: Script, limits: Mapping[str, AxisLimits], sign: int) -> Script | None:
-    """Return a script with its steps in half the time, a rest, and the same steps again, their angles times ``sign``.
+    """Return a script with the steps in half of their time, a rest, and the same steps with their angles times
+    ``sign``.
 
-    Moves cannot be made in half the time; what they take more comes off the rests. None where that is too much, where
-    a turn would be too short for its ramps, or where nothing moves.
+    Moves cannot be faster; their extra time is taken from the rests. None if that is too much, if a turn would be too
+    short for its ramps, or if nothing moves.
     """
     before, between, after = _parts(script.steps)
     halves = [step.halved(limits) for step in between]
@@ -79,7 +80,10 @@ def _twice(script: Script, limits: Mapping[str, AxisLimits], sign: int) -> Scrip
 
 
 def _moves_home(steps: Sequence[Step]) -> list[Move]:
-    """Return the moves that bring all axes home after these steps; by whole turns if no move needs the angle itself."""
+    """Return the moves that bring all axes home after these steps.
+
+    An axis that is only rotated goes to the nearest full turn, one that moves to stated angles to zero.
+    """
     angles: dict[str, float] = {}
     fastest: dict[str, Turn] = {}
     moved: set[str] = set()
@@ -99,7 +103,11 @@ def _moves_home(steps: Sequence[Step]) -> list[Move]:
 
 
 def _parts(steps: Sequence[Step]) -> tuple[tuple[Rest, ...], tuple[Step, ...], tuple[Rest, ...]]:
-    """Return the rest before the first motion, cut to 10 s, the steps up to the last motion, and the rest after it."""
+    """Return the rest before the first motion, at most 10 s, the steps from the first to the last motion, and the rest
+    after.
+
+    All are empty if nothing moves.
+    """
     moving = [number for number, step in enumerate(steps) if step.turns]
     if not moving:
         return (), (), ()

@@ -1,4 +1,4 @@
-"""The scripts of the loop: exploration, in which effects show, verification, which only judges, and what may follow."""
+"""The scripts of the loop: exploration, which shows effects, verification, which only judges, and the next one."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -37,7 +37,7 @@ def between_rests(name: str, steps: Sequence[Step], rest_s: float = REST_S) -> S
 def there_and_back(
     axis: str, rate_dps: float, duration_s: float = TURN_S, acceleration_rps2: float = RAMP_RPS2
 ) -> tuple[Rotate, Rotate]:
-    """Return a turn at a rate and the same turn back: the axis ends where it was."""
+    """Return a turn at a rate and the opposite turn: the axis ends where it began."""
     first, second = (
         Rotate(axis, rate * _DEG, duration_s, acceleration_rps2, f"{axis} at {rate:g} deg/s")
         for rate in (rate_dps, -rate_dps)
@@ -46,11 +46,15 @@ def there_and_back(
 
 
 def candidates(limits: Mapping[str, AxisLimits], gimbals: Sequence[str]) -> Iterator[Script]:
-    """Yield scripts of every kind that shows effects, within the limits, each ending at home."""
+    """Yield scripts of all kinds that show effects, within the limits, each ending at home."""
     axes = [axis for axis in "xyz" if axis in gimbals]
 
     def turns(share_or_dps: float, turn_s: float, steep: bool = False) -> list[Step]:
-        """Turns both ways about each axis, at a rate or (below 1) a share of the limit, lengthened for its ramps."""
+        """Return turns in both directions about each axis, lengthened if too short for their ramps.
+
+        ``share_or_dps`` is a rate in deg/s or, below 1, a share of the axis' limit; it is limited to that. ``steep``:
+        ramps with the full acceleration instead of ``RAMP_RPS2``.
+        """
         steps: list[Step] = []
         for axis in axes:
             top, push = limits[axis].rate_rps, limits[axis].acceleration_rps2
@@ -80,6 +84,7 @@ def _gentle(limit: AxisLimits, turn_s: float) -> tuple[float, float, float]:
 
 
 def _tilted(limits: Mapping[str, AxisLimits], axes: Sequence[str]) -> list[Step]:
+    """Return rests with each axis at 45, 90, 180 and 270 deg, with the moves there and home."""
     steps: list[Step] = []
     for axis in axes:
         rate_dps, _, push = _gentle(limits[axis], 24.0)
@@ -90,6 +95,7 @@ def _tilted(limits: Mapping[str, AxisLimits], axes: Sequence[str]) -> list[Step]
 
 
 def _full_turns(limits: Mapping[str, AxisLimits], axes: Sequence[str], rate_dps: float) -> list[Step]:
+    """Return a full turn of each axis in both directions at ``rate_dps``, or the limit of the axis."""
     steps: list[Step] = []
     for axis in axes:
         rate, push = min(math.radians(rate_dps), limits[axis].rate_rps), min(RAMP_RPS2, limits[axis].acceleration_rps2)

@@ -1,4 +1,4 @@
-"""The script that tells rivals apart: of those that the table can do, the one predicted to settle it soonest."""
+"""The script that separates rivals: the one, within the table's limits, that is predicted to do so soonest."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -37,14 +37,14 @@ _HOPELESS = 0.2
 
 @dataclass(frozen=True, slots=True)
 class NextScript:
-    """A script, the probability that it settles the matter, and the rivals that it is for."""
+    """A script, the probability that it decides between rivals, and the sets of rivals it is for."""
 
     script: Script
     probability: float
     rivals: tuple[tuple[str, ...], ...]
 
     def words(self) -> str:
-        """Return it in one line."""
+        """Return the script's name, length, aim and probability in one line; a low probability is said first."""
         aims = [" and ".join(own) if len(own) > 1 else f"{own[0]} from noise" for own in self.rivals]
         aim = ", ".join(aims).replace("_", " ")
         text = f"{self.script.name}, {self.script.least_s:.0f} s: separates {aim} with probability "
@@ -55,7 +55,7 @@ class NextScript:
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Past:
-    """One source of one recording: what its gyros went through, and how they are."""
+    """One source of one recording: its conditions, array, noise and prior."""
 
     source: str
     device: str
@@ -66,7 +66,7 @@ class Past:
 
     @classmethod
     def of(cls, run: Run) -> Self:
-        """Return it for a run; noise that no data sheet states is taken from the samples."""
+        """Return the source of a run; without a data sheet, white noise is estimated from the samples."""
         data, noise = run.data, run.data.noise
         if noise is None:
             steps = np.diff(data.rate_rps, axis=0)
@@ -94,13 +94,15 @@ def next_script(
     judging: Sequence[Past] = (),
     most_s: float = math.inf,
 ) -> NextScript | None:
-    """Return the best script for sets of effects of which each is a rival of the others, None if there is none.
+    """Return the best script to decide between effects, None if none of them is known or no script fits.
 
-    ``past`` is what was fitted, ``judging`` what only verified; ``evidence`` is the log evidence of each effect in
-    both, which tells how large it would have to be. An effect without a rival is to be told from nothing. A script must
-    be over within ``most_s``. A rival is told from another when the log of their odds is beyond that of 0.95. Its mean
-    is half the squared misfit, in sigmas, that the other leaves of what the one would do, and what the other's greater
-    freedom costs it.
+    ``rivals`` are sets of effects that explain the same; an effect alone in its set is compared with nothing. ``past``
+    was fitted, ``judging`` only verified; ``evidence`` is the log evidence of each effect in both, which gives its
+    likely size. A script must end within ``most_s``.
+
+    Two rivals are decided when the log of their odds exceeds that of 0.95. Its mean is half the squared misfit, in
+    sigmas, that one leaves of the other's effect, plus what the former's greater freedom costs it. The shortest script
+    that decides with sufficient probability is taken, else the best one.
     """
     names = {name for own in rivals for name in own}
     effects = _effects(names, gimbals, past)
@@ -128,7 +130,10 @@ def next_script(
 
 
 def _effects(names: set[str], gimbals: Sequence[str], past: Sequence[Past]) -> dict[str, list[Effect]]:
-    """Return what stands for each effect that is known and that these recordings can hold."""
+    """Return the effects for each name that is known and that these recordings can show.
+
+    Harmonics stand for all their orders; the warm-up for several time constants.
+    """
     offers = frozenset[str].intersection(*(p.conditions.offers for p in past)) if past else frozenset[str]()
     span_s = max((float(p.conditions.t_s[-1] - p.conditions.t_s[0]) for p in past), default=1.0)
     found: dict[str, list[Effect]] = {}
@@ -143,9 +148,9 @@ def _effects(names: set[str], gimbals: Sequence[str], past: Sequence[Past]) -> d
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Grams:
-    """Information (g) on [four states | parameters] of every gyro, each scaled by what is plausible.
+    """Information (g) on [four states | parameters] of every gyro, each scaled by its plausible size.
 
-    ``own`` gives the columns of each effect, ``shared`` those that all gyros have in common.
+    ``own`` gives the columns of each effect, ``shared`` the effects that all gyros have in common.
     """
 
     matrices: Mapping[tuple[str, str], Floats]
@@ -154,6 +159,10 @@ class _Grams:
 
     @classmethod
     def of(cls, runs: Sequence[Past], effects: Mapping[str, Sequence[Effect]], origin_s: float | None) -> Self:
+        """Return the information that ``runs`` give on the states and on each effect.
+
+        ``origin_s`` is the instant at which laws of time begin; None: each run's own beginning.
+        """
         matrices: dict[tuple[str, str], Floats] = {}
         counts = [sum(len(e.parameters) for e in group) for group in effects.values()]
         edges = np.cumsum([4, *counts]).tolist()
@@ -175,12 +184,13 @@ class _Grams:
         return cls(matrices, own, shared)
 
     def __add__(self, other: Self) -> Self:
-        """Return what both show together."""
+        """Return the information of both together."""
         matrices = {key: matrix + other.matrices.get(key, 0.0) for key, matrix in self.matrices.items()}
         return replace(self, matrices=matrices)
 
     def beside_states(self, names: Sequence[str]) -> tuple[Floats, list[Floats]]:
-        """Return the information on the parameters of these effects beside the states, and which belong to each.
+        """Return the information on the parameters of these effects with the states eliminated, and which rows belong
+        to each.
 
         An effect that is not shared has parameters for every gyro.
         """
@@ -210,9 +220,9 @@ def _size(shown: _Grams, name: str, evidence: float) -> float:
 
 
 def _settled(names: Sequence[str], before: _Grams, after: _Grams, sizes: Mapping[str, float]) -> float:
-    """Return the probability that the true one of these is told from all others, each as likely to be it.
+    """Return the probability that the true effect among ``names`` is separated from all others, each equally likely.
 
-    Nothing is not among the likely: an effect that is looked for in vain is settled, too.
+    "Nothing" is not one of the true ones: an effect that a script fails to show is settled, too.
     """
     chances = dict.fromkeys((name for name in names if name != _NOTHING), 1.0)
     for true, other in permutations(names, 2):
@@ -224,10 +234,9 @@ def _settled(names: Sequence[str], before: _Grams, after: _Grams, sizes: Mapping
 
 
 def _apart(grams: _Grams, true: str, other: str) -> tuple[float, float]:
-    """Return the squared misfit that the other leaves of the true one at its largest plausible size, and more.
+    """Return the squared misfit that ``other`` leaves of ``true`` at its largest plausible size, and a log of freedom.
 
-    The second number is the log of how much more freedom the other has: a model that could have explained more is the
-    less probable.
+    The latter is how much more freedom ``other`` has: a model that could explain more is less probable.
     """
     total, (a, b) = grams.beside_states((true, other))
     own, others, cross = total[np.ix_(a, a)], total[np.ix_(b, b)] + np.eye(len(b)), total[np.ix_(b, a)]
@@ -237,13 +246,17 @@ def _apart(grams: _Grams, true: str, other: str) -> tuple[float, float]:
 
 
 def _told(gained: float, spared: float) -> float:
-    """Return the chance that log odds are beyond what settles: normal about half of ``gained``, their variance."""
+    """Return the probability that the log odds exceed the limit: normal, mean ``gained`` / 2 + ``spared``, variance
+    ``gained``.
+    """
     mean = 0.5 * gained + spared - _LOG_ODDS
     return 0.5 * math.erfc(-mean / math.sqrt(2 * max(gained, 1e-9)))
 
 
 def _origin_s(past: Sequence[Past]) -> float | None:
-    """Return when it all began, None if the recordings do not follow each other on one clock."""
+    """Return the beginning of the first recording (s), or None if recordings of a source overlap, so have no common
+    clock.
+    """
     spans: dict[str, list[tuple[float, float]]] = {}
     for p in past:
         spans.setdefault(p.source, []).append((float(p.conditions.t_s[0]), float(p.conditions.t_s[-1])))
@@ -255,7 +268,7 @@ def _origin_s(past: Sequence[Past]) -> float | None:
 
 
 def _foreseen(script: Script, past: Sequence[Past], gimbals: Sequence[str], site: Site | None) -> list[Past]:
-    """Return what each source would go through; its temperature goes on as it went."""
+    """Return the predicted conditions of each source during ``script``, after its last recording."""
     planned = planned_motion(script, gimbals, _PERIOD_S)
     runs = []
     for source in dict.fromkeys(p.source for p in past):
@@ -268,7 +281,7 @@ def _foreseen(script: Script, past: Sequence[Past], gimbals: Sequence[str], site
 
 
 def _temperature(last: Conditions, t_s: Floats) -> Floats | None:
-    """Return the temperature to come: the exponential that fits what was, of some time constant."""
+    """Return the predicted temperature (n,): the best-fitting exponential continued; None if none was recorded."""
     if last.temperature_c is None:
         return None
     since, target = last.t_s - last.t_s[-1], last.temperature_c
@@ -282,13 +295,15 @@ def _temperature(last: Conditions, t_s: Floats) -> Floats | None:
 
 
 def _with_own_bias(gram: Floats, share: float) -> Floats:
-    """Return the information of a run whose bias differs from other runs' by such a share of its prior."""
+    """Return the information of a run whose bias differs from that of other runs by a share of its prior."""
     bias = gram[:, 1]
     return np.asarray(gram - np.outer(bias, bias) * (share**2 / (1 + share**2 * bias[1])))
 
 
 def _since(conditions: Conditions, origin_s: float) -> tuple[Conditions, slice]:
-    """Return conditions that begin at an origin, for laws of time since then, and which of their rows are the given."""
+    """Return conditions that begin at ``origin_s``, for laws of time, and the slice of their rows that are the given
+    ones.
+    """
     if origin_s >= float(conditions.t_s[0]) - conditions.period_s:
         return conditions, slice(None)
     rows = np.concatenate([[0, 0], np.arange(len(conditions.t_s))])

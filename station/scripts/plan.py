@@ -1,4 +1,4 @@
-"""What a script will show on a bench, before anything moves."""
+"""The prediction of what a script shows on a bench, before anything moves."""
 
 from dataclasses import dataclass
 
@@ -20,16 +20,16 @@ TEMPERATURE_RISE_K = 8.0
 WARMING_TIME_S = 1200.0
 """Time constant of the assumed warming: of a table's chamber and its electronics, over after an hour."""
 _PERIOD_S = 0.05
-_MOST_ROWS = 72_000  # an hour of them; longer scripts are looked at in coarser steps
+_MOST_ROWS = 72_000  # an hour of them; longer scripts use coarser steps
 
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Plan:
     """A script on a bench, its motion and its forecast.
 
-    ``table_sd`` (gyros, 4) is what the table's own stated uncertainty adds to the sigmas of the states, ``required``
-    (4,) the sigmas that the bench asks for, infinite where it asks for none. ``temperature_rise_k`` is assumed.
-    ``rounded`` tells, in words, accelerations that the controller makes less of.
+    ``table_sd`` (gyros, 4) is the contribution of the table's stated uncertainty to the sigmas of the states,
+    ``required`` (4,) the sigmas that the bench requires, infinite where none. ``temperature_rise_k`` is assumed.
+    ``rounded`` has a sentence on accelerations that the controller rounds down.
     """
 
     script: Script
@@ -48,17 +48,17 @@ class Plan:
 
     @property
     def constancy(self) -> tuple[AxisCoverage, ...]:
-        """Over which time a run can show that what it measures stays the same, by axis."""
+        """Time over which a run can prove constancy, by axis."""
         return planned_constancy(self.script, self.bench.table.gimbals)
 
     @property
     def proves_constancy(self) -> bool:
-        """Whether every axis is turned far apart in time; also of a script that turns none."""
+        """Whether every axis is turned far apart in time; also true for a script without turns."""
         return all(axis.proved for axis in self.constancy)
 
     @property
     def reached(self) -> Flags:
-        """Whether each sigma (gyros, 4) is within what the bench asks for."""
+        """Whether each sigma (gyros, 4) is within the bench's requirement."""
         return np.asarray(self.sd <= self.required)
 
 
@@ -69,9 +69,9 @@ def make_plan(
     temperature_rise_k: float = TEMPERATURE_RISE_K,
     effects: tuple[Effect, ...] | None = None,
 ) -> Plan:
-    """Return the plan for the used devices of a bench; by default of all effects of the catalogue.
+    """Return the plan for the used devices of a bench, with ``effects``, by default all of the catalogue.
 
-    Raises ScriptError if the table cannot do the script.
+    ScriptError if the table cannot do the script.
     """
     asked, script = script, check(script, bench.table.limits)
     motion = planned_motion(script, bench.table.gimbals, max(_PERIOD_S, script.least_s / _MOST_ROWS))
@@ -93,6 +93,7 @@ def make_plan(
 
 
 def _table_sd(motion: PlannedMotion, bench: Bench, devices: list[PlannedDevice]) -> Floats:
+    """Return the sigmas of the states (gyros, 4) that come from the table's stated uncertainty."""
     readings = motion.readings(bench.table.uncertainty)
     variances = [
         np.sum([np.diag(part.covariance) for part in parts], axis=0) if parts else np.zeros(4)

@@ -18,7 +18,7 @@ from station.scripts.steps.kind import Turn
 class PlannedMotion:
     """Instants ``t_s`` (N,); angles, rates and accelerations (N, g) of the ``gimbals``, outermost first.
 
-    ``open_s`` are the begins and ends of what may take longer than it does here.
+    ``open_s`` has beginning and end of each step that may take longer than here.
     """
 
     t_s: Floats
@@ -29,7 +29,7 @@ class PlannedMotion:
     open_s: tuple[tuple[float, float], ...] = ()
 
     def conditions(self, temperature_c: Floats | None, site: Site | None) -> Conditions:
-        """Return what gyros on the innermost axis go through, at this temperature (N,), None if it is not known."""
+        """Return the conditions of gyros on the innermost axis at this temperature (N,), None if it is not known."""
         return Conditions.on_table(
             self.t_s,
             self.angle_rad,
@@ -41,7 +41,7 @@ class PlannedMotion:
         )
 
     def readings(self, uncertainty: TableUncertainty | None) -> TableReadings:
-        """Return what a table of this uncertainty will have read."""
+        """Return the planned readings of a table with this uncertainty."""
         t_ns = np.round(self.t_s * 1e9).astype(np.int64)
         return TableReadings(
             t_ns=t_ns, angle_rad=self.angle_rad, rate_rps=self.rate_rps, gimbals=self.gimbals, uncertainty=uncertainty
@@ -49,10 +49,10 @@ class PlannedMotion:
 
 
 def planned_motion(script: Script, gimbals: Sequence[str], period_s: float = 0.05) -> PlannedMotion:
-    """Return the motion at the middle of each period, as the sequencer has a table at home carry the script out.
+    """Return the motion at the middle of each period when a table at home carries out the script; at least two
+    instants.
 
-    What has no known duration takes as little time as it may. There are two instants at the least. The script must be
-    one that the table can do (``script.check``).
+    Steps of open duration take their least. The script must be one that the table can do (``script.check``).
     """
     axes = tuple(gimbals)
     count = max(math.ceil(script.least_s / period_s - 1e-9), 2)
@@ -72,7 +72,7 @@ def planned_motion(script: Script, gimbals: Sequence[str], period_s: float = 0.0
 
 
 def _trapezoid(since_s: Floats, turn: Turn) -> tuple[Floats, Floats, Floats]:
-    """Return way, rate and acceleration (N,) at times since the turn began, before and after it too."""
+    """Return angle, rate and acceleration (N,) at times since the turn began, including times before and after it."""
     limit = turn.acceleration_rps2
     way_rad = turn.way_rad
     peak = min(abs(turn.rate_rps), math.sqrt(abs(way_rad) * limit))
@@ -83,7 +83,7 @@ def _trapezoid(since_s: Floats, turn: Turn) -> tuple[Floats, Floats, Floats]:
     since, left = np.maximum(since_s, 0.0), np.maximum(end_s - since_s, 0.0)
     up, down = since < np.minimum(ramp_s, end_s / 2), left < np.minimum(ramp_s, end_s / 2)
     sign = math.copysign(1.0, way_rad)
-    # From whichever end is nearer: the last ramp then ends on the target, whatever the sum of the digits.
+    # From the nearer end: the last ramp then ends on the target, in spite of rounding.
     way = np.where(
         up, 0.5 * limit * since**2, np.where(down, abs(way_rad) - 0.5 * limit * left**2, peak * (since - 0.5 * ramp_s))
     )

@@ -1,10 +1,10 @@
-"""How often the table is read: so often that each ramp is seen, and what a link is too slow for."""
+"""How often the table must be read to see each ramp, and which links are too slow for it."""
 
 from station.errors import sentence
 from station.scripts.script import Script
 
 _READINGS_A_RAMP = 20
-_FEWEST = 3  # readings that tell a ramp's slope
+_FEWEST = 3  # readings needed for a ramp's slope
 MARGIN_S = 0.1
 """By which a ramp may come earlier or later than it is planned."""
 
@@ -15,7 +15,7 @@ def wanted_hz(length_s: float) -> float:
 
 
 def too_steep(script: Script, read_s: float) -> list[str]:
-    """Return, in words, the ramps that are over before a table that takes so long to read has been read enough."""
+    """Return a sentence for each step with a ramp that is too short for a table that takes ``read_s`` to read."""
     steep: dict[str, float] = {}
     for timed in script.timeline():
         for _, turn in timed.turns():

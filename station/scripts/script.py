@@ -1,4 +1,4 @@
-"""Scripts: what the table is to do, as data that can be checked and drawn before anything moves."""
+"""Scripts: the motion of the table as data that can be checked and drawn before anything moves."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
@@ -24,7 +24,7 @@ _ROUNDING_RAD = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Timed:
-    """A step in its place in the plan: when it begins at the earliest, how long it takes, and its parts."""
+    """A step with its earliest beginning in the plan, its duration and its parts."""
 
     step: Step
     start_s: float
@@ -47,10 +47,7 @@ class Timed:
 
 @dataclass(frozen=True, slots=True)
 class Script:
-    """A name and steps in order.
-
-    ``plugins`` are the packages that bring kinds of its steps.
-    """
+    """A name and steps in order; ``plugins`` are the packages with kinds of its steps."""
 
     name: str
     steps: tuple[Step, ...]
@@ -71,7 +68,7 @@ class Script:
         return [timed.span for timed in self.timeline()]
 
     def timeline(self) -> list[Timed]:
-        """Return when each step is planned to begin, at the earliest, and its parts, from home with every axis."""
+        """Return each step with its earliest beginning and its parts, starting from home with every axis."""
         angles_rad: dict[str, float] = {}
         timeline = []
         at_s = 0.0
@@ -94,9 +91,9 @@ def paper_script() -> Script:
 
 
 def load_script(path: Path, plugins: Iterable[Path] = ()) -> Script:
-    """Read a script from TOML; ScriptError with the line of what is wrong.
+    """Return the script of a TOML file; ScriptError with the line if it is invalid.
 
-    ``plugins`` are the Python files of a bench, which may bring kinds of steps.
+    ``plugins`` are Python files of a bench that may define kinds of steps.
     """
     own = Table.load(path, ScriptError, "a script. Give a .toml file").read_all("script.script")
     try:
@@ -125,7 +122,7 @@ def _read_step(table: Table, kind: StepKind) -> Step:
 
 
 def check(script: Script, limits: Mapping[str, AxisLimits]) -> Script:
-    """Return the script as the table does it: turns of the same angle, with the accelerations that a controller has.
+    """Return the script as the table carries it out: the same angles, with accelerations that the controller can do.
 
     ScriptError names the first step that the table cannot do, and the limit.
     """
@@ -140,7 +137,10 @@ def check(script: Script, limits: Mapping[str, AxisLimits]) -> Script:
 
 
 def check_step(step: S, limits: Mapping[str, AxisLimits], angles_rad: dict[str, float]) -> S:
-    """Return a step as the table does it from these angles, which become those at its end; ScriptError if it cannot."""
+    """Return a step as the table carries it out from ``angles_rad``, which are updated to those at its end.
+
+    ScriptError if the table cannot do it.
+    """
     for demand in step.demands():
         _check_demand(demand, limits)
     if problem := step.problem():
@@ -159,7 +159,7 @@ def check_turn(turn: Turn, limits: Mapping[str, AxisLimits]) -> None:
 
 
 def _check_demand(demand: Demand, limits: Mapping[str, AxisLimits]) -> None:
-    """Raise ScriptError for a rate or an acceleration that an axis does not reach."""
+    """Raise ScriptError for a rate or acceleration that is zero or beyond the limit of its axis, or an unknown axis."""
     axis = demand.axis
     if axis not in limits:
         raise ScriptError(f"the table has no axis {axis}, only {', '.join(limits)}")
@@ -176,7 +176,7 @@ def _check_demand(demand: Demand, limits: Mapping[str, AxisLimits]) -> None:
 
 
 def _check_travel(turn: Turn, limit: AxisLimits) -> None:
-    """Raise ScriptError for a turn that ends beyond the travel of its axis."""
+    """Raise ScriptError if a turn ends beyond the travel of its axis; an axis without a travel turns without limit."""
     low, high = limit.travel_rad or (-math.inf, math.inf)
     if low - _ROUNDING_RAD <= turn.to_rad <= high + _ROUNDING_RAD:
         return
@@ -192,7 +192,7 @@ def _check_travel(turn: Turn, limit: AxisLimits) -> None:
 
 
 def rounded(asked: Script, driven: Script) -> list[str]:
-    """Return, in words, which accelerations of a script the controller makes less of, and what that comes to."""
+    """Return one sentence on the accelerations that the controller rounds down noticeably; empty if there are none."""
     ramps = set()
     for asked_step, driven_step in zip(asked.steps, driven.steps, strict=True):
         for wanted, made in zip(asked_step.demands(), driven_step.demands(), strict=True):

@@ -26,7 +26,7 @@ from station.scripts.steps.rotate import Rotate
 
 _RAMP_SHARE = 0.4  # of a short turn, for each ramp: a part of every turn is at a steady rate
 _SHORTEST_TURN_S = 1.0
-_TIME_STEP_S = 0.01  # to which times are rounded: what a person would write
+_TIME_STEP_S = 0.01  # to which times are rounded, as a person would write
 _PARALLEL = 1 - 1e-9
 
 
@@ -34,7 +34,7 @@ _PARALLEL = 1 - 1e-9
 class Way:
     """One way to turn the body: an axis, the angles of the axes inside it, and the direction in body axes.
 
-    ``sign`` 0 turns there and back, +1 and -1 that way only.
+    ``sign`` 0 turns there and back, +1 and -1 in that direction only.
     """
 
     axis: str
@@ -49,9 +49,9 @@ class Way:
 
 
 def ways_of(gimbals: Sequence[str], poses_rad: Sequence[float]) -> list[Way]:
-    """Return the ways to turn the body, there and back, the axes inside at any of these angles.
+    """Return the ways to turn the body there and back, with the inner axes at any of these angles.
 
-    No axis comes twice with one direction; outermost axes and what needs no move come first.
+    Of ways of one axis with the same direction only one is kept. Ways that need no move come first.
     """
     ways: list[Way] = []
     for depth, axis in enumerate(gimbals):
@@ -76,9 +76,9 @@ def one_way(ways: Sequence[Way]) -> Iterator[tuple[Way, ...]]:
 
 
 class Shape:
-    """Ways in an order, gone through ``cycles`` times; open is how long each turn lasts, and the rest.
+    """Ways in order, repeated ``cycles`` times; the durations of turns and rests are variables.
 
-    The variables v are the seconds of one turn of each way, then the seconds of rest at each end.
+    The variables v are the seconds of one turn of each way, then those of the rest at each end.
     """
 
     def __init__(
@@ -92,7 +92,7 @@ class Shape:
         self._fixed = sums(Script("moves", moves), gimbals)
 
     def again(self, cycles: int) -> "Shape":
-        """Return the same ways gone through so many times."""
+        """Return the same ways with this number of cycles."""
         return Shape(self.ways, cycles, float(self.least[-1]), self._limits, self._gimbals)
 
     def with_ramps(self, acceleration_rps2: float) -> "Shape":
@@ -116,13 +116,14 @@ class Shape:
         return np.array([*slopes, _entry(2.0, 0.0, 0.0, (0.0, 0.0, 0.0))])
 
     def script(self, v: Floats, name: str, *, up: bool = True) -> Script:
-        """Return the script, its times rounded up or down to what a person would write."""
+        """Return the script, its times rounded up or down to steps that a person would write."""
         steps = v / _TIME_STEP_S
         return Script(
             name, tuple(self._steps((np.ceil(steps - 1e-6) if up else np.floor(steps + 1e-6)) * _TIME_STEP_S))
         )
 
     def _steps(self, v: Floats) -> Iterator[Step]:
+        """Yield the steps for variables v: rest, moves and turns of each cycle, moves home, rest."""
         yield Rest(float(v[-1]), "rest before")
         angles = dict.fromkeys(self._gimbals, 0.0)
         for _ in range(self.cycles):
@@ -145,7 +146,7 @@ class Shape:
                 yield Move(axis, angle, limit.rate_rps, limit.acceleration_rps2, label)
 
     def _turns(self, way: Way, turn_s: float) -> tuple[Floats, Floats]:
-        """Return what all turns of a way add to the sums, and the slope of that over their time."""
+        """Return the contribution of all turns of a way to the sums (4, 4), and its derivative by their duration."""
         limit = self._limits[way.axis]
         rate, push = _rate(turn_s, limit), limit.acceleration_rps2
         rate_slope = 0.0 if rate == limit.rate_rps else _RAMP_SHARE * push
@@ -160,7 +161,7 @@ class Shape:
 
 
 def sums(script: Script, gimbals: Sequence[str]) -> Floats:
-    """Return the summed [1, w][1, w]' (4, 4) over the time of a script, the base not turning."""
+    """Return the sum of [1, w][1, w]' (4, 4) over the time of a script, with a base that does not turn."""
     total = np.zeros((4, 4))
     angles = dict.fromkeys(gimbals, 0.0)
     for timed in script.timeline():
@@ -195,7 +196,7 @@ def _entry(duration_s: float, turn_rad: float, square: float, direction: Sequenc
 
 
 def _direction(axis: str, angles: Mapping[str, float], gimbals: Sequence[str]) -> tuple[float, float, float]:
-    """Return what the body turns about (a unit vector in body axes) when this axis turns."""
+    """Return the axis (a unit vector in body axes) about which the body turns when this gimbal turns."""
     here = np.array([[angles.get(gimbal, 0.0) for gimbal in gimbals]])
     x, y, z = body_rate(here, np.array([[float(gimbal == axis) for gimbal in gimbals]]), gimbals)[0]
     return float(x), float(y), float(z)

@@ -21,12 +21,12 @@ LONGEST_S = 2 * 3600.0
 """No script longer than this is looked for."""
 _MOST_WAYS = 3  # as many directions span every body rate
 _CYCLES = (1, 2, 3, 4, 6, 8)
-_KEPT = 3  # shapes that are looked at under all of the noise
+_KEPT = 3  # shapes that are computed under all of the noise
 _ROUNDS = 10
 _AGREED = 0.002  # share of a sigma to which steering and prediction agree
 _WORTH = 0.005  # share of time or sigma that something more complicated must save
 _MISSED = 1e-4  # share by which a limit may be missed in a step; the rounds that follow take it away
-_NEAR = 0.05  # shapes this much dearer under white noise are not looked at further
+_NEAR = 0.05  # shapes this much worse under white noise are not considered further
 _COARSE_S = 0.01
 _EASE = math.sqrt(0.5)
 _QUARTER, _EIGHTH = math.pi / 2, math.pi / 4
@@ -34,7 +34,7 @@ _QUARTER, _EIGHTH = math.pi / 2, math.pi / 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Needs:
-    """What n gyros are and what each needs: ``sd`` (n, 4), infinite where a state is not asked for.
+    """n gyros and their goals: ``sd`` (n, 4), infinite where a state is not required.
 
     ``maps`` (n, 4, 4) lead from [1, w] to the states, ``arw`` (n,) is in rad/s/rtHz, ``prior`` (n, 4) are variances.
     """
@@ -57,15 +57,15 @@ class Needs:
         return np.asarray(maps @ products @ maps.transpose(0, 2, 1))
 
     def excess(self, covariances: Floats) -> Floats:
-        """Return the logarithm of each sigma asked for over what is needed (s,), above zero where it is missed."""
+        """Return the logarithm of each required sigma's ratio to its limit (s,), above zero where it is missed."""
         wanted = np.isfinite(self.sd)
         return np.asarray(np.log(sds_of(covariances)[wanted] / self.sd[wanted]))
 
     def cost(self, covariances: Floats, criterion: str) -> tuple[float, Floats]:
-        """Return the logarithm of the typical sigma asked for, and its derivative (n, 4, 4) by the covariances.
+        """Return the logarithm of the typical required sigma, and its derivative (n, 4, 4) by the covariances.
 
-        Criterion "D" takes it from the determinants of the covariances, "A" from the mean of the variances, each in
-        units of its needed one.
+        Criterion "D" uses the determinants of the covariances, "A" the mean of the variances relative to the required
+        ones.
         """
         wanted = np.isfinite(self.sd)
         slope = np.zeros_like(covariances)
@@ -91,7 +91,7 @@ def sds_of(covariances: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """A script, the sigmas (n, 4) that it is predicted to reach, how many ways to put turns together were compared."""
+    """A script, its predicted sigmas (n, 4), and the number of combinations of turns that were compared."""
 
     script: Script
     sd: Floats
@@ -100,7 +100,7 @@ class Found:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Solved:
-    """A shape with its variables, and its cost: a logarithm, of time or of sigma, so that differences are shares."""
+    """A shape with its variables and its cost, a logarithm of time or sigma, so that differences are relative."""
 
     cost: float
     shape: Shape
@@ -109,11 +109,11 @@ class _Solved:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Search:
-    """What to search in and for. ``predict`` gives the covariances (n, 4, 4) of a script under all of the noise.
+    """The search space and the goals. ``predict`` gives the covariances (n, 4, 4) of a script under the complete noise.
 
-    ``rest_s`` is kept at both ends. ``criterion`` is "D" or "A". ``coloured`` says whether going through the turns
-    several times can help; ``one_directional`` also allows scripts in which no axis turns back. Ramps are no steeper
-    than ``gentle_rps2`` where that costs nothing.
+    ``rest_s`` is kept at both ends. ``criterion`` is "D" or "A". ``coloured`` says whether repeating the turns can
+    help; ``one_directional`` also allows scripts in which no axis turns back. Ramps are no steeper than ``gentle_rps2``
+    where that costs nothing.
     """
 
     needs: Needs
@@ -141,11 +141,11 @@ class Search:
         return self._shape(ways).again(cycles).script(np.array([turn_s] * len(ways) + [self.rest_s]), "longest")
 
     def least_time(self) -> Found | None:
-        """Return the shortest script that reaches every sigma asked for; None if none up to LONGEST_S does."""
+        """Return the shortest script that reaches every required sigma; None if none up to LONGEST_S does."""
         return self._chosen(lambda shape: _shortest(shape, self.needs), self._settled)
 
     def least_sigmas(self, total_s: float) -> Found | None:
-        """Return the script of this length with the least criterion; None if no turns fit into it."""
+        """Return the script of length ``total_s`` with the least criterion; None if no turns fit into it."""
 
         def solve(shape: Shape) -> _Solved | None:
             return _best_within(shape, self.needs, total_s, self.criterion)
@@ -163,7 +163,11 @@ class Search:
     def _chosen(
         self, solve: Callable[[Shape], _Solved | None], settle: Callable[[Shape], tuple[float, Found] | None]
     ) -> Found | None:
-        """Return the best of the shapes that ``solve`` under white noise once ``settle`` d under all of the noise."""
+        """Return the best script: the shapes best under white noise by ``solve``, settled by ``settle`` under all
+        noise.
+
+        More cycles are tried while they gain. None if no shape can be settled.
+        """
         ranked = self._ranked(solve)
         found: list[tuple[float, Found, Shape]] = []
         for solved in ranked[:_KEPT]:
@@ -189,7 +193,9 @@ class Search:
     def _eased(
         self, best: Found, shape: Shape, enough: float, settle: Callable[[Shape], tuple[float, Found] | None]
     ) -> Found:
-        """Return the script with the gentlest ramps that still is good enough."""
+        """Return the script with the gentlest ramps whose cost is at most ``enough``; ``best`` itself if none is
+        gentler.
+        """
         steepest = max(limit.acceleration_rps2 for limit in self.limits.values())
         while steepest > self.gentle_rps2:
             steepest = max(steepest * _EASE, self.gentle_rps2)
@@ -200,7 +206,11 @@ class Search:
         return best
 
     def _ranked(self, solve: Callable[[Shape], _Solved | None]) -> list[_Solved]:
-        """Return the shapes that solve and may be the best, least cost first; of the same cost, fewest moves first."""
+        """Return the solved shapes that may be the best, by cost; those of nearly the least cost by their number of
+        moves.
+
+        Empty if no shape can be solved. If the best turns no axis at a slant, slanted variants of it are tried, too.
+        """
         solved = [s for ways in self._combinations() if (s := solve(self._shape(ways))) is not None]
         self.on_progress(f"{len(solved)} combinations of turns compared")
         if not solved:
@@ -232,7 +242,9 @@ class Search:
                     yield from one_way(chosen)
 
     def _settled(self, shape: Shape) -> tuple[float, Found] | None:
-        """Return the shortest script of a shape that reaches all under all of the noise, what is left well spent."""
+        """Return the shortest script of a shape that reaches all sigmas under the complete noise, with its cost; else
+        None.
+        """
         factor = np.ones_like(self.needs.sd)
         found: Found | None = None
         for _ in range(_ROUNDS):
@@ -266,7 +278,9 @@ def _listed(shape: Shape) -> str:
 
 
 def _shortest(shape: Shape, needs: Needs) -> _Solved | None:
-    """Return the least time in which a shape reaches every sigma asked for, under white noise."""
+    """Return the variables for the least time in which a shape reaches every sigma under white noise; None if it
+    cannot.
+    """
 
     def excess(v: Floats) -> Floats:
         return needs.excess(needs.covariances(shape.information(v)))
@@ -287,7 +301,10 @@ def _shortest(shape: Shape, needs: Needs) -> _Solved | None:
 
 
 def _best_within(shape: Shape, needs: Needs, total_s: float, criterion: str, *, keep: bool = False) -> _Solved | None:
-    """Return the least criterion that a shape reaches in a time, under white noise; ``keep``: with all sigmas kept."""
+    """Return the variables for the least criterion in ``total_s`` under white noise; ``keep``: with all sigmas kept.
+
+    None if the shape does not fit into the time or the sigmas cannot be kept.
+    """
     slack = total_s - _time_s(shape, shape.least)
     if slack < 0:
         return None
@@ -317,7 +334,7 @@ class _Limit:
 
 
 def _kept(shape: Shape, needs: Needs) -> _Limit:
-    """Return the condition that no sigma is above what is needed."""
+    """Return the condition that no sigma exceeds its requirement."""
     return _Limit(
         "ineq",
         lambda v: -needs.excess(needs.covariances(shape.information(v))),
@@ -333,7 +350,9 @@ def _excess_slopes(shape: Shape, needs: Needs, v: Floats) -> Floats:
 
 
 def _first_enough(shape: Shape, enough: Callable[[Floats], bool]) -> Floats | None:
-    """Return the least common length of all turns that is enough, the rest growing along; None beyond LONGEST_S."""
+    """Return the variables with the least common length of turns for which ``enough`` is true; None beyond
+    LONGEST_S.
+    """
     low, high = 0.0, float(LONGEST_S / shape.slopes(shape.least)[:, 0, 0].sum())
     if not enough(np.maximum(shape.least, high)):
         return None
@@ -346,7 +365,7 @@ def _first_enough(shape: Shape, enough: Callable[[Floats], bool]) -> Floats | No
 def _minimum(
     cost: Callable[[Floats], tuple[float, Floats]], start: Floats, least: Floats, limits: Sequence[_Limit]
 ) -> Floats:
-    """Return the variables of least cost, none below ``least``."""
+    """Return the variables of least cost, none below ``least``, under the conditions ``limits``."""
     from scipy.optimize import minimize  # slow to import: only where a search is made
 
     def scaled(u: Floats) -> tuple[float, Floats]:

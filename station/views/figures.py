@@ -21,7 +21,7 @@ FINDING_STYLES: dict[str, str] = _STYLES["findings"]
 
 @dataclass(frozen=True, slots=True)
 class StateUnit:
-    """How a state is shown: its name, its unit, the factor from SI, digits after the point, room for its digits."""
+    """How a state is shown: its name, unit, factor from SI, decimals, and width."""
 
     name: str
     unit: str
@@ -38,7 +38,7 @@ class StateUnit:
         return f"{self.text(value)} ± {self.text(sd)}"
 
     def fitted(self, sds: Iterable[float]) -> Self:
-        """Return the same unit with so many digits that the smallest of some sigmas, in SI, has two that count."""
+        """Return the unit with enough digits for two significant ones of the smallest sigma (given in SI)."""
         known = [sd * self.factor for sd in sds if 0 < sd < math.inf]
         if not known:
             return self
@@ -47,13 +47,13 @@ class StateUnit:
 
 
 def _effect_units() -> dict[str, tuple[str, float]]:
-    """Return by effect's SI unit what people read in its place, and the factor."""
+    """Return by SI unit of an effect the displayed unit, and the factor."""
     shown = _TABLES["effects"].items()
     return {key: (unit, times * math.degrees(1) ** power) for key, (unit, times, power) in shown}
 
 
 def shown_unit(si: str) -> tuple[str, float]:
-    """Return what people read in the place of the SI unit of an effect, and the factor."""
+    """Return the displayed unit for an effect's SI unit, and the factor."""
     from estimator.effects.catalogue import records
 
     own = (record.display[si] for record in records() if si in record.display)
@@ -66,7 +66,9 @@ _EFFECTS = _effect_units()
 
 @cache
 def state_figures(units: Units) -> tuple[StateUnit, ...]:
-    """Return the four states in order, in the units that a bench file chose, for values, sigmas and limits alike."""
+    """Return how each of the four states is shown, in the units of the bench file, for values, sigmas and limits
+    alike.
+    """
     found = []
     for state, key in _TABLES["states"].items():
         unit = getattr(units, key)
@@ -76,7 +78,7 @@ def state_figures(units: Units) -> tuple[StateUnit, ...]:
 
 
 def told_figures(told: Any) -> tuple[StateUnit, ...]:
-    """Return the states in the units that a session or a file tells, as JSON; in the usual ones where it tells none."""
+    """Return the states in the units of a session or file, given as JSON; the usual units if there are none."""
     try:
         return state_figures(Units(**told)) if told else STATE_FIGURES
     except (TypeError, KeyError):  # of another version of the station
@@ -88,7 +90,7 @@ STATE_FIGURES = state_figures(Units())
 
 
 def number(value: float | None, digits: int, *, signed: bool = False) -> str:
-    """Return a number with so many digits after the point, or a dash."""
+    """Return a number with ``digits`` digits after the point, or a dash if unknown."""
     if value is None or not math.isfinite(value):
         return UNKNOWN
     text = f"{value:+.{digits}f}" if signed else f"{value:.{digits}f}"
@@ -109,7 +111,7 @@ def clock(seconds: float) -> str:
 
 
 def clock_between(least_s: float, longer_s: float = 0.0) -> str:
-    """Return a duration that may be longer by so much as minutes and seconds: "3:00 to 8:00", "3:00 or more"."""
+    """Return a duration, perhaps longer by ``longer_s``, in minutes and seconds: "3:00 to 8:00", "3:00 or more"."""
     least = clock(least_s)
     if not math.isfinite(longer_s):
         return f"{least} or more"
@@ -141,7 +143,11 @@ def percent(share: float | None) -> str:
 
 
 def human(value: float | None, sd: float | None, unit: str) -> str:
-    """Return a value and its standard deviation, in SI, in a unit for people, to two digits of the latter."""
+    """Return a value with its standard deviation, both in SI, as text in a readable unit, rounded to two digits of the
+    latter.
+
+    "-" for None; four digits if there is no standard deviation.
+    """
     if value is None:
         return UNKNOWN
     # Delays are milliseconds, time constants of a warm-up are not.

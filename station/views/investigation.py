@@ -1,4 +1,4 @@
-"""An investigation as it is shown: by the terminal, the screen and reports to people, by --json to machines.
+"""An investigation for display: by the terminal, the screen and reports to people, by --json to machines.
 
 SI units, shares between 0 and 1, None for what is not known.
 """
@@ -27,7 +27,7 @@ _SPECTRUM = ("frequency_hz", "density", "noise")
 
 
 class ErrorsView(TypedDict):
-    """Error of the compensated rate: rms and largest, rad/s; the share of its 95 % intervals that hold."""
+    """Error of the compensated rate: rms and largest in rad/s, and the share of its 95 % intervals that hold."""
 
     rms_rps: float | None
     max_rps: float | None
@@ -35,7 +35,7 @@ class ErrorsView(TypedDict):
 
 
 class ResidualView(TypedDict):
-    """What is left of the output errors: of each gyro its NIS and what it depends on; whose it is (``split``)."""
+    """The remaining output errors: by gyro its NIS and what it depends on; to what they belong (``split``)."""
 
     gyros: dict[str, dict[str, Any]]
     split: dict[str, Any] | None
@@ -43,9 +43,9 @@ class ResidualView(TypedDict):
 
 
 class InvestigationView(TypedDict):
-    """What --json says. ``parameters`` of what was added are (value, standard deviation, unit).
+    """The result as --json prints it. ``parameters`` of added effects are (value, standard deviation, unit).
 
-    ``residual`` has "before" and "after" of the recordings fitted and, or None, both of the "verification" run.
+    ``residual`` has "before" and "after" for the fitted recordings and, or None, both for the "verification" run.
     """
 
     verdict: str
@@ -74,7 +74,7 @@ class InvestigationView(TypedDict):
 def investigation_view(
     found: Investigation, next_script: Path | None, recordings: Sequence[str] = (), verification: Sequence[str] = ()
 ) -> InvestigationView:
-    """Return what is shown of an investigation of these recordings, judged by those that verify."""
+    """Return the view of an investigation of ``recordings``, judged by those in ``verification``."""
     models = [{"effects": m.effects, "log_evidence": m.log_evidence, **asdict(m.errors)} for m in found.models]
     fitted = _both(found.residual_before, found.residual_after)
     whole = {
@@ -95,15 +95,18 @@ def investigation_view(
 
 
 def what_shows(found: Investigation) -> list[str]:
-    """Return what a recording must hold that tells apart what this one cannot: by effect what shows it."""
+    """Return, for each candidate that the data could not separate, "effect: what a recording must hold to show it".
+
+    Empty if nothing was found or the effects were added.
+    """
     if found.finding in (Finding.NOTHING, Finding.ADDED):
         return []
     known = {record.name: record for record in records()}
     names = [name for own in found.rivals for name in own]
     if not names:
         names = [suspect.effect for suspect in found.suspects[:_MOST_SUSPECTS]]
-    told = [f"{readable(name)}: {known[name].shown_by}" for name in dict.fromkeys(names) if name in known]
-    return [line for line in told if not line.endswith(": ")]
+    motions = [f"{readable(name)}: {known[name].shown_by}" for name in dict.fromkeys(names) if name in known]
+    return [line for line in motions if not line.endswith(": ")]
 
 
 def is_investigation(found: Mapping[str, Any]) -> bool:
@@ -124,7 +127,7 @@ def _both(before: Residual | None, after: Residual | None) -> dict[str, Any] | N
 
 
 def residual_view(residual: Residual) -> ResidualView:
-    """Return what is shown of a residual."""
+    """Return the displayed values of a residual."""
     split = None if residual.split is None else asdict(residual.split)
     gyros = {gyro.name: _gyro_residual(gyro) for gyro in residual.gyros}
     return {"gyros": gyros, "split": split, "no_split": residual.no_split or None}
@@ -137,7 +140,7 @@ def _gyro_residual(gyro: GyroResidual) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spectra:
-    """One-sided densities (f,) of the residual of a gyro before and after, and of its noise, (rad/s)^2/Hz."""
+    """One-sided densities (f,) of a gyro's residual before and after, and of its noise, (rad/s)^2/Hz."""
 
     frequency_hz: Floats
     before: Floats
@@ -146,7 +149,7 @@ class Spectra:
 
 
 def spectra_of(before: Residual | None, after: Residual | None) -> dict[str, Spectra]:
-    """Return the spectra by gyro, none if the residual was not looked at."""
+    """Return the spectra by gyro; empty if a residual was not analysed."""
     if before is None or after is None:
         return {}
     pairs = zip(before.gyros, after.gyros, strict=True)

@@ -1,4 +1,4 @@
-"""Values as JSON can hold them: null for what is not finite."""
+"""Values in the form of JSON: null for numbers that are not finite."""
 
 import math
 from collections.abc import Iterable
@@ -12,7 +12,9 @@ from estimator.observations.allan.terms import Term
 
 
 def json_object(value: Any) -> Any:
-    """Return dataclasses, dicts, sequences, arrays and numbers as what JSON can hold: null for what is not finite."""
+    """Return a value with dataclasses, sequences, arrays and numbers converted to JSON's types; null for non-finite
+    numbers.
+    """
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, dict):
@@ -32,19 +34,18 @@ def named(value: Any, names: Iterable[str]) -> dict[str, Any]:
 
 
 def by_state(values: Any) -> dict[str, Any]:
-    """Return what there is of each state (4,) by the state's name, as JSON can hold it."""
+    """Return values of the states (4,) by the state's name, as JSON values."""
     return dict(zip(STATES, json_object(values), strict=True))
 
 
 def term_object(term: Term) -> dict[str, Any]:
-    """Return a term of the noise: the likeliest value, its interval of 95 %, and whether it was seen."""
+    """Return a term of the noise: the likeliest value, its 95 % interval, and whether it was seen."""
     return {"value": term.value, "interval": [term.low, term.high], "seen": term.seen}
 
 
 def budget_and_noise(gyro: GyroCalibration) -> dict[str, Any]:
-    """Return of a gyro the uncertainty budget by source and state, the noise found, and that at rest alone, in SI.
-
-    Both noises are None if there is none.
+    """Return a gyro's uncertainty budget by source and state, its noise, and its noise at rest, in SI; None where
+    unknown.
     """
     noise = gyro.noise and {
         "arw_rps_rthz": gyro.noise.mean.arw,

@@ -1,4 +1,4 @@
-"""The limits of a bench beside what a calibration found: what verdicts are made of, and reports show."""
+"""The limits of a bench compared with the results of a calibration, for verdicts and reports."""
 
 import math
 from collections.abc import Sequence
@@ -15,11 +15,11 @@ from station.views.figures import StateUnit, state_figures
 
 @dataclass(kw_only=True, frozen=True, slots=True)
 class LimitLine:
-    """One limit: what it is of, the value found, the bounds, SI.
+    """One limit: its subject, the value found, the bounds, in SI.
 
-    Of a gyro (``row`` in the calibration) it is of ``state`` 0 to 3 or, ``of_u``, of that state's standard
-    uncertainty, shown in ``unit``. ``written`` is the bound as the bench file has it, empty where that is not known.
-    ``note`` says why a gyro has no estimate. What is accepted ends a ``guard`` band before the limits.
+    For a gyro (``row`` in the calibration) the subject is ``state`` 0 to 3 or, with ``of_u``, that state's standard
+    uncertainty, shown in ``unit``. ``written`` is the bound as in the bench file, empty if not known. ``note`` says why
+    a gyro has no estimate. Acceptance ends a ``guard`` band before the limits.
     """
 
     gyro: str
@@ -37,23 +37,23 @@ class LimitLine:
 
     @property
     def stated(self) -> bool:
-        """Whether there is a bound at all; what is not known is beyond any."""
+        """Whether there is a bound at all; an unknown value counts as bounded."""
         return math.isfinite(self.high) or self.low > 0 or math.isnan(self.value)
 
     @property
     def within(self) -> bool:
-        """Whether the value is accepted; what is not known is not."""
+        """Whether the value is accepted; an unknown value is not."""
         return self.low + self.guard <= self.value <= self.high - self.guard
 
     @property
     def broken(self) -> str:
-        """How the limit is broken, in words."""
+        """The text for a broken limit. Call it only if the limit is broken."""
         if self.note:
             return f"{self.gyro} is not estimated: {self.note}"
         if self.unit is not None:
-            what = f"{self.gyro} sigma of {self.what}" if self.of_u else f"{self.gyro} {self.what}"
+            quantity = f"{self.gyro} sigma of {self.what}" if self.of_u else f"{self.gyro} {self.what}"
             found, most = self._shown(self.high, self.unit.unit, self.unit.factor)
-            return f"{what} {found} > {most}"
+            return f"{quantity} {found} > {most}"
         if self.what == SAMPLES_LOST:
             found, most = self._shown(self.high, "%", 100.0)
             return f"{found} of the samples lost > {most}"
@@ -61,25 +61,29 @@ class LimitLine:
 
     @property
     def cells(self) -> tuple[str, str, str, str]:
-        """What it is of, the value found, the bound and by how much that is missed, in units of the states' table."""
+        """Subject, value, bound and the excess as a factor or percentage, as texts in the units of the states' table.
+
+        If there is no estimate, the value is the reason and the others are empty.
+        """
         if self.note or not math.isfinite(self.value):
             return f"{self.gyro} {self.what}", self.note or "not known", "", ""
-        unit, factor, what = "", 1.0, self.what
+        unit, factor, quantity = "", 1.0, self.what
         if self.unit is not None:
             unit, factor = self.unit.unit, self.unit.factor
-            what = f"{self.gyro} {'± of ' * self.of_u}{self.what}"
-        elif what == SAMPLES_LOST:
+            quantity = f"{self.gyro} {'± of ' * self.of_u}{self.what}"
+        elif quantity == SAMPLES_LOST:
             unit, factor = "%", 100.0
-        bound = self.low if what == MEAN_NIS and self.value < self.low else self.high
+        bound = self.low if quantity == MEAN_NIS and self.value < self.low else self.high
         found, most = self._shown(bound, unit, factor)
         ratio = abs(self.value) / bound if bound else math.inf
         by = f"{ratio:.0f} times" if ratio > 2 else f"{abs(ratio - 1) * 100:.2g} %"
-        return what, found, most, by if math.isfinite(ratio) else ""
+        return quantity, found, most, by if math.isfinite(ratio) else ""
 
     def _shown(self, bound: float, unit: str, factor: float) -> tuple[str, str]:
-        """Return the value in a unit, and a bound as it was written, in that unit too where it was in another.
+        """Return the value in a unit and the bound as it was written, with the bound in that unit too if it was in
+        another.
 
-        Both have as many digits as it takes to tell them apart.
+        Both have enough digits to differ.
         """
         found, most = (f"{text} {unit}".rstrip() for text in _apart(abs(self.value) * factor, bound * factor))
         if not self.written:
@@ -94,7 +98,7 @@ class LimitLine:
 
     @property
     def remedy(self) -> str:
-        """What usually helps where it is broken."""
+        """What usually helps where this limit is broken."""
         if self.of_u:
             return "Uncertainty too large. Use a longer or better script: `station plan --improve` finds one."
         if self.what == MEAN_NIS:
@@ -105,7 +109,7 @@ class LimitLine:
 
 
 def _apart(value: float, bound: float) -> tuple[str, str]:
-    """Return both with as many digits, four or more, as it takes to tell them apart."""
+    """Return both values with four or more digits, as many as make them differ."""
     for digits in range(4, 17):
         texts = tuple(np.format_float_positional(x, digits, fractional=False, trim="-") for x in (value, bound))
         if texts[0] != texts[1]:
@@ -114,7 +118,7 @@ def _apart(value: float, bound: float) -> tuple[str, str]:
 
 
 def worst_first(lines: Sequence[LimitLine]) -> list[LimitLine]:
-    """Return limits that are broken: those of no gyro first, which may be behind the others, then by how far."""
+    """Return broken limits: first those of no gyro, which may cause the others, then by excess."""
     return sorted(lines, key=lambda line: (line.row is not None, -line.excess))
 
 
@@ -122,9 +126,9 @@ MEAN_NIS, SAMPLES_LOST = "mean NIS", "samples lost"
 
 
 def limit_lines(found: Calibration, limits: Limits, labels: Sequence[str] | None = None) -> list[LimitLine]:
-    """Return each limit that is stated beside what was found; ``labels`` are what to call the gyros, else their names.
+    """Return every stated limit with the value found; ``labels`` name the gyros, by default their own names.
 
-    A gyro that is not estimated breaks a limit.
+    A gyro without an estimate is a broken limit.
     """
     lines = [
         LimitLine(gyro=e.name, what="estimate", value=math.nan, low=0.0, high=1.0, note=e.reason)

@@ -58,7 +58,10 @@ def lengths_s(noise: SensorNoise, share: float) -> tuple[float, ...]:
 
 
 def noise_object(noise: SensorNoise, share: float) -> dict[str, Any]:
-    """Return the noise of a sensor as what --json prints, in SI; null for a length of more than three years."""
+    """Return the noise of a sensor as --json prints it, in SI; null for a recording length of more than three years.
+
+    ``share`` is the relative uncertainty for which the lengths to record are given.
+    """
     curve = noise.curve
     parts = zip(TERMS, lengths_s(noise, share), strict=True)
     terms = {name: {**term_object(noise.terms[name]), "record_s": json_object(length)} for name, length in parts}
@@ -75,7 +78,7 @@ def noise_object(noise: SensorNoise, share: float) -> dict[str, Any]:
 
 
 def warnings_of(noises: Sequence[SensorNoise]) -> list[str]:
-    """Return, in words, where N, B and K do not describe the noise of sensors."""
+    """Return a sentence for each sensor whose noise N, B and K do not describe."""
     found = []
     for noise in noises:
         terms = noise.terms
@@ -88,7 +91,9 @@ def warnings_of(noises: Sequence[SensorNoise]) -> list[str]:
 
 
 def filter_notes(noises: Sequence[SensorNoise]) -> list[str]:
-    """Return, in words, from which averaging time on N, B and K hold of sensors, where that is not from the first."""
+    """Return a sentence for each averaging time from which N, B and K hold, other than the shortest, with its
+    sensors.
+    """
     found = []
     for shortest_s in dict.fromkeys(noise.terms.shortest_s for noise in noises if noise.terms.trimmed):
         names = ", ".join(noise.name for noise in noises if noise.terms.shortest_s == shortest_s)

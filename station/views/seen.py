@@ -1,4 +1,4 @@
-"""What sources went through in a recording: temperatures, rates, sampling."""
+"""Conditions that sources went through in a recording: temperatures, rates, sampling."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -10,9 +10,9 @@ from estimator.recordings.recording import ImuData
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """Temperatures (lowest, mean, highest; NaN if not recorded), rates, sampling.
+    """Conditions of a calibration: temperature (lowest, mean, highest; NaN if not recorded), rates, sampling.
 
-    ``largest_rps`` is the largest output of the gyros, ``rate_hz`` how often they were sampled.
+    ``largest_rps`` is the largest output of the gyros, ``rate_hz`` their sampling rate.
     """
 
     temperature_c: tuple[float, float, float]
@@ -21,7 +21,7 @@ class Seen:
 
 
 def seen_by(sources: Iterable[ImuData]) -> Seen:
-    """Return what these sources went through together."""
+    """Return the conditions of these sources together; NaN where not recorded."""
     used = list(sources)
     temperatures = [data.temperature_c for data in used if data.temperature_c is not None]
     known = np.concatenate([t[np.isfinite(t)] for t in temperatures]) if temperatures else np.empty(0)

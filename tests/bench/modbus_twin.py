@@ -9,13 +9,13 @@ from pymodbus.server import ModbusSerialServer
 
 from drivers.tables.modbus.line import Address, SerialPort
 from sims.tables import modbus
-from sims.wires.line_controller import Seat
+from sims.wires.line_controller import TableTwinSetup
 
 
-def modbus_server(seat: Seat, address: Address) -> Any:
+def modbus_server(setup: TableTwinSetup, address: Address) -> Any:
     """Return a server, not yet listening, with one unit id an axis."""
     if not isinstance(address, SerialPort):
-        return modbus.modbus_server(seat, address)
+        return modbus.modbus_server(setup, address)
     server = ModbusSerialServer(
         modbus.NOBODY,
         port=address.port,
@@ -23,6 +23,6 @@ def modbus_server(seat: Seat, address: Address) -> Any:
         parity=address.parity,
         stopbits=address.stop_bits,
     )
-    make = partial(modbus.ModbusRtu, modbus.drives_by_unit(seat), address.silence_s)
+    make = partial(modbus.ModbusRtu, modbus.drives_by_unit(setup), address.silence_s)
     server.callback_new_connection = partial(modbus.Connection, server, make)  # type: ignore[method-assign]
     return server

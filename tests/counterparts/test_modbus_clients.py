@@ -19,7 +19,7 @@ from strangers import needs_program, needs_python
 from drivers.tables.modbus.line import Address, SerialPort
 from drivers.tables.modbus.registers import load_profile
 from sims.physics.table import AxisData, TableModel
-from sims.wires.line_controller import Seat
+from sims.wires.line_controller import TableTwinSetup
 from station.run.event_loop.loops import ScaledLoop
 
 DEG = math.pi / 180
@@ -53,7 +53,7 @@ async def served(transport: str) -> AsyncIterator[Address]:
     model.motion["y"].jog(-10.0, RATE_RPS, 50 * DEG)
     with wire() as (near, far):
         bound: Address = ("127.0.0.1", 0) if transport == "tcp" else SerialPort(far, 115200)
-        server: Any = modbus_server(Seat(model, UNIT_IDS, {"profile": PROFILE}, 0.0), bound)
+        server: Any = modbus_server(TableTwinSetup(model, UNIT_IDS, {"profile": PROFILE}, 0.0), bound)
         await server.serve_forever(background=True)
         try:
             yield server.transport.sockets[0].getsockname() if transport == "tcp" else SerialPort(near, 115200)

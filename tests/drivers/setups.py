@@ -10,7 +10,7 @@ from drivers.imus.registry import IMUS
 from drivers.specs import AxisSetup, ImuSetup, Key, TableSetup
 from drivers.tables.registry import TABLES
 from sims.physics.table import TableModel
-from sims.tables.registry import TWINS, Seat
+from sims.tables.registry import TWINS, TableTwinSetup
 from station.errors import BenchError
 from station.schema.tables import Table
 
@@ -31,7 +31,9 @@ def twin_on(
 ) -> Any:
     """Return the twin of a controller; ``more`` are options of the bench file and knobs of the twin."""
     options = setup_of(protocol, {}, 0.0).options
-    seat = Seat(table, addresses, {name: more.pop(name, value) for name, value in options.items()}, watchdog_s)
+    seat = TableTwinSetup(
+        table, addresses, {name: more.pop(name, value) for name, value in options.items()}, watchdog_s
+    )
     return TWINS[protocol](seat, write, **more)
 
 

@@ -21,7 +21,7 @@ from drivers.links.can_link import CanLink
 from drivers.specs import ImuSetup
 from drivers.types import Frame
 from sims.imus.can_nodes import CanNodes
-from sims.wires.frames import Ride
+from sims.wires.frames import ImuTwinSetup
 from sims.wires.slcan_adapter import SlcanAdapter
 from sims.wires.socketcand_server import SocketcandServer
 
@@ -353,7 +353,9 @@ def test_the_can_twin_is_measured_over_slcan_and_over_socketcand() -> None:
 
     async def measure(link: CanLink, bus: Any) -> None:
         imu = CanImu(ImuSetup("imu", 200.0, 0.5, signals=CanSource(BUILT_IN_DBC, channels)), link)
-        twin = asyncio.create_task(CanNodes(Ride(gyros=gyros(200.0), rate_hz=200.0, signals=signals), bus).serve())
+        twin = asyncio.create_task(
+            CanNodes(ImuTwinSetup(gyros=gyros(200.0), rate_hz=200.0, signals=signals), bus).serve()
+        )
         seen: dict[str, list[float]] = {name: [] for name in imu.names}
         async with asyncio.timeout(5):
             async for name, block in imu.blocks():

@@ -21,7 +21,7 @@ from drivers.links.can_memory import MemoryBus
 from drivers.specs import ImuSetup
 from drivers.types import ImuBlock, SourceCounts
 from sims.imus.can_nodes import CanNodes
-from sims.wires.frames import NodeFaults, Ride
+from sims.wires.frames import ImuTwinSetup, NodeFaults
 from station.bench.can_mappings import MAPPING_FOLDER, CanMapping, MappingError, channels_of, load_mapping
 
 SHIPPED = ("sbg_ecan", "bosch_mm5_10", "xsens_mti600", "aceinna_openimu300ri")
@@ -103,7 +103,7 @@ def run(
         await imu.open()
         array = gyros(rate_hz, RATES_DPS) if mapping.gyros == 3 else _Pair(gyros(rate_hz, RATES_DPS))
         signals = CanSource(mapping.dbc, channels(mapping))
-        ride = Ride(gyros=array, rate_hz=rate_hz, up=up, faults=faults or NodeFaults(), signals=signals)  # type: ignore[arg-type]
+        ride = ImuTwinSetup(gyros=array, rate_hz=rate_hz, up=up, faults=faults or NodeFaults(), signals=signals)  # type: ignore[arg-type]
         twin = CanNodes(ride, bus)
         task = asyncio.create_task(twin.serve())
         found = await collect(imu, duration_s)

@@ -22,7 +22,7 @@ from sims.imus.described import DescribedDevice
 from sims.physics.body import Body
 from sims.physics.geometry import along
 from sims.physics.gyro import GyroArray, GyroTruth
-from sims.wires.frames import NodeFaults, Ride
+from sims.wires.frames import ImuTwinSetup, NodeFaults
 from station.bench.descriptions import DESCRIPTIONS, load_description
 from station.run.event_loop.loops import VirtualLoop
 
@@ -286,7 +286,7 @@ class Bench:
         self.heard = b""
         self.faults = NodeFaults(**faults)
         up = np.array([0.0, 0.0, 1.0])
-        ride = Ride(
+        ride = ImuTwinSetup(
             gyros=gyros,
             rate_hz=rate_hz,
             up=lambda t_s: np.tile(up, (len(t_s), 1)),

@@ -19,7 +19,7 @@ from drivers.tables.modbus.line import Address, SerialPort
 from drivers.tables.modbus.registers import load_profile
 from drivers.tables.modbus.table import ModbusTable
 from sims.physics.table import TableModel
-from sims.wires.line_controller import Seat
+from sims.wires.line_controller import TableTwinSetup
 
 PROFILE, UNIT_IDS = load_profile("kinco"), {"x": 1, "y": 2, "z": 3}
 CONTROLWORD, START, ENABLE = 0x3100, 0x1F, 0x0F
@@ -36,7 +36,7 @@ async def drives(
     address: Address = (
         (NULLMODEM_HOST, number) if transport == "tcp" else SerialPort(f"socket://{NULLMODEM_HOST}:{number}")
     )
-    server = modbus_server(Seat(model, UNIT_IDS, {"profile": PROFILE}, 0.0, cycle_s=cycle_s), address)
+    server = modbus_server(TableTwinSetup(model, UNIT_IDS, {"profile": PROFILE}, 0.0, cycle_s=cycle_s), address)
     if trace is not None:
         server.trace_packet = trace
     await server.serve_forever(background=True)

@@ -43,7 +43,7 @@ from drivers.links.can_link import CanLink
 from drivers.links.can_memory import MemoryBus
 from drivers.types import Frame, Identity, SourceCounts
 from sims.imus.aceinna import AceinnaDevice
-from sims.wires.frames import NodeFaults, Ride
+from sims.wires.frames import ImuTwinSetup, NodeFaults
 
 T = TypeVar("T")
 RATES_DPS = (10.0, -20.0, 30.0)
@@ -196,7 +196,7 @@ def with_twin(
     async def run() -> T:
         name = wire()
         bus = MemoryBus(name)
-        ride = Ride(
+        ride = ImuTwinSetup(
             gyros=gyros(rate_hz, RATES_DPS),
             rate_hz=100.0,
             up=lambda t_s: np.tile(FORCE / 9.80665, (len(t_s), 1)),
@@ -379,7 +379,7 @@ def test_the_twin_answers_only_what_is_asked_of_it() -> None:
             heard.append(Frame(0, msg.arbitration_id, msg.is_extended_id, bytes(msg.data)))
 
     device = AceinnaDevice(
-        Ride(gyros=gyros(100.0), rate_hz=100.0, options={"model": "openimu300ri", "address": DEVICE}), Ear()
+        ImuTwinSetup(gyros=gyros(100.0), rate_hz=100.0, options={"model": "openimu300ri", "address": DEVICE}), Ear()
     )
 
     def ask(frame: Frame) -> list[str]:

@@ -20,7 +20,7 @@ from drivers.tables.modbus.registers import DriveProfile, load_profile
 from drivers.tables.modbus.table import ModbusTable
 from drivers.types import AxisLimits, Identity
 from sims.physics.table import AxisData, TableModel
-from sims.wires.line_controller import Seat
+from sims.wires.line_controller import TableTwinSetup
 from station.run.event_loop.loops import VirtualLoop
 
 DEG = math.pi / 180
@@ -47,7 +47,7 @@ async def drives(profile: DriveProfile = PROFILE) -> AsyncIterator[tuple[ModbusT
         axes = {}
         for axis in "xyz":
             address = (NULLMODEM_HOST, next(_wires))
-            server = modbus_server(Seat(model, {axis: 1}, {"profile": PROFILE}, 0.0), address)
+            server = modbus_server(TableTwinSetup(model, {axis: 1}, {"profile": PROFILE}, 0.0), address)
             await server.serve_forever(background=True)
             stack.push_async_callback(server.shutdown)
             axes[axis] = AxisSetup(1, COUNTS, LIMITS, address)

@@ -26,7 +26,7 @@ from drivers.tables.modbus.line import Address, SerialPort
 from drivers.tables.modbus.registers import load_profile
 from drivers.tables.modbus.table import ModbusTable
 from sims.physics.table import TableModel
-from sims.wires.line_controller import Seat
+from sims.wires.line_controller import TableTwinSetup
 from sims.wires.wires import on_pty, on_tcp
 from station.run.event_loop.loops import ScaledLoop
 
@@ -85,7 +85,7 @@ async def joined(protocol: str, proxy: Proxy) -> AsyncIterator[tuple[Any, TableM
                 address, far = await serial_pair(stack, proxy)
             else:
                 far = ("127.0.0.1", 0)
-            server: Any = modbus_server(Seat(model, UNIT_IDS, {"profile": PROFILE}, 0.0), far)
+            server: Any = modbus_server(TableTwinSetup(model, UNIT_IDS, {"profile": PROFILE}, 0.0), far)
             await server.serve_forever(background=True)
             stack.push_async_callback(server.shutdown)
             if protocol != "rtu":

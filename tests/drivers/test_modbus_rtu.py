@@ -32,7 +32,7 @@ from drivers.tables.modbus.registers import load_profile
 from drivers.tables.modbus.table import ModbusTable
 from drivers.types import AxisLimits, LinkCounts
 from sims.physics.table import AxisData, TableModel
-from sims.wires.line_controller import Seat
+from sims.wires.line_controller import TableTwinSetup
 from station.run.event_loop.loops import ScaledLoop, VirtualLoop
 
 VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "modbus_cia402.json").read_text())["vectors"]
@@ -428,7 +428,7 @@ async def table_twin(port: SerialPort) -> AsyncIterator[TableModel]:
     data = {axis: AxisData(100 * DEG, 50 * DEG, COUNTS, 0.5 * DEG) for axis in "xyz"}
     model = TableModel(data, asyncio.get_running_loop().time)
     server = modbus_server(
-        Seat(model, dict(zip("xyz", UNITS, strict=True)), {"profile": load_profile("kinco")}, 0.0), port
+        TableTwinSetup(model, dict(zip("xyz", UNITS, strict=True)), {"profile": load_profile("kinco")}, 0.0), port
     )
     await server.serve_forever(background=True)
     try:

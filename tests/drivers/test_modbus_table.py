@@ -22,7 +22,7 @@ from drivers.tables.modbus.registers import DriveProfile, load_profile
 from drivers.tables.modbus.table import ModbusTable
 from drivers.types import AxisLimits, Identity
 from sims.physics.table import AxisData, TableModel
-from sims.wires.line_controller import Seat
+from sims.wires.line_controller import TableTwinSetup
 from station.run.event_loop.loops import ScaledLoop, VirtualLoop
 
 DEG = math.pi / 180
@@ -64,7 +64,7 @@ async def twin(
     data = {axis: AxisData(MAX_RATE, MAX_ACCELERATION, COUNTS, start) for axis, start in START_RAD.items()}
     model = TableModel(data, asyncio.get_running_loop().time)
     address = null_modem(transport)
-    server = modbus_server(Seat(model, UNIT_IDS, {"profile": profile}, watchdog_s), address)
+    server = modbus_server(TableTwinSetup(model, UNIT_IDS, {"profile": profile}, watchdog_s), address)
 
     def connected(is_up: bool) -> None:
         for handler in server.active_connections.values() if is_up else ():
@@ -434,7 +434,7 @@ def test_a_server_that_goes_away_is_a_lost_link(transport: str) -> None:
         data = {"x": AxisData(MAX_RATE, MAX_ACCELERATION, COUNTS)}
         model = TableModel(data, asyncio.get_running_loop().time)
         address = null_modem(transport)
-        server = modbus_server(Seat(model, {"x": 1}, {"profile": PROFILE}, 0.0), address)
+        server = modbus_server(TableTwinSetup(model, {"x": 1}, {"profile": PROFILE}, 0.0), address)
         await server.serve_forever(background=True)
         table = driver(address, {"x": 1})
         await table.open()

@@ -28,7 +28,7 @@ from sims.physics.body import Body
 from sims.physics.geometry import MOUNTS_DEG, mounted
 from sims.physics.gyro import GyroArray, GyroTruth
 from sims.physics.motion import AxisMotion
-from sims.wires.frames import NodeFaults, Ride
+from sims.wires.frames import ImuTwinSetup, NodeFaults
 from station.run.event_loop.loops import VirtualLoop
 
 WHO = Identity("STIM300 84167-440000-3321 rev K", "N25582405002002", "0")
@@ -67,7 +67,7 @@ class Wire:
 async def wired(rate_hz: int = 2000, **options: Any) -> AsyncIterator[Wire]:
     near, far = pair("imu")
     gyros, motion = on_a_table(rate_hz)
-    ride = Ride(gyros=gyros, rate_hz=rate_hz, faults=options.pop("faults", NodeFaults()))
+    ride = ImuTwinSetup(gyros=gyros, rate_hz=rate_hz, faults=options.pop("faults", NodeFaults()))
     wire = Wire(Stim300Device(ride, far.write, **options), near, motion)
 
     async def listen() -> None:
@@ -150,7 +150,9 @@ def test_a_device_that_does_not_answer_is_taken_as_it_is(streams: bool) -> None:
     async def scene() -> None:
         near, far = pair("imu")
         imu = Stim300Imu(imu_setup("stim300", "imu", 500, timeout_s=0.5), near)
-        task = asyncio.ensure_future(Stim300Device(Ride(gyros=on_a_table(500)[0], rate_hz=500), far.write).serve())
+        task = asyncio.ensure_future(
+            Stim300Device(ImuTwinSetup(gyros=on_a_table(500)[0], rate_hz=500), far.write).serve()
+        )
         if not streams:
             task.cancel()
         began = asyncio.get_running_loop().time()
@@ -281,7 +283,7 @@ def test_bytes_that_come_one_by_one_still_make_blocks_of_ten_milliseconds() -> N
             for i in range(len(data)):
                 far.write(data[i : i + 1])
 
-        device = Stim300Device(Ride(gyros=on_a_table(2000)[0], rate_hz=2000), drip)
+        device = Stim300Device(ImuTwinSetup(gyros=on_a_table(2000)[0], rate_hz=2000), drip)
         task = asyncio.ensure_future(device.serve())
         blocks = await gathered(Stim300Imu(imu_setup("stim300", "imu", 2000), near), 1.0)
         task.cancel()
@@ -332,7 +334,9 @@ def test_utility_mode_identifies_sets_and_refuses() -> None:
 def test_a_device_without_a_voice_is_a_lost_link() -> None:
     async def scene() -> None:
         near, far = pair("imu")
-        task = asyncio.ensure_future(Stim300Device(Ride(gyros=on_a_table(500)[0], rate_hz=500), far.write).serve())
+        task = asyncio.ensure_future(
+            Stim300Device(ImuTwinSetup(gyros=on_a_table(500)[0], rate_hz=500), far.write).serve()
+        )
         with pytest.raises(LinkLost, match="is it powered, and sending samples"):
             async with Stim300Utility("imu", near):
                 pass
@@ -348,7 +352,9 @@ def test_over_a_pseudo_terminal_it_names_itself_and_streams() -> None:
         tty.setraw(theirs)
         os.set_blocking(ours, False)
         loop = asyncio.get_running_loop()
-        device = Stim300Device(Ride(gyros=on_a_table(2000)[0], rate_hz=2000), lambda data: void(os.write(ours, data)))
+        device = Stim300Device(
+            ImuTwinSetup(gyros=on_a_table(2000)[0], rate_hz=2000), lambda data: void(os.write(ours, data))
+        )
         loop.add_reader(ours, lambda: device.received(os.read(ours, 1000)))
         task = asyncio.ensure_future(device.serve())
         link = SerialLink("imu", os.ttyname(theirs), 921600)

@@ -14,7 +14,7 @@ from sims.imus.vectornav import VectorNavDevice
 from sims.physics.body import Body
 from sims.physics.geometry import along
 from sims.physics.gyro import GyroArray, GyroTruth
-from sims.wires.frames import Ride
+from sims.wires.frames import ImuTwinSetup
 from station.run.event_loop.loops import VirtualLoop
 
 REQUESTS = json.loads((Path(__file__).parents[1] / "vectors" / "vectornav_requests.json").read_text())["vectors"]
@@ -42,7 +42,7 @@ class Talk:
         self.sent = bytearray()
         up = np.tile(UP, (100, 1))
         self.device = VectorNavDevice(
-            Ride(gyros=gyros, rate_hz=rate_hz, up=lambda t: up[: len(t)]), self.sent.extend, baud=115200
+            ImuTwinSetup(gyros=gyros, rate_hz=rate_hz, up=lambda t: up[: len(t)]), self.sent.extend, baud=115200
         )
 
     def heard(self) -> list[Sentence | Frames]:

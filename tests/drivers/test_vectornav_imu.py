@@ -23,7 +23,7 @@ from sims.imus.vectornav import VectorNavDevice
 from sims.physics.body import Body
 from sims.physics.geometry import along
 from sims.physics.gyro import GyroArray, GyroTruth
-from sims.wires.frames import NodeFaults, Ride
+from sims.wires.frames import ImuTwinSetup, NodeFaults
 from station.run.event_loop.loops import VirtualLoop
 
 SLOPE_RPS2 = 0.05
@@ -70,7 +70,9 @@ async def bench(
 ) -> AsyncIterator[Bench]:
     """Join a source to its twin; ``wire`` hands on what the twin sends, ``to_device`` what it is sent."""
     near, far = pair("imu")
-    ride = Ride(gyros=gyros(rate_hz), rate_hz=rate_hz, up=twin.pop("up", None), faults=twin.pop("faults", NodeFaults()))
+    ride = ImuTwinSetup(
+        gyros=gyros(rate_hz), rate_hz=rate_hz, up=twin.pop("up", None), faults=twin.pop("faults", NodeFaults())
+    )
     device = VectorNavDevice(ride, lambda data: wire(data, far.write), **twin)
 
     async def hear() -> None:

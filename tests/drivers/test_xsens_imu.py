@@ -38,7 +38,7 @@ from sims.physics.body import Body
 from sims.physics.geometry import MOUNTS_DEG, mounted
 from sims.physics.gyro import GyroArray, GyroTruth
 from sims.physics.motion import AxisMotion
-from sims.wires.frames import NodeFaults, Ride
+from sims.wires.frames import ImuTwinSetup, NodeFaults
 from station.run.event_loop.loops import VirtualLoop
 
 CAPTURE = Path(__file__).parents[1] / "data" / "xsens" / "capture1.bin"
@@ -156,7 +156,9 @@ def with_twin(
 
         force = table.body.up if accelerometer else None
         own_hz = twin_hz or rate_hz
-        ride = Ride(gyros=table.gyros(own_hz), rate_hz=own_hz, up=force, faults=twin.pop("faults", NodeFaults()))
+        ride = ImuTwinSetup(
+            gyros=table.gyros(own_hz), rate_hz=own_hz, up=force, faults=twin.pop("faults", NodeFaults())
+        )
         device = XsensDevice(ride, write, **twin)
         prepare(device, table)
         imu = XsensImu(imu_setup("xsens", "mti", rate_hz, **(options or {})), near)
@@ -326,7 +328,7 @@ def test_a_source_may_be_started_again() -> None:
     async def main() -> None:
         loop = asyncio.get_running_loop()
         near, far = pair("mti")
-        device = XsensDevice(Ride(gyros=Table().gyros(100), rate_hz=100), far.write)
+        device = XsensDevice(ImuTwinSetup(gyros=Table().gyros(100), rate_hz=100), far.write)
         tasks = [loop.create_task(device.serve()), loop.create_task(listen(far, device.received))]
         imu = XsensImu(imu_setup("xsens", "mti", 100), near)
         await imu.open()

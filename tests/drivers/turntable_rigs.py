@@ -25,7 +25,7 @@ from drivers.tables.modbus.table import ModbusTable
 from drivers.types import AxisLimits
 from sims.physics.table import AxisData, TableModel
 from sims.tables.aerosmith_controller import STA_FAULT
-from sims.wires.line_controller import Seat
+from sims.wires.line_controller import TableTwinSetup
 from station.run.event_loop.loops import VirtualLoop
 
 DEG = math.pi / 180
@@ -153,7 +153,7 @@ async def _modbus_rig(opened: bool, watchdog_s: float = 0.0) -> AsyncIterator[Ri
     profile, unit_ids = load_profile("kinco"), {"x": 1, "y": 2, "z": 3}
     model = model_of("xyz", COUNTS["modbus"])
     address = (NULLMODEM_HOST, next(_wires))
-    server = modbus_server(Seat(model, unit_ids, {"profile": profile}, watchdog_s), address)
+    server = modbus_server(TableTwinSetup(model, unit_ids, {"profile": profile}, watchdog_s), address)
     await server.serve_forever(background=True)
     drives = {axis: AxisSetup(unit_id, COUNTS["modbus"], LIMITS) for axis, unit_id in unit_ids.items()}
     table = ModbusTable(setup_of("modbus", drives, TIMEOUT_S, profile=profile), address)

@@ -13,7 +13,7 @@ from sims.imus.aceinna import AceinnaDevice
 from sims.physics.body import Body
 from sims.physics.geometry import MOUNTS_DEG, mounted
 from sims.physics.gyro import GyroArray, GyroTruth
-from sims.wires.frames import Ride
+from sims.wires.frames import ImuTwinSetup
 
 VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "j1939_requests.json").read_text())["vectors"]
 
@@ -41,7 +41,7 @@ def test_a_request_is_answered_or_refused(vector: dict[str, str]) -> None:
     )
     bus = Bus()
     data = bytes.fromhex(vector["data"])
-    AceinnaDevice(Ride(gyros=gyros, rate_hz=100.0, options={"model": "openimu300ri", "address": 0x80}), bus).received(
-        can.Message(arbitration_id=int(vector["id"], 16), is_extended_id=True, data=data)
-    )
+    AceinnaDevice(
+        ImuTwinSetup(gyros=gyros, rate_hz=100.0, options={"model": "openimu300ri", "address": 0x80}), bus
+    ).received(can.Message(arbitration_id=int(vector["id"], 16), is_extended_id=True, data=data))
     assert bus.sent == vector["answers"]

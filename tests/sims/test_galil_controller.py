@@ -9,7 +9,7 @@ import pytest
 
 from sims.physics.table import AxisData, TableModel
 from sims.tables.galil_controller import GalilController
-from sims.tables.registry import Seat
+from sims.tables.registry import TableTwinSetup
 
 VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "galil_exchanges.json").read_text())["vectors"]
 
@@ -18,7 +18,9 @@ def controller() -> tuple[GalilController, list[bytes]]:
     said: list[bytes] = []
     data = AxisData(1.0, 1.0, 1000)
     return GalilController(
-        Seat(TableModel({"x": data, "y": data}, lambda: 0.0), {"x": "A", "y": "B"}, {"velocity_window": 0.25}, 0.0),
+        TableTwinSetup(
+            TableModel({"x": data, "y": data}, lambda: 0.0), {"x": "A", "y": "B"}, {"velocity_window": 0.25}, 0.0
+        ),
         said.append,
     ), said
 

@@ -18,7 +18,7 @@ from pymodbus.transport import NULLMODEM_HOST, CommParams, CommType, ModbusProto
 from drivers.tables.modbus.line import Address, SerialPort
 from drivers.tables.modbus.registers import load_profile
 from sims.physics.table import AxisData, TableModel
-from sims.wires.line_controller import Seat
+from sims.wires.line_controller import TableTwinSetup
 from station.run.event_loop.loops import VirtualLoop
 
 REFUSALS = json.loads((Path(__file__).parents[1] / "vectors" / "modbus_refusals.json").read_text())["vectors"]
@@ -75,7 +75,7 @@ async def served(transport: str) -> AsyncIterator[tuple[Master, TableModel]]:
         (NULLMODEM_HOST, number) if transport == "tcp" else SerialPort(f"socket://{NULLMODEM_HOST}:{number}")
     )
     table = TableModel({axis: AxisData(1.0, 1.0, 65536) for axis in "xy"}, asyncio.get_running_loop().time)
-    server = modbus_server(Seat(table, {"x": 1, "y": 2}, {"profile": load_profile("kinco")}, 0.0), address)
+    server = modbus_server(TableTwinSetup(table, {"x": 1, "y": 2}, {"profile": load_profile("kinco")}, 0.0), address)
     await server.serve_forever(background=True)
     master = Master(address)
     assert await master.connect()

@@ -20,7 +20,7 @@ from sims.physics.body import Body
 from sims.physics.geometry import MOUNTS_DEG, mounted
 from sims.physics.gyro import GyroArray, GyroTruth
 from sims.physics.motion import AxisMotion
-from sims.wires.frames import NodeFaults, Ride
+from sims.wires.frames import ImuTwinSetup, NodeFaults
 from station.run.event_loop.loops import VirtualLoop
 
 DPS = np.array([20.0, -7.0, 3.0])
@@ -86,7 +86,9 @@ def run(
     async def scene() -> None:
         faults = options.pop("faults", NodeFaults())
         device = Stim300Device(
-            Ride(gyros=array_of(rate_hz, options.pop("dps", DPS)), rate_hz=rate_hz, faults=faults), take, **options
+            ImuTwinSetup(gyros=array_of(rate_hz, options.pop("dps", DPS)), rate_hz=rate_hz, faults=faults),
+            take,
+            **options,
         )
         task = asyncio.ensure_future(device.serve())
         await asyncio.sleep(seconds / 2)
@@ -212,7 +214,7 @@ def test_samples_that_a_busy_computer_sends_late_say_how_late() -> None:
 
     async def scene() -> None:
         device = Stim300Device(
-            Ride(gyros=array_of(500), rate_hz=500), lambda data: setattr(sent, "raw", sent.raw + data)
+            ImuTwinSetup(gyros=array_of(500), rate_hz=500), lambda data: setattr(sent, "raw", sent.raw + data)
         )
         task = asyncio.ensure_future(device.serve())
         await asyncio.sleep(0.03)

@@ -17,7 +17,7 @@ from drivers.links.tcp_link import TcpLink
 from drivers.protocols import ByteLink
 from sims.physics.table import AxisData, TableModel
 from sims.tables.galil_controller import GalilController
-from sims.tables.registry import Seat
+from sims.tables.registry import TableTwinSetup
 from sims.wires.wires import ByteDevice, Plug, Write, in_memory, on_pty, on_tcp
 
 
@@ -221,7 +221,8 @@ def test_a_line_cut_by_a_lost_connection_is_not_completed_by_the_next() -> None:
     async def main() -> None:
         table = TableModel({"x": AxisData(1.0, 1.0, 1000)}, asyncio.get_running_loop().time)
         async with on_tcp(
-            lambda write: GalilController(Seat(table, {"x": "A"}, {"velocity_window": 0.25}, 0.0), write), "127.0.0.1"
+            lambda write: GalilController(TableTwinSetup(table, {"x": "A"}, {"velocity_window": 0.25}, 0.0), write),
+            "127.0.0.1",
         ) as (host, port):
             for line in (b"SHA\rMG _M", b"OA\r", b"MG _MOA\r"):
                 link = TcpLink("table", host, port, 1.0)

@@ -37,7 +37,7 @@ from sims.physics.gyro import GyroArray, GyroTruth
 from sims.physics.hidden.converter import Saturation, Stuck
 from sims.physics.hidden.effects import Hidden
 from sims.physics.motion import AxisMotion
-from sims.wires.frames import NodeFaults, Ride
+from sims.wires.frames import ImuTwinSetup, NodeFaults
 from station.run.event_loop.loops import VirtualLoop
 
 OPENING = json.loads((Path(__file__).parents[1] / "vectors" / "xsens_opening.json").read_text())["vectors"]
@@ -74,7 +74,7 @@ class Line:
         )
         self.sent = b""
         self.device = XsensDevice(
-            Ride(gyros=gyros, rate_hz=RATE_HZ, up=up, faults=faults or NodeFaults()), self._write, **options
+            ImuTwinSetup(gyros=gyros, rate_hz=RATE_HZ, up=up, faults=faults or NodeFaults()), self._write, **options
         )
 
     def _write(self, data: bytes) -> None:

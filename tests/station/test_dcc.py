@@ -19,9 +19,9 @@ from station.cli import main
 from station.errors import UsageError
 from station.report.dcc import make_dcc, read_key, sign, validate
 from station.report.document import Report
+from station.report.document_status import standing_of
 from station.report.formal import read_formal
 from station.report.recorded import read_recorded
-from station.report.standing import standing_of
 
 SPACES = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si", "ds": "http://www.w3.org/2000/09/xmldsig#"}
 UNITS = [r"\one", r"\radian\second\tothe{-1}", r"\radian", r"\radian"]

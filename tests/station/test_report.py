@@ -35,11 +35,11 @@ from station.cli import main
 from station.exports.exported import raw_sha256
 from station.report.chapters.correction import Correction, snippet
 from station.report.chapters.front import links_of, local_links
+from station.report.document_status import Kind, standing_of
 from station.report.formal import Formal, read_formal
+from station.report.investigation_chapter import read_traced
 from station.report.pdf import print_pdf
 from station.report.recorded import read_recorded
-from station.report.standing import Kind, standing_of
-from station.report.traced import read_traced
 
 if TYPE_CHECKING:
     from shared import Traced

@@ -16,7 +16,7 @@ from drivers.links.memory_link import MemoryLink
 from drivers.specs import TableSetup
 from sims.physics.table import AxisData, TableModel
 from sims.tables.galil_controller import GalilController
-from sims.tables.registry import Seat
+from sims.tables.registry import TableTwinSetup
 from station.bench.bench import load_bench
 from station.cli import main
 from station.errors import BenchError
@@ -78,7 +78,7 @@ def test_a_galil_is_told_its_error_limit_in_counts_before_its_motor_is_on(tmp_pa
         axes = dict.fromkeys(config.axes, AxisData(100 * DEG, 50 * DEG, 65536, 0.0))
         model = TableModel(axes, asyncio.get_running_loop().time)
         letters = {name: str(own.address) for name, own in config.axes.items()}
-        controller = GalilController(Seat(model, letters, {"velocity_window": 0.25}, 0.0), link.deliver)
+        controller = GalilController(TableTwinSetup(model, letters, {"velocity_window": 0.25}, 0.0), link.deliver)
         table = config.spec.make(TableSetup(config.axes, config.timeout_s, config.options), link)
         await table.open()
         await table.enable()

@@ -80,7 +80,7 @@ def settings(rate_hz: float) -> list[tuple[int, bytes]]:
 
 @dataclass(frozen=True, slots=True)
 class Name:
-    """A J1939 NAME, as far as it identifies a device: what an address claim carries."""
+    """The part of a J1939 NAME, from an address claim, that identifies a device."""
 
     identity: int
     manufacturer: int

@@ -15,18 +15,21 @@ from drivers.types import Identity
 _GATHER_S = 0.03
 _ANSWER_S = 0.2
 _TRIES = 3
-_KEPT = (aceinna.FILTERS, aceinna.ORIENTATION)  # which it keeps, and the bench file does not say
+_KEPT = (aceinna.FILTERS, aceinna.ORIENTATION)  # settings that it keeps, and that are not in the bench file
 _OWN_ADDRESS = 0  # of the station on J1939
 
 
 class AceinnaImu(CanImu):
-    """One source of three gyros and accelerometers. There is no counter on this wire: samples are timed by rhythm."""
+    """One source of three gyros and accelerometers. Its messages carry no counter: samples are timed by their
+    rhythm.
+    """
 
     def __init__(self, setup: ImuSetup, link: FrameLink) -> None:
-        """Expect messages from J1939 ``address``; ValueError for a rate that it is to be set to and does not have.
+        """Expect messages from the J1939 address of the option ``address``.
 
-        ``model`` is one of ``AXIS_ORDERS`` and decides the order of axes unless ``axis_order`` says it; with
-        ``configure`` it is set to this rate when the link is opened.
+        The option ``model``, one of ``AXIS_ORDERS``, gives the order of axes unless ``axis_order`` does. With the
+        option ``configure`` the device is set to the rate when the link is opened; ValueError if it does not have that
+        rate.
         """
         own = setup.options
         x, y, z = (place + 1 for place in aceinna.COLUMNS[own["axis_order"] or aceinna.AXIS_ORDERS[own["model"]]])
@@ -42,16 +45,19 @@ class AceinnaImu(CanImu):
         self._styles: tuple[bool, ...] = (False, True)  # ways of writing a request: Aceinna's, the standard's
 
     async def open(self) -> None:
-        """Open the bus and send the settings; DeviceRefused if the device does not take one.
+        """Open the bus and send the settings, if any; DeviceRefused if the device keeps another value.
 
-        LinkLost if it does not answer when asked for what it has taken.
+        LinkLost if the bus cannot be opened or the device does not answer.
         """
         await super().open()
         for group, values in self._settings:
             await self._set(group, values)
 
     async def identify(self) -> Identity:
-        """Ask for software version and NAME; what is not answered within 0.4 s stays empty."""
+        """Ask for software version, NAME and settings; whatever is not answered within 0.4 s stays empty.
+
+        Settings are asked for only if the NAME was answered, and left empty if one of them is missing.
+        """
         version = await self._ask(aceinna.SOFTWARE_VERSION)
         claim = await self._ask(aceinna.ADDRESS_CLAIM)
         name = aceinna.Name.decode(claim or b"")
@@ -64,7 +70,10 @@ class AceinnaImu(CanImu):
         )
 
     async def _set(self, group: int, values: bytes) -> None:
-        """Send a set request and ask until the device says that it has it: an answer may be from before."""
+        """Send a set request and read the setting back until it matches: an early answer may still hold the old value.
+
+        LinkLost if there is no answer, DeviceRefused if the device keeps another value.
+        """
         self._link.send(aceinna.command(group, self._peer, values, _OWN_ADDRESS))
         answer: bytes | None = None
         for _ in range(_TRIES):
@@ -79,7 +88,10 @@ class AceinnaImu(CanImu):
         )
 
     async def _ask(self, group: int) -> bytes | None:
-        """Return the device's answer to a request, or None if there is none in time, in either way of asking."""
+        """Return the device's answer to a request, or None if there is none in time.
+
+        Requests are written in Aceinna's way, then in the standard's; the way that was answered is used from then on.
+        """
         for standard in self._styles:
             self._link.send(aceinna.request(group, self._peer, _OWN_ADDRESS, standard=standard))
             if (answer := await self._answer(group)) is not None:
@@ -88,6 +100,7 @@ class AceinnaImu(CanImu):
         return None
 
     async def _answer(self, group: int) -> bytes | None:
+        """Return the data of the next frame with this parameter group from the device; None after the time limit."""
         try:
             async with asyncio.timeout(_ANSWER_S * max(loop_scale(asyncio.get_running_loop()), 1.0)):  # of a host
                 while True:

@@ -25,18 +25,18 @@ BUILT_IN_DBC = Path(__file__).with_name("gyro_nodes.dbc")
 
 
 _GATHERED, _LEAST_GATHER_S, _MOST_GATHER_S = 32, 0.05, 0.33  # samples taken in together, and how long that may take
-_LOOK_S = 0.008  # of the host, between looks at what has come, where somebody wants to know of it at once
+_LOOK_S = 0.008  # real time between looks at new frames, if a caller waits for them
 _COUNT_BITS = 32  # of longer counters the lower bits will do: they wrap, as all do
 
 
 @dataclass(frozen=True, slots=True)
 class CanChannel:
-    """Which signals carry one source, as ``MESSAGE.Signal`` names of the DBC.
+    """The signals of one source, as ``MESSAGE.Signal`` names of the DBC.
 
-    ``rate`` is one signal for each gyro, all of one message. ``counter`` counts samples, ``step`` on with each, or
-    ``time`` is the device's own clock; its raw number begins anew at ``wrap``, or if that is 0 at its length.
-    ``units`` has what the DBC does not say: the unit of "rate", "temperature", "acceleration", "time". With
-    ``saturates`` a rate or an acceleration at an end of the DBC's range is none.
+    ``rates`` has one signal for each gyro, all of one message. Samples are timed by ``counter``, which advances by
+    ``step``, or by ``time``, the device's own clock; the raw number of either wraps at ``wrap``, or at its length if
+    that is 0. ``units`` gives units that the DBC does not state, by "rate", "temperature", "acceleration", "time". With
+    ``saturates`` a rate or acceleration at an end of the DBC's range counts as missing.
     """
 
     name: str
@@ -58,9 +58,10 @@ class CanChannel:
 
 @dataclass(frozen=True, slots=True)
 class CanSource:
-    """What on a CAN bus is a device: its DBC, the signals of its sources, the J1939 address if only one is meant.
+    """Description of a device on a CAN bus: its DBC, the signals of its sources, the J1939 address if only one is
+    meant.
 
-    ``database`` is cantools' where the DBC is no file to be read.
+    ``database`` is cantools' database where there is no DBC file to read.
     """
 
     dbc: Path
@@ -75,18 +76,23 @@ def load_dbc(device: str, dbc: Path) -> Any:
 
     try:
         return cantools.database.load_file(dbc)
-    except Exception as error:  # cantools has no common base for what a file can have wrong
+    except Exception as error:  # cantools has no common base class for errors in a file
         raise DeviceError(device, f"DBC file {dbc.name} cannot be read: {error}") from None
 
 
 class ChannelSignals:
-    """The signals of one channel, found in the DBC."""
+    """The signals of one channel, looked up in the DBC."""
 
     def __init__(self, device: str, database: Any, dbc: Path, channel: CanChannel) -> None:
-        """Find them; DeviceError for one that is missing, or cannot be what the mapping says."""
+        """Look up the signals of ``channel``; DeviceError for one that is missing or unsuitable.
+
+        All rates must be in one message, and so must all accelerations; only a counter or a time may be given, and
+        either must be a plain count.
+        """
         units = dict(channel.units)
 
         def reader(name: str, quantity: str) -> SignalReader:
+            """Return the reader of a signal in the DBC; only rates and accelerations may saturate."""
             saturates = channel.saturates and quantity in ("rate", "acceleration")
             return SignalReader(
                 device=device,
@@ -104,10 +110,10 @@ class ChannelSignals:
         self.counter = reader(channel.counter, "count") if channel.counter is not None else None
         self.time = reader(channel.time, "time") if channel.time is not None else None
         self.wrap, self.step = channel.wrap, channel.step
-        for part, what in ((self.rates, "rates"), (self.acceleration, "accelerations")):
+        for part, quantities in ((self.rates, "rates"), (self.acceleration, "accelerations")):
             if len({signal.key for signal in part}) > 1:
                 names = ", ".join(signal.name for signal in part)
-                raise DeviceError(device, sentence("imu.in_several", names=names, what=what, dbc=dbc.name))
+                raise DeviceError(device, sentence("imu.in_several", names=names, what=quantities, dbc=dbc.name))
         if self.counter is not None and self.time is not None:
             raise DeviceError(device, f"{self.counter.name} and {self.time.name}: give a counter or a time, not both")
         for signal in (self.counter, self.time):
@@ -122,12 +128,13 @@ class ChannelSignals:
 
 
 class CanImu(OneSource[FrameLink]):
-    """Each channel is a source of its own: nodes on a bus share no clock."""
+    """A device on a CAN bus; each channel is a separate source with its own clock."""
 
     def __init__(self, setup: ImuSetup, link: FrameLink) -> None:
-        """Find the signals, which are a ``CanSource``; DeviceError if the DBC cannot be read or lacks one.
+        """Prepare sources for the channels of ``setup.signals``, a ``CanSource``; DeviceError if the DBC or a signal is
+        missing.
 
-        J1939 messages are told by their parameter group, whoever sends them, unless a source address is meant.
+        J1939 messages are recognised by their parameter group, from any sender unless a source address is given.
         """
         device, source, rate_hz = setup.name, setup.signals, setup.rate_hz
         super().__init__(device, link)
@@ -136,7 +143,7 @@ class CanImu(OneSource[FrameLink]):
         database = source.database or load_dbc(device, dbc)
         self._order = 0
         self._arrived: list[Frame] = []
-        self._fresh: list[Frame] | None = None  # of them, those that ``arrived`` has not told of
+        self._fresh: list[Frame] | None = None  # those of them that ``arrived`` has not returned yet
         self._timed: deque[tuple[str, ImuBlock]] = deque()
         self._timing = threading.Lock()
         self._sources = {
@@ -166,11 +173,15 @@ class CanImu(OneSource[FrameLink]):
         return self._sources[name].alignment
 
     async def identify(self) -> Identity:
-        """A DBC says how to read values, not how to ask: nothing is known."""
+        """Return an empty identity: a DBC tells how to read values, not how to ask for them."""
         return Identity()
 
     async def blocks(self) -> AsyncIterator[tuple[str, ImuBlock]]:
-        """Yield blocks of each channel; LinkLost when the bus is gone. Begun again, it goes on after the break."""
+        """Yield (source, block) as samples can be timed; LinkLost when the bus is gone.
+
+        Blocks that are still held come first. Called again after a break, the clocks start anew. Frames are gathered
+        and timed in a thread, so that answers of the table do not wait.
+        """
         for name, held in self.flush():
             yield name, held
         with self._timing:
@@ -185,7 +196,7 @@ class CanImu(OneSource[FrameLink]):
             if self._fresh is not None:
                 self._fresh += frames
             if loop.time() >= due_s:
-                # In a thread: whoever waits for an answer of the table should not wait for numbers.
+                # In a thread, so that tasks that wait for the table are not delayed by computing.
                 await loop.run_in_executor(None, self._time)
                 while self._timed:
                     yield self._timed.popleft()
@@ -194,7 +205,11 @@ class CanImu(OneSource[FrameLink]):
             await asyncio.sleep(self._gather_s if self._fresh is None else min(self._gather_s, look_s))
 
     def arrived(self) -> list[tuple[str, Stamps, Floats]]:
-        """Return source name, arrivals (n,) in ns and rates (n, m) of samples that came since the last call."""
+        """Return source name, arrivals (n,) in ns and rates (n, m) of samples since the last call, before they are
+        timed.
+
+        Only sources with new samples are listed. Returns nothing unless early samples were asked for.
+        """
         frames, self._fresh = self._fresh or [], []
         leading: dict[_Inlet, list[Frame]] = {}
         for frame in frames:
@@ -205,7 +220,7 @@ class CanImu(OneSource[FrameLink]):
         return [(name, *source.rates(came)) for name, source, came in of_sources if came]
 
     def flush(self) -> list[tuple[str, ImuBlock]]:
-        """Return what is still held back for its timing, or for a part to come."""
+        """Return the samples still held back for their timing or for a part to come."""
         self._time(everything=True)
         with self._timing:
             last = list(self._timed)
@@ -213,10 +228,10 @@ class CanImu(OneSource[FrameLink]):
         return last
 
     def _time(self, *, everything: bool = False) -> None:
-        """Put what can be timed of the frames that have arrived with the blocks to be given.
+        """Time the frames that have arrived, and queue the finished blocks for ``blocks``; ``everything`` holds none
+        back.
 
-        Under a lock, as all that the loop does with what is changed here: who stops taking blocks leaves a thread
-        behind that may not be done, or not even have begun.
+        Runs in a thread, under the lock that also guards the loop's accesses: a reader that stops may leave it running.
         """
         with self._timing:
             arrived, self._arrived = self._arrived, []
@@ -232,7 +247,7 @@ class CanImu(OneSource[FrameLink]):
                 inlet.take(Piece(self._order, frame.t_ns, frame.data))
 
     def _inlets(self, frame: Frame) -> "Sequence[_Inlet]":
-        """Return who takes a frame, by its identifier or by its J1939 parameter group."""
+        """Return the inlets for a frame, by its identifier or its J1939 parameter group; none for other senders."""
         if exact := self._exact.get((frame.identifier, frame.extended)):
             return exact
         if not self._groups or not frame.extended:
@@ -243,7 +258,7 @@ class CanImu(OneSource[FrameLink]):
 
 
 class _Inlet:
-    """One message of one source; ``companion`` collects it where it is not the leading one."""
+    """One message of one source; ``companion`` collects it unless it is the leading one."""
 
     def __init__(self, message: Any, counts: SourceCounts, companion: Companion | None) -> None:
         self.message, self.companion = message, companion
@@ -266,9 +281,13 @@ class _Inlet:
 
 
 class _Source:
-    """What one channel has received and not yet given."""
+    """Frames of one channel that were received and not yet returned as blocks."""
 
     def __init__(self, signals: ChannelSignals, rate_hz: float) -> None:
+        """Prepare the leading message, that of the rates, and a companion for each further message.
+
+        Samples are timed by the time or counter signal if there is one, else by their rhythm.
+        """
         self.counts = SourceCounts()
         self._signals = signals
         lead = signals.rates[0]
@@ -278,7 +297,7 @@ class _Source:
         of_a_sample = [*signals.acceleration, *(s for s in (signals.counter, signals.time) if s is not None)]
         for signal in signals.all:
             if signal.key != lead.key and signal.key not in self._others:
-                # A temperature is that of the next sample; what belongs to a sample may also come after it.
+                # A temperature belongs to the next sample; other parts of a sample may also come after it.
                 follows = signal.key > lead.key and any(signal.key == other.key for other in of_a_sample)
                 self._companions[signal.key] = Companion(follows=follows)
                 self._others[signal.key] = _Inlet(signal.message, self.counts, self._companions[signal.key])
@@ -305,7 +324,10 @@ class _Source:
             self._clock.restart()
 
     def block(self, *, everything: bool = False) -> ImuBlock | None:
-        """Return what can be timed of what has come, or None."""
+        """Return a block of the samples that can be timed, or None; ``everything`` holds none back.
+
+        Where a counter or time signal is given, samples without one are dropped.
+        """
         pieces, gyros = self._whole(everything=everything), len(self._signals.rates)
         if isinstance(self._clock, RegularClock):
             values = self._rows(pieces)[0] if pieces else np.empty((0, gyros))
@@ -326,7 +348,10 @@ class _Source:
         return arrival_ns[there], np.column_stack([signal.values(rows) for signal in self._signals.rates])[there]
 
     def _whole(self, *, everything: bool) -> list[Piece]:
-        """Take the leading frames whose companions have come, or will not come any more."""
+        """Take the leading frames whose companions have come or will not come any more; ``everything`` waits for none.
+
+        Frames that carry none of the multiplexed rates are dropped.
+        """
         waiting = self.lead.waiting
         for signal in self._signals.rates:
             if waiting and signal.multiplexed:
@@ -344,7 +369,11 @@ class _Source:
         return pieces
 
     def _rows(self, pieces: list[Piece]) -> tuple[Floats, Flags, Stamps]:
-        """Return rates, temperature, accelerations of each leading frame, (n, k); which have a count, and it."""
+        """Return rows (n, k) of leading frames, as ``block_of`` expects them; which have a count (n,), and the counts
+        (n,).
+
+        Values of a missing companion are NaN; the temperature keeps its last value.
+        """
         n = len(pieces)
         places = [piece.order for piece in pieces]
         after = self.lead.waiting[0].order if self.lead.waiting else np.iinfo(np.int64).max
@@ -373,10 +402,10 @@ class _Source:
         return values, counted, count
 
     def _held(self, temperature_c: Floats) -> Floats:
-        """Return the temperature at each sample: the last one told."""
+        """Return the temperature at each sample: the last one received."""
         known = np.concatenate([[self._temperature_c], temperature_c])
-        told = np.maximum.accumulate(np.where(np.isnan(known), 0, np.arange(len(known))))
-        held = known[told]
+        latest = np.maximum.accumulate(np.where(np.isnan(known), 0, np.arange(len(known))))
+        held = known[latest]
         self._temperature_c = float(held[-1])
         return np.asarray(held[1:])
 

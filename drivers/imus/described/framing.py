@@ -26,9 +26,9 @@ _NUMBER = rb"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?)"
 
 @dataclass(kw_only=True, frozen=True)
 class Frames:
-    """Binary frames of ``size`` bytes that begin with ``sync``, in which None is any byte, and end with ``end``.
+    """Binary frames of ``size`` bytes that begin with ``sync`` (None: any byte) and end with ``end``.
 
-    A ``check``, if there is one, is at ``at`` and over the bytes from ``first`` to ``last``, less its own.
+    The ``check``, if any, stands at ``at`` and covers the bytes from ``first`` to ``last``, except itself.
     """
 
     size: int
@@ -41,7 +41,10 @@ class Frames:
     last: int = 0
 
     def scan(self, view: bytes) -> tuple[list[bytes], int, int]:
-        """Return the frames, how many places began like one and are none, and how many bytes are done with."""
+        """Return the valid frames, the number of false starts (damaged frames), and how many bytes are consumed.
+
+        A frame that is cut off at the end is not consumed. After a false start the search goes on one byte later.
+        """
         found: list[bytes] = []
         damaged = at = 0
         while (sync := self._sync.search(view, at)) is not None:
@@ -61,7 +64,7 @@ class Frames:
         return self._checked(begin + message[len(begin) : self.size - len(self.end)] + self.end)
 
     def _checked(self, frame: bytes) -> bytes:
-        """Return a frame with its right check."""
+        """Return the frame with its check replaced by the correct one; unchanged if there is no check."""
         if self.check is None:
             return frame
         stop = self.at + self.check.bits // 8
@@ -76,10 +79,10 @@ class Frames:
 
 @dataclass(frozen=True)
 class Lines:
-    """Lines of text that begin with ``prefix``: numbers in ``columns``, None for what is passed over.
+    """Lines of text that begin with ``prefix`` and hold numbers in ``columns``; None stands for a field to skip.
 
-    In the message a number is a whole one, multiplied by what its column says. A check stands behind the last "*", in
-    hex, and is over what stands before that, from character ``first`` on. A separator of blanks is any number of them.
+    In the message a number is an integer: its value times the column's factor. A check stands in hex behind the last
+    "*" and covers the text before that from character ``first`` on. A blank separator matches any number of blanks.
     """
 
     columns: tuple[float | None, ...]
@@ -89,9 +92,10 @@ class Lines:
     first: int = 0
 
     def scan(self, view: bytes) -> tuple[list[bytes], int, int]:
-        """Return the messages, how many lines were damaged, and how many bytes are done with.
+        """Return the messages, the number of damaged lines, and how many bytes are consumed.
 
-        The end of the last line is not: what stands before the first end of a line may be half of one.
+        Text before the first line end is skipped, as it may be half a line; the last line end is therefore not
+        consumed.
         """
         _, *lines = view.split(b"\n")
         rest = lines.pop() if lines else view
@@ -141,7 +145,7 @@ class Lines:
 
 
 class Decoder:
-    """Finds messages in a stream that is cut anywhere. What is damaged is dropped and counted."""
+    """Finds messages in a stream that may be cut anywhere; damaged ones are dropped and counted."""
 
     def __init__(self, framing: Frames | Lines) -> None:
         """Start in the middle of a stream."""
@@ -158,9 +162,9 @@ class Decoder:
 
 
 def signal(name: str, at: int, kind: str, big: bool, scale: float, offset: float) -> Any:
-    """Return cantools' signal whose first byte is at ``at``; ``kind`` is i, u or f before its bits.
+    """Return a cantools signal that starts at byte ``at``; ``kind`` is i, u or f and the number of bits, as in "i16".
 
-    The value is number * scale + offset.
+    The value is number * scale + offset. ``big``: big-endian. The range is that of the integer; none for floats.
     """
     from cantools.database import Signal
     from cantools.database.conversion import BaseConversion

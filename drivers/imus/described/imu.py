@@ -14,10 +14,10 @@ from drivers.types import ByteChunk, Frame, SourceCounts
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Description(CanSource):
-    """How an IMU speaks on a byte link: the framing, and the one message of the ``database`` in each frame.
+    """How an IMU speaks on a byte link: its framing, and the single message of ``database`` in each frame.
 
-    ``dbc`` is the file that says so; the one of ``channels`` names the signals. ``start`` and ``stop`` are what is
-    sent to it, each with a pause in s behind it.
+    ``dbc`` is the description's file; the one of ``channels`` names the signals. ``start`` and ``stop`` are the bytes
+    to send, each with a pause in s after it.
     """
 
     framing: Frames | Lines
@@ -26,7 +26,7 @@ class Description(CanSource):
 
 
 class FramedLink:
-    """A byte link as a bus on which there is one message."""
+    """A byte link presented as a bus with a single message."""
 
     def __init__(self, link: ByteLink, description: Description) -> None:
         """Take the link, which is not open yet."""
@@ -36,7 +36,7 @@ class FramedLink:
         self.decoder = Decoder(description.framing)
 
     async def open(self) -> None:
-        """Open the link and send what starts the device."""
+        """Open the link and send the bytes that start the device."""
         await self._link.open()
         self._started = True
         for data, pause_s in self._description.start:
@@ -44,9 +44,12 @@ class FramedLink:
             await asyncio.sleep(pause_s)
 
     async def receive(self) -> list[Frame]:
-        """Return the frames that have come since the last call, waiting for bytes; LinkLost if gone."""
+        """Return the frames since the last call, waiting for bytes; LinkLost if the link is gone.
+
+        The list may be empty if the bytes complete no frame. Losing the link while draining is left to the next call.
+        """
         frames = self._framed(await self._link.receive())
-        with suppress(TimeoutError, LinkLost):  # what is here already is had without waiting
+        with suppress(TimeoutError, LinkLost):  # bytes that have arrived already are read without waiting
             async with asyncio.timeout(0):
                 while True:
                     frames += self._framed(await self._link.receive())
@@ -57,7 +60,7 @@ class FramedLink:
         self._link.write(self._description.framing.written(frame.data))
 
     def close(self) -> None:
-        """Send what stops the device, and close the link."""
+        """Send the bytes that stop the device, if it was started, and close the link."""
         with suppress(LinkLost):
             for data, _ in self._description.stop if self._started else ():
                 self._link.write(data)
@@ -72,12 +75,12 @@ class DescribedImu(CanImu):
     """One source with as many gyros as the description has."""
 
     def __init__(self, setup: ImuSetup, link: ByteLink) -> None:
-        """Expect samples at the rate of the bench: its ``Description`` does not say how to ask for them."""
+        """Prepare for samples at the bench's rate: the ``Description`` does not tell how to ask for it."""
         self._framed = FramedLink(link, setup.signals)
         super().__init__(setup, self._framed)
 
     def counts(self, name: str) -> SourceCounts:
-        """Get the counts; ``corrupt`` are places that began like a frame, or lines, and were none."""
+        """Return the counts; ``corrupt`` are places that began like a frame or line but were none."""
         counts = super().counts(name)
         counts.corrupt = self._framed.decoder.damaged
         return counts

@@ -40,7 +40,7 @@ _REVERSED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 
 @dataclass(frozen=True)
 class Layout:
-    """What a datagram holds besides the gyro cluster, and how it pads its CRC."""
+    """The groups of a datagram besides the gyros, and the padding of its CRC."""
 
     accelerometer: bool = False
     inclinometer: bool = False
@@ -76,7 +76,7 @@ _ANY_ID = re.compile(b"[" + b"".join(re.escape(bytes([i])) for i in (*LAYOUTS, *
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Datagrams:
-    """Consecutive normal datagrams of one kind, raw.
+    """Consecutive normal datagrams of one kind, as raw numbers.
 
     ``groups`` has the numbers (n, k) and the status (n,) of each group of the layout: gyro, accelerometer,
     inclinometer, NAME_temperature of each of these, and extra (PPS, us since the last pulse, or AUX).
@@ -99,9 +99,9 @@ def crc32_mpeg2(data: bytes) -> int:
 
 
 class Stim300Decoder:
-    """Finds datagrams, normal and special, in a stream. Malformed input is dropped and counted, never raised.
+    """Finds normal and special datagrams in a stream. Malformed input is dropped and counted, never raised.
 
-    CR LF behind a datagram belongs to it, whether the device is set to send it or not.
+    A CR LF behind a datagram belongs to it, whether or not the device is set to send it.
     """
 
     def __init__(self) -> None:
@@ -113,7 +113,11 @@ class Stim300Decoder:
         self.bad_datagrams = 0
 
     def feed(self, data: bytes) -> list[Datagrams | Special]:
-        """Return what was completed by these bytes, in order; consecutive normal datagrams of a kind together."""
+        """Return the datagrams completed by ``data``, in order; consecutive normal ones of a kind are returned
+        together.
+
+        Damaged datagrams are counted and searched again from their second byte.
+        """
         view = self._buffer + data
         reversed_view = view.translate(_REVERSED)
         found: list[Datagrams | Special] = []
@@ -151,7 +155,11 @@ class Stim300Decoder:
         return found
 
     def _run(self, view: bytes, reversed_view: bytes, start: int, layout: Layout) -> tuple[Datagrams, int]:
-        """Return the datagrams of one kind from here on, the first of which is intact, and the end of the last."""
+        """Return the run of intact datagrams of one kind that begins at ``start``, where the first is known to be
+        intact.
+
+        Also returns the end of the last, without its CR LF.
+        """
         size, identifier, padding = layout.size, view[start], _padding(layout.size)
         step = size + 2 if view[start + size : start + size + 2] == _LINE_END else size
         tail = view[start + size : start + step]
@@ -171,7 +179,9 @@ class Stim300Decoder:
 
 
 def encode(datagrams: Datagrams, *, line_termination: bool = False) -> bytes:
-    """Return the bytes of normal datagrams as the device sends them; ValueError if a group of the id is missing."""
+    """Return the bytes of normal datagrams as the device sends them; ValueError if a group of their identifier is
+    missing.
+    """
     layout = LAYOUTS[datagrams.identifier]
     rows = np.zeros((len(datagrams.counter), layout.size - 4), dtype=np.uint8)
     rows[:, 0] = datagrams.identifier
@@ -199,9 +209,9 @@ def encode_special(value: Special, *, line_termination: bool = False) -> bytes:
 
 
 def invalid_channels(status: Ints) -> Flags:
-    """Return which of x, y, z (n, 3) the device does not vouch for, by the status (n,) of their cluster.
+    """Return as flags (n, 3) which of x, y, z the device declares invalid, by the status (n,) of their cluster.
 
-    Integrity error and start-up are about all; channel error and overload about the axes they name.
+    Integrity error and start-up concern all axes; channel error and overload the axes named, or all if none is named.
     """
     everything = (status & (STATUS_INTEGRITY | STATUS_START_UP)) != 0
     some = (status & (STATUS_CHANNEL | STATUS_OVERLOAD)) != 0
@@ -236,6 +246,7 @@ def _intact(reversed_view: bytes, start: int, size: int, padding: bytes) -> bool
 
 
 def _parse(rows: Octets, layout: Layout, ends: Ints) -> Datagrams:
+    """Return the fields of intact datagrams (n, size); ``ends`` are their positions in the stream."""
     column = 1
     groups = {}
     for name, numbers, width in layout.groups:
@@ -247,7 +258,7 @@ def _parse(rows: Octets, layout: Layout, ends: Ints) -> Datagrams:
 
 
 def _signed(raw: Octets, width: int) -> Ints:
-    """Return big-endian two's complement numbers of ``width`` bytes: (n, k * width) to (n, k)."""
+    """Return big-endian two's complement numbers of ``width`` bytes: from (n, k * width) to (n, k)."""
     numbers = raw.reshape(len(raw), -1, width).astype(np.int64)
     value = numbers[..., 0]
     for byte in range(1, width):

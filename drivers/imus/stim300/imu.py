@@ -28,7 +28,7 @@ _CODES = {name: code for code, name in UNITS.items()}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Arrived:
-    """Normal datagrams and when the last byte of each was here."""
+    """Normal datagrams and the arrival time of the last byte of each."""
 
     data: stim300.Datagrams
     arrival_ns: Stamps
@@ -40,8 +40,8 @@ class Stim300Imu(OneSource[ByteLink]):
     def __init__(self, setup: ImuSetup, link: ByteLink) -> None:
         """Expect datagrams at 125, 250, 500, 1000 or 2000 Hz.
 
-        ``gyro_unit`` (a name of ``UNITS``) and ``accel_range`` (g) are what the device must be set to; None takes
-        what it says, and of a device that does not say: rate, 10 g. A question waits the time-out twice.
+        The options ``gyro_unit`` (a name of ``UNITS``) and ``accel_range`` (g) are settings that the device must have.
+        None accepts the device's own, and assumes rates and 10 g of a device that does not answer.
         """
         super().__init__(setup.name, link)
         self._rate_hz = rate_hz = round(setup.rate_hz)
@@ -61,7 +61,7 @@ class Stim300Imu(OneSource[ByteLink]):
         self._answered = False  # since the last normal datagram
 
     def counts(self, name: str) -> SourceCounts:
-        """Get the counts; ``corrupt`` are places that began like a datagram and had a wrong CRC."""
+        """Return the counts; ``corrupt`` are places that began like a datagram but had a wrong CRC."""
         counts = self._clock.counts
         counts.corrupt = self._decoder.bad_datagrams
         return counts
@@ -76,9 +76,10 @@ class Stim300Imu(OneSource[ByteLink]):
         await super().open()
 
     async def identify(self) -> Identity:
-        """Ask for configuration, serial and part number; empty if the device answers nothing.
+        """Ask for configuration, serial and part number; all empty if the device does not answer the first question.
 
-        DeviceRefused if it is set otherwise than the bench file says. Samples that come meanwhile are kept.
+        Units and ranges are taken from the configuration; DeviceRefused if it contradicts the bench file. Samples that
+        arrive meanwhile are kept.
         """
         for question, kind in (
             (stim300.ASK_CONFIGURATION, Configuration),
@@ -111,6 +112,7 @@ class Stim300Imu(OneSource[ByteLink]):
         return [(self._device, block) for block in self._blocks()]
 
     async def _ask(self, question: bytes, kind: type) -> None:
+        """Send a question until an answer of type ``kind`` has come, twice at most; no error if none comes."""
         for _ in range(_TRIES):
             if kind in self._said:
                 return
@@ -122,13 +124,17 @@ class Stim300Imu(OneSource[ByteLink]):
                         self._decode()
 
     def _take(self, chunk: ByteChunk) -> None:
-        """Take in bytes; they are decoded when they may hold a block, for a line hands them over one by one."""
+        """Add bytes, and decode them once they may hold a block, as a line delivers them in small pieces."""
         self._chunks.append(chunk)
         self._chunk_bytes += len(chunk.data)
         if self._chunk_bytes >= self._block_bytes or chunk.t_ns - self._chunks[0].t_ns >= _BLOCK_S * 1e9:
             self._decode()
 
     def _decode(self) -> None:
+        """Decode the chunks received, if any, and give each datagram the arrival time of the chunk with its last byte.
+
+        Configurations and other replies are also kept in ``_said``, the last of each kind.
+        """
         chunks, self._chunks, self._chunk_bytes = self._chunks, [], 0
         if not chunks:
             return
@@ -145,6 +151,7 @@ class Stim300Imu(OneSource[ByteLink]):
                 self._arrived.append(found)
 
     def _blocks(self) -> list[ImuBlock]:
+        """Return blocks of all decoded datagrams; a configuration among them is checked as by ``identify``."""
         blocks = []
         while self._arrived:
             item = self._arrived.popleft()
@@ -159,6 +166,11 @@ class Stim300Imu(OneSource[ByteLink]):
         return blocks
 
     def _block(self, data: stim300.Datagrams, arrival_ns: Stamps) -> ImuBlock | None:
+        """Return a block of the new samples among these datagrams, or None if there are none.
+
+        Arrival times are corrected by the latency that the device states, sample times by the delay of the unit in use.
+        Values that the device declares invalid are NaN.
+        """
         # The device states how long it held each sample before it began to send.
         new, t_ns = self._clock.stamp(data.counter, arrival_ns - data.latency_us * 1000)
         self._forgive_replaced(data.counter)
@@ -185,7 +197,7 @@ class Stim300Imu(OneSource[ByteLink]):
         )
 
     def _forgive_replaced(self, counter: Stamps) -> None:
-        """Take samples off the count of lost ones in whose place the device sent an answer."""
+        """Subtract from the losses the samples in whose place the device sent an answer."""
         if self._answered and self._last_counter >= 0:
             missing = int(counter[0] - self._last_counter) % stim300.COUNTER_MODULUS // self._ticks - 1
             if 0 < missing <= _MOST_REPLACED:
@@ -194,7 +206,9 @@ class Stim300Imu(OneSource[ByteLink]):
         self._last_counter = int(counter[-1])
 
     def _accept(self, configuration: Configuration) -> None:
-        """Take units and ranges from the device; DeviceRefused where the bench file says otherwise."""
+        """Take units and ranges from the configuration; DeviceRefused if it contradicts the bench file or a gyro is
+        off.
+        """
         unit, ranges = UNITS.get(configuration.gyro_unit), configuration.accel_ranges_g
         if configuration.rate_hz != self._rate_hz:
             found = f"sends at {configuration.rate_hz} Hz" if configuration.rate_hz else "waits for an external trigger"
@@ -209,8 +223,8 @@ class Stim300Imu(OneSource[ByteLink]):
         if configuration.accelerometer:
             known = {range_g for range_g in ranges if range_g is not None}
             if len(known) != 1 or self._wanted_range_g not in (None, *known):
-                said = ", ".join(f"{range_g} g" for range_g in sorted(known)) or "an unknown range"
-                self._refuse(f"has accelerometers of {said}", f"{self._wanted_range_g or 'one range for all'} g", "")
+                text = ", ".join(f"{range_g} g" for range_g in sorted(known)) or "an unknown range"
+                self._refuse(f"has accelerometers of {text}", f"{self._wanted_range_g or 'one range for all'} g", "")
             self._accel = accel_unit_mps2(configuration.accel_unit, known.pop(), self._rate_hz)
 
     def _refuse(self, found: str, wanted: str, command: str) -> None:

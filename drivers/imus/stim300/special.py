@@ -26,7 +26,9 @@ class PartNumber:
     revision: str
 
     def payload(self) -> bytes:
-        """Return the 15 bytes; ValueError unless the number is 5, 6 and 4 digits (tables 5-13 and 5-14)."""
+        """Return the 15 bytes; ValueError unless the number is 5, 6 and 4 digits and the revision one letter (tables
+        5-13, 5-14).
+        """
         parts = [[_digit(c) for c in part] for part in self.text.split("-")]
         if [len(part) for part in parts] != [5, 6, 4] or len(self.revision) != 1:
             raise ValueError(f"{self.text!r} rev {self.revision!r} is no part number")
@@ -65,7 +67,7 @@ class SerialNumber:
 
 @dataclass(frozen=True, slots=True)
 class Configuration:
-    """How the device is set (table 5-16), read from its 21 bytes; None stands for what no table names."""
+    """The device's configuration (table 5-16), read from its 21 bytes; None for values that the tables do not list."""
 
     data: bytes
 
@@ -85,7 +87,10 @@ class Configuration:
         revision: str = "K",
         firmware: int = 0,
     ) -> Self:
-        """Return the configuration of a device with all axes on, 262 Hz filters and the rest at 0."""
+        """Return the configuration of a device with all axes on, 262 Hz filters, and all that is not stated at 0.
+
+        ValueError for a rate, StopIteration for a range, that the device does not have.
+        """
         data = bytearray(21)
         data[0], data[1] = ord(revision), firmware
         flags = (pps << 4) | (temperature << 3) | (inclinometer << 2) | (accelerometer << 1) | line_termination
@@ -172,7 +177,7 @@ class BiasTrim:
 
 @dataclass(frozen=True, slots=True)
 class ExtendedError:
-    """The error register, 128 bits (table 5-18), which reading clears."""
+    """The error register, 128 bits (table 5-18); reading clears it."""
 
     bits: int
 
@@ -187,7 +192,7 @@ class ExtendedError:
 
     @property
     def texts(self) -> tuple[str, ...]:
-        """What the bits that are set mean (table 5-19), in their order; the rest by their number."""
+        """Meanings of the bits that are set (table 5-19), in their order; unknown bits by number."""
         set_bits = (bit for bit in range(128) if self.bits >> bit & 1)
         return tuple(_ERRORS.get(bit, f"error bit {bit}") for bit in set_bits)
 
@@ -197,7 +202,7 @@ Special: TypeAlias = PartNumber | SerialNumber | Configuration | BiasTrim | Exte
 
 @dataclass(frozen=True, slots=True)
 class SpecialLayout:
-    """Which value a special datagram carries, in how many bytes, and whether CR LF ends it."""
+    """The value that a special datagram carries, its length in bytes, and whether CR LF ends it."""
 
     kind: type[PartNumber] | type[SerialNumber] | type[Configuration] | type[BiasTrim] | type[ExtendedError]
     length: int

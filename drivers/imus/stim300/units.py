@@ -23,10 +23,12 @@ _LONGEST_STEP_S = 0.1  # the counter wraps after 128 ms
 
 
 class ClusterUnit:
-    """What the raw numbers of one cluster mean: values, increments over a sample period, or wrapping integrals."""
+    """Meaning of the raw numbers of one cluster: values, increments over a sample period, or wrapping integrals."""
 
     def __init__(self, code: int, value_lsb: float, integral_lsb: float, rate_hz: int) -> None:
-        """``value_lsb`` and ``integral_lsb`` scale to the unit wanted and to its integral over seconds."""
+        """Prepare for the unit ``code``; ``value_lsb`` and ``integral_lsb`` scale to the wanted unit and to its time
+        integral.
+        """
         self._kind = code & _KIND
         integral = self._kind in (_INCREMENT, _INTEGRATED)
         self._scale = integral_lsb * rate_hz if integral else value_lsb
@@ -40,10 +42,10 @@ class ClusterUnit:
         return 0.0 if self._kind == 0 else 0.5 / self._rate_hz
 
     def rates(self, raw: Floats, counter: Ints, t_ns: Ints, ticks: int) -> Floats:
-        """Return values (n, 3) of raw numbers (n, 3), NaN where they are.
+        """Return values (n, 3) from raw numbers (n, 3); NaN stays NaN.
 
-        Of integrals, the change since the sample before; NaN where that one, ``ticks`` of the counter earlier,
-        is missing: over a gap the wraps cannot be counted.
+        Integrals give the change since the previous sample, also across calls; NaN if that sample, ``ticks`` of the
+        counter (n,) earlier, is missing, since wraps over a gap cannot be counted.
         """
         if self._kind != _INTEGRATED:
             return np.asarray(raw * self._scale)

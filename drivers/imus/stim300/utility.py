@@ -14,7 +14,7 @@ crc8 = Check("crc", 8, polynomial=0x07, init=0xFF).of
 
 @dataclass(frozen=True, slots=True)
 class UtilityMessage:
-    """A command or a reply: its name, which a refused reply may lack, and what follows up to the CRC."""
+    """A command or a reply: its name, which a refused reply may lack, and its fields up to the CRC."""
 
     reply: bool
     fields: tuple[str, ...]
@@ -30,7 +30,7 @@ def encode_message(message: UtilityMessage) -> bytes:
 
 
 def parse_message(raw: bytes) -> UtilityMessage | None:
-    """Return the message that these bytes, up to its CR, are; None if they are none or damaged."""
+    """Return the message in ``raw``, which ends with its CR; None if it is malformed, too long or has a wrong CRC."""
     if len(raw) > _LONGEST + 1 or not _MESSAGE.fullmatch(raw):
         return None
     body, crc = raw[:-1].rsplit(b",", 1)

@@ -38,7 +38,7 @@ _MORE_FIELDS = 0x8000
 _LONGEST_SENTENCE = 256
 
 _SENTENCE = re.compile(rb"(VN[A-Z0-9]{3}(?:,[^*]*)?)\*(XX|[0-9A-Fa-f]{4}|[0-9A-Fa-f]{2})")
-_NOT_TEXT = re.compile(rb"[^ -#%-~]")  # what cannot stand within a sentence
+_NOT_TEXT = re.compile(rb"[^ -#%-~]")  # characters not allowed within a sentence
 _FIELD_TEXT = re.compile(r"[ -#%-)+\--~]*")  # printable, none of $ * ,
 _HEADER_TEXT = re.compile(r"VN[A-Z0-9]{3}")
 
@@ -53,28 +53,28 @@ _GROUPS = tuple((name, _fields(text)) for name, text in packaged_toml("drivers",
 
 @dataclass(frozen=True, slots=True)
 class Sentence:
-    """One ASCII sentence: ``header`` such as VNRRG, and what stands between the commas."""
+    """One ASCII sentence: its ``header``, such as VNRRG, and the fields between the commas."""
 
     header: str
     fields: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be sent; ValueError."""
+        """Raise ValueError for a header or field that cannot be sent."""
         if not _HEADER_TEXT.fullmatch(self.header) or not all(map(_FIELD_TEXT.fullmatch, self.fields)):
             raise ValueError(f"{self.header!r}, {self.fields!r} cannot be a VectorNav sentence")
 
     @property
     def text(self) -> str:
-        """What stands between ``$`` and ``*``."""
+        """The characters between ``$`` and ``*``."""
         return ",".join((self.header, *self.fields))
 
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Which fields a binary frame carries.
+    """The fields of a binary frame.
 
-    ``dtype`` is the whole frame as a structured type; its fields are named group.field, for instance
-    imu.uncomp_gyro. ``masks`` are the fields' bits of each group, without extension bits.
+    ``dtype`` is the complete frame as a structured type; its fields are named group.field, for instance
+    imu.uncomp_gyro. ``masks`` are the field bits of each group, without extension bits.
     """
 
     header: bytes
@@ -110,7 +110,7 @@ def layout_of(masks: Mapping[int, int]) -> Layout:
 
 
 def layout_of_header(header: bytes) -> Layout:
-    """Return the layout that a frame's first bytes, up to the last field word, say; ValueError if they cannot be."""
+    """Return the layout given by a frame's first bytes, up to the last field word; ValueError if it is unknown."""
     end, masks = _read_header(header, 0)
     if masks is None or end != len(header):
         raise ValueError(f"{header.hex(' ')} is no header of a frame whose fields are known")
@@ -120,7 +120,7 @@ def layout_of_header(header: bytes) -> Layout:
 def error_code(field: str) -> int:
     """Return the code of a VNERR sentence, which is hex; older firmware writes 10 to 12 and 255 in decimal.
 
-    Both can be told apart, because 0x10 to 0x12 and 0x255 are no codes. -1 if it is no number.
+    The two can be told apart, as 0x10 to 0x12 and 0x255 are no codes. -1 if ``field`` is no number.
     """
     try:
         code = int(field, 16)
@@ -162,15 +162,20 @@ class VectorNavDecoder:
         self.bad_sentences = 0
 
     def feed(self, data: bytes) -> list[Sentence | Frames]:
-        """Return what these bytes complete, in order, consecutive frames of one layout together."""
+        """Return the sentences and frames that these bytes complete, in order, consecutive frames of one layout
+        together.
+        """
         self._buffer += data
         return self._take(ended=False)
 
     def flush(self) -> list[Sentence | Frames]:
-        """Return what lies behind a beginning that nothing completes, when nothing more has come for a while."""
+        """Return what lies behind a beginning that was never completed, after a pause in the stream."""
         return self._take(ended=True)
 
     def _take(self, *, ended: bool) -> list[Sentence | Frames]:
+        """Return the sentences and frames in the buffer, in order, and keep an unfinished one unless the stream has
+        ``ended``.
+        """
         found: list[Sentence | Frames] = []
         view, position = self._buffer, 0
         while (start := self._start.search(view, position)) is not None:
@@ -184,7 +189,7 @@ class VectorNavDecoder:
             elif end > len(view) and not ended:
                 break
             else:
-                # An end says that it began well, so it is damaged; the others are foreign bytes.
+                # With an end it began as a sentence, so it is damaged; the others are foreign bytes.
                 self.bad_frames += is_frame and end > 0
                 self.bad_sentences += not is_frame and end > 0
                 self.dropped_bytes += 1
@@ -197,9 +202,10 @@ class VectorNavDecoder:
 
 
 def _frames_at(view: bytes, at: int) -> tuple[Frames | None, int]:
-    """Return the frames of one layout from here on and where they end.
+    """Return the frames of one layout that begin at ``at``, and where they end.
 
-    With None, the end is where the first would end, beyond the view if more is needed to tell; 0 if it is no frame.
+    Without a frame (None): the end it would have, beyond the view if more bytes are needed to tell; 0 if it is no
+    frame.
     """
     end, masks = _read_header(view, at)
     if masks is None:
@@ -218,10 +224,10 @@ def _frames_at(view: bytes, at: int) -> tuple[Frames | None, int]:
 
 
 def _read_header(view: bytes, at: int) -> tuple[int, tuple[tuple[int, int], ...] | None]:
-    """Return where a frame's header ends and its (group, fields) pairs.
+    """Return where a frame's header ends, and its (group, fields) pairs.
 
-    With None, the end is beyond the view if it is cut off, 0 if it is no header: no field, or unknown ones, of which
-    nobody knows the size. Each selector may go on in one more: 14 groups, 30 fields of each.
+    Without a header (None): an end beyond the view if it is cut off; 0 if it is invalid, that is without fields or with
+    unknown ones, whose size is unknown. Each selector may be extended once: 14 groups, 30 fields of each.
     """
     position = at + 2
     if position > len(view):
@@ -264,9 +270,10 @@ def _layout(header: bytes, masks: tuple[tuple[int, int], ...]) -> Layout:
 
 
 def _sentence_at(view: bytes, at: int) -> tuple[Sentence | None, int]:
-    """Return the sentence that begins here and where it ends.
+    """Return the sentence that begins at ``at``, and where it ends.
 
-    With None, the end is beyond the view if more is needed to tell, 0 if it never was one, otherwise where it stops.
+    Without a sentence (None): an end beyond the view if more bytes are needed to tell, 0 if the start is wrong,
+    otherwise the place where it stops being one.
     """
     if not b"$VN".startswith(view[at : at + 3]):
         return None, 0

@@ -14,7 +14,7 @@ from drivers.protocols import ByteLink
 from drivers.specs import ImuSetup, ImuSpec, described
 from drivers.types import ByteChunk, Flags, Floats, Identity, ImuBlock, SourceCounts, Stamps
 
-# The rates before the filter takes off the bias that it estimates: that bias moves, and would hide what is calibrated.
+# Rates before the filter subtracts its bias estimate: that varies, and would hide the bias to be calibrated.
 LAYOUT = vectornav.layout_of({vectornav.COMMON: 1 << 0, vectornav.IMU: 1 << 2 | 1 << 3 | 1 << 4})
 """TimeStartup, UncompAccel, UncompGyro, Temp."""
 
@@ -39,9 +39,9 @@ class VectorNavImu(OneSource[ByteLink]):
     """One source of three gyros and three accelerometers, uncompensated, with temperature."""
 
     def __init__(self, setup: ImuSetup, link: ByteLink) -> None:
-        """Ask for ``output`` ("binary", "ascii") at one of the rates that its record names.
+        """Prepare for ``output`` ("binary" or "ascii") at the rate of ``setup``.
 
-        The option ``serial_port`` (1, 2; if not given 1) is the device's own, at which the link ends.
+        The option ``serial_port`` (1 or 2, default 1) is the device's own port at the end of the link.
         """
         super().__init__(setup.name, link)
         self._rate_hz, self._timeout_s = round(setup.rate_hz), setup.timeout_s
@@ -62,9 +62,9 @@ class VectorNavImu(OneSource[ByteLink]):
         return (self._stamped if self._output == "binary" else self._regular).alignment
 
     async def identify(self) -> Identity:
-        """Read model, hardware revision, serial number and firmware; its output is paused from then on.
+        """Read model, hardware revision, serial number, firmware and settings; output stays paused afterwards.
 
-        LinkLost if it does not answer, DeviceRefused, DeviceFault, BadReply.
+        LinkLost if it does not answer; DeviceRefused, DeviceFault or BadReply for its other answers.
         """
         await self._pause()
         model, hardware, serial, firmware = [await self._read(register) for register in ("01", "02", "03", "04")]
@@ -79,9 +79,10 @@ class VectorNavImu(OneSource[ByteLink]):
             return ""
 
     async def configure(self) -> None:
-        """Stop every output of the device but the one asked for, set that, and let it run. Nothing goes to its flash.
+        """Turn every output of the device off except the wanted one, set that, and start it. Nothing is written to its
+        flash.
 
-        LinkLost if it does not answer, DeviceRefused, DeviceFault, BadReply.
+        LinkLost if it does not answer; DeviceRefused, DeviceFault or BadReply for its other answers.
         """
         await self._pause()
         await self._write(_REGISTER_TYPE, str(_ASYNC_OFF))
@@ -96,9 +97,10 @@ class VectorNavImu(OneSource[ByteLink]):
         await self._ask(vectornav.Sentence("VNASY", ("1",)))
 
     async def blocks(self) -> AsyncIterator[tuple[str, ImuBlock]]:
-        """Configure the device and yield blocks as the bytes come; LinkLost when the link ends, and as ``configure``.
+        """Configure the device and yield blocks as bytes arrive; raises as ``configure``, and LinkLost when the link
+        ends.
 
-        DeviceFault when the device says so, or when its clock shows that it has restarted.
+        DeviceFault when the device reports an error, or when its clock shows that it has restarted.
         """
         await self.configure()
         self._start_clocks()
@@ -113,12 +115,12 @@ class VectorNavImu(OneSource[ByteLink]):
                     yield self._device, block
 
     def flush(self) -> list[tuple[str, ImuBlock]]:
-        """Return what is still held back for its timing: ASCII output has no time stamp."""
+        """Return the samples still held back for their timing: ASCII output has no time stamp."""
         block = regular_block(self._regular, [], gyros=3, everything=True)
         return [] if block is None else [(self._device, block)]
 
     def arrived(self) -> list[tuple[str, Stamps, Floats]]:
-        """Return arrivals (n,) in ns and rates (n, 3) of what came since the last call in ASCII, which holds back."""
+        """Return arrivals (n,) in ns and rates (n, 3) of ASCII samples since the last call, before they are timed."""
         fresh, self._fresh = self._fresh or [], []
         t_ns, rates = np.array([t_ns for t_ns, _ in fresh], dtype=np.int64), [row[:3] for _, row in fresh]
         return [(self._device, t_ns, np.array(rates))] if fresh else []
@@ -131,8 +133,13 @@ class VectorNavImu(OneSource[ByteLink]):
         self._regular = RegularClock(1 / self._rate_hz, self._counts)
 
     def _of_frames(self, chunk: ByteChunk, frames: vectornav.Frames) -> ImuBlock | None:
+        """Return a block of the new samples in binary frames; None if there are none or the layout is not the one asked
+        for.
+
+        The counter of the block is the device's time since start-up in ns. DeviceFault if that jumped back.
+        """
         if frames.layout != LAYOUT:
-            return None  # left from what it was set to before
+            return None  # left over from an earlier setting
         values = frames.values
         device_ns = values["common.time_startup"].astype(np.int64)
         new = self._new(device_ns)
@@ -151,7 +158,10 @@ class VectorNavImu(OneSource[ByteLink]):
         )
 
     def _new(self, device_ns: Stamps) -> Flags:
-        """Return which samples come after all before them; the others are repeats, unless time starts again."""
+        """Return as flags (n,) which samples are later than all before; the others are counted as repeats.
+
+        DeviceFault if device time jumps back far: the device has restarted.
+        """
         newest = np.maximum.accumulate(np.concatenate([[self._newest_ns], device_ns]))
         if (newest[:-1] - device_ns).max() > _LONGEST_STEP_BACK_NS:
             raise DeviceFault(
@@ -163,6 +173,11 @@ class VectorNavImu(OneSource[ByteLink]):
         return new
 
     def _of_sentence(self, chunk: ByteChunk, sentence: vectornav.Sentence) -> ImuBlock | None:
+        """Return a block of the samples that a VNIMU sentence makes ready; None for other sentences or if none are
+        ready.
+
+        A sentence with an error of the device raises DeviceFault; one that cannot be read is counted.
+        """
         self._complain(sentence)
         if sentence.header != "VNIMU" or self._output != "ascii":
             return None
@@ -192,7 +207,10 @@ class VectorNavImu(OneSource[ByteLink]):
         await self._ask(vectornav.Sentence("VNWRG", (register, *values)))
 
     async def _ask(self, command: vectornav.Sentence) -> vectornav.Sentence:
-        """Send a command and return its reply."""
+        """Send a command, twice at most, and return its reply; after a repetition wait for the second reply to pass.
+
+        DeviceRefused for an error reply, BadReply if only other answers came, LinkLost if none came.
+        """
         other: vectornav.Sentence | None = None
         for attempt in range(_TRIES):
             self._link.write(vectornav.encode_sentence(command))
@@ -219,7 +237,11 @@ class VectorNavImu(OneSource[ByteLink]):
     async def _reply_to(
         self, command: vectornav.Sentence, limit_s: float
     ) -> tuple[vectornav.Sentence | None, vectornav.Sentence | None]:
-        """Return the reply if it comes in time; beside it the last that would have been one, had it been right."""
+        """Return the reply to ``command`` if it comes within ``limit_s``, else None; and the last answer that did not
+        match it.
+
+        DeviceFault if the device reports an error of its own meanwhile.
+        """
         other: vectornav.Sentence | None = None
         try:
             async with asyncio.timeout(limit_s):
@@ -232,7 +254,7 @@ class VectorNavImu(OneSource[ByteLink]):
                         if _is_about(sentence, command):
                             other = sentence
         except TimeoutError:
-            # What looked like the beginning of a frame may have hidden the reply.
+            # The reply may be inside bytes that looked like the beginning of a frame.
             for sentence in (item for item in self._decoder.flush() if isinstance(item, vectornav.Sentence)):
                 if _answers(sentence, command):
                     return sentence, other
@@ -240,7 +262,10 @@ class VectorNavImu(OneSource[ByteLink]):
 
 
 def _answers(sentence: vectornav.Sentence, command: vectornav.Sentence) -> bool:
-    """Return whether this is the reply to that command: late ones name another register, or give other values."""
+    """Return whether ``sentence`` is the reply to ``command``; late replies name another register or other values.
+
+    An error counts as a reply unless it may have come unasked or reports a damaged command.
+    """
     if sentence.header == "VNERR":
         return _code(sentence) not in (*_UNASKED, _DAMAGED)
     if not _is_about(sentence, command):

@@ -19,7 +19,7 @@ HIGHEST_RATE_HZ = 2000
 
 _BLOCK_S = 0.01
 _EARLY_S = 0.25  # no sample comes this long before its time, so its count is damaged
-_SETTLED_S = 2.0  # how long the clock takes to know what is early
+_SETTLED_S = 2.0  # after which the clock knows early arrivals
 _ASTRAY_S = 1.0  # samples out of sequence for this long mean that the device counts anew
 _LOOK_FOR_RATE = 100  # messages
 _LET_CONFIGURE = "let the station configure it (configure = true), or set its outputs with the manufacturer's software"
@@ -32,9 +32,9 @@ class XsensImu(XbusDevice):
     """One source of three gyros, with accelerometer and temperature where the device sends them."""
 
     def __init__(self, setup: ImuSetup, link: ByteLink) -> None:
-        """Ask for samples at a whole number of Hz up to 2000, in ``number_format``, FLOAT32 if none is given.
+        """Prepare for samples at a whole number of Hz up to 2000, in the option ``number_format``, by default FLOAT32.
 
-        With the option ``configure`` false nothing is ever sent to a device that already streams at this rate.
+        With the option ``configure`` false nothing is ever sent: the device already streams at this rate.
         """
         super().__init__(setup.name, link, setup.timeout_s)
         self._rate_hz = round(setup.rate_hz)
@@ -54,7 +54,7 @@ class XsensImu(XbusDevice):
         return None if self._timing is None else self._timing.alignment
 
     async def identify(self) -> Identity:
-        """Ask for product code, serial number and firmware; the device stops sending. Empty if it may not be asked.
+        """Ask for product code, serial number and firmware, which stops the output; empty if ``configure`` is false.
 
         LinkLost if it does not answer.
         """
@@ -66,9 +66,9 @@ class XsensImu(XbusDevice):
         return Identity(product, serial, firmware_of(await self._told(Mid.REQ_FIRMWARE)))
 
     async def configure(self) -> None:
-        """Have the device send counts, rate of turn, acceleration and temperature, and let it measure.
+        """Configure counters, rate of turn, acceleration and temperature as output, and start measuring.
 
-        LinkLost if it does not answer; DeviceRefused, also if it grants another rate than the one asked for.
+        LinkLost if it does not answer; BadReply for an invalid answer; DeviceRefused, also if it grants another rate.
         """
         await self._request(Mid.GO_TO_CONFIG)
         wanted = mtdata2.encode_outputs(
@@ -90,9 +90,10 @@ class XsensImu(XbusDevice):
         await self._request(Mid.GO_TO_MEASUREMENT)
 
     async def blocks(self) -> AsyncIterator[tuple[str, ImuBlock]]:
-        """Configure the device and yield blocks of about 10 ms; LinkLost when the link ends, and as ``configure``.
+        """Configure the device, unless told not to, and yield blocks of about 10 ms; raises as ``configure``.
 
-        DeviceFault when the device says so or has restarted; BadReply if it sends nothing that can be used.
+        LinkLost when the link ends, DeviceFault when the device reports an error or has restarted, BadReply if it sends
+        nothing usable.
         """
         self._start_clock()
         if self._configures:
@@ -114,7 +115,7 @@ class XsensImu(XbusDevice):
         try:
             block = self._take_block()
         except DeviceError:
-            return []  # what cannot be used matters no more
+            return []  # unusable messages are dropped
         return [] if block is None else [(self._device, block)]
 
     def _start_clock(self) -> None:
@@ -133,7 +134,9 @@ class XsensImu(XbusDevice):
             raise DeviceFault(self._device, "it has restarted. Check its power supply and start again")
 
     def _take_block(self) -> ImuBlock | None:
-        """Return what is held as one block, or None if there are no samples of rate in it."""
+        """Return the held messages as one block, or None if they contain no new rate samples; DeviceFault after a
+        restart.
+        """
         held, self._held, self._rows_held = self._held, [], 0
         batches: list[_Batch] = []
         for _, group in groupby(held, key=lambda part: part[1].shape[1]):
@@ -165,6 +168,10 @@ class XsensImu(XbusDevice):
         )
 
     def _batch(self, samples: mtdata2.Samples, arrival_ns: Stamps) -> _Batch | None:
+        """Return counts, arrivals, rates, temperatures and accelerations of ``samples``; None without rates or counts.
+
+        A temperature that is missing keeps its last value; missing accelerations and rates that are not finite are NaN.
+        """
         rate = samples.numbers(mtdata2.RATE_OF_TURN)
         if rate is None:
             rate = samples.numbers(mtdata2.RATE_OF_TURN_HR)
@@ -200,6 +207,7 @@ class XsensImu(XbusDevice):
             raise BadReply(self._device, f"it sends no RateOfTurn, only {sent}; {_LET_CONFIGURE}")
 
     def _timing_by(self, samples: mtdata2.Samples) -> "_Timing":
+        """Return a clock that uses SampleTimeFine, else PacketCounter; BadReply if ``samples`` have neither."""
         if samples.has(mtdata2.SAMPLE_TIME_FINE):
             ticks = max(round(1 / (mtdata2.SAMPLE_TIME_TICK_S * self._rate_hz)), 1)
             clock = CounterClock(mtdata2.SAMPLE_TIME_TICK_S, mtdata2.SAMPLE_TIME_MODULUS, ticks, counts=self._counts)
@@ -210,7 +218,10 @@ class XsensImu(XbusDevice):
         raise BadReply(self._device, f"it sends neither SampleTimeFine nor PacketCounter; {_LET_CONFIGURE}")
 
     def _check_granted(self, granted: tuple[mtdata2.Output, ...]) -> None:
-        """See that rates and their times come as asked for; acceleration and temperature may be rarer or missing."""
+        """Check that rates come at the rate asked for and with times; DeviceRefused if not.
+
+        Acceleration and temperature may come less often or not at all.
+        """
         by_kind = {mtdata2.kind_of(output.data_id): output for output in granted}
         wanted = mtdata2.Output(mtdata2.RATE_OF_TURN | self._format, self._rate_hz)
         rate = by_kind.get(mtdata2.RATE_OF_TURN)
@@ -222,7 +233,7 @@ class XsensImu(XbusDevice):
             raise DeviceRefused(self._device, sentence("imu.no_times"))
 
     async def _told(self, mid: Mid) -> bytes:
-        """Return the answer to what not every device can be asked, empty from those."""
+        """Return the answer to a request that some devices refuse; empty from these."""
         try:
             return await self._request(mid)
         except DeviceRefused:
@@ -230,13 +241,15 @@ class XsensImu(XbusDevice):
 
 
 class _Timing:
-    """Times of samples by a count in them. The checksum has only 8 bits, so a count is not believed blindly."""
+    """Sample times from a count in the messages; since the checksum has only 8 bits, implausible counts are
+    rejected.
+    """
 
     def __init__(self, kind: int, clock: CounterClock) -> None:
-        """``kind`` is the kind of packet that carries the count."""
+        """Start without a count; ``kind`` is the kind of packet that carries it."""
         self.kind = kind
         self._clock = clock
-        self._newest: int | None = None  # goes on over the wrap
+        self._newest: int | None = None  # continues over the wrap
         self._first = 0
         self._damaged = 0
         self._in_a_row = 0
@@ -256,7 +269,7 @@ class _Timing:
         return damaged
 
     def stamp(self, count: Stamps, arrival_ns: Stamps) -> tuple[Flags, Stamps]:
-        """Return which samples are new and sound (n,), and the times in ns of those."""
+        """Return as flags (n,) which samples are new and plausible, and the times in ns of these."""
         sound = self._sound(count, arrival_ns)
         if not sound.any():
             return sound, np.empty(0, dtype=np.int64)
@@ -265,7 +278,9 @@ class _Timing:
         return sound, t_ns
 
     def _sound(self, count: Stamps, arrival_ns: Stamps) -> Flags:
-        """Return which counts (n,) go on from those before and are not ahead of their time."""
+        """Return as flags (n,) which counts continue the ones before and are not ahead of their arrival; count the
+        others.
+        """
         if self._newest is None:
             self._first = self._newest = int(count[0])
         clock, newest = self._clock, self._newest

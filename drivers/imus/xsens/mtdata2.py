@@ -44,8 +44,8 @@ PACKET_COUNTER_MODULUS = 1 << 16
 class Kind:
     """A kind of packet, by the maker's name.
 
-    Its fields are numbers in the format that the data identifier names, or, where ``integers`` is given, integers of
-    these types; ``repeated`` bytes may follow any number of times and are not looked at.
+    Its fields are numbers in the format of the data identifier, or integers of the types ``integers`` if given.
+    ``repeated`` bytes may follow any number of times and are ignored.
     """
 
     name: str
@@ -95,7 +95,7 @@ def name_of(data_id: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """Where a packet's value is in the data of its message."""
+    """The place of a packet's value in the data of its message."""
 
     data_id: int
     start: int
@@ -104,9 +104,9 @@ class Packet:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples:
-    """Consecutive MTData2 messages made of the same packets; ``data`` (n, length).
+    """Consecutive MTData2 messages with the same packets; ``data`` (n, length).
 
-    ``start`` is the place of the first among those that were parsed together.
+    ``start`` is the index of the first one among those parsed together.
     """
 
     packets: tuple[Packet, ...]
@@ -125,7 +125,9 @@ class Samples:
         return _decode(self.data[:, packet.start : packet.stop], format_of(packet.data_id))
 
     def integers(self, kind: int) -> Ints | None:
-        """Return the values (n, fields) of a kind whose fields are integers; None without them."""
+        """Return the values (n, fields) of a kind with integer fields; None if the samples lack it or its fields are
+        not integers.
+        """
         packet, types = self._find(kind), KINDS[kind].integers
         if packet is None or types is None:
             return None
@@ -138,10 +140,10 @@ class Samples:
 
 
 def parse_mtdata2(data: Bytes) -> tuple[list[Samples], int]:
-    """Return what MTData2 messages of one length (n, length) hold, and how many of them were malformed.
+    """Return the contents of MTData2 messages of one length (n, length), and how many of them were malformed.
 
-    Malformed is one whose packets do not end with it, or where a known kind has a size that it cannot have. Packets
-    of unknown kinds are kept and mean nothing.
+    A message is malformed if its packets do not end with it, or a known kind has an impossible size. Packets of unknown
+    kinds are kept unread.
     """
     found: list[Samples] = []
     malformed = 0
@@ -161,6 +163,9 @@ def parse_mtdata2(data: Bytes) -> tuple[list[Samples], int]:
 
 
 def _layout(data: bytes) -> tuple[Packet, ...] | None:
+    """Return the packets of a message, or None if they do not fill it exactly or a known kind has an impossible
+    size.
+    """
     packets: list[Packet] = []
     position = 0
     while position < len(data):
@@ -177,9 +182,9 @@ def _layout(data: bytes) -> tuple[Packet, ...] | None:
 
 
 def encode_mtdata2(packets: Sequence[tuple[int, Floats | Ints]]) -> bytes:
-    """Return MTData2 messages of (data identifier, values (n, fields)); fixed point is rounded and ends at its range.
+    """Return MTData2 messages of (data identifier, values (n, fields)); fixed-point numbers are rounded and clipped.
 
-    ValueError for a kind that is not known or has another number of fields.
+    ValueError for an unknown kind or a wrong number of fields.
     """
     parts: list[tuple[bytes, Bytes]] = []
     for data_id, values in packets:
@@ -207,6 +212,7 @@ def _decode(raw: Bytes, number_format: int) -> Floats:
 
 
 def _encode(values: Floats | Ints, number_format: int) -> Bytes:
+    """Return the bytes of values (n, fields) in a float or fixed-point format; the latter are rounded and clipped."""
     kind = _TYPES[number_format]
     if number_format not in _POINTS:
         return _bytes(values.astype(kind))
@@ -236,13 +242,13 @@ EVERY = 0xFFFF
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """One line of the output configuration: what is sent, and how often."""
+    """One line of the output configuration: the data sent, and its rate."""
 
     data_id: int
     rate_hz: int
 
     def __str__(self) -> str:
-        """Say it with the maker's name."""
+        """Return the output in words, with the maker's name for its data."""
         rate = "with every message" if self.rate_hz == EVERY else f"at {self.rate_hz} Hz"
         return f"{name_of(self.data_id)} {rate}"
 

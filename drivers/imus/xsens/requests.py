@@ -1,4 +1,4 @@
-"""Messages to and from one Xbus device on a byte link: requests with their answers, and what comes by itself."""
+"""Messages to and from one Xbus device on a byte link: requests with their answers, and unrequested data."""
 
 import asyncio
 from collections import deque
@@ -13,7 +13,7 @@ _TRIES = 2
 
 
 class XbusDevice(OneSource[ByteLink]):
-    """One device alone on its wire."""
+    """A single device on its wire."""
 
     def __init__(self, device: str, link: ByteLink, timeout_s: float) -> None:
         """``timeout_s`` is for one try, of which each request has two."""
@@ -23,17 +23,19 @@ class XbusDevice(OneSource[ByteLink]):
         self._hears_data = False
 
     async def _receive(self) -> tuple[int, Messages]:
-        """Return the next messages, all of a kind, with the loop time at which they arrived; LinkLost if gone."""
+        """Return the next messages, all of one kind, with the loop time at which they arrived; LinkLost if the link
+        ends.
+        """
         while not self._inbox:
             await self._fill()
         return self._inbox.popleft()
 
     async def _request(self, mid: Mid, data: bytes = b"", expected: Callable[[bytes], bool] = lambda _: True) -> bytes:
-        """Send a request and return its answer: the one as expected, or the last one when that does not come in time.
+        """Send a request, twice at most, and return its answer: the first that is ``expected``, else the last in time.
 
-        Answers bear no number of their request, and devices answer in the order of the requests. So one that comes
-        late can only be taken for the answer to a later request of the same kind; unless it is as expected, the right
-        one is waited for. What else has come is dropped. LinkLost without an answer, DeviceRefused for an Error.
+        Answers carry no number of their request, and devices answer in order. A late answer can therefore only be
+        mistaken for that to a later request of the same kind; unless it is as expected, the right one is waited for.
+        Other messages are dropped. LinkLost without an answer, DeviceRefused for an Error.
         """
         self._inbox.clear()
         dropped, self._hears_data = self._decoder.dropped_bytes, False
@@ -46,7 +48,7 @@ class XbusDevice(OneSource[ByteLink]):
                         answer = await self._answer_to(mid)
                 return answer
             except TimeoutError:
-                # What looked like the beginning of a long message may hide the answer.
+                # The answer may be inside bytes that looked like the beginning of a long message.
                 self._inbox.extend((0, messages) for messages in self._decoder.flush())
             hidden = self._find_answer(mid)
             if hidden is not None:
@@ -65,7 +67,11 @@ class XbusDevice(OneSource[ByteLink]):
         return answer
 
     def _find_answer(self, mid: Mid) -> bytes | None:
-        """Return the answer if it is here, messages before it being dropped; DeviceRefused if it is an Error."""
+        """Return the answer in the inbox, dropping messages before it; None if there is none; DeviceRefused for an
+        Error.
+
+        Errors of data overflow are skipped, and so is any error while GoToConfig is asked, which is never refused.
+        """
         while self._inbox:
             t_ns, messages = self._inbox.popleft()
             self._hears_data |= messages.mid == Mid.MTDATA2
@@ -82,6 +88,9 @@ class XbusDevice(OneSource[ByteLink]):
         return None
 
     def _why_silent(self, mid: Mid, *, noise: bool) -> str:
+        """Return the message for a request without an answer: other data were received, ``noise`` that is not Xbus, or
+        nothing.
+        """
         silent = f"no answer to {mid.label} within {_TRIES * self._timeout_s:g} s"
         if self._hears_data:
             return (

@@ -21,7 +21,7 @@ LONGEST_DATA = 2048
 
 
 class Mid(IntEnum):
-    """Messages by their identifier; the answer to a request has the next one."""
+    """Message identifiers; the answer to a request has the next number."""
 
     REQ_DEVICE_ID = 0x00
     INIT = 0x02
@@ -53,7 +53,7 @@ ERROR_DATA_OVERFLOW = 41
 
 
 def error_text(data: bytes) -> str:
-    """Return what an Error message says, code and words."""
+    """Return the text of an Error message, code and words."""
     code = data[0] if data else 0
     return f"error {code}: {ERRORS.get(code, 'a code without a public meaning')}"
 
@@ -85,10 +85,11 @@ class XbusDecoder:
         return self._scan(at_end=False)
 
     def flush(self) -> list[Messages]:
-        """Return the messages within what looked like the beginning of a longer one, for when no more bytes come."""
+        """Return the messages inside a longer one that began but never ended, for when no more bytes come."""
         return self._scan(at_end=True)
 
     def _scan(self, *, at_end: bool) -> list[Messages]:
+        """Return the messages in the buffer and keep an unfinished one; ``at_end`` no more bytes are waited for."""
         view, position = self._buffer, 0
         found: list[Messages] = []
         while True:
@@ -116,7 +117,7 @@ class XbusDecoder:
 
 
 def _header(view: bytes, position: int) -> tuple[int, int]:
-    """Return the bytes before the data and the length of the data; (0, 0) as long as that cannot be told."""
+    """Return the length of a header and the length of its data; (0, 0) while more bytes are needed to tell."""
     if len(view) < position + 4:
         return 0, 0
     if view[position + 3] != _EXTENDED:
@@ -127,7 +128,9 @@ def _header(view: bytes, position: int) -> tuple[int, int]:
 
 
 def _valid_run(view: bytes, position: int, head: int, size: int) -> int:
-    """Return how many whole messages with the same header and a true checksum follow each other."""
+    """Return how many complete messages with the same header and a valid checksum follow each other from
+    ``position``.
+    """
     header = view[position : position + head]
     count = 0
     while position + size <= len(view) and view.startswith(header, position):
@@ -144,7 +147,7 @@ def encode(mid: int, data: bytes = b"") -> bytes:
 
 
 def frame(mid: int, data: Bytes) -> bytes:
-    """Return messages around their data (n, length); ValueError if it is too long for a message."""
+    """Return messages around their data (n, length), header and checksum added; ValueError if the data are too long."""
     count, length = data.shape
     if length > LONGEST_DATA:
         raise ValueError(f"a message carries at most {LONGEST_DATA} bytes, not {length}")

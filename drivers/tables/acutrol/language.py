@@ -32,25 +32,28 @@ def absolute_limits(text: str) -> tuple[float, float] | None:
 
 
 def refusal(text: str) -> bool:
-    """Return whether an answer is the controller's own words for why it does not do what it is told."""
+    """Return whether an answer is the controller's text for a refusal."""
     return bool(TEXT.fullmatch(text)) and not NUMBER.fullmatch(text)
 
 
 class AcutrolFraming:
     """Bytes of requests and answers.
 
-    The token: a number is written where nothing of ours depends on it, the rate limit of the synthesis mode of
-    one axis, and read back. The answers to look for are OK and, next, that number. Its limits: a number of 9,900
-    is the answer that an angle or a rate could give by chance, after an OK and to two decimals; a controller that
-    does not have this limit, or tells it in coarser steps than 0.01 deg/s, cannot be brought back in step and counts
-    as silent, which is known when the link is opened; the limit keeps the last number written.
+    The token writes a number where it does no harm, the rate limit of the synthesis mode of one axis, and reads it
+    back. Its answer is OK, then that number. Its limits: an angle or rate could by chance give the same number, one of
+    9,900, after an OK. A controller without this limit, or with steps coarser than 0.01 deg/s, cannot be brought back
+    in step and counts as silent, which shows when the link is opened. The limit keeps the last number written.
     """
 
     idle = b""
     settle_s = 0.0
 
     def __init__(self, axis_number: int, largest_rate_dps: float, prefix_length: int) -> None:
-        """``largest_rate_dps`` is what the axis whose limit is written may have as one."""
+        """Prepare for axis ``axis_number``, whose limit is written, and which may have at most ``largest_rate_dps`` as
+        one.
+
+        ``prefix_length`` is the number of bytes before each answer.
+        """
         self._axis, self._prefix = axis_number, prefix_length
         self._largest = min(max(int(largest_rate_dps * 100) - 1, 200), 9999)
         self._used: deque[int] = deque(maxlen=_TOKENS_REMEMBERED)
@@ -72,7 +75,9 @@ class AcutrolFraming:
         return Framed(received[self._prefix : end].decode("ascii", "replace").strip(), False, end + 1)
 
     def token(self) -> Token:
-        """Return a new number to write and read back. The line end before it ends a line cut on its way."""
+        """Return a token with a number not used lately. Its leading line end terminates a line that was cut off on its
+        way.
+        """
         number = self._random.randint(100, self._largest)
         while number in self._used:
             number = self._random.randint(100, self._largest)

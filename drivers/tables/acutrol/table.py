@@ -30,7 +30,7 @@ _NEAR_TARGET_DEG = 0.02  # good enough when another change of position has not b
 _LONGEST_CHANGE_DEG = 170.0  # of position at once; the language allows 180
 _QUIET_S = 0.3  # an axis that stands so long will not go on
 _STUCK_S = 1.0  # an axis that has not begun to turn by then will not
-_LEAD_S = 0.06  # braking begins so much early, for the way of the command to the axis
+_LEAD_S = 0.06  # braking begins earlier by this time, which the command needs to reach the axis
 _MOST_LEGS = 8
 _HOMING_RATE_DPS = 30.0
 _MODE_LIMIT_S = 1.0
@@ -38,7 +38,7 @@ _MODE_LIMIT_S = 1.0
 
 @dataclass(slots=True)
 class _Task:
-    """What an axis has been told to do: a target to reach, or a rate to keep."""
+    """The command an axis carries out: a target to reach, or a rate to keep."""
 
     rate_dps: float
     acceleration_dps2: float
@@ -48,7 +48,7 @@ class _Task:
 
 @dataclass(slots=True)
 class _Axis:
-    """What the driver knows of an axis."""
+    """What the driver knows about one axis."""
 
     own: AxisSetup
     unwrapper: Unwrapper = field(default_factory=lambda: Unwrapper(360.0))
@@ -61,9 +61,9 @@ class AcutrolTable(LineTable):
     _done = acutrol.OK
 
     def __init__(self, setup: TableSetup, link: ByteLink) -> None:
-        """Take axes whose addresses are numbers; ``reply_prefix`` of the options are bytes before each answer.
+        """Prepare for axes whose addresses are numbers; ValueError if two axes have the same one.
 
-        ValueError for a number that two axes have.
+        The option ``reply_prefix`` is the number of bytes before each answer.
         """
         self._axes = {name: _Axis(axis) for name, axis in setup.axes.items()}
         numbers = [axis.address for axis in setup.axes.values()]
@@ -76,7 +76,11 @@ class AcutrolTable(LineTable):
         self._failure: DeviceError | None = None
 
     async def open(self) -> None:
-        """Open the link, get in step, and compare limits; DeviceRefused if the bench allows more than the maker."""
+        """Open the link, resynchronise, and compare limits; DeviceRefused if the bench file allows more than the
+        controller.
+
+        LinkLost if the controller does not answer. A controller that does not report its limits is not checked.
+        """
         await self._exchange.open()
         for name, axis in self._axes.items():
             axis.unwrapper.restart()
@@ -99,10 +103,11 @@ class AcutrolTable(LineTable):
         return Identity(f"{parts[0]} {parts[1]}", parts[2], parts[3])
 
     async def enable(self) -> None:
-        """Close every open interlock and hold every axis in rate mode at zero; DeviceFault if an axis is in fault.
+        """Lock the local panel, close the interlock of every axis that is not enabled, and hold every axis at zero
+        rate.
 
-        The interlock of an axis that is enabled already stays closed: opening it would cut the power of one that turns.
-        Such an axis is braked with the acceleration that it is allowed.
+        The interlock of an enabled axis stays closed: opening it would cut the power of an axis that may turn. Such an
+        axis is braked with its allowed acceleration. DeviceFault if an axis is in fault or does not become enabled.
         """
         await self._tell(":utility:lockout on")
         for name, axis in self._axes.items():
@@ -115,7 +120,10 @@ class AcutrolTable(LineTable):
                 raise DeviceFault(self._device, status.fault or f"axis {name} stays {status.text}")
 
     async def home(self) -> None:
-        """Turn every axis to the zero of its encoder, on the shorter way; angles count from there."""
+        """Move every axis to the zero of its encoder by the shorter way, and wait; angles count from there.
+
+        Raises as ``status`` for an axis in fault; DeviceRefused if homing takes more than a minute.
+        """
         self.homing = set(self.limits)
         for name, axis in self._axes.items():
             axis.unwrapper.restart()
@@ -125,14 +133,14 @@ class AcutrolTable(LineTable):
         await self._wait_for_home(_POLL_S)
 
     async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
-        """Turn an axis at a rate (rate mode) until told otherwise."""
+        """Turn an axis at a rate (rate mode) until the next command."""
         self._moved, task = axis, _Task(math.degrees(rate_rps), math.degrees(acceleration_rps2))
         self._axes[axis].task = task
         await self._turn(axis, task.rate_dps, task.acceleration_dps2)
         self._watch(axis, task)
 
     async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
-        """Start towards an angle from home; it goes on by itself, over as many turns as there are."""
+        """Start a move to an angle from home; it continues in the background, over any number of turns."""
         self._moved = axis
         task = _Task(abs(math.degrees(rate_rps)), math.degrees(acceleration_rps2), math.degrees(angle_rad))
         self._axes[axis].task = task
@@ -144,7 +152,10 @@ class AcutrolTable(LineTable):
         return await self._read(axis)
 
     async def status(self, axis: str) -> AxisStatus:
-        """Get mode, interlock and status byte, and the fault in words with both."""
+        """Read mode and interlock, and the status byte for the text of a fault.
+
+        Raises what went wrong while watching an earlier command.
+        """
         self._raise_failure()
         interlock, mode = await self._interlock(axis), await self._mode(axis)
         fault = ""
@@ -158,9 +169,10 @@ class AcutrolTable(LineTable):
         return AxisStatus(enabled, enabled and await self._reached(axis), fault, text, interlock=open_now)
 
     async def stop(self) -> str:
-        """Bring every axis to rest in rate mode with the acceleration it is allowed, over a new connection if need be.
+        """Brake every axis in rate mode with its allowed acceleration, on a new connection if necessary; return what
+        was seen.
 
-        An axis that is switched off refuses rate mode, which does no harm.
+        An axis that is switched off refuses rate mode, which does no harm. Raises as ``bring_to_rest``.
         """
         self._drop_tasks()
 
@@ -186,7 +198,7 @@ class AcutrolTable(LineTable):
         await self._tell(f":interlock:reset {self._axes[axis].own.address}")
 
     async def disable(self) -> None:
-        """Switch every axis off and open its interlock; the first failure is raised once all have been tried."""
+        """Switch every axis off and open its interlock; the first failure is raised after all have been tried."""
         failures: list[DeviceError] = []
         for axis in self._axes.values():
             axis.task = None
@@ -197,7 +209,7 @@ class AcutrolTable(LineTable):
             raise failures[0]
 
     def close(self) -> None:
-        """Drop the link and what watches over axes."""
+        """Stop the tasks that watch axes, and close the link."""
         for watcher in self._watchers:
             watcher.cancel()
         super().close()
@@ -208,7 +220,9 @@ class AcutrolTable(LineTable):
         watcher.add_done_callback(self._watchers.discard)
 
     async def _guard(self, axis: str, task: _Task, leg: str) -> None:
-        """Watch over an axis, and keep what goes wrong with that for the next who asks."""
+        """Carry out a task until it ends; a DeviceError is kept, for the next call to raise, unless the axis has a new
+        task.
+        """
         try:
             if task.target_deg is None:
                 await self._follow(axis, task)
@@ -224,7 +238,7 @@ class AcutrolTable(LineTable):
             raise failure
 
     async def _follow(self, axis: str, task: _Task) -> None:
-        """Count the turns of a jogging axis, until it is told something else or stands."""
+        """Read the angle of a jogging axis often enough to count its turns, until it has a new task or stands."""
         own, loop = self._axes[axis], asyncio.get_running_loop()
         rate = math.inf
         while own.task is task and (task.rate_dps or abs(rate) > _AT_REST_DPS):
@@ -233,7 +247,10 @@ class AcutrolTable(LineTable):
             await asyncio.sleep(_TRACK_S / 2)
 
     async def _travel(self, axis: str, task: _Task, leg: str) -> None:
-        """Go on, leg by leg, until the target is reached; DeviceRefused if it is not."""
+        """Move on, leg by leg, until the target is reached or the axis has a new task.
+
+        DeviceRefused if it is not reached after ``_MOST_LEGS``; an axis with an open interlock or in fault just ends.
+        """
         changes = 0
         for _ in range(_MOST_LEGS):
             if leg == "done":
@@ -250,7 +267,11 @@ class AcutrolTable(LineTable):
             raise DeviceRefused(self._device, sentence("table.stays", axis=axis, at_deg=angle, to_deg=task.target_deg))
 
     async def _begin_leg(self, axis: str, task: _Task, near_deg: float = _ON_TARGET_DEG) -> str:
-        """Start the next part of a way, and return which: brake, run (in rate mode), change (of position), done."""
+        """Start the next leg of a move and return its kind: brake (while turning), run (far, in rate mode), change or
+        done.
+
+        "change" is a change of position. "done" within ``near_deg`` of the target, or if the axis has a new task.
+        """
         assert task.target_deg is not None
         state = await self._read(axis)
         way = task.target_deg - math.degrees(state.angle_rad)
@@ -268,7 +289,10 @@ class AcutrolTable(LineTable):
         return "change"
 
     async def _run_to_braking(self, axis: str, task: _Task) -> bool:
-        """Watch a long way in rate mode and brake in time; False if the axis has been told something else."""
+        """Wait until a run in rate mode has to brake, then set the rate to zero; False if the axis has a new task.
+
+        Also brakes an axis that does not turn for ``_STUCK_S``.
+        """
         assert task.target_deg is not None
         own = self._axes[axis]
         began = asyncio.get_running_loop().time()
@@ -289,7 +313,7 @@ class AcutrolTable(LineTable):
         return True
 
     async def _until_rest(self, axis: str, task: _Task) -> bool:
-        """Wait until an axis is on its target or stands; False if it has been told something else."""
+        """Wait until an axis stands, at once if on its target, else for ``_QUIET_S``; False if it has a new task."""
         own, loop = self._axes[axis], asyncio.get_running_loop()
         stands_since = math.inf
         while own.task is task:
@@ -305,7 +329,9 @@ class AcutrolTable(LineTable):
         return False
 
     async def _change_position(self, axis: str, way_deg: float, task: _Task) -> None:
-        """Change the position demand. If the answer is lost it is not repeated: the next leg sees what came of it."""
+        """Change the position demand by ``way_deg``. If the answer is lost, it is not repeated: the next leg sees the
+        result.
+        """
         number = self._axes[axis].own.address
         await self._tell(f":lim:rate pos,{number},{task.rate_dps:.6f}")
         await self._tell(f":lim:acc pos,{number},{task.acceleration_dps2:.6f}")
@@ -322,7 +348,7 @@ class AcutrolTable(LineTable):
         await self._tell(f":demand:rate {number},{rate_dps:.6f}")
 
     async def _enter(self, axis: str, mode: str) -> None:
-        """Change mode and wait for it; the rate demand is zero before rate mode, whatever it was the last time."""
+        """Change the mode of an axis and wait for it; DeviceRefused if it does not. Rate mode begins with zero rate."""
         if await self._mode(axis) == mode:
             return
         number = self._axes[axis].own.address

@@ -37,9 +37,9 @@ _SETTLE_SHARE = 0.15  # of a time-out, in which nothing may follow the answer to
 class AerosmithFraming:
     """Bytes of requests and answers.
 
-    The token is STA, whose whole number no other request of ours is answered with. It is not unmistakable: an
-    STA that was asked before is answered alike. So nothing may follow its answer for a while; an answer that comes
-    later still can be taken for a later one.
+    The token is STA, which no other request is answered like: with one integer. It is not unmistakable, as an earlier
+    STA is answered alike; hence nothing may follow its answer for a while. An answer that comes still later may be
+    mistaken.
     """
 
     idle = b"\r\n "
@@ -53,7 +53,7 @@ class AerosmithFraming:
         return line.encode("ascii") + b"\r"
 
     def answer(self, line: str, received: bytes) -> Framed | None:
-        """Return what stands before the prompt."""
+        """Return the text before the prompt, None while that is incomplete; "?" in it marks a refusal."""
         found = _ANSWER.match(received)
         if found is None:
             return None
@@ -61,7 +61,7 @@ class AerosmithFraming:
         return Framed(text, "?" in text, found.end())
 
     def token(self) -> Token:
-        """Return STA, which asks for the status word."""
+        """Return STA, which asks for the status word; the last such answer counts."""
 
         def find(received: bytes) -> tuple[int, int] | None:
             found = list(_STATUS_ANSWER.finditer(received))
@@ -74,7 +74,11 @@ class AerosmithTable(LineTable):
     """Turntable driver over a byte link; one axis. Experimental, as its status says."""
 
     def __init__(self, setup: TableSetup, link: ByteLink) -> None:
-        """``fault_mask`` of the options: the bits of STA that mean a fault, by the table's own manual; 0: none seen."""
+        """Prepare for a single axis; the option ``fault_mask`` has the bits of STA that mean a fault (0: none is
+        recognised).
+
+        They are in the manual of the table.
+        """
         super().__init__(setup, link, AerosmithFraming(_SETTLE_SHARE * setup.timeout_s))
         (self._axis,) = setup.axes
         self._fault_mask = setup.options["fault_mask"]
@@ -90,11 +94,11 @@ class AerosmithTable(LineTable):
         self._unwrapper.restart()
 
     async def identify(self) -> Identity:
-        """Return what is known without asking: no public program asks the table what it is."""
+        """Return the model without asking: no public program asks the table for it."""
         return Identity(model="Ideal Aerosmith (experimental)")
 
     async def enable(self) -> None:
-        """Switch the servo on; DeviceFault if the table says fault."""
+        """Switch the servo on; DeviceFault if the table reports a fault."""
         await self._sound(self._axis)
         await self._tell("SRV1")
         self._servo_on = True
@@ -112,14 +116,14 @@ class AerosmithTable(LineTable):
         return await super()._at_home(axis)
 
     async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
-        """Turn at a whole number of deg/s until told otherwise; DeviceRefused for any other rate."""
+        """Turn at a whole number of deg/s until the next command; DeviceRefused for any other rate."""
         rate = self._whole_rate(rate_rps)
         await self._set_acceleration(acceleration_rps2)
         await self._start(f"JOG{rate}")
         self._target_deg, self._jog_dps = None, float(rate)
 
     async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
-        """Start a move to an angle from home, at a whole number of deg/s."""
+        """Start a move to an angle from home, at a whole number of deg/s; DeviceRefused for other rates."""
         rate = abs(self._whole_rate(rate_rps))
         await self._set_acceleration(acceleration_rps2)
         await self._tell(f"VEL{rate}")
@@ -134,7 +138,10 @@ class AerosmithTable(LineTable):
         return unwrapped(self._unwrapper, (position, _value(position, NUMBER)), (velocity, _value(velocity, NUMBER)))
 
     async def status(self, axis: str) -> AxisStatus:
-        """Get the status word; whether a target is reached is told by angle and rate."""
+        """Read the status word; whether a target is reached is judged by angle and rate.
+
+        Enabled means that this driver switched the servo on and no fault bit is set: other bits are unknown.
+        """
         word = int(_value(await self._ask("STA", INTEGER), INTEGER))
         state = await self.read(axis)
         angle, rate = math.degrees(state.angle_rad), math.degrees(state.rate_rps)
@@ -177,7 +184,7 @@ class AerosmithTable(LineTable):
         return whole
 
     async def _set_acceleration(self, acceleration_rps2: float) -> None:
-        """Set the ramp, in whole deg/s2, not above what is asked for."""
+        """Set the ramp, in whole deg/s2, rounded down; DeviceRefused below 1 deg/s2."""
         whole = math.floor(math.degrees(acceleration_rps2) + 1e-6)
         if whole < 1:
             raise DeviceRefused(self._device, f"axis {self._axis}: the slowest ramp of this controller is 1 deg/s2")

@@ -35,13 +35,13 @@ _PROMPT = re.compile(rb"(?:\A|[\r\n])([:?])")
 
 
 def _flag(mask: int, what: str, *, when_low: bool = False) -> property:
-    """Return a property: whether a bit of the word is set, or not set where that is what it says ``when_low``."""
+    """Return a property that tells whether a bit of the word is set; with ``when_low``, whether it is not set."""
     return property(lambda switches: bool(switches.word & mask) is not when_low, doc=what)
 
 
 @dataclass(frozen=True, slots=True)
 class Switches:
-    """The TS word of an axis. Bits: 7 moving, 6 error beyond ER, 5 motor off, 3 and 2 limits *inactive*."""
+    """The TS word of an axis. Bits: 7 moving, 6 error beyond ER, 5 motor off, 3 and 2 limit switches *inactive*."""
 
     word: int
 
@@ -84,15 +84,15 @@ ACCELERATION_STEP = 1024  # counts/s2
 
 
 def floor_acceleration(counts_per_s2: float) -> int:
-    """Return what AC and DC make of an acceleration: a multiple of 1024, not above it, at least 1024."""
+    """Return the acceleration that AC and DC set: a multiple of 1024, rounded down, at least 1024."""
     return max(int(counts_per_s2) // ACCELERATION_STEP, 1) * ACCELERATION_STEP
 
 
 class GalilFraming:
-    """Bytes of requests and answers. Echo may be on or off: a first line that repeats the request is left out.
+    """Bytes of requests and answers. Echo may be on or off: a first line that repeats the request is skipped.
 
-    The token has the controller say a word that it has not said before (``MG "word"``). No number and no other
-    answer is that word; an echo has it in quotation marks.
+    The token has the controller print a word that it has never printed before (``MG "word"``). No other answer is that
+    word; an echo has it in quotation marks.
     """
 
     idle = b""
@@ -103,7 +103,9 @@ class GalilFraming:
         return line.encode("ascii") + b"\r"
 
     def answer(self, line: str, received: bytes) -> Framed | None:
-        """Return the data up to the prompt, which stands at the beginning of a line."""
+        """Return the data up to the prompt at the beginning of a line (":" or "?" for a refusal); None without a
+        prompt.
+        """
         body = received.removeprefix(line.encode("ascii"))
         prompt = _PROMPT.search(body)
         if prompt is None:
@@ -113,12 +115,12 @@ class GalilFraming:
         return Framed(text, prompt[1] == b"?", len(received) - len(body) + prompt.end())
 
     def token(self) -> Token:
-        """Return a new word to say. The CR before it ends whatever line was cut on its way."""
+        """Return a token with a new word. Its leading CR terminates a line that was cut off on its way."""
         word = f"T{secrets.token_hex(4).upper()}".encode()
-        said = re.compile(rb':?[ \r\n]*(?<!")' + word + rb"[ ]*\r\n:")
+        pattern = re.compile(rb':?[ \r\n]*(?<!")' + word + rb"[ ]*\r\n:")
 
         def find(received: bytes) -> tuple[int, int] | None:
-            found = said.search(received)
+            found = pattern.search(received)
             return found.span() if found else None
 
         return Token(b'\rMG "' + word + b'"\r', find)

@@ -34,12 +34,12 @@ class GalilTable(LineTable):
     """Turntable driver over a byte link, serial or TCP."""
 
     def __init__(self, setup: TableSetup, link: ByteLink) -> None:
-        """Take axes whose addresses are different letters, ValueError for others.
+        """Prepare for axes whose addresses are different letters; ValueError for others.
 
-        The travel of each is set as soft limits once it is home. ``error_limit`` among its options is the following
-        error (rad) at which the controller switches the motor off, left as it is there if not given. Options of the
-        table: ``homing`` is HM (home switch) or FI (index pulse, in positive direction), ``velocity_window`` (s) the
-        time that TV is the mean of, which goes with the controller's sample time (TM).
+        The travel of each axis is set as soft limits after homing. Options of an axis: ``error_limit`` is the following
+        error (rad) at which the controller switches the motor off; not given, the controller's own stays. Options of
+        the table: ``homing`` is HM (home switch) or FI (index pulse, in positive direction); ``velocity_window`` (s) is
+        the averaging time of TV, which depends on the controller's sample time (TM).
         """
         letters = [str(axis.address) for axis in setup.axes.values()]
         if not set(letters) <= set(_LETTERS) or len(set(letters)) != len(letters):
@@ -48,7 +48,7 @@ class GalilTable(LineTable):
         self._axes, self._homing = setup.axes, setup.options["homing"]
         self._velocity_delay_s = setup.options["velocity_window"] / 2
         self._powered: set[str] = set()
-        self._jogs: dict[str, int] = {}  # rate in counts/s of axes that were told to jog
+        self._jogs: dict[str, int] = {}  # rate in counts/s of axes with a jog command
         self._known_stops: dict[str, int] = {}  # stop codes that an operator has seen and reset
 
     async def open(self) -> None:
@@ -65,7 +65,9 @@ class GalilTable(LineTable):
         return Identity(model, serial, firmware)
 
     async def enable(self) -> None:
-        """Switch every motor on where it stands; DeviceFault if an axis is in fault or its motor stays off."""
+        """Switch on every motor that is off, where it stands; DeviceFault if an axis is in fault or its motor stays
+        off.
+        """
         for axis, own in self._axes.items():
             if (await self._sound(axis)).enabled:
                 continue
@@ -78,7 +80,10 @@ class GalilTable(LineTable):
             self._powered.add(axis)
 
     async def home(self) -> None:
-        """Run the controller's own homing on all axes at once, then define zero there."""
+        """Run the controller's homing on all axes at once, define zero there, and set the travel as soft limits.
+
+        An axis that moves is halted first. DeviceFault or DeviceRefused if an axis does not find home.
+        """
         self.homing = set(self.limits)
         for axis, own in self._axes.items():
             if (await self._switches(axis)).moving:
@@ -100,6 +105,9 @@ class GalilTable(LineTable):
         await self.stop()
 
     async def _at_home(self, axis: str) -> bool:
+        """Return whether an axis has ended its homing; DeviceFault for a fault, DeviceRefused if it ended without
+        finding home.
+        """
         switches, stop, fault = await self._condition(axis)
         if fault:
             raise DeviceFault(self._device, fault)
@@ -110,7 +118,10 @@ class GalilTable(LineTable):
         return not switches.moving
 
     async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
-        """Turn an axis at a rate, in whole counts a second; a rate changes while it turns without a halt."""
+        """Turn an axis at a rate, rounded to counts/s; a jogging axis changes its rate without a halt.
+
+        DeviceRefused beyond the limits of the axis.
+        """
         self._moved, letter = axis, self._axes[axis].address
         rate = self._rate(axis, rate_rps, acceleration_rps2)
         if (await self._switches(axis)).moving:
@@ -123,7 +134,10 @@ class GalilTable(LineTable):
         await self._begin([axis])
 
     async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
-        """Start a move to an angle from home; an axis that turns is brought to rest first."""
+        """Start a move to an angle from home; an axis that moves is halted first.
+
+        DeviceRefused beyond the limits of the axis or of the controller's counter.
+        """
         self._moved, letter = axis, self._axes[axis].address
         target, rate = self._counts(axis, angle_rad), abs(self._rate(axis, rate_rps, acceleration_rps2))
         if abs(target) > _LARGEST_COUNT:
@@ -145,7 +159,7 @@ class GalilTable(LineTable):
         return AxisState.told(angle, rate, 2 * self._velocity_delay_s)
 
     async def status(self, axis: str) -> AxisStatus:
-        """Get condition: TS word, stop code, and the fault in words with both."""
+        """Read TS word and stop code, and TV of a jogging axis; a fault is described with both codes."""
         switches, stop, fault = await self._condition(axis)
         reached = not switches.moving and stop in (galil.AT_TARGET, galil.HOMED)
         if switches.moving and axis in self._jogs:
@@ -164,7 +178,10 @@ class GalilTable(LineTable):
         return not answer.refused and float(answer.text) == 0.0
 
     async def stop(self) -> str:
-        """Stop every axis with the deceleration it is allowed, over a new connection if need be."""
+        """Stop every axis with its allowed deceleration, on a new connection if necessary; return what was seen.
+
+        Raises as ``bring_to_rest``.
+        """
 
         async def idle(axis: str) -> bool:
             return not (await self._switches(axis)).moving
@@ -179,9 +196,9 @@ class GalilTable(LineTable):
         await self._rest(lambda axis: ("AB",), self.read)
 
     async def reset_fault(self) -> None:
-        """Take the faults as seen; DeviceFault if the cause of one is still there.
+        """Acknowledge the faults within this driver; DeviceFault if the cause of one is still present.
 
-        A Galil has no command for it: a motor that went off is switched on again by ``enable``.
+        A Galil has no command for it: a motor that was switched off is switched on again by ``enable``.
         """
         for axis in self._axes:
             switches, stop, fault = await self._condition(axis)
@@ -201,20 +218,22 @@ class GalilTable(LineTable):
         self._powered.clear()
 
     async def _condition(self, axis: str) -> tuple[galil.Switches, int, str]:
-        """Return TS word, stop code and fault, which is empty if there is none."""
+        """Return TS word, stop code and the fault in words, empty if there is none; acknowledged stop codes are no
+        fault.
+        """
         switches = await self._switches(axis)
         stop = round(await self._number("SC", axis))
         known = self._known_stops.get(axis) == stop
-        what = ""
+        reason = ""
         if switches.motor_off and axis in self._powered:
-            what = "its motor has switched off"
+            reason = "its motor has switched off"
         elif switches.motor_off and stop in galil.FATAL_STOPS and not known:
-            what = "its motor was switched off by a fault"
+            reason = "its motor was switched off by a fault"
         elif not switches.motor_off and switches.error_exceeded:
-            what = "its following error is too large"
+            reason = "its following error is too large"
         elif not switches.motor_off and stop in galil.LIMIT_STOPS and not known:
-            what = "it ran into a limit"
-        fault = f"axis {axis}: {what} (SC {stop}, {galil.stop_text(stop)}; TS {switches.word})" if what else ""
+            reason = "it ran into a limit"
+        fault = f"axis {axis}: {reason} (SC {stop}, {galil.stop_text(stop)}; TS {switches.word})" if reason else ""
         return switches, stop, fault
 
     async def _switches(self, axis: str) -> galil.Switches:
@@ -224,7 +243,10 @@ class GalilTable(LineTable):
         return float((await self._ask(f"{word}{self._axes[axis].address}", galil.NUMBER)).text)
 
     async def _begin(self, axes: Iterable[str]) -> None:
-        """Start what has been set up; begun already is as good, if the answer to the first BG was lost."""
+        """Start the motions that were set up; DeviceRefused if the controller refuses.
+
+        A refusal of a repeated BG as "already running" is ignored: the answer to the first one was lost.
+        """
         names = list(axes)
         for axis in names:
             self._known_stops.pop(axis, None)
@@ -238,7 +260,7 @@ class GalilTable(LineTable):
                 raise error
 
     async def _change_jog(self, axis: str, rate: int, acceleration_rps2: float) -> bool:
-        """Give a jogging axis another rate; False if it does not jog any more."""
+        """Change the rate (counts/s) of a jogging axis; return False if it does not jog or move any more."""
         await self._set_ramps(axis, acceleration_rps2)
         try:
             await self._tell(f"JG{self._axes[axis].address}={rate}")
@@ -262,17 +284,22 @@ class GalilTable(LineTable):
         return "DC " + ",".join(by_letter.get(letter, "") for letter in _LETTERS[: ord(max(by_letter)) - 64])
 
     async def _set_ramps(self, axis: str, acceleration_rps2: float) -> None:
+        """Set acceleration and deceleration, rounded down to the controller's steps; DeviceRefused if its least is too
+        steep.
+        """
         own = self._axes[axis]
         acceleration = galil.floor_acceleration(acceleration_rps2 / TURN * own.counts_per_turn)
         allowed = own.limits.acceleration_rps2 / TURN * own.counts_per_turn
         if acceleration > allowed:
             least = math.degrees(acceleration / own.counts_per_turn * TURN)
             raise DeviceRefused(self._device, sentence("table.gentlest", axis=axis, counts=acceleration, dps2=least))
-        for what in ("AC", "DC"):
-            await self._tell(f"{what}{own.address}={acceleration}")
+        for command in ("AC", "DC"):
+            await self._tell(f"{command}{own.address}={acceleration}")
 
     def _rate(self, axis: str, rate_rps: float, acceleration_rps2: float) -> int:
-        """Return a rate in counts/s; DeviceRefused beyond the limits, which the controller does not know."""
+        """Return a rate in counts/s; DeviceRefused beyond the limits, which the controller does not know, or below half
+        a count.
+        """
         limits = self._axes[axis].limits
         if abs(rate_rps) > limits.rate_rps * 1.001 or abs(acceleration_rps2) > limits.acceleration_rps2 * 1.001:
             dps, dps2 = math.degrees(rate_rps), math.degrees(acceleration_rps2)
@@ -286,7 +313,7 @@ class GalilTable(LineTable):
         return round(turns_rad / TURN * self._axes[axis].counts_per_turn)
 
     async def _refusal(self, line: str, answer: Answer) -> _RefusedError:
-        """Return why a line was refused. TC1 tells of the last refused line and forgets it."""
+        """Return why a line was refused. TC1 gives the code of the last refusal and clears it."""
         reason = await self._exchange.ask("TC1", galil.TEXT)
         code, words = galil.error_of("" if reason.refused else reason.text)
         return _RefusedError(self._device, f"refuses {line!r}: TC {code}, {words}", code)

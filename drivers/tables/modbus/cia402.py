@@ -15,7 +15,7 @@ VOLTAGE_ENABLED = 1 << 4
 
 
 class DriveState(Enum):
-    """State of a drive, with the mask and value of its statusword bits."""
+    """State of a drive, with mask and value of the statusword bits that show it."""
 
     NOT_READY = (0x4F, 0x00)
     SWITCH_ON_DISABLED = (0x4F, 0x40)
@@ -33,7 +33,7 @@ class DriveState(Enum):
 
 
 def state_of(statusword: int) -> DriveState | None:
-    """Return the state that a statusword tells, None for a pattern that is none of them."""
+    """Return the state for a statusword, None for an unknown pattern."""
     for state in DriveState:
         mask, value = state.value
         if statusword & mask == value:

@@ -18,7 +18,7 @@ from drivers.requests.turn import Turn
 from drivers.tables.modbus.order import READ, WRITE_ONE, Pending, Request, RtuGate, TcpGate
 from drivers.types import LinkCounts
 
-# pymodbus dumps its recent frames at ERROR for every time-out; the station says it in one line of its own.
+# pymodbus dumps its recent frames at ERROR for every time-out; the station reports it in one line.
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
 
 _HEARD_OUT = 0.25  # of a time-out, for the reply to a request that was cancelled
@@ -28,7 +28,7 @@ _FORGOTTEN = 50  # time-outs, after which nothing on the way holds a reply back 
 _EXCEPTIONS = packaged_codes("drivers", "modbus", "exception")
 _ASK_AGAIN = (5, 6, 11)  # acknowledge, busy, gateway target does not answer (Application Protocol V1.1b3, 7)
 _SLOW_AGAIN = 0.9  # of the slowest answer so far, for each faster one after it
-_FIRST_PAUSE = 0.05  # of a time-out, before what was busy is asked again; doubled each time
+_FIRST_PAUSE = 0.05  # of a time-out, before a busy drive is asked again; doubled each time
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ Address = tuple[str, int] | SerialPort
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """The words read (or echoed); the device answered between these two times of the loop."""
+    """The words that were read or echoed; the answer was given between the two loop times."""
 
     words: tuple[int, ...]
     sent_s: float
@@ -60,23 +60,25 @@ class Reply:
 
 
 class _NoReply(Exception):
-    """Nothing came that could be the answer."""
+    """No reply came that could be the answer."""
 
 
 class _Busy(DeviceRefused):
-    """A refusal for now."""
+    """A temporary refusal."""
 
 
 class ModbusLine:
-    """Asks one thing at a time, and believes only what must be its answer (``modbus_order``).
+    """Sends one request at a time, and accepts only what must be its answer (``modbus_order``).
 
-    Every ``ask`` ends within two time-outs, bringing the line back into step and waiting for a busy drive included.
+    Every ``ask`` ends within two time-outs, including resynchronisation and waiting for a busy drive.
     """
 
     def __init__(
         self, device: str, address: Address, timeout_s: float, probes: Mapping[int, Sequence[Request]]
     ) -> None:
-        """Name the peer; ``probes`` are harmless reads by unit id, whose RTU replies differ in length."""
+        """Prepare for the peer at ``address``; ``probes`` are harmless reads by unit id, whose RTU replies differ in
+        length.
+        """
         self._device, self._address, self._timeout_s = device, address, timeout_s
         self._probes = probes
         self.counts = LinkCounts()
@@ -99,7 +101,7 @@ class ModbusLine:
         return self._client is not None and bool(self._client.connected) and not failed
 
     async def open(self) -> None:
-        """Connect, anew if it was; LinkLost if nobody listens or the port cannot be opened."""
+        """Connect, closing an open connection first; LinkLost if nobody listens or the port cannot be opened."""
         self.close()
         self._failed, self._ended, self._unheard_until_s = False, "", 0.0
         gate = self._rtu if isinstance(self._address, SerialPort) else self._tcp
@@ -128,11 +130,13 @@ class ModbusLine:
         if not connected:
             raise LinkLost(self._device, reason)
         self.counts.opened += 1
-        if isinstance(self._address, SerialPort):  # what another master had begun to send must end first
+        if isinstance(self._address, SerialPort):  # a frame that another master has begun must end first
             self._quiet_until_s = self._now() + self._address.silence_s
 
     def _trace(self, gate: RtuGate | TcpGate, sending: bool, data: bytes) -> bytes:
-        """Count bytes, and let a gate pass what it will; of an answer the client shows all there is with each byte."""
+        """Count bytes and return those that ``gate`` lets pass; while receiving, the client shows all bytes so far each
+        time.
+        """
         if sending:
             self.counts.sent += len(data)
         else:
@@ -151,11 +155,11 @@ class ModbusLine:
         return await self._answered(request, 2 * self._timeout_s, prompt=False)
 
     async def tell(self, request: Request) -> None:
-        """Send at once, whatever else may still come: for stopping, where others wait to be told. As ``ask``.
+        """Send once, without waiting for outstanding replies: for stopping, where other axes wait. Raises as ``ask``.
 
-        The echo is waited for half a time-out, since others wait to be told; twice as long as answers took lately where
-        the line is slower; and twice as long again after each that did not come, at most as long as ``ask`` waits. On a
-        serial line that was well so far, where both could collide, at least one time-out.
+        The time for the echo is half a time-out; twice as long as recent answers took where that is more; doubled again
+        after each missing echo; at most that of ``ask``. On a serial line that worked so far, where two frames could
+        collide, it is at least one time-out.
         """
         patient = isinstance(self._address, SerialPort) and not self._failed
         least_s = self._timeout_s if patient else self._timeout_s / 2
@@ -165,6 +169,12 @@ class ModbusLine:
         self._untold = 0
 
     async def _answered(self, request: Request, within_s: float, *, prompt: bool) -> Reply:
+        """Send a request and return its reply, retrying while the drive is busy; ``prompt`` sends it at once, as
+        ``tell``.
+
+        LinkLost without a reply within ``within_s``, BadReply for one that violates Modbus, DeviceRefused for a
+        refusal.
+        """
         async with self._lock:
             self._check_connected()
             began_s, pause_s = self._now(), _FIRST_PAUSE * self._timeout_s
@@ -197,21 +207,24 @@ class ModbusLine:
                 pause_s *= 2
 
     def _unanswered(self, request: Request, within_s: float, once: bool) -> DeviceError:
-        """Return what is to be said of a request to which no answer came."""
+        """Return the error for a request without an answer: what came instead, if anything. ``once``: it was
+        sent once.
+        """
         if self._tcp.wrong:
-            said = f"sent an answer for {request.register} that violates Modbus: {self._tcp.wrong}"
-            return BadReply(self._device, f"{_who(request)} {said}")
-        said = f"does not answer within {within_s:g} s{'' if once else ' after two requests'}"
+            reason = f"sent an answer for {request.register} that violates Modbus: {self._tcp.wrong}"
+            return BadReply(self._device, f"{_who(request)} {reason}")
+        reason = f"does not answer within {within_s:g} s{'' if once else ' after two requests'}"
         heard = "; what arrives is late, damaged or unrelated" if self._rtu.heard else ""
         if (code := self._rtu.refusal) is not None:
-            said = f"refused all requests within {within_s:g} s"
+            reason = f"refused all requests within {within_s:g} s"
             heard = f": Modbus exception {code}, {_EXCEPTIONS.get(code, 'unknown exception')}"
-        return LinkLost(self._device, f"{_who(request)} {said}{heard}")
+        return LinkLost(self._device, f"{_who(request)} {reason}{heard}")
 
     async def _hear_out(self) -> None:
-        """Wait a little for the reply to a request whose asker was cancelled, as a stop cancels all.
+        """Wait a little for the reply to a request that was cancelled, if one is outstanding, as a stop cancels all of
+        them.
 
-        A device that has not answered yet may lose what comes next, and on a serial line both would collide.
+        A device that has not answered yet may lose the next request, and on a serial line both would collide.
         """
         if not self._unheard_until_s:
             return
@@ -223,7 +236,10 @@ class ModbusLine:
             self._quiet_until_s = self._now() + self._address.silence_s
 
     def _doubt_all(self) -> None:
-        """Take it that each unit still has replies on their way, to whoever used the line before."""
+        """Assume that each unit still has replies on their way to an earlier user of the line.
+
+        DeviceRefused if the probes of a unit cannot be told apart by their length.
+        """
         for unit, probes in self._probes.items():
             if len({probe.head for probe in probes}) < 2:
                 raise DeviceRefused(self._device, sentence("link.one_width"))
@@ -232,6 +248,10 @@ class ModbusLine:
                     self._pending[unit].add(probe.head, self._now())
 
     async def _ask_in_step(self, request: Request, line: SerialPort, began_s: float) -> Reply:
+        """Send a request whose reply cannot be mistaken; probe the unit first while earlier replies may still come.
+
+        _NoReply after two time-outs.
+        """
         deadline_s = began_s + 2 * self._timeout_s
         pending = self._pending[request.unit_id]
         pending.forget(self._now() - _FORGOTTEN * self._timeout_s)
@@ -245,10 +265,10 @@ class ModbusLine:
         return await self._exchange(request, deadline_s, line)
 
     async def _probe(self, unit: int, deadline_s: float, line: SerialPort) -> None:
-        """Read what nobody needs: its reply ends what was asked before.
+        """Read something harmless whose reply proves that earlier replies are past.
 
-        If there is such, a read whose reply fits nothing that may still come; else the last that was asked, again
-        and again, until only replies like its own may come and the other is the one to ask.
+        A read is chosen whose reply fits nothing that may still come; if there is none, the one asked last, repeatedly,
+        until only its own replies may come and the other one is unmistakable. _NoReply once ``deadline_s`` is over.
         """
         pending = self._pending[unit]
         left_s = deadline_s - self._now()
@@ -264,9 +284,13 @@ class ModbusLine:
                 raise
 
     async def _exchange(self, request: Request, limit_s: float, line: SerialPort) -> Reply:
-        """Send once on RTU and take the first reply that fits; what it proves to be past is struck off."""
+        """Send a request once on RTU and return the first reply that fits, before ``limit_s`` (loop time).
+
+        A reply or refusal shows that earlier requests will not be answered any more: they are removed from the pending
+        ones. _NoReply without a reply.
+        """
         pending = self._pending[request.unit_id]
-        # A refusal does not tell of what; it can be taken for the answer only where nothing else may be refused.
+        # A refusal does not name its request; it counts as the answer only if nothing else may be refused.
         self._rtu.expect(request.head, *(() if pending else request.refusals))
         pending.add(request.head, self._now())
         await asyncio.sleep(self._quiet_until_s - self._now())
@@ -281,6 +305,11 @@ class ModbusLine:
         return reply
 
     async def _execute(self, request: Request, limit_s: float | None) -> Reply:
+        """Have the client carry out a request until ``limit_s`` (loop time, None: its own limit); return the checked
+        reply.
+
+        _NoReply without a reply. If cancelled, the line is left to hear out the reply.
+        """
         cancels = _cancels()
         sent_s = self._now()
         try:
@@ -307,7 +336,7 @@ class ModbusLine:
         return await client.write_registers(request.address, list(request.words), device_id=unit)
 
     def _checked(self, request: Request, reply: Any) -> tuple[int, ...]:
-        """Return the words of a reply, which the gates have seen to be the answer."""
+        """Return the words of a reply; DeviceRefused for an exception reply, _Busy for one that asks to try again."""
         if reply.isError():
             code = int(getattr(reply, "exception_code", 0))
             function = "write" if request.words else "read"
@@ -319,7 +348,7 @@ class ModbusLine:
         return tuple(reply.registers)
 
     def _disconnected(self, error: Exception | None) -> None:
-        """Keep why the connection ended, and let nobody wait for an answer any more."""
+        """Store why the connection ended, and fail the request that waits for an answer."""
         self._ended = "the controller closed it" if error is None else f"it broke ({error})"
         if self._asking and not self._client.ctx.response_future.done():
             self._client.ctx.response_future.set_exception(self._gone())
@@ -329,8 +358,8 @@ class ModbusLine:
             raise self._gone()
 
     def _gone(self) -> LinkLost:
-        said = f"the connection to {_text(self._address)} is gone"
-        return LinkLost(self._device, f"{said}: {self._ended}" if self._ended else said)
+        reason = f"the connection to {_text(self._address)} is gone"
+        return LinkLost(self._device, f"{reason}: {self._ended}" if self._ended else reason)
 
     def _now(self) -> float:
         return asyncio.get_running_loop().time()

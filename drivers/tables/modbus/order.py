@@ -1,10 +1,10 @@
-"""Which Modbus reply answers which request: no I/O, filters of the bytes that a stock client receives.
+"""Which Modbus reply belongs to which request: filters of received bytes, without I/O.
 
-TCP numbers its requests, so a reply tells which one it answers. RTU does not: a reply that comes after its
-time-out looks like the answer to the next request of the same kind. So the requests of each unit that may still
-be answered are kept in their order, by how their replies would begin. Devices answer in order: a reply belongs at
-the earliest to the first of those that it fits; what was asked before that one is past, what was asked after it may
-still come. A reply can be believed when it leaves nothing that may still come.
+TCP numbers its requests, so a reply tells which one it answers. RTU does not: a reply that comes after its time-out
+looks like the answer to the next request of the same kind. So the requests of each unit that may still be answered are
+kept in their order, by how their replies would begin. Devices answer in order: a reply belongs at the earliest to the
+first of those that it fits; what was asked before that one is past, what was asked after it may still come. A reply can
+be believed when it leaves nothing that may still come.
 """
 
 import struct
@@ -17,7 +17,7 @@ from pymodbus.framer import FramerRTU
 from drivers.types import LinkCounts
 
 READ, WRITE_ONE, WRITE_MORE = 3, 6, 16
-_KINCO_BAD_READ = 0x81  # what Kinco's manuals print where the standard has 0x83
+_KINCO_BAD_READ = 0x81  # in Kinco's manuals, where the standard has 0x83
 _TCP_HEADER = 6
 _LONGEST_PDU = 253
 _FIELDS = (
@@ -31,7 +31,9 @@ _FIELDS = (
 
 @dataclass(kw_only=True, frozen=True, slots=True)
 class Request:
-    """Read ``count`` registers, or write ``words`` where there are some; ``axis`` and ``register`` are for messages."""
+    """A read of ``count`` registers, or a write of ``words`` if there are any; ``axis`` and ``register`` are for
+    messages.
+    """
 
     axis: str
     unit_id: int
@@ -49,7 +51,7 @@ class Request:
 
     @property
     def head(self) -> bytes:
-        """What its RTU reply begins with; what follows is data and CRC, so this also tells the length."""
+        """First bytes of its RTU reply; data and CRC follow, so this also determines the length."""
         if not self.words:
             return bytes((self.unit_id, READ, 2 * self.count))
         echoed = self.words[0] if self.count == 1 else self.count
@@ -57,7 +59,7 @@ class Request:
 
     @property
     def refusals(self) -> tuple[bytes, ...]:
-        """What an exception reply to it may begin with on RTU."""
+        """First bytes that an exception reply to it may have on RTU."""
         codes = (READ | 0x80, _KINCO_BAD_READ) if self.function == READ else (self.function | 0x80,)
         return tuple(bytes((self.unit_id, code)) for code in codes)
 
@@ -66,7 +68,7 @@ class Pending:
     """Requests of one unit that may still be answered, oldest first, by the heads of their replies."""
 
     def __init__(self) -> None:
-        """Begin with none."""
+        """Begin without requests."""
         self._asked: deque[tuple[bytes, float]] = deque()
 
     def __len__(self) -> int:
@@ -85,7 +87,7 @@ class Pending:
             pass
 
     def forget(self, before_s: float) -> None:
-        """Strike off what was asked so long ago that nothing holds its reply back any more."""
+        """Remove requests sent before ``before_s``, whose replies cannot come any more."""
         while self._asked and self._asked[0][1] < before_s:
             self._asked.popleft()
 
@@ -95,13 +97,13 @@ class Pending:
 
 
 class RtuGate:
-    """Lets through the one frame that is awaited; a ``trace_packet`` hook of the client.
+    """A ``trace_packet`` hook of the client that lets only the awaited frame through.
 
-    The client shows all that it has received since it last sent, again with each new byte.
+    With each new byte, the client shows everything received since it last sent.
     """
 
     def __init__(self, counts: LinkCounts) -> None:
-        """Let nothing through; ``counts`` gets what is dropped."""
+        """Start by letting nothing through; dropped frames are counted in ``counts``."""
         self._counts = counts
         self._armed: tuple[bytes, ...] = ()
         self._expected: tuple[bytes, ...] = ()
@@ -114,15 +116,18 @@ class RtuGate:
 
     @property
     def answered(self) -> bool:
-        """Whether what the last request awaits has come."""
+        """Whether the reply to the last request has come."""
         return not self._expected
 
     def expect(self, *heads: bytes) -> None:
-        """Let through the first frame that begins with one of these, once the next request has been sent."""
+        """After the next request, let through the first frame that begins with one of these heads."""
         self._armed = heads
 
     def __call__(self, sending: bool, data: bytes) -> bytes:
-        """Return what the client may send or see of these bytes."""
+        """Return the bytes the client may send, or the awaited frame if it has come, else nothing.
+
+        Other frames count as late; bytes outside frames as corrupt, once the next request is sent.
+        """
         if sending:
             self._counts.corrupt += self._damaged
             self._expected, self._seen, self._damaged, self.heard = self._armed, 0, False, False
@@ -146,14 +151,14 @@ class RtuGate:
 
 
 class TcpGate:
-    """Lets through what answers the last request to the letter, and nothing else: the client chokes on the rest.
+    """A ``trace_packet`` hook that passes only the exact answer to the last request: the client fails on anything else.
 
-    Header, unit id, function code, and the byte count or what is echoed, are all known before the reply comes
-    (Modbus Messaging on TCP/IP V1.0b, 3.1.3; Application Protocol V1.1b3, 6).
+    Header, unit id, function code, and the byte count or echo, are all known before the reply comes (Modbus Messaging
+    on TCP/IP V1.0b, 3.1.3; Application Protocol V1.1b3, 6).
     """
 
     def __init__(self, counts: LinkCounts) -> None:
-        """Begin before the first request; ``counts`` gets what is dropped."""
+        """Start before the first request; dropped frames are counted in ``counts``."""
         self._counts = counts
         self._heads: tuple[bytes, ...] = ()
         self._seen = 0
@@ -164,7 +169,9 @@ class TcpGate:
         """What was wrong with what came last in its place."""
 
     def __call__(self, sending: bool, data: bytes) -> bytes:
-        """Return what the client may send or see of these bytes."""
+        """Return the bytes the client may send, or the complete answer if it has come, else nothing; count other
+        frames.
+        """
         if sending:
             if not self.answered:
                 self._unanswered.add(int.from_bytes(self._heads[0][:2]))
@@ -185,7 +192,10 @@ class TcpGate:
         return b""
 
     def _count(self, data: bytes) -> None:
-        """Count the frames that came in the answer's place, and keep what was wrong with the last."""
+        """Count complete frames that are not the answer, as late, foreign or corrupt; describe the last in ``wrong``.
+
+        A header that is not Modbus makes all bytes received so far corrupt; an incomplete frame is left for later.
+        """
         while self._seen + _TCP_HEADER + 1 < len(data):
             frame = data[self._seen :]
             size = int.from_bytes(frame[4:6])
@@ -207,7 +217,7 @@ class TcpGate:
 
 
 def _tcp_heads(request: bytes) -> Iterator[bytes]:
-    """Yield what a reply to this request begins with: the answer as far as it is known, then refusals."""
+    """Yield the possible beginnings of the reply to a request: that of the answer, then those of refusals."""
     function = request[7]
     if function == READ:
         count = 2 * int.from_bytes(request[10:12])
@@ -219,7 +229,7 @@ def _tcp_heads(request: bytes) -> Iterator[bytes]:
 
 
 def _difference(frame: bytes, head: bytes) -> str:
-    """Return in words where a frame differs first from what was awaited, the cause before what follows from it."""
+    """Return in words the first difference between a frame and the awaited head."""
     if frame[:2] != head[:2]:
         return "transaction numbers that were not requested. Does a gateway change them?"
     for name, start, end in _FIELDS[: None if head[7] == READ else -1]:
@@ -229,7 +239,7 @@ def _difference(frame: bytes, head: bytes) -> str:
 
 
 def rtu_frames(data: bytes) -> Iterator[bytes]:
-    """Yield the replies with a right CRC in these bytes, one after the other, whatever lies between them."""
+    """Yield the frames in ``data`` that are replies with a valid CRC, skipping other bytes."""
     at = 0
     while at + 5 <= len(data):
         size = _reply_size(data, at)

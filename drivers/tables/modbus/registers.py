@@ -13,14 +13,14 @@ _BITS = {"i8": 8, "u8": 8, "u16": 16, "i16": 16, "i32": 32, "u32": 32}
 
 
 class ProfileError(ValueError):
-    """A profile file that is missing something or says something impossible."""
+    """A profile file with missing or impossible entries."""
 
 
 @dataclass(frozen=True, slots=True)
 class Register:
-    """One value of the drive. raw = value * scale * counts_per_turn where a scale is given, else raw = value.
+    """One value of the drive: raw = value * scale * counts_per_turn where a scale is given, else raw = value.
 
-    ``per_count`` false: the scale already is raw a turn, so raw = value * scale. ``least_words``: registers that even
+    ``per_count`` false: the scale is already raw per turn, so raw = value * scale. ``least_words``: registers that even
     a short value takes.
     """
 
@@ -39,7 +39,9 @@ class Register:
         return max(_BITS[self.kind] // 16, self.least_words)
 
     def encode(self, value: float, counts_per_turn: int) -> list[int]:
-        """Return the words of a value (turns, turns/s, turns/s2, or a plain number); ValueError if out of range."""
+        """Return the words of a value (turns, turns/s, turns/s2, or a plain number); ValueError if not finite or out of
+        range.
+        """
         if not math.isfinite(value):
             raise ValueError(f"{self.name} = {value} is not finite")
         raw = round(value * self._factor(counts_per_turn))
@@ -52,7 +54,7 @@ class Register:
         return words if self.low_word_first else words[::-1]
 
     def decode(self, words: Sequence[int], counts_per_turn: int) -> float:
-        """Return the value of these words, in turns, turns/s, turns/s2, or as a plain number."""
+        """Return the value of ``words``, in turns, turns/s, turns/s2, or as a plain number."""
         ordered = words if self.low_word_first else list(words)[::-1]
         raw = sum((word & 0xFFFF) << (16 * i) for i, word in enumerate(ordered))
         bits = _BITS[self.kind]
@@ -69,11 +71,11 @@ class Register:
 
 @dataclass(kw_only=True, frozen=True, slots=True)
 class DriveProfile:
-    """Everything that tells one make of drive from another.
+    """All differences between one make of drive and another.
 
-    ``on_open``: registers and what is written to them when the link is opened. ``errors``: plain words of the codes
-    in the register ``error_code``; codes that are single bits may come together. ``interlock``: the register of the
-    inputs that enable the power stage, and what it says while all of them do.
+    ``on_open``: registers and the values written to them when the link is opened. ``errors``: meanings of the codes in
+    the register ``error_code``; codes that are single bits may be combined. ``interlock``: the register of the inputs
+    that enable the power stage, and its value when all are closed.
     """
 
     name: str
@@ -85,7 +87,7 @@ class DriveProfile:
     interlock: tuple[str, int] = ("", 0)
 
     def error_text(self, code: int) -> str:
-        """Return what an error code means, the code included."""
+        """Return the meaning of an error code, code included; combined bits are joined by "and"."""
         if not code:
             return "the drive gives no error code"
         bits = [1 << i for i in range(code.bit_length()) if code >> i & 1]
@@ -102,9 +104,9 @@ class DriveProfile:
 
 
 def load_profile(name_or_path: str) -> DriveProfile:
-    """Return a profile that ships with the station by name, or one from a .toml file by path; ProfileError.
+    """Return a profile by name, of those in the package, or by the path of a .toml file; ProfileError if it is invalid.
 
-    A bench checks the file before, key by key, as station/schema/profile.toml declares them.
+    For a bench, station/schema/profile.toml has declared the keys and the file was checked against it before.
     """
     path = Path(name_or_path)
     if path.suffix != ".toml":

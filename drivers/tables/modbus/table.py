@@ -29,10 +29,10 @@ _FAULTS = (cia402.DriveState.FAULT, cia402.DriveState.FAULT_REACTION)
 
 @dataclass(slots=True)
 class _HomingStart:
-    """What shows whether a drive took the start of its homing, or still reports the homing before it.
+    """Evidence of whether a drive accepted the start of its homing, or still reports the previous one.
 
-    CiA 402 lets bits 12 and 13 stand from the last homing until the drive takes the next start. ``before`` is the
-    statusword in homing mode just before the start, ``fallen`` has the bits that were seen clear since.
+    In CiA 402, bits 12 and 13 stay from the last homing until the drive accepts the next start. ``before`` is the
+    statusword in homing mode just before the start; ``fallen`` has the bits seen clear since.
     """
 
     before: int
@@ -47,7 +47,7 @@ class _HomingStart:
 
     @property
     def taken(self) -> bool:
-        """Whether the start has been seen to be taken: bit 12 or 10 fell, or nothing of an old homing was left."""
+        """Whether the drive has accepted the start: bit 12 or 10 fell, or no bit of an old homing was set."""
         return not self.before & cia402.BIT_12 or bool(
             self.fallen & (cia402.BIT_12 | self.before & cia402.TARGET_REACHED)
         )
@@ -57,7 +57,7 @@ class ModbusTable(Table):
     """Turntable driver over a stock pymodbus client."""
 
     def __init__(self, setup: TableSetup, address: Address) -> None:
-        """Take drives whose addresses are unit ids, at ``address`` where they have no ``link`` of their own."""
+        """Prepare for drives whose addresses are unit ids, at ``address`` unless an axis has its own ``link``."""
         super().__init__("table", {name: axis.limits for name, axis in setup.axes.items()}, setup.timeout_s)
         self._profile: DriveProfile = setup.options["profile"]
         self._axes = setup.axes
@@ -68,7 +68,7 @@ class ModbusTable(Table):
         lines = {where: ModbusLine(self._device, where, setup.timeout_s, reads) for where, reads in probes.items()}
         self._lines = {axis: lines[drive.link or address] for axis, drive in self._axes.items()}
         self._starts: dict[str, _HomingStart] = {}  # of axes that were sent home
-        self._ready: set[str] = set()  # axes to which what the profile says was written since their line was opened
+        self._ready: set[str] = set()  # axes that have got the profile's first values since their line was opened
 
     @property
     def counts(self) -> LinkCounts:
@@ -77,9 +77,9 @@ class ModbusTable(Table):
         return LinkCounts(*map(sum, zip(*each, strict=True)))
 
     async def open(self) -> None:
-        """Connect, read every drive's state and write what the profile says; LinkLost if one does not answer.
+        """Connect, read the state of every drive and write the profile's values; LinkLost if one does not answer.
 
-        A drive that is enabled may be driven by somebody else: it is not written to before the first command.
+        A drive that is enabled may be driven by another program: it is not written to before the first command.
         """
         self._ready.clear()
         for line in dict.fromkeys(self._lines.values()):
@@ -89,7 +89,7 @@ class ModbusTable(Table):
             await self._make_ready(axis)
 
     async def _make_ready(self, axis: str) -> None:
-        """Write what the profile says is to be written on a new connection, before the first command over it."""
+        """Write the registers that the profile requires on a new connection, before the first command over it."""
         if axis not in self._ready:
             self._ready.add(axis)
             for name, value in self._profile.on_open:
@@ -100,7 +100,9 @@ class ModbusTable(Table):
         return Identity(self._profile.name, await self._numbers("serial_number"), await self._numbers("firmware"))
 
     async def enable(self) -> None:
-        """Walk every drive to Operation enabled; DeviceFault if it is in fault, DeviceRefused if it stays."""
+        """Step every drive to Operation enabled; DeviceFault if it is in fault, DeviceRefused if it does not change
+        state.
+        """
         for axis in self._axes:
             await self._sound(axis)
             await self._leave_quick_stop(axis)
@@ -117,7 +119,7 @@ class ModbusTable(Table):
                 await self._hail(list(self._axes)[: list(self._axes).index(axis)])
 
     async def home(self) -> None:
-        """Run the drives' own homing on all axes at once; DeviceRefused if one does not end or is not begun."""
+        """Run the drives' homing on all axes at once and wait for it; DeviceRefused if one does not start or finish."""
         self.homing = set(self._axes)
         self._starts.clear()
         for axis in self._axes:
@@ -138,6 +140,10 @@ class ModbusTable(Table):
         await self._wait_for_home(_POLL_S)
 
     async def _at_home(self, axis: str) -> bool:
+        """Return whether an axis has finished homing; a start that the drive has not accepted in time is repeated.
+
+        DeviceFault for a fault, DeviceRefused for a homing error or a start that is never accepted.
+        """
         word = int(await self._read(axis, "statusword"))
         if cia402.state_of(word) in _FAULTS:
             raise DeviceFault(self._device, await self._fault_text(axis, word))
@@ -156,10 +162,10 @@ class ModbusTable(Table):
         return there
 
     async def _homed_unseen(self, axis: str, start: _HomingStart) -> bool:
-        """Return whether a drive was homed so fast that nobody saw its bits fall.
+        """Return whether a drive was homed so fast that its bits were never seen to fall.
 
-        That is so if it now reads zero and did not before. One that was at home already reads zero either way; it is
-        believed once it had its time to show that it moves.
+        That is so if it reads zero now and did not before. A drive that was at home already is believed after
+        ``_STATE_LIMIT_S``; DeviceRefused if it is not at home by then.
         """
         loop = asyncio.get_running_loop()
         state = await self.read(axis)
@@ -178,7 +184,7 @@ class ModbusTable(Table):
         return True
 
     async def _start_homing_again(self, axis: str, start: _HomingStart) -> None:
-        """Take the start bit back for as long as a drive needs to see that, and give it again: it acts on its rise."""
+        """Clear the start bit long enough for the drive to see it, then set it again, as its rise counts."""
         await self._command(axis, "enable")
         await asyncio.sleep(_TAKEN_S)
         await self._command(axis, "home")
@@ -190,7 +196,7 @@ class ModbusTable(Table):
             await self._read(axis, "statusword")
 
     async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
-        """Turn an axis at a rate (profile-velocity mode) until told otherwise."""
+        """Turn an axis at a rate (profile velocity mode) until its next command."""
         self._moved = axis
         await self._write(axis, "mode", cia402.MODE_PROFILE_VELOCITY)
         await self._write_motion(axis, "acceleration", acceleration_rps2)
@@ -199,7 +205,9 @@ class ModbusTable(Table):
         await self._command(axis, "enable")
 
     async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
-        """Start a move to an angle from home (profile-position mode)."""
+        """Start a move to an angle from home (profile position mode), and wait until the drive has taken the
+        set point.
+        """
         self._moved = axis
         await self._write(axis, "mode", cia402.MODE_PROFILE_POSITION)
         await self._write_motion(axis, "profile_rate", abs(rate_rps))
@@ -212,10 +220,11 @@ class ModbusTable(Table):
         await self._wait_for_acknowledgement(axis, set_point_taken=True)
 
     async def _wait_for_acknowledgement(self, axis: str, *, set_point_taken: bool) -> None:
-        """Wait until bit 12 shows that a drive has seen bit 4 of the controlword fall or rise, for a cycle at most.
+        """Wait until bit 12 shows that a drive has seen bit 4 of the controlword fall or rise, for one cycle at most;
+        no error.
 
-        A drive acts on the rise of bit 4 and must have seen it low before; until it has, bit 10 is of the move before.
-        One that has its own way with bit 12 had its time for a cycle all the same.
+        A drive acts on the rise of bit 4 and must have seen it low before; until then, bit 10 belongs to the previous
+        move. A drive that handles bit 12 differently has had one cycle all the same.
         """
         loop = asyncio.get_running_loop()
         ends_s = loop.time() + _TAKEN_S
@@ -233,7 +242,7 @@ class ModbusTable(Table):
         return AxisState.told(angle, rate)
 
     async def orders(self, axis: str) -> dict[str, float]:
-        """Read back what the drive was told last; what it lets nobody read is left out."""
+        """Read back the drive's last commands; registers that cannot be read are left out."""
         found = {}
         for name in _ORDERS:
             with kept([]):
@@ -241,7 +250,7 @@ class ModbusTable(Table):
         return found
 
     async def status(self, axis: str) -> AxisStatus:
-        """Get state, target reached, and the fault in words."""
+        """Read the state and describe a fault in words; BadReply for a statusword that is no CiA 402 state."""
         word = int(await self._read(axis, "statusword"))
         state = cia402.state_of(word)
         if state is None:
@@ -264,7 +273,7 @@ class ModbusTable(Table):
         return bool(asked) and int(await self._read(axis, register)) != closed
 
     async def stop(self) -> str:
-        """Quick-stop every drive along its ramp, over a new connection if need be, and return what was seen."""
+        """Quick-stop every drive along its ramp, over a new connection if necessary, and return what was seen."""
         return await self._rest("quick_stop")
 
     async def abort(self) -> None:
@@ -272,11 +281,14 @@ class ModbusTable(Table):
         await self._rest("abort")
 
     async def _rest(self, command: str) -> str:
-        """Tell all drives, asking nothing first; what one answers does not keep the others from being told."""
+        """Send a stop command to all drives without asking first; an error of one does not delay the others."""
         return await self._bring_to_rest(partial(self._tell, command), self.read)
 
     async def _tell(self, command: str, axis: str) -> None:
-        """Send a command at once, also to a drive that does not take what the profile says of a new connection."""
+        """Send a command once, without waiting for other replies; reopen a line that failed.
+
+        The profile's values are written first after a new connection, but their failure does not keep the command back.
+        """
         line = self._lines[axis]
         if not line.sound:
             self._ready -= {other for other in self._axes if self._lines[other] is line}
@@ -286,6 +298,7 @@ class ModbusTable(Table):
         await line.tell(self._writing(axis, "controlword", self._profile.commands[command]))
 
     async def _clear_fault(self, axis: str) -> None:
+        """Send a fault reset and wait for the drive to leave its fault; DeviceFault if it does not."""
         await self._write(axis, "controlword", 0)  # the reset acts on a rising edge
         await self._command(axis, "fault_reset")
         try:
@@ -296,9 +309,9 @@ class ModbusTable(Table):
             ) from None
 
     async def disable(self) -> None:
-        """Take power off every drive, and see that it is off; DeviceRefused if one stays energised.
+        """Switch the power of every drive off and check that it is off; DeviceRefused if one stays energised.
 
-        The first failure is raised once all have been tried.
+        The first failure is raised after all have been tried.
         """
         failures: list[DeviceError] = []
         for axis in self._axes:
@@ -312,7 +325,7 @@ class ModbusTable(Table):
             raise failures[0]
 
     async def _leave_quick_stop(self, axis: str) -> None:
-        """Take power off a drive that holds after its quick stop, as 605Ah = 5 to 8 has it (CiA 402 transition 12)."""
+        """Take power off a drive that stays in quick stop, as it does for 605Ah = 5 to 8 (CiA 402 transition 12)."""
         if await self._state(axis) is cia402.DriveState.QUICK_STOP_ACTIVE:
             await self._write(axis, "controlword", cia402.DISABLE_VOLTAGE)
             await self._wait_for_state(axis, cia402.DriveState.SWITCH_ON_DISABLED)
@@ -334,6 +347,7 @@ class ModbusTable(Table):
             await asyncio.sleep(_POLL_S)
 
     async def _fault_text(self, axis: str, statusword: int) -> str:
+        """Return state and statusword in words, with the drive's error code if it has that register."""
         state = cia402.state_of(statusword)
         text = f"axis {axis} is in {state.text if state else 'no known state'} (statusword 0x{statusword:04X}"
         text += ", internal limit active)" if statusword & cia402.INTERNAL_LIMIT else ")"
@@ -367,6 +381,7 @@ class ModbusTable(Table):
         return self._profile[name].decode(reply.words, self._axes[axis].counts_per_turn)
 
     def _reading(self, axis: str, name: str) -> Request:
+        """Return the request that reads the profile's register ``name`` of an axis."""
         register = self._profile[name]
         return Request(
             axis=axis,
@@ -377,6 +392,9 @@ class ModbusTable(Table):
         )
 
     def _writing(self, axis: str, name: str, value: float) -> Request:
+        """Return the request that writes ``value`` to the profile's register ``name``; DeviceRefused if it does not
+        fit.
+        """
         drive, register = self._axes[axis], self._profile[name]
         try:
             words = register.encode(value, drive.counts_per_turn)

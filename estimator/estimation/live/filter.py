@@ -10,12 +10,14 @@ from estimator.geometry.array import SensorArray
 from estimator.geometry.model import Prior, regressor_maps
 from estimator.types import Floats
 
-_TINY = 1e-9  # in units of the columns, rad/s for most: above their rounding, far below what tells of any state
+_TINY = 1e-9  # in units of the columns, rad/s for most: above their rounding, far below any information on a state
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Innovation:
-    """What one update said: normalised innovation squared, its degrees of freedom, and it by channel (m,)."""
+    """The result of one update: normalised innovation squared, its degrees of freedom, and the normalised innovation
+    (m,).
+    """
 
     nis: float
     dof: int
@@ -25,22 +27,22 @@ class Innovation:
 class LiveFilter:
     """Kalman filter over the constant states of the gyros of one source.
 
-    A block of rows is turned by an orthogonal transform (QR of [1, w]) before the update: its first row is the
-    block mean times sqrt(rows), the others hold what the body rate did within the block. Nothing is lost, the
-    noise stays white, and a 4 kHz source costs what a 100 Hz one does. The states are deviations from nominal
-    under a data-sheet prior, which is what keeps the covariance form exact.
+    A block of rows is turned by an orthogonal transform (QR of [1, w]) before the update: its first row is the block
+    mean times sqrt(rows), the others hold what the body rate did within the block. Nothing is lost, the noise stays
+    white, and a 4 kHz source costs what a 100 Hz one does. The states are deviations from nominal under a data-sheet
+    prior, which keeps the covariance form exact.
 
-    Each gyro may have further columns of its own, the effects of an error model, scaled so that their prior is one.
-    The last state is the offset of the samples against the table, where it is expected to have one.
+    Each gyro may have further columns of its own, the effects of an error model, scaled so that their prior is one. The
+    last state is the time offset of the samples against the table; with an expected sigma of 0 it stays 0.
     """
 
     def __init__(
         self, array: SensorArray, noise_rps: Floats, prior: Prior, further: int = 0, offset_sd_s: float = 0.0
     ) -> None:
-        """Start at zero with the prior; ``noise_rps`` (m,) is the white noise of one sample.
+        """Start all states at zero with the prior; ``noise_rps`` (m,) is the white noise of one sample.
 
-        ``further``: how many columns beyond the four states each gyro has. ``offset_sd_s``: what is expected of the
-        offset, 0 for none.
+        ``further`` is the number of columns that each gyro has beyond its four states. ``offset_sd_s`` is the expected
+        sigma of the time offset, 0 for none.
         """
         from filterpy.kalman import KalmanFilter  # 0.8 s of import: only where a filter runs
 
@@ -65,10 +67,11 @@ class LiveFilter:
         wdot_rps2: Floats | None = None,
         taken_off_s: float = 0.0,
     ) -> Innovation:
-        """Take in body rates (rows, 3) and outputs (rows, m) of one block; return its innovation.
+        """Update the states with body rates (rows, 3) and outputs (rows, m) of one block; return its innovation.
 
-        ``further`` (rows, m, columns): the columns that each gyro has beyond the four states. ``wdot_rps2`` (rows, 3)
-        is what the offset shows by, where the body rate changes; so much of it is ``taken_off_s`` in the body rates.
+        ``further`` (rows, m, columns) are the columns of each gyro beyond its four states. ``wdot_rps2`` (rows, 3) is
+        the derivative of the body rate, by which the time offset shows; None leaves the offset out. ``taken_off_s`` is
+        the offset that the body rates already allow for.
         """
         z = y_rps - w_rps @ self._array.p.T
         regressors = np.column_stack([np.ones(len(z)), w_rps])
@@ -95,7 +98,9 @@ class LiveFilter:
         return self._take(compressed.reshape(-1, 1), h, kept)
 
     def tried(self, *block: Any) -> float:
-        """Return what the offset is, in s, after a block (as for ``update``) that is then forgotten again."""
+        """Return the time offset in s that a block would give (arguments as for ``update``), without keeping the
+        update.
+        """
         before = self._filter.x, self._filter.P, self.nis_sum, self.nis_dof
         self.update(*block)
         found = self.offset_s
@@ -113,7 +118,10 @@ class LiveFilter:
         return float(np.sqrt(self._filter.P[-1, -1]))
 
     def _take(self, z: Floats, h: Floats, kept: int) -> Innovation:
-        """Update with ``kept`` compressed rows of each gyro, one gyro after the other."""
+        """Update the filter with ``kept`` compressed rows of each gyro, sorted by gyro; add the NIS to the sums.
+
+        The result has the normalised innovation of the first row of each gyro.
+        """
         m = len(self._array)
         variances = np.repeat(self._noise**2, kept)
         self._filter.update(z, R=np.diag(variances), H=h)
@@ -146,11 +154,11 @@ def _slopes(rows: int, columns: int) -> Floats:
 
 
 def _compressed(regressors: Floats, z: Floats) -> tuple[Floats, Floats]:
-    """Turn outputs (rows, m) or (rows,) and regressors (rows, c) by the same orthogonal transform to c rows or fewer.
+    """Apply one orthogonal transform to outputs (rows, m) or (rows,) and regressors (rows, c), leaving c rows or fewer.
 
-    At rest the columns of the body rate are constant. Which directions complete the transform would then be rounding,
-    so that the NIS of a recording differed between processors. The slope and the bends of the block complete it. They
-    choose the transform only: what it is applied to are the regressors themselves.
+    At rest the columns of the body rate are constant, so that rounding would choose the directions that complete the
+    transform, and the NIS of a recording would differ between processors. Therefore slope and bends of the block are
+    added to the regressors for the choice of the transform, which is applied to the regressors themselves.
     """
     q, r = np.linalg.qr(regressors + _slopes(*regressors.shape))
     if r[0, 0] < 0:  # so that the first row is the mean itself, not its negative

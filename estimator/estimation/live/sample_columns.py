@@ -1,4 +1,4 @@
-"""Regressors of an error model's effects sample by sample, for the live filter and for what it is compared with."""
+"""Regressors of an error model's effects at single samples, for the live filter and its comparison."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -22,14 +22,18 @@ _CHUNK_ROWS = 8192
 
 
 class SampleColumns:
-    """The effects of a model that one row of samples after the other can be compared with.
+    """The effects of a model as columns at single samples, for the live filter.
 
-    Columns are scaled by what is expected of each parameter, so their prior is one. Each gyro has all effects to
-    itself, those that are shared too, under the same prior.
+    Columns are scaled by the expected sigma of each parameter, so that their prior is one. Each gyro has all effects to
+    itself, also those that are shared, under the same prior. Effects that cannot be estimated live are left out, which
+    ``notes`` say.
     """
 
     def __init__(self, model: ErrorModel, gimbals: Sequence[str], site: Site | None, array: SensorArray) -> None:
-        """Raises ModelError if the table does not fit the model."""
+        """Take the effects of a model that can be estimated live.
+
+        Raises ModelError if the table does not fit the model.
+        """
         made = zip(model.effects, model.made(gimbals, _ON_A_TABLE), strict=True)
         self._parts = [(known, effect) for known, effect in made if not known.record.not_live]
         self._gimbals, self._site, self._array = tuple(gimbals), site, array
@@ -54,9 +58,10 @@ class SampleColumns:
         return len(self._scale)
 
     def at(self, rates: BodyRates, t_ns: Stamps, temperature_c: Floats) -> tuple[Floats, Floats]:
-        """Return the columns (rows, m, p) at samples, and the outputs (rows, m) that are expected of the effects.
+        """Return the columns (rows, m, p) at instants, and the outputs (rows, m) that the expected effects give.
 
-        NaN where the temperature is not known and an effect needs it. Instants in order, as for ``BodyRates.at``.
+        Values are NaN where an effect needs the temperature and it is not known. Instants are in order, as for
+        ``BodyRates.at``.
         """
         # Effects of time count from the first instant of the conditions: the first reading of the table.
         t_s = np.concatenate([[rates.starts_ns * 1e-9], t_ns * 1e-9])
@@ -82,10 +87,12 @@ def white_solution(
     offset_sd_s: float = 0.0,
     taken_off: tuple[Sequence[int], Sequence[float]] = ((), ()),
 ) -> Solution:
-    """Return the states of a source of a recording on a table, effects beside them, under white noise: in one go.
+    """Return the states of a source on a table, estimated with effects under white noise from all samples at once.
 
-    ``noise_rps`` (m,) is that of one sample, ``offset_sd_s`` what is expected of the offset of the samples against the
-    table. It is linear about what was ``taken_off`` up to each of some instants, ns and s, as ``LiveFilter`` does.
+    ``noise_rps`` (m,) is that of one sample, ``offset_sd_s`` the expected sigma of the time offset of the samples
+    against the table, 0 for none. The problem is linear about the offsets that were subtracted: ``taken_off`` are
+    instants in ns and the offset in s up to each of them, as ``LiveFilter`` used them. Samples outside the readings or
+    without known rates are left out.
     """
     reference = recording.reference
     assert isinstance(reference, TableReadings), "samples are compared with the readings of a table"

@@ -27,10 +27,10 @@ from estimator.types import Floats, Stamps
 RECENT_S = 30.0
 """What ``History.recent`` looks back on, seconds."""
 
-_KEEP_EVERY = 5  # states are kept every so many-th block
+_KEEP_EVERY = 5  # states are kept after so many blocks
 _RECENT_BLOCKS = round(RECENT_S / BLOCK_S)
-_MARGIN_NS = 100_000_000  # samples may turn out to be so much later than their stamps
-_LARGEST_S = 0.15  # of offsets that are taken off
+_MARGIN_NS = 100_000_000  # samples may be later than their stamps by this
+_LARGEST_S = 0.15  # of offsets that are subtracted
 _SETTLED_S, _MOST_STEPS = 1e-4, 4
 
 
@@ -46,14 +46,14 @@ class SampleBlock(Protocol):
 
 
 class History:
-    """What one filter says as it goes: innovations by block, states and sigmas once a second.
+    """What one filter gives in the course of a run: innovations by block, states and sigmas once a second.
 
-    ``recent``: the innovations of the last half minute; ``blocks``: how many there were in all. ``taken_off``: offsets
-    that were taken off the stamps, s, and up to which instant each, ns.
+    ``recent`` are the innovations of the last half minute; ``blocks`` is their number in all. ``taken_off`` are the
+    offsets that were subtracted from the stamps, in s, and the instant up to which each held, in ns.
     """
 
     def __init__(self, gyros: int) -> None:
-        """Begin with nothing."""
+        """Begin without innovations and estimates, for so many ``gyros``."""
         self.recent: deque[Innovation] = deque(maxlen=_RECENT_BLOCKS)
         self.blocks = 0
         self.taken_off: tuple[list[int], list[float]] = ([], [])
@@ -63,7 +63,7 @@ class History:
         }
 
     def add(self, t_ns: int, offset_s: float, innovation: Innovation) -> None:
-        """Keep what a block said whose last sample is of this instant."""
+        """Keep the innovation of a block, the instant of its last sample and the time offset used in it."""
         self.recent.append(innovation)
         self.blocks += 1
         ends_ns, offsets_s = self.taken_off
@@ -82,17 +82,16 @@ class History:
         self._kept[group].append(*(np.array([value]) for value in row))
 
     def take(self, fewest: int = 1) -> dict[str, dict[str, Any]]:
-        """Return as columns by group what was kept since it was taken last, if it is of so many blocks."""
+        """Return by group the columns kept since the last call; empty for fewer than ``fewest`` blocks."""
         if len(self._kept["innovation"]) < fewest:
             return {}
         return {group: rows.take() for group, rows in self._kept.items() if len(rows)}
 
 
 class LiveSource:
-    """One source: samples not yet used, its filter, what the filter said.
+    """One source of a run: samples not yet used, its filter, the filter's history.
 
-    ``advance`` may work in another thread than all the rest. What the filter came to and what it said are changed by a
-    whole block at once, under ``lock``.
+    ``advance`` may work in a thread of its own. Filter and history change by a whole block at once, under ``lock``.
     """
 
     def __init__(
@@ -105,9 +104,10 @@ class LiveSource:
         effects: SampleColumns | None = None,
         timing_s: float = 0.0,
     ) -> None:
-        """``noise_rps`` is the data sheet's white noise of one sample; ``effects`` are those of an error model.
+        """Begin with the prior; ``noise_rps`` is the data sheet's white noise of one sample.
 
-        ``timing_s`` is what the table states of the timing of its readings.
+        ``effects`` are those of an error model; ``timing_s`` is the uncertainty that the table states of its timing. A
+        model that holds a delay takes the place of the time offset.
         """
         self.array = array
         self.prior = prior
@@ -117,7 +117,7 @@ class LiveSource:
         self.offset_sd_s = 0.0 if effects is not None and effects.holds_delay else expected_sd_s(timing_s)
         further = self.effects.count if self.effects else 0
         self.filter = LiveFilter(array, self.noise_rps, prior, further, self.offset_sd_s)
-        self._offset_s = 0.0  # what is taken off the stamps
+        self._offset_s = 0.0  # subtracted from the stamps
         self.history = History(len(array))
         self._rows = max(round(BLOCK_S * rate_hz), 1)
         self._period_s = 1 / rate_hz
@@ -132,11 +132,15 @@ class LiveSource:
         self._recent_at = -1
 
     def add(self, block: SampleBlock) -> None:
-        """Take in samples; they are used once the table's readings cover them."""
+        """Add samples; they are used once the table's readings cover them."""
         self._new.append(block)
 
     def advance(self, rates: BodyRates, *, everything: bool = False) -> None:
-        """Use the samples that the table's readings cover, in whole blocks, at the end also the last part."""
+        """Update the filter with the samples that the table's readings cover, in whole blocks.
+
+        With ``everything``, for the end of a run, the last part of a block is used too. Samples before the first known
+        rate are dropped. Does nothing while no rate is known.
+        """
         self._take_new()
         if rates.starts_ns > rates.final_until_ns:
             return  # no rate is known yet, not even from when on
@@ -159,9 +163,10 @@ class LiveSource:
         return np.array([s for s, _ in pairs]), np.array([np.sqrt(np.diag(c)) for _, c in pairs])
 
     def recent(self) -> tuple[Floats, ...]:
-        """Return the normalised innovations (n, m) of the blocks of the last half minute, and what ``decoded`` does.
+        """Return the normalised innovations (n, m) of the blocks of the last half minute, then the values of
+        ``decoded``.
 
-        They are worked out once for each handful of blocks.
+        They are computed again only if there were new blocks since.
         """
         with self.lock:
             if self._recent_at != self.history.blocks:
@@ -180,7 +185,7 @@ class LiveSource:
             return self.filter.nis_sum, self.filter.nis_dof
 
     def take_history(self, fewest: int = 1) -> dict[str, dict[str, Any]]:
-        """Return what ``History.take`` does."""
+        """Return ``History.take``, under the lock."""
         with self.lock:
             return self.history.take(fewest)
 
@@ -201,7 +206,9 @@ class LiveSource:
         self._sums.add(t_ns[known], w[known], y[known] - w[known] @ self.array.p.T)
 
     def _take_new(self) -> None:
-        """Join what has come; samples that the device calls invalid (NaN), or that cannot be, are left out."""
+        """Append the samples added since the last call, if any; those with NaN or with impossible rates are left
+        out.
+        """
         new = [self._new.popleft() for _ in range(len(self._new))]
         if not new:
             return
@@ -214,9 +221,14 @@ class LiveSource:
         self._y = np.vstack([self._y, rate[good]])
 
     def _update(self, rates: BodyRates, part: slice) -> None:
+        """Update filter and history with the samples in ``part``; does nothing if no motion is known at them.
+
+        While a ramp shows another time offset than was subtracted, the block is formed again with that offset, at most
+        ``_MOST_STEPS`` times. Every second the states are kept.
+        """
         block = self._block(rates, part)
         for _ in range(_MOST_STEPS):
-            # A ramp may tell that the offset is another than was taken off: then it is looked at again with that.
+            # A ramp may show another offset than was subtracted: then the block is formed again with that.
             if block is None or block[3] is None:
                 break
             found = float(np.clip(self.filter.tried(*block), -_LARGEST_S, _LARGEST_S))
@@ -238,7 +250,11 @@ class LiveSource:
     def _block(
         self, rates: BodyRates, part: slice
     ) -> tuple[Floats, Floats, Floats | None, Floats | None, float] | None:
-        """Return what the filter takes of some samples, None if nothing is known of them."""
+        """Return the arguments of ``LiveFilter.update`` for some samples: rates, outputs, effects, acceleration,
+        offset.
+
+        Samples without a known rate, acceleration or temperature are left out; None if none is left.
+        """
         t_ns, y, further = rates.earlier(self._t[part], self._offset_s), self._y[part], None
         w, wdot = rates.at(t_ns), rates.angular_acceleration_at(t_ns)
         if self.effects is not None:
@@ -254,12 +270,11 @@ class LiveSource:
 
 
 def filter_nis(recording: Recording, model: ErrorModel | None = None) -> float | None:
-    """Return the mean NIS of a recording on a table: the mean of the filter's normalised innovations squared.
+    """Return the mean normalised innovation squared (NIS) per degree of freedom of a recording on a table.
 
-    It is per degree of freedom, of blocks of ``BLOCK_S``, under the white noise of the data sheet. Of a run it is that
-    of the filter which went with it, as its recording keeps it. Of any other recording, and with another ``model`` of
-    effects, the filter is run over all samples. NaN if no sample was used.
-    None if no such filter can be run: the reference is no table, or the recording states no noise of a source.
+    It is that of blocks of ``BLOCK_S``, under the white noise of the data sheet. If the recording keeps the innovations
+    of the filter that ran with it, under the same ``model`` of effects, these are used; otherwise the filter is run
+    over all samples. NaN if no sample was used. None if the reference is no table, or a source states no noise.
     """
     kept = recording.kept_innovations
     if kept is not None and kept.model_sha256 == model_sha256(model):
@@ -288,12 +303,12 @@ def filter_nis(recording: Recording, model: ErrorModel | None = None) -> float |
 
 
 def model_sha256(model: ErrorModel | None) -> str:
-    """Return what tells error models apart, empty for none."""
+    """Return the hash of an error model, empty for none."""
     return hashlib.sha256(model.text().encode()).hexdigest() if model is not None and model.effects else ""
 
 
 def _rate_hz(data: ImuData) -> float:
-    """Return how often a source is sampled: as stated, else as its stamps say."""
+    """Return the sample rate of a source: the stated one, else that of its stamps."""
     if data.rate_hz is not None:
         return data.rate_hz
     period_s = float(np.median(np.diff(data.t_ns))) * 1e-9 if len(data.t_ns) > 1 else 0.0

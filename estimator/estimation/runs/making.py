@@ -1,4 +1,4 @@
-"""Runs as tracing sees them, made of recordings."""
+"""Runs for tracing, built from recordings."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -31,16 +31,17 @@ from estimator.types import Floats
 
 _FEWEST_BLOCKS = 40
 _TILTED = 0.02  # rad by which the direction up differs between poses
-_SENSED = 0.5  # of a turn: what it is off by shows in gyros about its axis
+_SENSED = 0.5  # of a turn: its errors show in gyros about its axis
 _TURN_STEPS = 125  # instants within a turn, or a rest
 
 
 def runs_of(recording: Recording, block_s: float = BLOCK_S, order: int = 0) -> tuple[list[Run], list[str], list[Fault]]:
-    """Return the sources of a recording that can be traced, notes on what was left out, and faults of the data.
+    """Return the sources of a recording as runs, notes on what was left out, and faults of the data.
 
-    Blocks last ``block_s``, longer in long recordings.
+    Blocks last ``block_s``, longer in long recordings. A source gives several runs where faulty samples divide it; runs
+    with too few blocks are left out. ``order`` is the number of the recording among all.
 
-    Raises InvestigationError if there is nothing to trace in it.
+    Raises InvestigationError if the reference is gravity, or no run is left.
     """
     if isinstance(recording.reference, Poses):
         raise InvestigationError(sentence("estimation.untraced_gravity", recording=recording.name))
@@ -85,9 +86,10 @@ def _called(source: str, data: ImuData) -> ImuData:
 def runs_of_all(
     recordings: Sequence[Recording], first: int = 0, block_s: float = BLOCK_S
 ) -> tuple[list[Run], list[str], list[Fault]]:
-    """Return the same of several recordings, of which the ``first`` has this number among all.
+    """Return runs, notes and faults of several recordings together, as ``runs_of``; the first recording has number
+    ``first``.
 
-    RecordingError beside if there is no memory for so many samples.
+    Raises InvestigationError, and RecordingError if memory does not suffice for so many samples.
     """
     check_estimating(*recordings)
     runs, notes, faults = list[Run](), list[str](), list[Fault]()
@@ -98,12 +100,17 @@ def runs_of_all(
 
 
 def run_of(recording: Recording, source: str, data: ImuData) -> Run | None:
-    """Return one source, cleaned of what cannot be used, as tracing sees it; None if it holds too little."""
+    """Return one cleaned source as a run; None if it has too few blocks."""
     fine = isinstance(recording.reference, TableReadings)
     return _run(recording, source, data, BLOCK_S, 0, held_samples(data) if fine else 1)
 
 
 def _run(recording: Recording, source: str, data: ImuData, block_s: float, order: int, held: int) -> Run | None:
+    """Return one source as a run of block means, None with too few blocks; turns become blocks of their own.
+
+    ``held`` is the number of samples for which each value is held. At rest the output errors are means over the
+    samples.
+    """
     if isinstance(recording.reference, Turns):
         return _run_of_turns(recording, recording.reference, source, data, order)
     means = means_by_turns if by_turns(recording.reference) else means_by_samples
@@ -116,7 +123,7 @@ def _run(recording: Recording, source: str, data: ImuData, block_s: float, order
     w[where], z[where], weight[where] = measured.w_rps, measured.z_rps, measured.full
     stretch = np.cumsum(np.diff(index, prepend=index[:1]) > 1).astype(np.intp)
     growth_s = 0.0
-    if not by_turns(recording.reference):  # else what grows with the motion is what the other instrument gets wrong
+    if not by_turns(recording.reference):  # otherwise errors that grow with the motion are the other instrument's
         weight, growth_s = weighed(w, z, weight, stretch)
     t_s = np.asarray(measured.origin_s + (index + 0.5) * length_s, dtype=np.float64)
     steps = max(round(length_s / GRID_S), 1)
@@ -161,7 +168,12 @@ def _sample_means(run: Run) -> Floats:
 
 
 def _unknown_earth(run: Run) -> dict[str, Any]:
-    """Return ``pose`` and ``earth_rps`` of a run at rest, where there are several poses and north is not stated."""
+    """Return ``pose`` and ``earth_rps`` for a run without a table, or an empty dict where they are not needed.
+
+    They are needed where the body rests in several poses and the heading is not known. A new pose begins after a break
+    if the direction of gravity has changed. The dict is empty where gravity is not known, the body rate holds the
+    horizontal part of Earth rate, or each file has only one pose.
+    """
     up, good, site = run.fold(run.grid.specific_force_mps2) / GRAVITY_MPS2, run.weight > 0, run.recording.site
     size = EARTH_RATE_RPS * (np.cos(site.latitude_rad) if site else np.sqrt(0.5))
     if not good.any() or not np.isfinite(up).all():
@@ -187,7 +199,10 @@ def _unknown_earth(run: Run) -> dict[str, Any]:
 
 
 def _run_of_turns(recording: Recording, turns: Turns, source: str, data: ImuData, order: int) -> Run | None:
-    """Return turns and rests as blocks; how a body turned on the way to its stop the gyros themselves tell."""
+    """Return turns and rests as a run with one block each, None for fewer than ``FEWEST_TURNS``.
+
+    The rate within a turn is that of the gyros, with the mean that the reference states.
+    """
     rows, which = turn_rows(data, turns)
     if len(which) < FEWEST_TURNS:
         return None
@@ -235,7 +250,10 @@ def _run_of_turns(recording: Recording, turns: Turns, source: str, data: ImuData
 
 
 def _more_than_stated(run: Run) -> float:
-    """Return how many times as wrong as stated turns are, at least 1, by what no law of scale or temperature fits."""
+    """Return by what factor (at least 1) turns are less accurate than stated.
+
+    It is the scatter that remains after laws of scale factor and temperature are fitted, over the stated noise.
+    """
     known = [SCALE_ASYMMETRY, SCALE_QUADRATIC, SCALE_CUBIC]
     known += [THERMAL_SCALE, THERMAL_BIAS] if run.grid.temperature_c is not None else []
     effects = [record.effect() for record in known]

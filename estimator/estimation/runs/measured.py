@@ -1,4 +1,4 @@
-"""Block means of output errors and body rates, from samples or from turns between them, and what they weigh.
+"""Block means of output errors and body rates, from samples or from turns between them, and their weights.
 
 Noise may grow with the rate (scale factor noise): variance s0^2 (1 + (g w)^2), as steady rates show it. Second
 differences of block means hold neither bias nor scale factor error nor any effect of a steady rate.
@@ -19,15 +19,15 @@ from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import BodyRates, TableReadings
 from estimator.types import Floats
 
-_FINE_S = 0.005  # samples closer than this are taken together where the rate of before is looked up
-_GAP_S = 5.0  # a longer gap ends a stretch: what the noise did meanwhile is not known
+_FINE_S = 0.005  # samples closer than this share one lookup of the earlier rate
+_GAP_S = 5.0  # a longer gap ends a stretch: the noise in it is unknown
 _MOVED_S = 0.1  # where no table makes the motion: hands and shafts turn about within a second
 _TURNS_RAD = 0.5
-_SMOOTH_PERIODS = 10  # in a block: fewer would show what turns are smoothed by
+_SMOOTH_PERIODS = 10  # in a block: with fewer the smoothing of turns would show
 _MOST_BLOCKS = 8000
 _STEADY = 0.02  # change of rate over three blocks, as a share of the largest rate, that is still steady
 _FEWEST = 40
-_SHARED = 1.944  # values that tell as much as one: second differences overlap
+_SHARED = 1.944  # second differences overlap: so many values are worth one
 _BY_CHANCE = 7.5  # natural logarithm of how much more probable growth must be: once in ten thousand by chance
 _LARGEST = np.geomspace(0.1, 300.0, 33)  # growth at the largest rate, over the noise at rest
 _LEAST_RPS = 1e-12
@@ -35,9 +35,10 @@ _LEAST_RPS = 1e-12
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class _Measured:
-    """Blocks (B,) from ``origin_s`` on: number, mean body rate (B, 3), output error (B, m), whether they are ``full``.
+    """Block means: ``index`` (B,) are block numbers counted from ``origin_s``, blocks last ``length_s``.
 
-    ``past_rps`` gives their body rate (B, 3) some seconds ago, NaN where it is not known.
+    ``w_rps`` (B, 3) is the mean body rate, ``z_rps`` (B, m) the mean output error, ``full`` (B,) whether the block
+    holds enough samples. ``past_rps`` gives the body rates (B, 3) a number of seconds ago, NaN where unknown.
     """
 
     origin_s: float
@@ -50,7 +51,10 @@ class _Measured:
 
 
 def means_by_samples(recording: Recording, data: ImuData, block_s: float) -> _Measured | None:
-    """Return means over samples, the body rate at each of them."""
+    """Return block means over samples, with the body rate of a table at each sample; None if no sample is covered.
+
+    ``past_rps`` averages the rate over groups of neighbouring samples, which is faster.
+    """
     reference = recording.reference
     assert isinstance(reference, TableReadings)
     period_s = float(np.median(np.diff(data.t_ns))) * 1e-9
@@ -66,7 +70,7 @@ def means_by_samples(recording: Recording, data: ImuData, block_s: float) -> _Me
     if not len(blocks.index):
         return None
     t_ns = np.concatenate(known)
-    # Every few samples together, by the middle of their instants: what is linear in between has the same means.
+    # Every few samples together, at the mean of their instants: a rate that is linear in between has the same means.
     number = (t_ns - origin_ns) // round(length_s * 1e9)
     first = np.flatnonzero(np.diff(number, prepend=number[0] - 1))
     within = np.arange(len(t_ns)) - np.repeat(first, np.diff(np.append(first, len(t_ns))))
@@ -94,12 +98,16 @@ def means_by_samples(recording: Recording, data: ImuData, block_s: float) -> _Me
 
 
 def means_by_turns(recording: Recording, data: ImuData, block_s: float) -> _Measured | None:
-    """Return mean rates of the body and of the outputs over the same intervals."""
+    """Return block means of body rate and outputs from how far both turned over the same intervals; None below two
+    samples.
+
+    If the body moves, both are smoothed over the coarser of their periods first, and blocks are short.
+    """
     if len(data.t_ns) < 2:
         return None
     gyros, body = Turned.of_rates(data.t_ns, data.rate_rps), Turned.of_reference(recording.reference, recording.site)
     least_s = 2 * _step_s(gyros)
-    if np.abs(body.integral).max() > _TURNS_RAD:  # of a body at rest a few readings tell all
+    if np.abs(body.integral).max() > _TURNS_RAD:  # for a body at rest a few readings suffice
         period_s = max(_step_s(gyros), _step_s(body))
         gyros, body = gyros.smoothed(period_s), body.smoothed(period_s)
         block_s, least_s = min(block_s, _MOVED_S), _SMOOTH_PERIODS * period_s
@@ -132,7 +140,10 @@ def _length_s(recording: Recording, data: ImuData, block_s: float, least_s: floa
 
 
 def even_grid(known: NDArray[np.int64], length_s: float) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
-    """Return block numbers with short gaps filled, and where the blocks that hold data are among them."""
+    """Return block numbers with short gaps filled, and the places of the ``known`` numbers in them.
+
+    Gaps longer than ``_GAP_S`` stay open.
+    """
     most = max(int(_GAP_S / length_s), 1)
     filled = [known[:1]]
     for before, after in pairwise(known.tolist()):
@@ -142,16 +153,20 @@ def even_grid(known: NDArray[np.int64], length_s: float) -> tuple[NDArray[np.int
 
 
 def weighed(w_rps: Floats, z_rps: Floats, weight: Floats, stretch: NDArray[np.intp]) -> tuple[Floats, float]:
-    """Return the weight (b,) of blocks, 1 at rest, and g in s (over rad).
+    """Return the weight (b,) of blocks, 1 at rest, and the growth g of the noise in s.
 
-    Of the blocks come rates (b, 3), outputs (b, m), whether they hold data (b,), the stretch they are in (b,).
+    Arguments by block: rates (b, 3), output errors (b, m), 1 or 0 for enough data (b,), number of the stretch (b,).
     """
     growth_s = _growth_of(w_rps, z_rps, weight, stretch)
     return weight / np.hypot(1, growth_s * np.linalg.norm(w_rps, axis=1)), growth_s
 
 
 def _growth_of(w_rps: Floats, z_rps: Floats, weight: Floats, stretch: NDArray[np.intp]) -> float:
-    """Return g, zero where the steady rates do not tell, or noise does not grow beyond chance."""
+    """Return the growth g of the noise with the rate, in s (sd ~ sqrt(1 + (g w)^2)), from second differences at steady
+    rates.
+
+    Zero with too few steady blocks, no motion, or growth within chance.
+    """
     speed = np.linalg.norm(w_rps, axis=1)
     size = float(speed.max(initial=0.0))
     if len(weight) < _FEWEST or size <= 0:

@@ -1,4 +1,4 @@
-"""One run as tracing sees it: block means of output errors, and what the gyros went through meanwhile."""
+"""One run for tracing: block means of output errors, and the conditions of the gyros."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -29,17 +29,19 @@ class Run:
     """One source of one recording, as means over blocks of ``length_s``.
 
     ``t_s`` (b,) is the middle of each block on the recording's clock, ``w_rps`` (b, 3) and ``z_rps`` (b, m) are means
-    of body rate and output error, ``weight`` (b,) is 1 at rest, less where noise has
-    grown with the rate (``growth_s``, see ``measured``), 0 for blocks that hold too few samples. ``grid`` are the
-    conditions at even instants, ``fold`` takes columns on that grid (N, c) to block means (b, c). ``stretch`` (b,)
-    numbers stretches without a gap; blocks are evenly spaced within each. ``order`` is the number of the recording
-    among all that are looked at, ``held`` for how many samples each value is held.
+    of body rate and output error, ``weight`` (b,) is 1 at rest, less where noise has grown with the rate (``growth_s``,
+    see ``measured``), 0 for blocks that hold too few samples. ``grid`` are the conditions at even instants, ``fold``
+    takes columns on that grid (N, c) to block means (b, c). ``stretch`` (b,) numbers stretches without a gap; blocks
+    are evenly spaced within each. ``order`` is the number of the recording among all that are examined, ``held`` for
+    how many samples each value is held.
 
-    Of turns of which only the angle is known a block is a turn or a rest, from its beginning to its end; ``length_s``
-    is their mean distance, ``weight`` goes by their doubt, and ``stated_rps`` is the doubt at weight 1 (else 0).
+    For turns of which only the angle is known, a block is a turn or a rest, from its beginning to its end; ``length_s``
+    is their mean distance, ``weight`` follows their stated uncertainty, and ``stated_rps`` is the uncertainty at weight
+    1 (else 0).
 
-    ``pose`` (b,) numbers poses of a body at rest of which nobody knows the heading; ``earth_rps`` (b, m) is how much of
-    the horizontal part of Earth rate, one sigma, each gyro may have in them. None where that is known, or one constant.
+    ``pose`` (b,) numbers the poses of a body at rest whose heading is unknown; ``earth_rps`` (b, m) is how much of the
+    horizontal part of Earth rate, one sigma, each gyro may have in them. Both are None where the heading is known or
+    this part is a constant.
     """
 
     name: str
@@ -76,7 +78,12 @@ class Run:
         return self.fold(effect.columns(self.grid, self.array, gyro))
 
     def weighed(self, columns: Floats, gyro: int) -> Floats:
-        """Return columns (b, c) as they count of a gyro; of what it may have of the Earth in a pose they are rid."""
+        """Return columns (b, c) times the weights of the blocks, without the part that an unknown heading allows in
+        each pose.
+
+        That part is a constant in each pose, removed as far as Earth rate may exceed the noise. It applies only if
+        ``pose`` is known.
+        """
         out = columns * self.weight[:, None]
         if self.pose is None or self.earth_rps is None:
             return out
@@ -108,7 +115,7 @@ class Run:
 
     @property
     def by_another(self) -> bool:
-        """Whether the body turns and another instrument says how: errors of that one are in the residual, too."""
+        """Whether the body turns and another instrument measures it, whose errors are then in the residual."""
         return self.turns and by_turns(self.recording.reference)
 
     def coarse(self) -> Self:
@@ -137,7 +144,7 @@ def with_gyro(runs: Sequence[Run], name: str) -> list[tuple[int, Run, int]]:
 
 
 def growth_notes(runs: Sequence[Run]) -> list[str]:
-    """Return, in words, which runs have noise that grows with the rate."""
+    """Return a sentence for each run whose noise grows with the rate."""
     found = []
     for run in (run for run in runs if run.growth_s):
         fastest = float(np.linalg.norm(run.w_rps, axis=1).max())
@@ -149,7 +156,10 @@ def growth_notes(runs: Sequence[Run]) -> list[str]:
 
 
 def same_devices(first: Sequence[Run], other: Sequence[Run]) -> str:
-    """Return in which way the gyros of two recordings differ, empty if they are the same gyros of the same device."""
+    """Return how the gyros of two recordings differ, in words; empty if they are the same gyros of the same device.
+
+    Names are compared first, then axes to 0.001, then devices where both state one.
+    """
     ours = {(n, tuple(np.round(p, 3))) for run in first for n, p in zip(run.array.names, run.array.p, strict=True)}
     theirs = {(n, tuple(np.round(p, 3))) for run in other for n, p in zip(run.array.names, run.array.p, strict=True)}
     if {n for n, _ in ours} != {n for n, _ in theirs}:

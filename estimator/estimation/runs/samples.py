@@ -19,14 +19,14 @@ class Samples:
 
 
 def samples_of(run: Run) -> Samples:
-    """Return the samples of a run that its reference covers."""
+    """Return the samples of a run that its reference covers; of values held over several samples, one each."""
     t: list[Floats] = [np.empty(0)]
     z = [np.empty((0, len(run.array)))]
     for part in observations(run.recording, run.data):
         if part.t_ns is not None:
             t.append(np.asarray(part.t_ns * 1e-9, dtype=np.float64))
             z.append(part.y_rps - part.w_rps @ run.array.p.T)
-    each = slice(None, None, run.held)  # of samples that are held, one tells all
+    each = slice(None, None, run.held)  # one of each group of held samples suffices
     return Samples(np.concatenate(t)[each], np.vstack(z)[each], run.array.names)
 
 
@@ -37,7 +37,10 @@ def tone_columns(frequency_hz: float, run: Run, samples: Samples) -> Floats:
 
 
 def means_of(run: Run, t_s: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Return the means (b, c) over the blocks of a run of values (n, c), and how many each is of (b, 1)."""
+    """Return the means (b, c) of values (n, c) over the blocks of a run, and the number of values in each (b, 1).
+
+    The mean of a block without values is 0.
+    """
     start_s = run.t_s[0] - 0.5 * run.length_s
     number = np.floor((t_s - start_s) / run.length_s + 1e-9).astype(np.intp)
     block = np.round((run.t_s - run.t_s[0]) / run.length_s).astype(np.intp)

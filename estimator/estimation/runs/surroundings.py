@@ -1,4 +1,4 @@
-"""What the gyros went through in a run, on a grid of instants: temperature, gimbals, specific force."""
+"""The conditions of the gyros in a run, on a grid of instants: temperature, gimbals, specific force."""
 
 import numpy as np
 
@@ -9,12 +9,17 @@ from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import AttitudeReadings, BodyRates, TableReadings
 from estimator.types import Floats
 
-GRID_S = 0.02  # instants at which conditions are worked out, within blocks
+GRID_S = 0.02  # spacing of the instants for conditions, within blocks
 _JUMP, _JUMP_C = 8.0, 0.5  # sigmas, degC
 _SMOOTH_S = 0.2  # accelerometers also feel vibration
 
 
 def conditions_of(recording: Recording, data: ImuData, grid_s: Floats, w_rps: Floats, steps: int) -> Conditions:
+    """Return the conditions of a run at the instants ``grid_s``, ``steps`` of them to a block.
+
+    With a table they come from its readings. Otherwise, and where the table is only known by how far it turned, they
+    come from the block means ``w_rps`` (b, 3), see ``conditions_by_turns``.
+    """
     temperature = temperature_at(data, grid_s)
     reference = recording.reference
     if by_turns(reference):
@@ -28,7 +33,11 @@ def conditions_of(recording: Recording, data: ImuData, grid_s: Floats, w_rps: Fl
 def conditions_by_turns(
     recording: Recording, data: ImuData, grid_s: Floats, w_rps: Floats, steps: int, temperature_c: Floats | None
 ) -> Conditions:
-    """Return conditions of which rate and acceleration are those of whole blocks."""
+    """Return conditions whose rate and acceleration are those of whole blocks, ``steps`` instants to a block.
+
+    ``w_rps`` (b, 3) are the mean rates. Table readings give the angle of the first axis too. The specific force is that
+    of the axis if there is no accelerometer, else that of ``force_at``.
+    """
     reference = recording.reference
     body = Turned.of_reference(reference, recording.site)
     period_s = grid_s[1] - grid_s[0]
@@ -68,7 +77,11 @@ def temperature_at(data: ImuData, grid_s: Floats) -> Floats | None:
 
 
 def _smooth_temperature(t_s: Floats, temperature_c: Floats, grid_s: Floats) -> Floats:
-    """Return the temperature at instants, with the steps of its readings smoothed over ten seconds."""
+    """Return the temperature at the instants ``grid_s``, smoothed over ten seconds because readings come in steps.
+
+    Fewer than four such means are only interpolated. Jumps are not smoothed. Outside the readings the temperature goes
+    on in a straight line.
+    """
     width = 10.0
     edges = np.arange(t_s[0], t_s[-1] + width, width)
     number = np.clip(np.searchsorted(edges, t_s, side="right") - 1, 0, None)
@@ -86,7 +99,7 @@ def _smooth_temperature(t_s: Floats, temperature_c: Floats, grid_s: Floats) -> F
     noise = float(np.median(np.abs(np.diff(temperature_c)))) / 0.954
     raw = np.interp(inside, t_s, temperature_c)
     smooth = np.where(np.abs(raw - smooth) > np.maximum(_JUMP * noise, _JUMP_C), raw, smooth)
-    # Beyond the first and last mean the temperature goes on as it began and ended.
+    # Beyond the first and last mean the temperature continues in a straight line.
     first = (mean_c[1] - mean_c[0]) / (mean_t[1] - mean_t[0])
     last = (mean_c[-1] - mean_c[-2]) / (mean_t[-1] - mean_t[-2])
     return np.asarray(
@@ -95,7 +108,11 @@ def _smooth_temperature(t_s: Floats, temperature_c: Floats, grid_s: Floats) -> F
 
 
 def force_at(recording: Recording, data: ImuData, grid_s: Floats) -> Floats:
-    """Return the specific force (N, 3) in body axes: of the attitude if there is one, else of an accelerometer."""
+    """Return the specific force (N, 3) in body axes, in m/s^2: from the attitude if the reference has one, else the
+    accelerometer.
+
+    The accelerometer's is smoothed. NaN where there is neither.
+    """
     reference = recording.reference
     if isinstance(reference, AttitudeReadings):
         good = np.isfinite(reference.attitude_wxyz).all(axis=1)

@@ -1,4 +1,4 @@
-"""Instants of foreign samples from the stamps they came with, which may jump, repeat or be out of order."""
+"""Instants of external samples from their stamps, which may jump, repeat or be out of order."""
 
 from dataclasses import dataclass
 
@@ -26,12 +26,12 @@ _SAME_SHARE = 0.5  # of the rows of a replay, how many must be there already, to
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class TimeFit:
-    """Instants (kept rows,) in seconds from the first, the rows that are kept, and in words what was done.
+    """Instants (kept rows,) in seconds from the first, the rows that are kept, and a description.
 
-    ``replayed`` counts rows that were delivered a second time, ``doubled`` those written twice in a row. ``zero_s`` is
-    the stamp of the instant 0; None without stamps. Stamps that scatter about an even grid may be of samples or of
-    their arrivals: ``on_grid`` tells which of the two ``t_s`` is, ``other_s`` (kept rows,) are the instants if it is
-    the other, None where that cannot be. ``scatter_s`` is by how much they scatter.
+    ``replayed`` counts rows that were delivered again, ``doubled`` rows written twice in succession. ``zero_s`` is the
+    stamp of the instant 0; None without stamps. Stamps that scatter about an even grid may be of samples or of
+    arrivals: ``on_grid`` says which of the two ``t_s`` is, ``other_s`` (kept rows,) are the instants in the other case,
+    None if that is impossible. ``scatter_s`` is their scatter.
     """
 
     t_s: Floats
@@ -57,15 +57,14 @@ def regular_times(position: NDArray[np.int64], rate_hz: float) -> TimeFit:
 
 
 def fit_times(stamps_s: Floats, values: Floats, position: NDArray[np.int64] | None = None) -> TimeFit:
-    """Return instants from stamps (rows,); ``values`` (rows, m) tell a replay from a clock that was set back.
+    """Return instants from stamps (rows,); ``values`` (rows, m) distinguish a replay from a clock that was set back.
 
-    ``position`` (rows,) numbers the rows with those that were lost on the way. Rows that are delivered a second
-    time (their stamps lie in the past, their values are there already) and rows written twice (equal stamps, equal
-    values) are left out. If the rest lies near an even grid, the order of the rows is right and the grid replaces
-    the stamps, whose scatter is that of their delivery; many samples to a stamp are spread over it. So it is where
-    stamps are even over stretches of 101 rows. If not, the sampling was uneven and the stamps stand.
+    ``position`` (rows,) numbers the rows, lost ones included. Rows delivered again (stamps in the past, values known)
+    and rows written twice (equal stamps and values) are left out. If the rest is near an even grid, the grid replaces
+    the stamps, whose scatter is that of delivery; several samples per stamp are spread over it. The same holds if
+    stamps are even over stretches of 101 rows. Otherwise the sampling was uneven and the stamps are kept.
 
-    Raises RecordingError for stamps that are not finite, do not advance, or go back as two runs in a file do.
+    RecordingError for stamps that are too few, not finite, do not advance, or go back as for two runs in a file.
     """
     if len(stamps_s) < 8:
         raise RecordingError(sentence("importing.few_stamps", rows=len(stamps_s)))
@@ -135,7 +134,7 @@ def fit_times(stamps_s: Floats, values: Floats, position: NDArray[np.int64] | No
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Grid:
-    """An even grid through stamps: how far they are from it, in periods, and whether that is near enough."""
+    """An even grid through stamps: their distance from it, in periods, and whether that is near enough."""
 
     number: NDArray[np.int64]
     period_s: float
@@ -145,9 +144,9 @@ class _Grid:
 
 
 def _delivered(grid: _Grid, t: Floats, kept: NDArray[np.bool_]) -> Floats | None:
-    """Return the instants (kept rows,) from the first stamp on of samples that are even, if stamps may be of arrivals.
+    """Return the instants (kept rows,) of evenly spaced samples if the stamps may be of their arrivals, else None.
 
-    Arrivals scatter about a grid that they do not leave; those of uneven sampling do.
+    Arrivals scatter about a grid without leaving it; stamps of uneven sampling leave it.
     """
     if grid.away > max(grid.scatter, 1.0) or grid.scatter > _MOST_LATE:
         return None
@@ -163,6 +162,7 @@ def _grids(t: Floats, rows: NDArray[np.intp], position: NDArray[np.int64] | None
 
 
 def _grid(t: Floats, number: NDArray[np.int64]) -> _Grid | None:
+    """Return the even grid through stamps of numbered rows; None if they do not advance."""
     if len(t) < 2:
         return None
     half = len(t) // 2
@@ -186,7 +186,7 @@ def _grid(t: Floats, number: NDArray[np.int64]) -> _Grid | None:
 
 
 def _wandering(t: Floats) -> Floats | None:
-    """Return the instants of samples that are even for seconds, if not for ever; None if they are not, or overlap."""
+    """Return the instants of samples that are even over seconds, but not for ever; None if they are not, or overlap."""
     if len(t) < 2 * _EVEN_ROWS:
         return None
     steps = np.round(np.diff(t) / max(float(np.median(np.diff(t))), 1e-12))
@@ -210,7 +210,9 @@ def _usual_rows(t: Floats) -> list[int]:
 
 
 def _written_twice(t: Floats, values: Floats, usual: int) -> NDArray[np.bool_]:
-    """Return which rows repeat the row before, stamp and values, where a stamp has more rows than is usual."""
+    """Return as flags which rows repeat the row before, stamp and values, where a stamp has more than ``usual``
+    rows.
+    """
     twice = np.zeros(len(t), dtype=bool)
     first = np.flatnonzero(np.diff(t, prepend=t[0] - 1))
     counts = np.diff(np.append(first, len(t)))
@@ -222,7 +224,9 @@ def _written_twice(t: Floats, values: Floats, usual: int) -> NDArray[np.bool_]:
 
 
 def _without_replays(stamps_s: Floats, values: Floats, period_s: float) -> NDArray[np.intp]:
-    """Return the rows that are not a second delivery of rows before them."""
+    """Return the rows that are not a second delivery of earlier rows; RecordingError if stamps go back for another
+    reason.
+    """
     keep = np.ones(len(stamps_s), dtype=bool)
     start = 0
     for jump in np.flatnonzero(np.diff(stamps_s) < -_JUMP_PERIODS * period_s):

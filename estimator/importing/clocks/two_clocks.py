@@ -7,10 +7,10 @@ import numpy as np
 from estimator.observations.turned import REST_RPS, Turned
 from estimator.types import Floats
 
-_BLOCK_S, _WINDOWS, _WINDOW_S = 0.1, 60, 5.0  # at most so many windows, none shorter
+_BLOCK_S, _WINDOWS, _WINDOW_S = 0.1, 60, 5.0  # the largest number of windows, and the shortest
 _FEWEST = 8
 _STEP_S, _REACH_S = 0.02, 0.5  # of the delays that are tried
-_ALIKE = 0.05  # share of what a fit takes away
+_ALIKE = 0.05  # share that a fit explains
 _FASTEST = 3e-4  # no two crystals are further apart
 _NEAR_S = (0.02, 0.02, 0.01, 0.01, 0.005, 0.005, 0.002, 0.002, 0.002)  # to each side of a delay, compared in turn
 _TOLD, _TOLD_S = 5.0, 1e-3  # sigmas, and seconds over the whole, from which on clocks run apart
@@ -19,7 +19,9 @@ _COARSE_S = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Clocks:
-    """By how much the stamps of a reference are ahead of the gyros' at ``middle_s``, and what a second adds to that."""
+    """How far the stamps of a reference are ahead of the gyros' at ``middle_s``, and by how much that grows per
+    second.
+    """
 
     ahead_s: float
     drift: float
@@ -32,7 +34,7 @@ class Clocks:
         return np.asarray(self.middle_s + (stamps_s - self.middle_s - self.ahead_s) / (1 + self.drift))
 
     def told(self, name: str, at_s: float) -> str:
-        """Return in words how the clock of a file goes, and how it stands at an instant."""
+        """Return in words the rate of a file's clock, and how far it is ahead at an instant."""
         ahead_s = self.ahead_s + self.drift * (at_s - self.middle_s)
         sd_s = np.hypot(self.ahead_sd_s, self.drift_sd * (at_s - self.middle_s))
         return (
@@ -45,11 +47,12 @@ class Clocks:
 
 
 def clocks_apart(gyros: Turned, body: Turned, p: Floats, *, signed: bool) -> Clocks | None:
-    """Return how the clock of a reference runs against the gyros'; None if they run alike, or nothing tells.
+    """Return how the clock of a reference runs relative to the gyros'; None if they run alike, or the data do not show
+    it.
 
-    ``p`` (m, 3) are the gyros' axes, ``signed`` if their signs are known. In windows the mean outputs of 0.1 s are
-    fitted by bias and factor at every delay; the line of delays that leaves least of all windows is refined by Newton,
-    and its covariance is that of the windows' scores (sandwich).
+    ``p`` (m, 3) are the gyros' axes, ``signed`` if their signs are known. In windows, mean outputs over 0.1 s are
+    fitted with bias and factor at every delay; the line of delays with the least residual in all windows is refined by
+    Newton's method, and its covariance is that of the windows' scores (sandwich).
     """
     first_s, last_s = max(gyros.t_s[0], body.t_s[0]), min(gyros.t_s[-1], body.t_s[-1])
     step_s = max(_BLOCK_S, *(2 * float(np.median(np.diff(one.t_s))) for one in (gyros, body)))
@@ -63,7 +66,7 @@ def clocks_apart(gyros: Turned, body: Turned, p: Floats, *, signed: bool) -> Clo
     centre_s = np.bincount(number, at_s) / np.bincount(number)
 
     def left(delay_s: Floats | float) -> Floats:
-        """Return the mean squares (windows,) that are left of the outputs, the reference read so much later."""
+        """Return the mean squared residuals (windows,) of the outputs if the reference is read later by ``delay_s``."""
         rates = body.means(edges[:-1] + delay_s, edges[1:] + delay_s) @ p.T
         total = np.zeros(windows)
         for u, y in zip(rates.T, outputs.T, strict=True):
@@ -72,7 +75,7 @@ def clocks_apart(gyros: Turned, body: Turned, p: Floats, *, signed: bool) -> Clo
             n, su, sy, suu, suy, syy = (np.bincount(number, v) for v in (known, u, y, u * u, u * y, y * y))
             n = np.maximum(n, 1.0)
             along = suy - su * sy / n
-            along = np.maximum(along, 0.0) if signed else along  # what turns the other way is not followed
+            along = np.maximum(along, 0.0) if signed else along  # an output of opposite sign does not follow
             total += (syy - sy**2 / n - along**2 / (suu - su**2 / n + 1e-30)) / n
         return total
 
@@ -100,9 +103,10 @@ def clocks_apart(gyros: Turned, body: Turned, p: Floats, *, signed: bool) -> Clo
 
 
 def ahead_by_motion(gyros: Turned, body: Turned, p: Floats, *, signed: bool) -> float:
-    """Return by how much (s) stamps of a reference are ahead where its turns are most like those of the gyros.
+    """Return by how much (s) the stamps of a reference are ahead, where its rates correlate best with those of the
+    gyros.
 
-    Largest correlation of the rates over all of both files, to 50 ms; ``p`` and ``signed`` as in ``clocks_apart``.
+    Over the whole files, to 50 ms; ``p`` and ``signed`` as in ``clocks_apart``.
     """
     from scipy.signal import correlate
 

@@ -1,4 +1,4 @@
-"""Columns of a foreign file, their units and their axes, as a mapping file states them."""
+"""Columns of an external file, their units and their axes, as stated by a mapping file."""
 
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ Vector = tuple[float, float, float]
 class Columns:
     """Columns of a text file, or variables of a .mat file; SI is (value - ``offset``) * ``scale`` + ``shift``.
 
-    ``names`` are those of ``width`` columns. Row i of ``axes`` (width, c), if there are any, is what column i is along.
+    ``names`` stand for ``width`` columns. Row i of ``axes`` (width, c), if any, is the direction of column i.
     """
 
     names: tuple[str, ...]
@@ -32,10 +32,10 @@ class Columns:
 
 
 def stated_columns(section: StrictTable, quantity: str, key: str = "columns", *, count_needed: bool = True) -> Columns:
-    """Return the columns of a table with what makes SI of them: a unit of the quantity, or the size of a count.
+    """Return the columns of a table with their conversion to SI: a unit of ``quantity``, or the size of a count.
 
-    Where the size is not needed and not stated, a count is one degree (a second). ``offset`` is the value that stands
-    for zero, in the unit of the column.
+    Unless ``count_needed``, a count without a size is one degree per second. ``offset`` is the value for zero, in the
+    unit of the column.
     """
     units, names, offset = UNITS[quantity], section.strings(key), section.number("offset", 0.0)
     unit = section.string("unit", one_of=(*units, "raw"))
@@ -55,7 +55,7 @@ def stated_columns(section: StrictTable, quantity: str, key: str = "columns", *,
 
 
 def signed_axis(text: str) -> Vector:
-    """Return the unit vector of +-x, y or z; ValueError for anything else."""
+    """Return the unit vector of x, y or z with its sign; ValueError for anything else."""
     letter = text.strip().lower()
     sign = -1.0 if letter.startswith("-") else 1.0
     letter = letter.lstrip("+-")

@@ -1,4 +1,4 @@
-"""The mapping file: what the columns of a foreign recording mean. Read strictly (docs/pages/reference/mapping.md).
+"""The mapping file: the meaning of columns in an external recording. Read strictly (docs/pages/reference/mapping.md).
 
 Units are those of the foreign file here and only here; what leaves this module is SI.
 """
@@ -39,10 +39,10 @@ Protocols = Dict[str, Callable[[StrictTable, Path], Capture]]
 
 @dataclass(frozen=True, slots=True)
 class FileFormat:
-    """``kind`` is csv, mat, binary or a protocol; read are data rows (the first is 0), and of these some seconds.
+    """``kind`` is csv, mat, binary or a protocol; limits select data rows (from 0), and seconds among these.
 
-    Text is split at ``delimiter`` (empty: at blanks), has a ``decimal`` mark, and without a heading its ``columns`` are
-    named. Binary files are a header and then a ``record`` a row.
+    Text is split at ``delimiter`` (empty: at blanks) and has a ``decimal`` mark; without a heading its ``columns`` are
+    named. Binary files are a header and then one ``record`` per row.
     """
 
     kind: str
@@ -60,10 +60,9 @@ class FileFormat:
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """Either a fixed ``rate`` in Hz, or a variable that holds it, or a column of stamps (``scale`` makes seconds).
+    """A fixed ``rate`` in Hz, or a variable that holds it, or a column of stamps (``scale`` converts to seconds).
 
-    The column may hold dates or times of a ``calendar``, whose pattern this is, or a counter that goes round at
-    ``wraps_at``.
+    Stamps may be dates or times in the pattern ``calendar``, or a counter that wraps at ``wraps_at``.
     """
 
     rate: float | str = 0.0
@@ -73,7 +72,7 @@ class Timing:
 
 
 def beside(path: Path, name: str) -> Path:
-    """Return the file of this name beside another, whose stem stands for {stem}; RecordingError if it is elsewhere."""
+    """Return the file ``name`` beside another, whose stem replaces {stem}; RecordingError if it has a path."""
     try:
         return path.with_name(name.replace("{stem}", path.stem))
     except ValueError:
@@ -84,9 +83,9 @@ def beside(path: Path, name: str) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class ReferenceFile:
-    """A reference in a file of its own; in its ``name`` "{stem}" is that of the data file.
+    """A reference in its own file; "{stem}" in its ``name`` is that of the data file.
 
-    ``offset_s`` is added to its stamps; None if the motion is to tell it.
+    ``offset_s`` is added to its stamps; None to find it from the motion.
     """
 
     name: str
@@ -101,7 +100,7 @@ class ReferenceFile:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GyroColumns:
-    """Gyros with their nominal axes, and whether sign and scale of each are to be taken from the data."""
+    """Gyros with their nominal axes, and whether sign and scale of each are taken from the data."""
 
     columns: Columns
     array: SensorArray
@@ -111,7 +110,7 @@ class GyroColumns:
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Mapping:
-    """What is in foreign files; ``text`` is the mapping file itself, kept in the recording."""
+    """The description of external files; ``text`` is that of the mapping file, stored in the recording."""
 
     name: str
     text: str
@@ -144,9 +143,9 @@ class Mapping:
 
 
 def read_mapping(path: Path | str, protocols: Protocols | None = None) -> Mapping:
-    """Read a mapping file; captures of the ``protocols`` are formats beside csv, tsv, mat and binary.
+    """Return the mapping in a file; captures of the ``protocols`` are formats besides csv, tsv, mat and binary.
 
-    Raises RecordingError with file, line and what to write for anything unknown or wrong.
+    RecordingError with file, line and what to write if anything is unknown or wrong.
     """
     path = Path(path)
     text = read_text(path, RecordingError)
@@ -196,7 +195,7 @@ def read_mapping(path: Path | str, protocols: Protocols | None = None) -> Mappin
 
 
 def _check_undeclared(section: StrictTable) -> None:
-    """Refuse effects that there are not; what is ruled out is read where states are estimated."""
+    """Raise the section's error for unknown effects; the excluded ones are read when states are estimated."""
     section.stated(KEYS["undeclared"])
     laws = [record.name for record in records() if record.kind is Kind.LAW and record.listed(1.0)]
     for name in section.strings("excluded") if section.has("excluded") else ():
@@ -205,7 +204,11 @@ def _check_undeclared(section: StrictTable) -> None:
 
 
 def _check(mapping: Mapping, section: StrictTable) -> None:
-    """Refuse tables that do not go together."""
+    """Raise RecordingError, or the section's error, for tables that cannot be combined.
+
+    They are a reference file or signs from data with a stated reference, gravity without an accelerometer, and Earth
+    rate without a site or a direction up.
+    """
     reference = mapping.reference
     if not isinstance(reference, Measured):
         if mapping.reference_file:
@@ -230,6 +233,7 @@ def _check(mapping: Mapping, section: StrictTable) -> None:
 def _reference_file(
     section: StrictTable, file_format: FileFormat, timing: Timing, protocols: Protocols, folder: Path
 ) -> ReferenceFile:
+    """Return the reference file of a section: by name with the format of the data, or with its own format and time."""
     offset_s: float | None = 0.0
     if isinstance(section.again().value("file"), str):
         name = section.string("file")
@@ -246,6 +250,7 @@ def _reference_file(
 
 
 def _format(section: StrictTable, protocols: Protocols, folder: Path) -> FileFormat:
+    """Return the file format of a section; its error for invalid limits or delimiters."""
     limits = section.stated(KEYS["file"])
     for what in ("row", "s"):
         start, end = limits[f"from_{what}"], limits[f"until_{what}"]
@@ -269,7 +274,7 @@ def _format(section: StrictTable, protocols: Protocols, folder: Path) -> FileFor
 
 
 def _record(section: StrictTable) -> np.dtype[Any]:
-    """Return what a row of a binary file is made of."""
+    """Return the structured type of a binary row; the section's error if it is invalid."""
     order = section.string("byte_order", "little", one_of=("little", "big"))
     fields: dict[str, str] = {}
     if "," in section.text_of("record"):
@@ -283,6 +288,7 @@ def _record(section: StrictTable) -> np.dtype[Any]:
 
 
 def _timing(section: StrictTable, file_format: FileFormat) -> Timing:
+    """Return the timing of a section; its error unless exactly one way is given."""
     given = [key for key in ("rate_hz", "rate_variable", "column") if section.has(key)]
     if len(given) != 1:
         raise section.fail(given[0] if given else None, sentence("importing.one_of_times"))
@@ -304,6 +310,7 @@ def _timing(section: StrictTable, file_format: FileFormat) -> Timing:
 
 
 def _gyro(section: StrictTable, file_format: FileFormat) -> GyroColumns:
+    """Return the gyros of a section; its error if their number or axes are invalid."""
     taken = section.stated(KEYS["gyro"])
     columns = stated_columns(section, "rate", count_needed=not taken["scale_from_data"])
     where = "axes" if section.has("axes") else "columns"

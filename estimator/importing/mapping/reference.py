@@ -1,4 +1,4 @@
-"""The table [reference] of a mapping file: what says how the body turned, or that it did not."""
+"""The table [reference] of a mapping file: how the body turned, or that it did not."""
 
 import math
 import re
@@ -14,7 +14,7 @@ from estimator.strict_toml import StrictTable, typed
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
-    """What another instrument measured: ``kind`` is attitude (w x y z, body to reference), body rate, or angle.
+    """Data of another instrument: ``kind`` is attitude (w x y z, body to reference), body rate, or angle.
 
     An angle is that of an encoder: the body turns by it about ``gimbal`` x, y or z.
     """
@@ -27,7 +27,7 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """A stated turn about a body axis (unit vector); a rest pose turns by 0."""
+    """A stated turn about a body axis (unit vector); 0 for a rest."""
 
     axis: Vector
     angle_rad: float
@@ -35,7 +35,7 @@ class Turn:
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """A body at rest: directions in body axes that point up and north, where they are stated."""
+    """A body at rest: directions in body axes that point up and north, where stated."""
 
     up: Vector | None = None
     north: Vector | None = None
@@ -52,10 +52,10 @@ class Cuts:
 
 @dataclass(frozen=True, slots=True)
 class StatedTurns:
-    """Turns in ``sections``, or one a file: ``turn``, or by the groups axis and angle_deg of the file's name.
+    """Turns in ``sections``, or one per file: ``turn``, or by the groups axis and angle_deg in the file's name.
 
-    A stated angle is doubtful by ``sd_rad`` and a share of it, one of 0 by ``rest_sd_rad``. Before and after a turn the
-    output is within ``rest_limit_rps`` for ``rest_s``.
+    The uncertainty of an angle is ``sd_rad`` and a share of it, that of 0 is ``rest_sd_rad``. Before and after a turn
+    the output is within ``rest_limit_rps`` for ``rest_s``.
     """
 
     sd_rad: float
@@ -72,7 +72,9 @@ class StatedTurns:
 
 @dataclass(frozen=True, slots=True)
 class Gravity:
-    """An accelerometer that says what points up, each direction to ``sd_rad``; ``from_rests``: its errors, too."""
+    """An accelerometer that shows what is up, each direction to ``sd_rad``; ``from_rests``: its errors are estimated,
+    too.
+    """
 
     from_rests: bool
     sd_rad: float
@@ -82,8 +84,8 @@ class Gravity:
 class Rests:
     """The body rests: in sections if there are any, else in ``pose``, everywhere or where the samples are quiet.
 
-    ``files`` are poses by name of file. At rest the output is within ``limit_rps``, for ``least_s`` or longer.
-    With ``gravity`` what the accelerometer feels there is the reference of the turns between.
+    ``files`` are poses by file name. At rest the output is within ``limit_rps``, for at least ``least_s``. With
+    ``gravity`` the specific force there is the reference for the turns in between.
     """
 
     limit_rps: float
@@ -101,9 +103,9 @@ ForeignReference = Measured | StatedTurns | Rests
 
 
 def read_reference(section: StrictTable, *, wide: bool = False) -> ForeignReference:
-    """Return the reference that a mapping states; in ``wide`` files a name can be that of several columns.
+    """Return the reference of a mapping; in ``wide`` files one name may stand for several columns.
 
-    Raises RecordingError with file, line and what to write.
+    RecordingError with file, line and what to write if it is invalid.
     """
     kind = section.string("kind", one_of=("attitude", "rate", "angle", "turns", "rest", "gravity"))
     reference: ForeignReference
@@ -124,6 +126,7 @@ def read_reference(section: StrictTable, *, wide: bool = False) -> ForeignRefere
 
 
 def _attitude(section: StrictTable) -> Measured:
+    """Return the columns of an attitude, reordered to w x y z or to a matrix from body to reference."""
     stated = section.stated(KEYS["attitude"])
     names = section.strings("columns")
     if not stated["order"]:
@@ -142,6 +145,7 @@ def turn_about(axis: str, angle_deg: float) -> Turn:
 
 
 def _rates(section: StrictTable, wide: bool) -> Columns:
+    """Return the columns of a rate: three, or one with its axis; the section's error otherwise."""
     columns = stated_columns(section, "rate")
     if not section.has("axis"):
         if len(columns.names) == 1 and not wide:
@@ -153,7 +157,7 @@ def _rates(section: StrictTable, wide: bool) -> Columns:
 
 
 def _unit(section: StrictTable, key: str) -> Vector:
-    """Take a direction in body axes; it becomes a unit vector."""
+    """Take a direction in body axes as a unit vector; the section's error if it is zero."""
     v = np.array(section.take(key, None, direction))
     length = float(np.linalg.norm(v))
     if not length > 0:
@@ -172,6 +176,7 @@ def _angle(section: StrictTable) -> Measured:
 
 
 def _turns(section: StrictTable) -> StatedTurns:
+    """Return the stated turns: in sections, by file name, or one turn; the section's error if none is given."""
     stated = StatedTurns(**section.stated(KEYS["turns"]))
     if section.has("sections"):
         cuts, tables = _sections(section)
@@ -192,6 +197,7 @@ def _turn(section: StrictTable) -> Turn:
 
 
 def _pattern(value: object) -> re.Pattern[str]:
+    """Return a compiled regular expression with the groups axis and angle_deg; ValueError otherwise."""
     try:
         pattern = re.compile(typed(value, (str,), "a text"))
     except re.error as error:
@@ -202,6 +208,7 @@ def _pattern(value: object) -> re.Pattern[str]:
 
 
 def _rests(section: StrictTable, *, by_gravity: bool) -> Rests:
+    """Return the stated rests; the section's error for keys that exclude each other."""
     gravity = None
     if by_gravity:
         from_rests = section.string("accelerometer", "from rests", one_of=("from rests", "stated")) == "from rests"
@@ -230,7 +237,7 @@ def _pose(section: StrictTable) -> Pose:
 
 
 def _sections(section: StrictTable) -> tuple[Cuts, dict[str, StrictTable]]:
-    """Return how files are cut, and the table of each section less its limits."""
+    """Return how files are cut, and the table of each section without its limits; the section's error if ambiguous."""
     table = section.table("sections")
     tables = {name: table.table(name) for name in table.remaining()}
     if not tables:

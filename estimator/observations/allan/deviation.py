@@ -19,9 +19,9 @@ _REACH = 64  # length of the sampled spectrum, over the width of a mean
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AllanCurve:
-    """Overlapping Allan deviation (t,) of one sensor at averaging times (t,), with its interval of 95 %.
+    """Overlapping Allan deviation (t,) of one sensor at averaging times (t,), with its 95 % interval.
 
-    ``edf`` (t,) are the equivalent degrees of freedom of the variance: ``edf * variance / truth`` is chi-square.
+    ``edf`` (t,) are the equivalent degrees of freedom: ``edf * variance / truth`` is chi-square distributed.
     """
 
     tau_s: Floats
@@ -36,8 +36,8 @@ def overlapping_deviation(
 ) -> tuple[Floats, Floats]:
     """Return averaging times (t,) and the overlapping Allan deviation (t, m) of evenly sampled stretches (n, m).
 
-    The stretches do not follow on each other; each counts by its number of second differences. Averaging times go up to
-    a third of the longest stretch. Both are empty if that has fewer than nine samples.
+    Stretches are separate; each is weighted by its number of second differences. Averaging times go up to a third of
+    the longest one. Both are empty if that has fewer than nine samples.
     """
     longest = max((len(part) for part in stretches), default=0)
     channels = stretches[0].shape[1] if stretches else 0
@@ -71,9 +71,9 @@ def degrees_of_freedom(lengths: Sequence[int], width: int, period_s: float, size
     """Return the equivalent degrees of freedom (m,) of the Allan variance at ``width`` samples.
 
     ``lengths`` are the samples of each stretch; ``sizes`` (m, 3) are N, B and K of each sensor, whose mixture decides.
-    The sum is that of Greenhall and Riley (2004) for phase that is not filtered, over the squared autocovariance of the
-    second differences. The autocovariance is that of sampled noise, from its spectrum, which differs from theirs, of
-    noise in continuous time, at widths below 8.
+    The sum is that of Greenhall and Riley (2004) for unfiltered phase, over the squared autocovariance of the second
+    differences. That is the one of sampled noise, by its spectrum; at widths below 8 it differs from theirs, of
+    continuous noise.
     """
     scale = max(width / _COARSE, 1.0)
     coarse = max(round(width / scale), 1)

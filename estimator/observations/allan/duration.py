@@ -10,14 +10,15 @@ from estimator.types import Floats
 LONGEST_S = 1e8
 """Three years: what takes longer is not worth a figure."""
 _SHORTEST_MEANS, _STEPS = 32, 60
-_SINGLY = 512  # so many coefficients are summed one by one, those above by bands
+_SINGLY = 512  # so many coefficients are summed one by one, higher ones by bands
 
 
 def record_length_s(noise: NoiseTerms, term: int, share: float) -> float:
-    """Return how long one rest must be until the standard uncertainty of a term is a ``share`` of it; inf if too long.
+    """Return the length of one rest after which the relative standard uncertainty of a term is ``share``; inf if too
+    long.
 
-    From the Fisher information of the series under the noise found (Cramer-Rao). A term that was not seen is taken to
-    be as large as it can be: any shorter record would leave it unseen.
+    From the Fisher information of the series under the estimated noise (Cramer-Rao). A term that was not seen is
+    assumed to have its upper limit.
     """
     sizes = noise.values
     found = (noise.n, noise.b, noise.k)[term]
@@ -39,9 +40,9 @@ def record_length_s(noise: NoiseTerms, term: int, share: float) -> float:
 
 
 def relative_uncertainty(sizes: Floats, term: int, span_s: float, mean_s: float) -> float:
-    """Return the standard uncertainty of a term, over the term, that one rest of this length gives.
+    """Return the relative standard uncertainty of a term after one rest of length ``span_s``.
 
-    The rest is taken as means over ``mean_s``. ``sizes`` (3,) are N, B and K; one that is 0 is taken to be known to be.
+    The rest is treated as means over ``mean_s``. ``sizes`` (3,) are N, B and K; one that is 0 counts as known to be 0.
     """
     bands = _bands(max(int(span_s / mean_s), 2), mean_s)
     squares = sizes[None, :] ** 2
@@ -53,7 +54,7 @@ def relative_uncertainty(sizes: Floats, term: int, span_s: float, mean_s: float)
 
 
 def _bands(count: int, mean_s: float) -> Bands:
-    """Return bands of a series of so many means, without data."""
+    """Return bands of a series of ``count`` means, without data."""
     numbers = np.arange(1, min(count, _SINGLY))
     counts = np.ones(len(numbers))
     if count > _SINGLY:

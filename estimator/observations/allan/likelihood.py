@@ -23,7 +23,7 @@ _FREE = [np.array(free) for free in product((False, True), repeat=3) if any(free
 class Bands:
     """Sums of squares (p, b) over bands, the number of coefficients in each (p, b), shapes (b, 3).
 
-    A band without coefficients has a sum of 0 and does not count.
+    A band without coefficients has a sum of 0 and no influence.
     """
 
     sums: Floats
@@ -52,10 +52,10 @@ class Bands:
         return np.asarray(np.einsum("bi,pb,bj->pij", self.shapes, weight, self.shapes))
 
     def fit(self, start: Floats, fixed: int | None = None) -> tuple[Floats, Floats]:
-        """Return the likeliest squares (p, 3) and their deviance (p,); that of number ``fixed`` stays as in ``start``.
+        """Return the most likely squares (p, 3) and their deviance (p,); column ``fixed`` stays as in ``start``.
 
-        Each step is a least-squares fit with weights of the variances of the step before (Fisher's scoring), halved
-        until the likelihood rises.
+        Each step is a weighted least-squares fit with the variances of the previous step (Fisher scoring), halved until
+        the likelihood rises.
         """
         squares = start.copy()
         deviance = self.deviance(squares)
@@ -78,7 +78,7 @@ class Bands:
         return squares, deviance
 
     def _scored(self, squares: Floats, fixed: int | None) -> Floats:
-        """Return the non-negative least-squares fit (p, 3), with weights as the variances at ``squares`` are."""
+        """Return the non-negative least-squares fit (p, 3), weighted by the variances at ``squares``."""
         weight = 1 / (squares @ self.shapes.T) ** 2
         gram = np.einsum("bi,pb,bj->pij", self.shapes, self.counts * weight, self.shapes)
         right = (self.sums * weight) @ self.shapes
@@ -104,10 +104,10 @@ class Bands:
         return found
 
     def crossing(self, best: Floats, term: int, rise: float, *, above: bool) -> Floats:
-        """Return at which square (p,) of a term, the others fitted, the deviance is ``rise`` above its least.
+        """Return the square (p,) of a term at which the deviance, the others fitted, is ``rise`` above its minimum.
 
-        ``best`` (p, 3) are the likeliest squares; the crossing is looked for ``above`` or below that of the term. Below
-        it is 0 where the deviance rises less than that on the way.
+        ``best`` (p, 3) are the most likely squares; the crossing is searched ``above`` or below that of the term. Below
+        it is 0 if the deviance does not rise that much.
         """
         least = self.deviance(best)
         inner = best[:, term]
@@ -153,7 +153,7 @@ class Bands:
         return self.fit(start, term)
 
     def _faint(self, term: int) -> Floats:
-        """Return squares (p, 3), of other terms, that give every band some variance."""
+        """Return squares (p, 3) of the other terms so small that every band just has some variance."""
         mean = self.sums.sum(axis=1) / self.counts.sum(axis=1)
         faint = mean[:, None] / self.shapes.max(axis=0)
         faint[:, term] = 0.0

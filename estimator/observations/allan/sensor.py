@@ -15,17 +15,17 @@ from estimator.types import Floats, Stamps
 RATE, FORCE = "rad/s", "m/s2"
 """Units of what gyros and accelerometers put out."""
 _LONGEST_GAP_S = 1.0  # a longer one ends a stretch
-_GAP_STEPS = 1.5  # so many sampling periods apart, samples between are missing
+_GAP_STEPS = 1.5  # larger distances, in sampling periods, mean missing samples
 _SILENT = 0.5  # share of numbers up to which a sensor is left out, not the rows without its numbers
-_MOST_MISSING = 0.05  # of a stretch: with more, averaging times are no longer what they are said to be
+_MOST_MISSING = 0.05  # of a stretch: with more, averaging times are no longer right
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Series:
-    """Evenly sampled outputs of sensors at rest: stretches (n, m) that do not follow on each other.
+    """Evenly sampled outputs of sensors at rest: separate stretches (n, m).
 
-    ``names`` (m,) are those of the sensors, ``unit`` is that of the samples in SI. ``missing`` samples were passed
-    over: their neighbours count as neighbours. ``silent`` sensors put out no numbers, and are not among the names.
+    ``names`` (m,) are those of the sensors, ``unit`` that of the samples in SI. ``missing`` samples were skipped, so
+    that their neighbours count as adjacent. ``silent`` sensors give no numbers, and are not among the names.
     """
 
     names: tuple[str, ...]
@@ -46,8 +46,8 @@ class Series:
     ) -> "Series":
         """Return the series of outputs (n, m) at instants (n,) within spans of rest (first, last).
 
-        A gap of more than a second ends a stretch, shorter ones are passed over. Rows that are not numbers are missing.
-        Raises RecordingError for samples without a rate, or if more than a twentieth of the rests is missing.
+        A gap of more than a second ends a stretch, shorter ones are skipped. Rows that are not finite count as missing.
+        RecordingError if all sensors are silent, the samples have no rate, or more than a twentieth is missing.
         """
         speaks = np.isfinite(values).mean(axis=0) > _SILENT
         silent = tuple(name for name, speaking in zip(names, speaks, strict=True) if not speaking)
@@ -106,7 +106,7 @@ class Series:
         return tuple(name for name, is_still in zip(self.names, still, strict=True) if is_still)
 
     def means(self, width: int) -> "Series":
-        """Return the series of means over so many samples."""
+        """Return the series of means over ``width`` samples; incomplete ones at the ends of stretches are dropped."""
         if width == 1:
             return self
         counts = [len(part) // width for part in self.stretches]
@@ -145,7 +145,9 @@ class SensorNoise:
 
 
 def usable(series: Series) -> tuple[Series | None, list[str]]:
-    """Return the sensors of a series whose noise can be told, None if there is none, and in words what is wrong."""
+    """Return the series with the sensors whose noise can be determined, None if there is none, and notes on the
+    others.
+    """
     names = ", ".join(series.names)
     notes: list[str] = []
     if series.silent:
@@ -164,9 +166,9 @@ def usable(series: Series) -> tuple[Series | None, list[str]]:
 
 
 def sensor_noise(series: Series, per_decade: int = 5, *, coarse: bool = False) -> list[SensorNoise]:
-    """Return the noise of each sensor of a series; ValueError if that is not long enough, or an output constant.
+    """Return the noise of each sensor of a series; ValueError if it is too short, or an output is constant.
 
-    The Allan deviation begins at one sample, ``coarse`` at the means that N, B and K are taken from, which is faster.
+    The Allan deviation starts at one sample, with ``coarse`` at the means used for N, B and K, which is faster.
     """
     if not series.long_enough or series.constant:
         raise ValueError("a series that is too short, or does not change")

@@ -12,13 +12,13 @@ from estimator.types import Floats
 
 TERMS = ("N", "B", "K")
 """Names of the terms, in the order of every array of them."""
-_SINGLE = 12  # so many of the lowest frequencies have a band of their own
+_SINGLE = 12  # each of the lowest frequencies has a band of its own, up to this number
 _BANDS_A_DECADE = 8
 _IMAGES = 3  # to each side, of frequencies that means of continuous noise fold back
 
 
 def sampled_densities(theta: Floats, period_s: float) -> Floats:
-    """Return the spectra (f, 3) of samples with unit N, B and K at angular frequencies (f,) in rad a sample.
+    """Return the spectra (f, 3) of samples with unit N, B and K at angular frequencies (f,) in rad per sample.
 
     White noise of one sample has the variance ``1 / period_s``. The random walk is a cumulative sum of such steps,
     flicker noise its half integral.
@@ -33,11 +33,11 @@ def allan_variances(tau_s: Floats) -> Floats:
 
 
 def cosine_variances(numbers: NDArray[np.intp], count: int, period_s: float, width: int = 1) -> Floats:
-    """Return the variances (k, 3), with unit N, B and K, of coefficients of the orthonormal cosine transform.
+    """Return the variances (k, 3), for unit N, B and K, of coefficients of the orthonormal cosine transform.
 
-    ``numbers`` (k,) are those of the coefficients, from 1, of ``count`` means over ``width`` samples, ``period_s`` from
-    mean to mean. White noise and walk are independent from coefficient to coefficient; flicker noise has correlations
-    of at most 0.12, and the variance ``2/pi Si(pi k) - 4 / (pi^2 k) for odd k``, over its density there. Means are
+    ``numbers`` (k,) are the indices of the coefficients, from 1, of ``count`` means over ``width`` samples each,
+    ``period_s`` apart. White noise and walk are independent between coefficients; flicker noise has correlations of at
+    most 0.12, and the variance ``2/pi Si(pi k) - 4 / (pi^2 k) for odd k`` relative to its density there. Means are
     those of continuous flicker noise.
     """
     from scipy.special import sici

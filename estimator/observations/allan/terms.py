@@ -15,19 +15,19 @@ from estimator.observations.allan.spectrum import TERMS, allan_variances, band_o
 from estimator.types import Flags, Floats
 
 _RISE = 3.8415  # of the deviance at the ends of an interval of 95 %: chi-square of one degree of freedom
-_FINEST_S = 0.01  # what is below tells of the sensor's filter and its steps, not of its random walks
+_FINEST_S = 0.01  # shorter times show the sensor's filter and its steps, not its random walks
 _FEWEST = 16  # means of a stretch that counts
 _FLAT_DECADES = 1.0  # a floor shorter than this is no bias instability
-_UNLIKE = 4.5  # sigmas by which an octave differs from what all below it tell
+_UNLIKE = 4.5  # sigmas by which an octave differs from the prediction of all below it
 _LEAST_BANDS = 12  # that are left when the highest octaves are taken away
 
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """Size of one term of the noise, SI: the likeliest value, and its interval of 95 %.
+    """Size of one noise term, SI: the most likely value, and its 95 % interval.
 
     A term that is not ``seen`` is at most ``high`` (95 %), and ``low`` is 0. N and K are seen if they are the larger
-    part of the Allan variance somewhere between the shortest and the longest averaging time, B if it is over a decade.
+    part of the Allan variance at some averaging time, B if it is over a decade.
     """
 
     value: float
@@ -40,9 +40,8 @@ class Term:
 class NoiseTerms:
     """N, B and K of one sensor.
 
-    ``shortest_s`` is the averaging time from which on they hold: if ``trimmed``, a filter shapes the noise below it.
-    ``unlike_hz`` is the middle of an octave whose noise is ``unlike`` times what the three terms explain; None if all
-    are explained.
+    ``shortest_s`` is the averaging time from which they hold: if ``trimmed``, a filter shapes the noise below it.
+    ``unlike_hz`` is the middle of an octave whose noise is ``unlike`` times that of the three terms; None if all agree.
     """
 
     n: Term
@@ -74,7 +73,7 @@ def mean_width(period_s: float) -> int:
 
 
 def noise_terms(stretches: Sequence[Floats], period_s: float) -> list[NoiseTerms]:
-    """Return the terms of each sensor of evenly sampled stretches (n, m), which do not follow on each other.
+    """Return the terms of each sensor of separate, evenly sampled stretches (n, m).
 
     Stretches shorter than ``fewest_samples`` are left out; ValueError if none is left.
     """
@@ -109,7 +108,7 @@ def noise_terms(stretches: Sequence[Floats], period_s: float) -> list[NoiseTerms
 
 
 def _bands_of(stretches: Sequence[Floats], period_s: float, width: int) -> tuple[Floats, Bands]:
-    """Return the frequencies (b,) of bands of all stretches, and their sums of squares."""
+    """Return the frequencies (b,) of the bands of all stretches, and their sums of squares."""
     from scipy.fft import dct
 
     hz: list[Floats] = []
@@ -141,10 +140,10 @@ def _start(bands: Bands) -> Floats:
 
 
 def _trimmed(bands: Bands, hz: Floats, start: Floats) -> tuple[Bands, Floats]:
-    """Return the bands without the highest octaves where these differ from what those below tell, and the fit.
+    """Return the bands without the highest octaves if these contradict the ones below, and the fit.
 
-    The output filter of a sensor, and its steps, shape what is highest. A filter reaches further down than is seen of
-    it: the octave below goes, too.
+    The output filter of a sensor, and its quantisation, shape the highest frequencies. As a filter reaches further down
+    than it shows, the octave below is dropped, too.
     """
     dropped = np.zeros(bands.counts.shape, dtype=bool)
     top_hz = float(hz.max())
@@ -153,7 +152,7 @@ def _trimmed(bands: Bands, hz: Floats, start: Floats) -> tuple[Bands, Floats]:
         octave = (hz > top_hz / 2) & (hz <= top_hz)
         below = bands.select(rows).without(hz > top_hz / 2)
         squares, _ = below.fit(start[rows])
-        share = bands.counts[0, octave].sum() / below.counts[0].sum()  # what is below leaves it open by so much
+        share = bands.counts[0, octave].sum() / below.counts[0].sum()  # the uncertainty of that prediction
         differing = np.abs(_excess(bands.select(rows), squares, octave)) > _UNLIKE * np.sqrt(1 + share)
         rows = rows[differing]
         dropped[rows] |= hz > top_hz / 4
@@ -164,7 +163,7 @@ def _trimmed(bands: Bands, hz: Floats, start: Floats) -> tuple[Bands, Floats]:
 
 
 def _excess(bands: Bands, squares: Floats, chosen: Flags) -> Floats:
-    """Return by how many sigmas (p,) the noise of chosen bands (b,) is above what the squares (p, 3) make it."""
+    """Return by how many sigmas (p,) the noise of chosen bands (b,) exceeds that predicted by squares (p, 3)."""
     counts = bands.counts[:, chosen]
     free = counts.sum(axis=1)
     ratio = np.sum(bands.sums[:, chosen] / (squares @ bands.shapes[chosen].T), axis=1)
@@ -172,7 +171,7 @@ def _excess(bands: Bands, squares: Floats, chosen: Flags) -> Floats:
 
 
 def _unexplained(bands: Bands, hz: Floats, squares: Floats) -> tuple[float | None, float]:
-    """Return the middle of the octave that is most unlike the fit, and by which factor; None and 1 if none is."""
+    """Return the middle of the octave that deviates most from the fit, and the factor; None and 1 if none does."""
     octave = np.floor(np.log2(hz)).astype(int)
     worst, found, factor = _UNLIKE, None, 1.0
     for number in np.unique(octave):

@@ -1,4 +1,4 @@
-"""Outputs beside what a reference says they should be: channels that are dead, stick, end at a limit, or hide zero."""
+"""Outputs compared with a reference: channels that are dead, stick, end at a limit, or have a dead zone."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from estimator.recordings.recording import ImuData
 from estimator.recordings.reference import Poses, Reference, TableReadings, Turns
 from estimator.types import Floats, Stamps
 
-_MOST = 60000  # means of neighbouring samples that a long recording is looked at by
+_MOST = 60000  # means of neighbouring samples, at most, for a long recording
 _GAP_STEPS = 3.5  # usual steps: samples that lie further apart are no neighbours
 _DEAD = 0.1  # length of a row of the line, one for a gyro: less does not follow
 _ALIVE = 0.5  # that of another gyro, which shows that it is not the reference that is dead
@@ -25,12 +25,11 @@ _CHANGED = 8.0  # the same, by which outputs should have changed while one stuck
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Beside:
-    """Mean outputs (n, m) of a source at instants (n,) in s, and what they should be (n, m), NaN where unknown.
+    """Mean outputs (n, m) of a source at instants (n,) in s, and their expected values (n, m), NaN where unknown.
 
-    ``scatter_rps`` (m,) is how much they differ from that, one sigma; ``turned_rps`` (m,) the rms of the rate about
-    each sense axis as far as it is known. ``slopes`` (m,) are those of all outputs over that rate. ``line`` is how the
-    outputs follow where nothing is wrong, None beside turns and rests.
-    ``table``: the reference is one.
+    ``scatter_rps`` (m,) is their deviation, one sigma; ``turned_rps`` (m,) the rms of the rate about each sense axis as
+    far as it is known. ``slopes`` (m,) are those of all outputs over that rate. ``line`` is how the outputs follow the
+    reference, None for turns and rests. ``table``: the reference is a table.
     """
 
     t_s: Floats
@@ -45,7 +44,7 @@ class Beside:
 
     @classmethod
     def of(cls, data: ImuData, reference: Reference, site: Site | None, line: Following | None) -> "Beside":
-        """Return that of a source in order of time; ``line`` is how it follows the reference."""
+        """Return the comparison for a source in order of time; ``line`` is how it follows the reference."""
         t_s, outputs = _thinned(data)
         m = len(data.array)
         limits: Sequence[Sequence[Limit]]
@@ -76,11 +75,13 @@ class Beside:
         )
 
     def turns(self, gyro: int) -> bool:
-        """Return whether a gyro should have seen the body turn: one that puts out one value all the time is dead."""
+        """Return whether a gyro should have sensed rotation, so that a constant output means that it is dead."""
         return bool(self.turned_rps[gyro] > 0)
 
     def dead(self, gyro: int) -> bool:
-        """Return whether an output has nothing to do with the rate while those of other gyros follow it."""
+        """Return whether an output is independent of the rate while those of other gyros follow it; False without a
+        line.
+        """
         if self.line is None:
             return False
         size = np.linalg.norm(self.line.rows[1:], axis=0)
@@ -90,17 +91,17 @@ class Beside:
         return bool(lost and seen and (others > _ALIVE).any())
 
     def dead_zone_rps(self, gyro: int) -> float | None:
-        """Return the rate below which an output is exactly zero; None if there is no such."""
+        """Return the rate below which an output is exactly zero; None without such a zone."""
         return dead_zone_rps(self.outputs[:, gyro], self.expected[:, gyro])
 
     def expected_at(self, t_ns: Stamps, gyro: int) -> Floats:
-        """Return what an output should be (n,) at some instants, NaN where that is not known."""
+        """Return the expected output (n,) at some instants, NaN where unknown."""
         if self.line is None:
             return np.full(len(t_ns), np.nan)
         return self.line.expected_rps(np.asarray(t_ns * 1e-9, dtype=np.float64))[:, gyro]
 
     def changed(self, t_ns: Stamps, gyro: int) -> bool | None:
-        """Return whether an output should have changed in a span of instants; None where nobody knows."""
+        """Return whether an output should have changed in a span of instants; None if unknown."""
         ought = self.expected_at(t_ns, gyro)
         ought = ought[np.isfinite(ought)]
         if len(ought) < 2:
@@ -109,7 +110,7 @@ class Beside:
 
 
 def _slopes(outputs: Floats, turned: Floats) -> Floats:
-    """Return the slope (m,) of each output (n, m) over the rate about its sense axis (n, m); 0 where that rests."""
+    """Return the slope (m,) of each output (n, m) over the rate about its sense axis (n, m); 0 without rotation."""
     slopes = np.zeros(outputs.shape[1])
     for gyro, (output, rate) in enumerate(zip(outputs.T, turned.T, strict=True)):
         known = np.isfinite(output) & np.isfinite(rate)
@@ -128,7 +129,7 @@ def _median(values: Floats) -> float:
 
 
 def _thinned(data: ImuData) -> tuple[Floats, Floats]:
-    """Return instants (n,) in s and outputs (n, m) as means of so many neighbours that there are not too many."""
+    """Return instants (n,) in s and outputs (n, m), averaged over neighbours to a limited number of rows."""
     t_s = np.asarray(data.t_ns * 1e-9, dtype=np.float64)
     width = -(-len(t_s) // _MOST)
     if width <= 1:
@@ -141,7 +142,9 @@ def _thinned(data: ImuData) -> tuple[Floats, Floats]:
 
 
 def _turned(data: ImuData, reference: Reference) -> Floats:
-    """Return the rms (m,) of the rate about each sense axis where only turns or other gyros tell it; 0 if unknown."""
+    """Return the rms (m,) of the rate about each sense axis, for turns and for rests with turns by hand; 0 if
+    unknown.
+    """
     if isinstance(reference, Turns):
         seconds = np.maximum((reference.t_end_ns - reference.t_start_ns) * 1e-9, 1e-9)[:, None]
         return np.asarray(np.sqrt(np.mean((reference.turn_rad / seconds @ data.array.p.T) ** 2, axis=0)))

@@ -1,4 +1,4 @@
-"""A recording looked through for what is wrong with its samples and its reference, before anything is estimated."""
+"""The examination of a recording for faults of its samples and its reference, before any estimate."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ Ordered = tuple[ImuData, Sequence[str]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Source:
-    """What is left of one source, the faults of its data, and for how many samples each value of it is held."""
+    """The usable data of one source, its faults, and for how many samples each of its values is held."""
 
     usable: Usable
     faults: Sequence[Fault]
@@ -28,7 +28,7 @@ class Source:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Examined:
-    """A recording without what is wrong with its reference, what is to be told of that, and its sources by name."""
+    """A recording with its reference corrected, notes on that, and its sources by name."""
 
     recording: Recording
     notes: Sequence[str]
@@ -36,11 +36,11 @@ class Examined:
 
 
 def examined(recording: Recording) -> Examined:
-    """Return what can be used of a recording."""
+    """Return the usable part of a recording: spikes, stuck and limited values and glitches of the reference removed."""
     ordered = {name: in_order(data) for name, data in recording.sources.items()}
     lines = _lines(recording, ordered)
     sources = {name: _source(recording, *pair, lines[name]) for name, pair in ordered.items()}
-    # The reference is one for all sources: what follows it best tells where it is wrong.
+    # All sources have one reference: the one that follows it best shows best where it is wrong.
     told = [(float(line.scatter_rps.min()), name) for name, line in lines.items() if line is not None]
     line = lines[min(told)[1]] if told else None
     if line is None:
@@ -66,6 +66,7 @@ def _together(source: Source, data: ImuData) -> ImuData:
 
 
 def _source(recording: Recording, data: ImuData, notes: Sequence[str], line: Following | None) -> Source:
+    """Return the usable data of one source, with its faults and notes."""
     fine = isinstance(recording.reference, TableReadings)
     held = held_samples(data) if fine else 1
     beside = Beside.of(data, recording.reference, recording.site, line)

@@ -15,8 +15,8 @@ from estimator.types import Floats, least_steps
 _STUCK_S = 0.25
 _FEWEST = 10
 _UNUSUAL = 5  # a value that sticks does so this much longer than values repeat by chance
-_TOGETHER = 0.5  # of the rows in which one gyro sticks: where all do in so many, a source sticks
-_FINE_ROWS = 2  # for so few rows fine outputs keep a value: then one that stays is stuck, whatever the body does
+_TOGETHER = 0.5  # of the rows in which one gyro sticks: if all stick in so many, the source sticks
+_FINE_ROWS = 2  # fine outputs repeat a value in no more rows than these: a longer repetition is stuck, for any motion
 _FEWEST_UPDATES = 20
 _SHORT_SHARE = 0.05  # of the runs of equal rows, how many may be one row long all the same
 _AT_PERIOD = 0.5  # of the runs, how many must last one period of the updates
@@ -26,7 +26,7 @@ _FINE_STEPS = 0.2  # of the updates, how many must change by more than one step 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """A fault of one gyro, by the name that the catalogue gives it; ``values`` are its numbers: name, value, unit."""
+    """A fault of one gyro, with its name in the catalogue; ``values`` are (name, value, unit)."""
 
     kind: str
     gyro: str
@@ -34,10 +34,10 @@ class Fault:
 
 
 def updates(values: Floats) -> NDArray[np.intp] | None:
-    """Return the rows (k,) at which held values (rows, m) are new; None if they are not held.
+    """Return the rows (k,) at which held values (rows, m) are new; None if values are not held.
 
-    A source that updates more slowly than the rows are written repeats its last values. Values that are equal because
-    they are rounded are not held: their changes come at any row, or by single steps.
+    A source that is slower than the rows repeats its last values. Values that are equal because of rounding are not
+    held: they change at any row, or by single steps.
     """
     same = (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
     changes = np.flatnonzero(~same.all(axis=1)) + 1
@@ -70,9 +70,10 @@ def held_samples(data: ImuData) -> int:
 
 
 def without_stuck(data: ImuData, beside: Beside | None = None) -> tuple[ImuData, list[Fault]]:
-    """Return a source with the values that stick taken out, and what stuck: neither its extremes nor all of it.
+    """Return a source with stuck values set to NaN, and a fault for each time.
 
-    Where outputs are coarse, or a value is exactly zero, it sticks only if what is known ``beside`` them changed.
+    Not counted are values at the extremes of the output, and outputs that never change. Coarse outputs, and exact
+    zeros, are stuck only if the comparison ``beside`` shows that the rate changed.
     """
     if len(data.t_ns) < 100:
         return data, []
@@ -122,7 +123,9 @@ def stuck_notes(faults: Sequence[Fault], begin_s: float) -> list[str]:
 
 
 def split_faulty(data: ImuData) -> list[ImuData]:
-    """Return a source in parts of gyros that have the same samples: a fault of one costs the others nothing."""
+    """Return a source in parts of gyros with the same valid samples, so that a fault of one does not affect the
+    others.
+    """
     bad = ~np.isfinite(data.rate_rps)
     groups: dict[bytes, list[int]] = {}
     for i in range(len(data.array)):
@@ -133,7 +136,7 @@ def split_faulty(data: ImuData) -> list[ImuData]:
 
 
 def saturations(notes: Sequence[str], data: ImuData) -> list[Fault]:
-    """Return the gyros of a source whose outputs reach a limit, as the notes on its channels say."""
+    """Return a fault for each gyro whose outputs reach a limit, by the notes on its channels."""
     faults = []
     for i, name in enumerate(data.array.names):
         if any(note.startswith(f"{name}: saturates") for note in notes):

@@ -18,14 +18,17 @@ from estimator.types import Flags, Floats, runs_of
 
 _FAR = 12.0  # times the usual difference
 _SHARE = 0.1  # of the intervals: where more are wrong it is not for moments
-_LEAST_RAD, _LEAST_SHARE = 1e-4, 0.05  # less is none: in itself, and of what bodies turn between readings
+_LEAST_RAD, _LEAST_SHARE = 1e-4, 0.05  # smaller ones are no glitches: absolute, and over usual turns between readings
 _TOGETHER_S = 0.6  # readings between two wrong ones so near to each other are wrong, too
-_SEEN = 0.05  # size of a direction of the line, over the largest, that tells how a body turned
-_USUAL, _SIGMAS = 0.9, 1.645  # quantile of the differences that tells what is usual, and where noise has it
+_SEEN = 0.05  # size of a direction of the line, over the largest, that determines how a body turned
+_USUAL, _SIGMAS = 0.9, 1.645  # quantile of the differences that shows the usual size, and its place for noise
 
 
 def without_glitches(recording: Recording, data: ImuData, line: Following) -> tuple[Recording, list[str]]:
-    """Return a recording without the readings of its reference that are wrong for moments, and what is to be told."""
+    """Return a recording without the reference readings that are wrong for moments, and notes on them.
+
+    The recording is unchanged if the reference does not allow this, if there are none, or if too many differ.
+    """
     reference = recording.reference
     if not by_turns(reference) or len(line.turned.t_s) < 3 or not np.isfinite(data.rate_rps).any():
         return recording, []
@@ -63,9 +66,9 @@ def _times(count: int) -> str:
 
 
 def _differences(data: ImuData, line: Following) -> tuple[Floats, Floats]:
-    """Return by how much the reference turns more than the gyros say in each interval (k - 1, 3), and the rate there.
+    """Return the excess turn (k - 1, 3) of the reference over the gyros in each interval, and the rate there.
 
-    NaN where one of them is not known.
+    NaN where either is unknown.
     """
     turned = line.turned
     gains = line.rows[1:]
@@ -77,27 +80,29 @@ def _differences(data: ImuData, line: Following) -> tuple[Floats, Floats]:
     seconds = np.diff(turned.t_s)[:, None]
     known = np.diff(turned.gaps) == 0
     said = np.where(known[:, None], np.diff(turned.integral, axis=0), np.nan)
-    # Of what the gyros do not tell, the reference cannot be doubted.
+    # The reference cannot be doubted where the gyros do not sense.
     tells = gains[:, used] @ np.linalg.pinv(gains[:, used], rcond=_SEEN)
     return said @ tells - rates * seconds, np.linalg.norm(rates, axis=1)
 
 
 def _far(off_rad: Floats, speed_rps: Floats) -> Flags:
-    """Return which differences (n, 3) are far beyond those usual at such a rate: at rest, and what grows with it."""
+    """Return as flags which differences (n, 3) far exceed those usual at their rate: at rest, and in proportion to the
+    rate.
+    """
     size = np.linalg.norm(off_rad, axis=1)
     known: Flags = np.isfinite(size)
     if not known.any():
         return known
     slow = known & (speed_rps <= np.median(speed_rps[known]))
     fast = known & ~slow
-    # Of coarse readings most differences are next to nothing: how large the others are tells what is usual.
+    # Of coarse readings most differences are next to zero: the size of the others is the usual one.
     least_rad = float(np.quantile(size[slow], _USUAL)) / _SIGMAS
     late_s = float(np.quantile(size[fast] / speed_rps[fast], _USUAL)) / _SIGMAS if fast.any() else 0.0
     return np.asarray(known & (np.nan_to_num(size) > _FAR * np.maximum(np.hypot(least_rad, late_s * speed_rps), 1e-9)))
 
 
 def _places(far: Flags, t_s: Floats) -> list[tuple[int, int]]:
-    """Return where readings are wrong, as first and one past the last interval; near ones are one place."""
+    """Return the places of wrong readings as (first interval, one past the last); neighbouring ones are one place."""
     places: list[tuple[int, int]] = []
     for start, stop in runs_of(far):
         if places and t_s[start] - t_s[places[-1][1]] < _TOGETHER_S:

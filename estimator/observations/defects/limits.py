@@ -17,16 +17,16 @@ _FEWEST = 20  # samples beyond a limit: a few a reading may be wrong by
 _WITHOUT_SPIKES = 9  # samples: so long a wrong reading makes a rate wrong that is a slope over some
 _LIKELIER = 0.1  # share of the squares that a limit leaves of those that a line leaves
 _NEARLY_ALL = 0.9  # of the samples beyond a limit, how many must be at it: a filter takes some time to get there
-_FLAT = 0.25  # scatter at a limit over that of what the outputs should be
+_FLAT = 0.25  # scatter at a limit over that of the expected outputs
 _FAR = 0.05  # share of the limit by which a steady rate must be beyond it: no law of the scale factor makes as much
-_LEAST = 0.02  # share of the limit by which outputs must be beyond it: so much a reading may be wrong by
+_LEAST = 0.02  # share of the limit by which outputs must exceed it: possible error of a reading
 _BELOW = 0.3  # of a limit: between that and the limit outputs follow the rate
 _TOP = 0.05  # share of the range within which a limit lies of the largest output
 
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """A level in rad/s, on which side (+1, -1) outputs do not pass it, and by how much they vary there."""
+    """A level in rad/s that outputs do not exceed on one side (+1, -1), and their variation there."""
 
     level_rps: float
     side: float
@@ -40,7 +40,11 @@ class Limit:
 
 
 def limits_of(output: Floats, expected: Floats, scatter_rps: float) -> list[Limit]:
-    """Return the limits of outputs (n,) that should be as ``expected`` (n,) to ``scatter_rps``, one sigma."""
+    """Return the upper and lower limits of outputs (n,) whose expected values (n,) are known to ``scatter_rps``, one
+    sigma.
+
+    Empty for too few outputs that are known. Spikes of the expected values are ignored.
+    """
     known = np.isfinite(output) & np.isfinite(expected)
     output, expected = output[known], expected[known]
     if len(output) < _WITHOUT_SPIKES:
@@ -57,14 +61,14 @@ def limits_of(output: Floats, expected: Floats, scatter_rps: float) -> list[Limi
 
 
 def _without_spikes(values: Floats) -> Floats:
-    """Return medians (n,) over some neighbours: a reading that is wrong for a moment says nothing of a limit."""
+    """Return running medians (n,): a reading that is wrong for a moment says nothing about a limit."""
     from scipy.ndimage import median_filter
 
     return np.asarray(median_filter(values, _WITHOUT_SPIKES, mode="nearest"))
 
 
 def _upper(output: Floats, expected: Floats, scatter: float) -> tuple[float, float] | None:
-    """Return the upper limit of outputs (n,) about their median, and its width; None if there is none."""
+    """Return the upper limit of outputs (n,) relative to their median, and its width; None if there is none."""
     top = float(output.max())
     beyond = expected > top + _BEYOND * scatter
     if beyond.sum() < _FEWEST:

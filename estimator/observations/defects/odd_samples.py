@@ -5,11 +5,11 @@ from numpy.typing import NDArray
 
 from estimator.types import Flags, Floats
 
-_FAR = 60.0  # times what neighbours usually differ by: knocks that others measured reach 50, damaged bytes any size
+_FAR = 60.0  # times the usual difference of neighbours: measured knocks reach 50, damaged bytes any size
 _APART = 0.5  # of the spikes, how many values may lie half as far: the tail of a distribution has more
-_AGREE = 0.25  # of a spike's size, what its neighbours may differ by
+_AGREE = 0.25  # of a spike's size, the largest difference between its neighbours
 _ALONE = 0.6  # of its size, by how much it is off each neighbour, and off the line through the two of each side
-_WITHIN, _BESIDE = 25, 3  # values to each side that tell what is usual, less those next to a spike
+_WITHIN, _BESIDE = 25, 3  # values to each side that show the usual difference, less those next to a spike
 _FEWEST = 100
 _CANDIDATES = 0.01
 _ENOUGH = 10000
@@ -19,7 +19,11 @@ _MORE_OFTEN, _SHARE = 10, 0.2  # than with the one before the last, and of all r
 def without_odd(
     what: str, t_s: Floats, values: Floats, names: tuple[str, ...] = ()
 ) -> tuple[NDArray[np.intp], list[str]]:
-    """Return the rows (k,) of values (n, c) at ``t_s`` (n,) that are samples, and what is to be told of the others."""
+    """Return the rows (k,) of values (n, c) at ``t_s`` (n,) that are neither spikes nor repetitions, and notes on the
+    others.
+
+    ``what`` and ``names`` of the columns are for the notes.
+    """
     far = np.column_stack([spikes(column) for column in values.T]) if values.size else np.zeros(values.shape, bool)
     spiked, again = np.asarray(far.any(axis=1)), repeats(values)
     own = ", ".join(name for name, column in zip(names, far.T, strict=False) if column.any())
@@ -34,11 +38,11 @@ def without_odd(
 
 
 def spikes(column: Floats) -> Flags:
-    """Return which values (n,) are far from neighbours that agree.
+    """Return as flags (n,) which values are far from neighbours that agree with each other.
 
-    Values that stand for several rows count as one. What is usual is the median of the distances on the side where they
-    are larger, so that a motion that begins is none; and spikes stand apart: a tail of noise or of shaking has
-    more values half as far.
+    Values that stand for several rows count once. The usual distance is the median on the side where it is larger, so
+    that the beginning of a motion is not a spike. If many values are half as far, as in a tail of noise or shaking,
+    none is.
     """
     flags = np.zeros(len(column), dtype=np.bool_)
     steps = np.abs(np.diff(column))
@@ -57,7 +61,7 @@ def spikes(column: Floats) -> Flags:
     usual = max(float(np.median(away)), float(np.abs(np.diff(v)).min()))
     level = max(0.5 * _FAR * usual, float(np.quantile(away, 1 - _CANDIDATES)))
     at = np.flatnonzero((away > level) & (np.abs(high - low) < _AGREE * away) & (length <= 2 * np.median(length)))
-    for near, next_one in (before, after):  # where the motion goes on, or turns, is no spike
+    for near, next_one in (before, after):  # no spike where the motion continues or reverses
         for said in (near, 2 * near - next_one):
             at = at[np.abs(v - said)[at] > _ALONE * away[at]]
     if not len(at):

@@ -1,4 +1,4 @@
-"""What the angles of a table say against its own rates: an encoder that jumped, a rate of the wrong sign or scale."""
+"""A table's angles compared with its own rates: an encoder that jumped, a rate of the wrong sign or scale."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ _TURNING_RPS = float(np.radians(1.0))
 _GAP = 3.0  # times the usual step between readings
 _FEWEST = 20
 _WELL_S = 1e-3  # to which an instant needs to be known
-_SIGMAS = 5.0  # of what is found and of what is stated, by which a scale must be off
+_SIGMAS = 5.0  # of the estimate and of the stated value, by which a scale must be off
 _UNSTATED = 1e-4  # standard uncertainty of rates of which none is stated: units of registers are rounded
 _STILL_RAD, _STILL_SHARE = float(np.radians(0.02)), 0.01  # by which angles and rates differ while one stands still
 _FEWEST_STILL = 5
@@ -18,9 +18,9 @@ _STEADY_SHARE = 0.01  # by which a mean rate may change for its scale to be judg
 
 
 def reading_doubts(readings: TableReadings) -> tuple[str, ...]:
-    """Return what is wrong with the readings of each axis, in words; nothing where angles and rates agree.
+    """Return sentences on the readings of each axis that contradict each other; empty if angles and rates agree.
 
-    Rates that were made of the angles say nothing of these.
+    Rates that were derived from the angles are not compared.
     """
     if not readings.own_rates:
         return ()
@@ -40,7 +40,7 @@ def reading_doubts(readings: TableReadings) -> tuple[str, ...]:
             at = int(beyond.argmax())
             off_deg, at_s = np.degrees(turned[at] - summed[at]), (readings.t_ns[at + 1] - readings.t_ns[0]) * 1e-9
             doubts.append(f"the encoder of axis {axis} jumped by {off_deg:+.2f} deg at {at_s:.1f} s")
-        # Readings of which the instant is known much worse than of most tell nothing of a scale.
+        # Readings with a far more uncertain instant than most give no information on a scale.
         well = width_s <= 2 * np.median(width_s) + _WELL_S
         steady = (
             near & well[1:] & well[:-1] & (beyond <= 0.0) & (np.abs(np.diff(rate)) < 0.1 * most) & (most > _TURNING_RPS)
@@ -53,9 +53,10 @@ def reading_doubts(readings: TableReadings) -> tuple[str, ...]:
 
 
 def _change(t_ns: Stamps, rate: Floats, window_ns: int) -> Floats:
-    """Return by how much the rate (n + 1,) changes within a window before and after each interval (n,).
+    """Return the change of the rate (n + 1,) within a window before and after each interval (n,); 0 for rates at an
+    instant.
 
-    A rate that is a mean over a window is wrong about corners of ramps. Nothing is returned for rates at an instant.
+    A rate that is a mean over a window is wrong near the corners of ramps.
     """
     if not window_ns:
         return np.zeros(len(t_ns) - 1)
@@ -66,7 +67,7 @@ def _change(t_ns: Stamps, rate: Floats, window_ns: int) -> Floats:
 
 
 def _still_doubts(axis: str, t_ns: Stamps, turned: Floats, summed: Floats, rate: Floats) -> list[str]:
-    """Tell of angles (n + 1,) or rates that stand still while the other ones say that the axis goes on."""
+    """Return at most one sentence on angles (n + 1,) or rates that stand still while the other ones show motion."""
     worst, told = 0.0, []
     fine_rad, fine_rps = _quantum(np.abs(turned[np.isfinite(turned)])), _quantum(rate)
     for of_angle, still in ((True, turned == 0), (False, (np.diff(rate) == 0) & np.isfinite(turned))):
@@ -94,7 +95,10 @@ def _quantum(values: Floats) -> float:
 
 
 def _scale_doubts(axis: str, turned: Floats, summed: Floats, known: float) -> list[str]:
-    """Compare the ways (n,) that angles and rates say; the angles are the truth, the rates ``known`` to a share."""
+    """Return a sentence if the rates' integral differs in scale or sign from the angles, which are taken as true.
+
+    ``known`` is the relative uncertainty of the rates. Empty if there are too few intervals (n,).
+    """
     if len(turned) < _FEWEST:
         return []
     share = float(turned @ summed / (turned @ turned))

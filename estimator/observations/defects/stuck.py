@@ -1,4 +1,4 @@
-"""Sources that give the same few samples again and again, while the table turns them otherwise."""
+"""Sources that repeat the same few samples while the table turns them differently."""
 
 import numpy as np
 
@@ -6,14 +6,17 @@ from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import BodyRates, TableReadings
 from estimator.types import Flags, runs_of
 
-_LONG_S, _AWRY_NS = 1.0, 400_000_000  # by the second, stamps may be off the table's: what rests then is not stuck
-_TOGETHER_S, _TOGETHER = 0.05, 8  # samples of so long, at least so many, may be sent, and sent again, together
-# By which what a gyro is turned at changes meanwhile: no resolution is so coarse.
+_LONG_S, _AWRY_NS = 1.0, 400_000_000  # stamps may be off the table's by the second, so that a rest is not "stuck"
+_TOGETHER_S, _TOGETHER = 0.05, 8  # samples of this length, and this number, may be sent and repeated together
+# By which the sensed rate changes meanwhile: no resolution is so coarse.
 _OTHERWISE_RPS = float(np.radians(1.0))
 
 
 def stuck_doubts(recording: Recording) -> list[str]:
-    """Return, in words, which sources of a recording against a table were stuck, and when."""
+    """Return sentences on the sources that repeated old samples while the table turned differently, and when.
+
+    Empty without a table.
+    """
     if not isinstance(recording.reference, TableReadings):
         return []
     doubts, rates = [], None
@@ -33,7 +36,9 @@ def stuck_doubts(recording: Recording) -> list[str]:
 
 
 def _seen_before(data: ImuData) -> Flags:
-    """Return which samples (n,) of all gyros are, to the bit, those of a moment before; not those all at a limit."""
+    """Return as flags (n,) which samples equal, bit by bit, those of a moment before; samples all at a limit do not
+    count.
+    """
     values = np.ascontiguousarray(data.rate_rps, dtype=np.float64)
     bits = values.view(np.int64)
     key = (bits * np.arange(0x9E3779B97F4A7C1, 0x9E3779B97F4A7C1 + 2 * bits.shape[1], 2)).sum(axis=1)

@@ -19,7 +19,9 @@ _FEWEST_TURNS = 2
 
 
 def limits_by_turns(data: ImuData, turns: Turns) -> list[list[Limit]]:
-    """Return by gyro the limits of its outputs, as far as turns without and with them tell."""
+    """Return by gyro the limits of its outputs, found by comparing turns that reach the highest values with those that
+    do not.
+    """
     spans = np.column_stack(
         [np.searchsorted(data.t_ns, turns.t_start_ns), np.searchsorted(data.t_ns, turns.t_end_ns, side="right")]
     )
@@ -43,6 +45,10 @@ def _at_rest(output: Floats, spans: NDArray[np.intp]) -> float:
 
 
 def _of_gyro(data: ImuData, output: Floats, level: float, spans: NDArray[np.intp], about: Floats) -> list[Limit]:
+    """Return the limits of one gyro; empty if there are too few turns of either kind.
+
+    ``output`` is relative to ``level``, its value at rest; ``spans`` and ``about`` are rows and angles of its turns.
+    """
     period_s = float(np.median(np.diff(data.t_ns))) * 1e-9
     least = max(round(_STAYED_S / period_s), _FEWEST)
     parts = [output[int(a) : int(b)] for a, b in spans.tolist()]

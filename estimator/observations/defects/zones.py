@@ -1,4 +1,4 @@
-"""Outputs that are exactly zero below some rate: devices that hide their bias, or what is too slow for them."""
+"""Outputs that are exactly zero below some rate: devices that hide their bias, or cannot measure slow rates."""
 
 import numpy as np
 
@@ -11,7 +11,9 @@ _EDGE = 0.99  # of the zeros, those that lie within the zone
 
 
 def dead_zone_rps(output: Floats, expected: Floats) -> float | None:
-    """Return the rate below which outputs (n,) are zero where they should be as ``expected`` (n,); None if none is."""
+    """Return the rate below which outputs (n,) are zero although ``expected`` (n,) is not; None if there is no such
+    zone.
+    """
     known = np.isfinite(output) & np.isfinite(expected)
     zero, size = output[known] == 0.0, np.abs(expected[known])
     if zero.sum() < max(_FEWEST, _SHARE * len(zero)) or zero.all():

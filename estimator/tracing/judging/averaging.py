@@ -1,4 +1,4 @@
-"""States averaged over what may act beside the model, with what differs between runs: sigmas that own up to it."""
+"""States averaged over effects that may act beside the model, and differences between runs, with honest sigmas."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,11 +16,14 @@ from estimator.tracing.search import CERTAIN, Search
 from estimator.types import Floats
 
 _MOST_SETS = 40
-_MATTERS = 1e-2  # share of the probability below which what may act is not averaged over
+_MATTERS = 1e-2  # share of the probability below which an alternative is not averaged over
 
 
 def between_recordings(search: Search, terms: Sequence[Term]) -> Floats:
-    """Return the standard deviation (4,) of the states from recording to recording, zero where that may be chance."""
+    """Return the standard deviation (4,) of the states from recording to recording, zero where it may be chance.
+
+    Zero also with fewer than two complete recordings, or if the noise holds a turn-on bias that already allows for it.
+    """
     evidence = search.evidence
     weight = evidence.noise_weight(terms) * (evidence.shapes.turn_on == 0)  # else runs are expected to differ
     alone = [part for part in by_run(evidence, search.runs) if all(gyro.stretches for gyro in part.gyros)]
@@ -48,9 +51,10 @@ def averaged(
     opened: OpenWorld,
     between: Floats,
 ) -> tuple[GyroErrors, ...]:
-    """Return errors with states that are the mean over what may act beside the model: rivals, and what has no name.
+    """Return errors with states averaged over the alternatives: rivals of the effects, and effects without a name.
 
-    Their sigmas are those of the same mixture, with what is ``between`` runs (4,).
+    ``opened`` is the probability of the latter, ``between`` (4,) the standard deviation between runs, which the sigmas
+    of the states include.
     """
     closed = np.log1p(-min(opened.probability, 1 - 1e-12))
     sets = [(terms, value + closed) for terms, value in _alternatives(search, parts)]
@@ -77,9 +81,9 @@ def averaged(
 
 
 def beside_suspect(gyros: Sequence[GyroErrors], with_it: Augmented) -> tuple[GyroErrors, ...]:
-    """Return errors with states that are the mean of what was found and of what a suspect makes of them.
+    """Return errors whose states are the mean of the model's and those beside a suspect effect, both equally probable.
 
-    A verification run that shows what the others cannot leaves both open: the one is as probable as the other.
+    It applies if the verification run shows an error that the other recordings cannot; the sigmas cover both.
     """
     known = []
     for gyro in gyros:
@@ -93,9 +97,10 @@ def beside_suspect(gyros: Sequence[GyroErrors], with_it: Augmented) -> tuple[Gyr
 
 
 def _alternatives(search: Search, parts: Sequence[Part]) -> list[tuple[list[Term], float]]:
-    """Return the sets of terms that may be true where parts are open, each with its log evidence and expectation.
+    """Return the sets of terms that may be true, each with its log evidence plus log prior.
 
-    In the place of each that is not certain stands nothing, itself, or one of its rivals.
+    Effects that are certain are in all; for each other effect the set has nothing, the effect, or one of its rivals. At
+    most ``_MOST_SETS``.
     """
     kept = [c for c in parts if c.tone is None and c.probability >= CERTAIN]
     sets = [kept]

@@ -1,4 +1,4 @@
-"""What runs and steps that are left out say of models fitted to the others."""
+"""Models judged by runs and steps that were left out of their fit."""
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
@@ -39,7 +39,9 @@ _TONE_BLOCKS = 8.0  # blocks in a period of a tone, where its error is judged
 
 
 def by_step(runs: Sequence[Run]) -> list[Mask]:
-    """Return the steps of all runs in fifths, every fifth one together."""
+    """Return for each of ``FOLDS`` folds one mask (b,) for each run: every fifth step, counted over all runs, belongs
+    to a fold.
+    """
     masks: list[Mask] = [[np.zeros(len(run.t_s), dtype=np.bool_) for run in runs] for _ in range(FOLDS)]
     count = 0
     for number, run in enumerate(runs):
@@ -50,12 +52,12 @@ def by_step(runs: Sequence[Run]) -> list[Mask]:
 
 
 def held(runs: Sequence[Run], mask: Mask) -> list[Run]:
-    """Return the runs with nothing but what is left out."""
+    """Return the runs with weight only on the blocks of ``mask``."""
     return [replace(run, weight=run.weight * out) for run, out in zip(runs, mask, strict=True)]
 
 
 def together(runs: Sequence[Run], model: Augmented, shapes: NoiseShapes) -> tuple[Evidence, list[Term]]:
-    """Return the evidence of runs with the effects of a model, tones taken off, what it does not fit being noise."""
+    """Return the evidence of runs with the effects of a model, tones subtracted and the misfit counted as noise."""
     spectra, terms = _spectra(runs, model)
     evidence = Evidence(spectra, shapes)
     evidence.allow_for_misfit(terms)
@@ -63,10 +65,11 @@ def together(runs: Sequence[Run], model: Augmented, shapes: NoiseShapes) -> tupl
 
 
 def out_of_sample(runs: Sequence[Run], model: Augmented, shapes: NoiseShapes) -> dict[str, OutOfSample]:
-    """Return for each effect of a model, tones apart, what is left out says of it beside the other effects.
+    """Return by effect of a model (tones left out) what data left out of the fit say of it, beside the other effects.
 
-    What is left out is predicted from the rest, with all that the rest leaves open, with an effect and without it.
-    Recordings are left out one at a time, and stretches of some steps; between stretches a bias may wander.
+    Whole recordings are left out one at a time if there are several, then stretches of some steps; between stretches a
+    bias may wander. The data left out are predicted from the rest, with and without the effect. Empty if there are no
+    terms or fewer than two stretches.
     """
     evidence, terms = together(runs, model, shapes)
     if not terms:
@@ -84,11 +87,11 @@ def out_of_sample(runs: Sequence[Run], model: Augmented, shapes: NoiseShapes) ->
 
 
 def confirmed(search: Search, certain: list[Part], held_back: Sequence[Run]) -> tuple[list[Part], list[str]]:
-    """Return the effects that the verification run bears out, and the names of those that it does not.
+    """Return the effects that the verification run confirms, and the names of those that it does not.
 
-    An effect must make the verification run more probable, and what is left of that run smaller: of what is probable
-    the wrong form may still predict worse than nothing. The one that is borne out least goes first, and the rest is
-    judged again. Without a verification run, what is left out of the fit takes its place.
+    An effect must make the verification run more probable and lower its squared residual. The least confirmed effect is
+    removed first, and the rest is judged again. Without a verification run the errors of left-out steps decide, and
+    effects are removed by their probability. Tones are always kept.
     """
     taken_back: list[str] = []
     runs, orders = [*search.runs, *held_back], {run.order for run in held_back}
@@ -112,7 +115,7 @@ def confirmed(search: Search, certain: list[Part], held_back: Sequence[Run]) -> 
 
 
 def _lowered(search: Search, certain: Sequence[Part], part: Part, held_back: Sequence[Run]) -> bool:
-    """Return whether less is left of the verification runs, as measured, with one of some effects than without it."""
+    """Return whether an effect lowers the squared residual of the verification runs, over all gyros."""
     weight = search.evidence.noise_weight([one.term for one in certain])
     others = [one for one in certain if one is not part]
     without, together_with = (Augmented.of(search.evidence, own, weight) for own in (others, certain))
@@ -128,7 +131,7 @@ def _lowered(search: Search, certain: Sequence[Part], part: Part, held_back: Seq
 
 
 def _lowered_in_sample(search: Search, certain: Sequence[Part]) -> bool:
-    """Return whether some effects lower the error of steps that are left out of the fit, beyond doubt."""
+    """Return whether effects clearly lower the error on steps left out of the fit."""
     weight = search.evidence.noise_weight([part.term for part in certain])
     before, after = (Augmented.of(search.evidence, own, weight) for own in ((), certain))
     improvement = judged(search, before, after, (), ()).improvement
@@ -143,9 +146,10 @@ def judged(
     verification: Sequence[Recording],
     opened: OpenWorld | None = None,
 ) -> Judged:
-    """Return the errors of two models on the verification runs, cross-validated by step where there are none.
+    """Return the errors of two models on the verification runs; without these, cross-validated by step.
 
-    ``opened`` is what may act beside the last model; by default it is worked out.
+    With tones in the model the runs are formed again with blocks short enough for them. ``opened`` is what may act
+    beside the last model; by default it is worked out.
     """
     evidence, terms = together([*search.runs, *held_back], after, search.evidence.shapes)
     true, misfit = after.estimated(evidence.posterior(terms)), evidence.misfit
@@ -170,9 +174,9 @@ def judged(
 
 
 def _noise_beside_anything(search: Search, after: Augmented, opened: OpenWorld | None) -> Augmented:
-    """Return a model with the noise that there is beside any function of what was measured.
+    """Return a model with the noise that is left beside any function of measured values.
 
-    Beside effects alone, slow errors that these do not explain would count as a bias that wanders.
+    Beside effects alone, slow errors that they do not explain would count as a wandering bias.
     """
     terms = [part.term for part in after.parts if part.tone is None]
     evidence = search.evidence
@@ -184,17 +188,21 @@ def _noise_beside_anything(search: Search, after: Augmented, opened: OpenWorld |
 
 
 def _cross_validated(search: Search, before: Augmented, after: Augmented, true: Augmented, misfit: Misfit) -> Judged:
-    """Return errors on each fifth of the steps of models fitted to the others, the noise as found on all."""
+    """Return the errors on each fifth of the steps of models fitted to the others, with noise and tones as estimated on
+    all.
+
+    Without effects there is nothing to cross-validate: the errors are those of the fit.
+    """
     all_runs, shapes = search.runs, search.evidence.shapes
     if not after.parts:
         return judge(all_runs, 0, before, after, False, drawn(all_runs, 0, before, after, true, misfit))
-    # The models are those of all the data; errors by step hold what a fit without that step would have said.
+    # The models are those of all the data; errors by step are those of a fit without that step.
     weight = search.evidence.noise_weight([part.term for part in after.parts])
     parts = []
     share = {key: squares / FOLDS for key, squares in misfit.items()}
     for mask in by_step(all_runs):
         runs = held(all_runs, mask)
-        # Tones stay as they were found on all steps: a fifth of them says nothing else of a line.
+        # Tones stay as estimated on all steps: a fifth of them gives no other line.
         evidence, terms = together(held(all_runs, [~out for out in mask]), after, shapes)
         old = before.estimated(evidence.posterior([], weight))
         new = after.estimated(evidence.posterior(terms, weight))
@@ -228,7 +236,11 @@ def _of_number(out: int) -> Fold:
 
 
 def _predicted(evidence: Evidence, terms: Sequence[Term], folds: Sequence[Fold]) -> dict[str, float]:
-    """Return by effect how much more probable it makes each fold of stretches beside the others, summed."""
+    """Return by effect the log of how much more probable it makes the data in the folds, summed, beside the other
+    effects.
+
+    Each fold is predicted from the remaining data.
+    """
     whole = _gained(evidence, terms)
     total = dict.fromkeys(whole, 0.0)
     for fold in folds:
@@ -244,7 +256,7 @@ def _gained(evidence: Evidence, terms: Sequence[Term]) -> dict[str, float]:
 
 
 def _cut(run: Run) -> Run:
-    """Return the run cut into stretches of some steps each."""
+    """Return the run divided into stretches of at least a fifth of its blocks, which begin where a step begins."""
     stretch = np.array(run.stretch)
     least = max(len(stretch) // FOLDS, 1)
     number, begun = 0, 0
@@ -257,7 +269,9 @@ def _cut(run: Run) -> Run:
 
 
 def _spectra(runs: Sequence[Run], model: Augmented) -> tuple[list[GyroSpectra], list[Term]]:
-    """Return the spectra of runs with the columns of a model's effects, tones taken off, and the terms of these."""
+    """Return the spectra of runs with the columns of a model's effects, and the terms of these; tones are
+    subtracted.
+    """
     spectra = gyro_spectra(runs, dict(zip(model.names, model.arw.tolist(), strict=True)))
     terms: list[Term] = []
     start = Z + 1

@@ -22,24 +22,24 @@ from estimator.tracing.residuals.origin import shape_of
 from estimator.types import Floats
 
 _PIECE_S, _FEWEST_IN_PIECE = 5.0, 5  # without a table: phases of this length, and no fewer blocks than these
-_RAMP_SHARE = 0.02  # of the steepest acceleration of a run: what counts as a ramp
+_RAMP_SHARE = 0.02  # of the steepest acceleration of a run: the least of a ramp
 _FEWEST = 2
 _DRAWN = 400
 _ROUNDING = 1e-9  # of a correlation: elements that are known only together must not make the factor fail
-_MISFIT_DOF = 50.0  # of what no model fits: coherent with the motion, so far fewer than blocks
-_APART = 1.0  # sigmas of an interval by which models differ, to be told apart by it
+_MISFIT_DOF = 50.0  # of the misfit: coherent with the motion, so far fewer than blocks
+_APART = 1.0  # sigmas of an interval by which models must differ to be compared
 _FEWEST_JUDGED = 20
 _LACKS = ((1, 1.0), (9, 0.1))  # orders of cosines in a phase, and the odds that a model lacks something in them
 _LEAST_SEEN, _MOST_SEEN, _SIZES = 0.03, 3.0, 64  # over the doubt, and over what is shown: sizes of what a model lacks
 _CLEAR = 500.0  # log odds beyond which nothing is open
 Misfit = Mapping[tuple[str, int], float]
 """By gyro and number of a run, what no model fits beyond the noise, summed over blocks, (rad/s)^2."""
-_DIRECTION = 1e-3  # share of a direction that must be left beside the mean to count as another
+_DIRECTION = 1e-3  # share of a direction that must remain beside the mean to count as another
 
 
 @dataclass(frozen=True, slots=True)
 class Phase:
-    """Blocks of a run during which one thing went on."""
+    """Blocks of a run that belong to one ``kind``: rest, ramp, steady rate, or a piece of free motion."""
 
     blocks: slice
     kind: str
@@ -47,7 +47,7 @@ class Phase:
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Judged:
-    """Errors over all gyros, by gyro, the improvement, and what pictures need.
+    """Errors over all gyros and by gyro, the improvement, the data for pictures.
 
     ``surprise``: what the last model leaves, in sigmas of chance. ``understated``: probability that its error is more
     than twice what its own covariance says. ``formless``: probability that it is more than half as much again as with
@@ -66,9 +66,9 @@ class Judged:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Phase:
-    """One phase of a gyro before and after: ``largest`` error of the mean.
+    """One phase of a gyro before and after: ``largest`` error over its blocks.
 
-    ``inside``, ``apart`` and ``chi`` are of the last projection: the direction in which the models differ.
+    ``inside``, ``apart`` and ``chi`` belong to the direction in which the two models differ.
     """
 
     errors: PhaseErrors
@@ -79,7 +79,11 @@ class _Phase:
 
 
 def phases_of(run: Run) -> list[Phase]:
-    """Return the phases of a run in order."""
+    """Return the phases of a run in order.
+
+    On a table they are rests, ramps and steady rates of at least five (ramps: one) blocks; of turns each is one; else
+    pieces of equal length.
+    """
     grid = run.grid
     if run.stated_rps:  # each turn is one
         kinds = np.where(np.abs(run.w_rps).max(axis=1) > 0, "steady", "rest").tolist()
@@ -107,7 +111,7 @@ def phases_of(run: Run) -> list[Phase]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drawn:
-    """Sums over ``blocks`` of squared errors of one gyro before and after (m,), for draws of what may be true."""
+    """Sums over ``blocks`` of squared errors of one gyro before and after (m,), for m draws of what may be true."""
 
     before: Floats
     after: Floats
@@ -142,10 +146,11 @@ class Drawn:
 def drawn(
     runs: Sequence[Run], first: int, before: Augmented, after: Augmented, true: Augmented, misfit: Misfit
 ) -> dict[str, Drawn]:
-    """Return by gyro how wrong two models are on the whole of runs, the noise apart, if what all data say is ``true``.
+    """Return by gyro draws of the squared errors of two models over all of runs, without noise.
 
-    Draws are from the posterior of all recordings; what nothing fits is an error of both models, known by chance only.
-    It may as well be noise: its share that is error is open, and the same for all gyros.
+    ``true`` is the posterior of all recordings, from which the draws are. The misfit adds the same error to both
+    models; its share that is error and not noise is drawn, the same for all gyros. ``first`` is the number of the first
+    run.
     """
     sums: dict[str, Drawn] = {}
     shares = _open_share(1)
@@ -169,13 +174,13 @@ def drawn(
 def with_structure(
     runs: Sequence[Run], first: int, models: tuple[Augmented, Augmented], noise: Augmented, errors: Mapping[str, Drawn]
 ) -> dict[str, Drawn]:
-    """Return errors of two models by gyro, with what their phases show beyond what was drawn.
+    """Return the drawn errors of two models, plus what the phases show beyond them.
 
-    Draws say how wrong models are if the last is complete. Where the means of phases are further off than by noise,
-    something acts that it lacks, and both models are wrong by that, too. Whether anything does is one question for all
-    gyros; how much, one for each. How much of it the bias wanders by itself is open: from as much as beside the last
-    model, to as little as ``noise`` has beside any function of what was measured.
-    Draws that are further off than phases show are the less likely.
+    Draws assume that the last model is complete. If the means of phases are further off than by noise, an effect is
+    missing, and both models are wrong by it. Whether one is missing is one question for all gyros; how much, one for
+    each gyro. How much of it a wandering bias explains is open, between as much as beside the last model and as little
+    as in ``noise``, the model with noise beside any function. Draws with a larger error than phases show are less
+    likely.
     """
     wanders = _open_share(0)  # of all gyros alike
     shapes = {name: _shapes(runs, first, models[-1], (models[-1], noise), name) for name in errors}
@@ -186,7 +191,7 @@ def with_structure(
         (_, most), doubt = _structure(shapes[name], 1)
         chosen = _by_chance(-0.5 * (np.maximum(own.after - most, 0.0) / doubt) ** 2)
         drawn[name] = own.chosen(chosen)
-    # Of means little is expected by chance, so little shows; what is within phases has to be larger.
+    # Chance contributes little to means, so little shows there; structure within phases has to be larger.
     for orders, odds in _LACKS:
         shown = {}
         for name in seen:
@@ -198,9 +203,10 @@ def with_structure(
 
 
 def _lacking(shown: Mapping[str, tuple[Floats, float]], odds: float) -> dict[str, Floats]:
-    """Return by gyro draws (n,) of the squares that a model lacks: none, or some in each gyro.
+    """Return by gyro draws (n,) of the squares that a model lacks: none in any gyro, or some in each.
 
-    ``shown`` by gyro is what there seems to be (n,) and its doubt, ``odds`` how much it is expected that there is any.
+    ``shown`` is by gyro what the phases show (n,) and its standard deviation; ``odds`` are the prior odds that an
+    effect is missing.
     """
     beyond = {}
     log_odds = np.full(_DRAWN, np.log(odds))
@@ -212,9 +218,9 @@ def _lacking(shown: Mapping[str, tuple[Floats, float]], odds: float) -> dict[str
 
 
 def _beyond(random: np.random.Generator, shown: Floats, sd: float) -> tuple[Floats, Floats]:
-    """Return draws (n,) of a sum of squares that shows as ``shown`` (n,) within ``sd``, if there is one of any size.
+    """Return draws (n,) of a sum of squares that shows as ``shown`` (n,) within ``sd``, given that there is one.
 
-    With each come the log odds (n,) that there is one, if it is as likely as not.
+    The log odds (n,) that there is one come with them; the prior is even, and equal for the logarithm of each size.
     """
     largest = max(float(shown.max()), sd)
     sizes = np.geomspace(_LEAST_SEEN * sd, _MOST_SEEN * largest, _SIZES)
@@ -231,7 +237,7 @@ def _open_share(seed: int) -> Floats:
 
 
 def _by_chance(log_likely: Floats) -> NDArray[np.intp]:
-    """Return numbers (n,) of draws, each as often as it is likely among them."""
+    """Return numbers (n,) of draws, each repeated in proportion to its likelihood."""
     share = np.exp(log_likely - log_likely.max())
     upto = np.cumsum(share) / share.sum()
     return np.searchsorted(upto, (np.arange(len(share)) + 0.5) / len(share)).astype(np.intp)
@@ -240,9 +246,11 @@ def _by_chance(log_likely: Floats) -> NDArray[np.intp]:
 def _shapes(
     runs: Sequence[Run], first: int, model: Augmented, noises: Sequence[Augmented], name: str
 ) -> list[tuple[Floats, Floats]]:
-    """Return by phase of a gyro the squares of its first cosines (k,), the mean first, and what noise makes of them.
+    """Return for each phase of a gyro the squares of its first cosine coefficients (k,), and what noise predicts for
+    them.
 
-    The latter (noises, k) are expected of the noise of each of ``noises``.
+    The mean is the first coefficient. The predictions (noises, k) are those of each of ``noises``. Phases without full
+    blocks are left out.
     """
     most = max(orders for orders, _ in _LACKS)
     sigma_rps = float(model.arw[model.names.index(name)])
@@ -262,9 +270,9 @@ def _shapes(
 
 
 def _structure(shapes: Sequence[tuple[Floats, Floats]], orders: int) -> tuple[list[float], float]:
-    """Return what phases show beyond noise, squared and summed over blocks, and its doubt.
+    """Return what phases show beyond noise, squared and summed over blocks, and the standard deviation of that.
 
-    There is one sum for each noise. In each phase so many ``orders`` of its ``shapes`` count.
+    There is one sum for each noise model. ``orders`` is the number of coefficients that count in each phase.
     """
     sums, variance = np.zeros(len(shapes[0][1])), 0.0
     for squares, noise in shapes:
@@ -276,10 +284,9 @@ def _structure(shapes: Sequence[tuple[Floats, Floats]], orders: int) -> tuple[li
 
 
 def _draws(random: np.random.Generator, mean: Floats, covariance: Floats) -> Floats:
-    """Return draws of a normal distribution of which some elements may be known exactly.
+    """Return draws (m, c) of a normal distribution; elements of it may be known exactly.
 
-    The correlations are factored, by Cholesky: it takes a fixed number of steps, where an eigenvalue routine may not
-    converge, and the units of the elements do not matter.
+    The correlations are factored by Cholesky: the steps are fixed in number, and units do not matter.
     """
     sd = np.sqrt(np.diag(covariance))
     scale = np.where(sd > 0, sd, 1.0)
@@ -292,9 +299,10 @@ def _draws(random: np.random.Generator, mean: Floats, covariance: Floats) -> Flo
 def judge(
     runs: Sequence[Run], first: int, before: Augmented, after: Augmented, held_back: bool, errors: Mapping[str, Drawn]
 ) -> Judged:
-    """Return the errors of two models on runs, of which the first has this number among all.
+    """Return the errors of two models on runs, of which the first has number ``first`` among all.
 
-    ``errors`` are those of the whole runs by gyro.
+    ``errors`` are the drawn errors of the whole runs by gyro. Gyros that the model does not have are left out; without
+    effects the improvement is None.
     """
     found: dict[str, list[_Phase]] = {name: [] for name in after.names}
     views = []
@@ -344,7 +352,10 @@ def _phases(
     rests: Sequence[Floats],
     columns: Sequence[Floats],
 ) -> Iterator[_Phase]:
-    """Yield the phases of a gyro of a run; by model, what it leaves of the blocks (b,), and the columns behind it."""
+    """Yield the errors of a gyro of a run in each phase; phases without full blocks are left out.
+
+    ``rests`` are by model what it leaves of the blocks (b,), ``columns`` by model those of its states and effects.
+    """
     after = models[-1]
     g = after.names.index(run.array.names[i])
     sigma = float(after.arw[g]) / np.sqrt(run.length_s)
@@ -379,21 +390,24 @@ def _phases(
 
 
 def _basis(difference: Floats, sigma: float) -> Floats:
-    """Return orthonormal directions (b, 1 or 2): the mean, and what else the models differ in."""
+    """Return orthonormal directions (b, 1 or 2): the mean, and the shape in which the models differ, if any.
+
+    The last column is the direction that tells the models apart: the mean if the difference is nearly constant.
+    """
     n = len(difference)
     mean = np.full((n, 1), 1 / np.sqrt(n))
     other = difference - difference.mean()
     size = float(np.linalg.norm(other))
     if n < _FEWEST + 1 or size < _DIRECTION * sigma:
         return mean
-    # Where the difference is nearly constant its mean is what tells; where it changes sign, its shape.
+    # Where the difference is nearly constant its mean distinguishes the models; where it changes sign, its shape.
     if abs(float(difference.mean())) * np.sqrt(n) > size:
         return np.column_stack([other / size, mean])
     return np.column_stack([mean, other / size])
 
 
 def _noise(model: Augmented, basis: Floats, run: Run, blocks: int, sigma: float) -> Floats:
-    """Return the variance of each projection: white noise, and what the bias wanders about where it was known."""
+    """Return the variance of each projection: white noise, and the wander of the bias since it was known."""
     span_s = float(run.t_s[-1] - run.t_s[0]) + run.length_s
     mean = shape_of(model, Stretch.of(0, slice(0, blocks), run.length_s, True), span_s)[0]
     return np.asarray(sigma**2 * (1 + (mean - 1) * basis.sum(axis=0) ** 2 / blocks))
@@ -405,9 +419,13 @@ def sum_of(errors: Iterable[Drawn]) -> Drawn:
 
 
 def _errors(phases: Sequence[_Phase], which: int, whole: Drawn) -> Errors:
+    """Return the errors of model ``which`` (0 before, 1 after) over phases; all NaN without phases.
+
+    The share of intervals counts the phases in which the models differ most, at least ``_FEWEST_JUDGED``.
+    """
     if not phases:
         return Errors(float("nan"), float("nan"), float("nan"))
-    # Where the models agree their intervals hold or fail together; what differs is judged where they do not.
+    # Where the models agree their intervals hold or fail together; they are judged where they differ.
     told = sorted(phases, key=lambda p: -p.apart)
     count = max(sum(p.apart > _APART for p in told), min(_FEWEST_JUDGED, len(told)))
     inside = [p.inside[which] for p in (told[:count] if told[0].apart > 0 else told)]
@@ -415,6 +433,7 @@ def _errors(phases: Sequence[_Phase], which: int, whole: Drawn) -> Errors:
 
 
 def _gyro(name: str, before: Augmented, after: Augmented, phases: Sequence[_Phase], errors: Drawn) -> GyroErrors:
+    """Return the errors and states of a gyro before and after."""
     g = after.names.index(name)
     (old, old_covariance), (new, covariance) = (decode(m.mean[g, :4], m.covariance[g, :4, :4]) for m in (before, after))
     moved = (new - old) / np.sqrt(np.diag(old_covariance))

@@ -1,8 +1,8 @@
-"""Laws that the catalogue does not hold, composed of what was measured: what is tried, and how much it is expected.
+"""Composed laws that the catalogue does not hold: which ones are tried, and their prior probability.
 
-The grammar is that of ``effects.law``, to a depth of two: a variable or a simple function of one; that through
-a lag, or a play, each with one constant to be found; the product of two. Longer laws are the rarer: all laws of one
-length together are expected as often as a shorter one less some (Rissanen 1983).
+The grammar is that of ``effects.law``, to a depth of two: a variable or a simple function of one; that through a lag,
+or a play, each with one constant to be found; the product of two. Longer laws are the rarer: all laws of one length
+together are expected as often as a shorter one less some (Rissanen 1983).
 """
 
 from collections.abc import Iterable, Sequence
@@ -28,17 +28,17 @@ from estimator.types import Floats
 Model = Sequence[tuple[Candidate, Term]]
 
 _LARGEST_RPS = float(np.radians(0.5))
-_RARE = -3.0  # log expectation of a law without a name beside the catalogue's
+_RARE = -3.0  # log prior of a law without a name, relative to the catalogue's
 _LONGER = -1.5  # of each further element of it
 _LAGS_S = np.geomspace(4.0, 400.0, 6)
-_SHARES = np.array([0.05, 0.2, 0.5])  # of the range of a variable: plays and bends that are looked for first
+_SHARES = np.array([0.05, 0.2, 0.5])  # of the range of a variable: start values of plays and bends
 _LIMITS = np.array([0.002, 0.02, 0.2])  # of the range of a variable: where its last direction begins to count
 _BENDS = np.geomspace(0.001, 0.5, 5)  # of the range of a rate: near standstill as well as over all of it
 _STARTS = {"share": _SHARES, "limit": _LIMITS, "bend": _BENDS, "small": _SHARES}
 _LARGEST_SCALE = 1e9
 _MOST_LAWS, _LAWS_TRIED = 2, 12
 _MOST_PRUNED = 6  # terms of a law that are tried to be left out; pieces of a function belong together
-_BETWEEN = 1.3  # by so much more a law may explain with a constant between those that it is tried with
+_BETWEEN = 1.3  # factor by which a law may explain more with a constant between its start values
 _CLEARLY = 3.0  # natural logarithm by which a law must be the more probable
 _TRIES = 9.2  # natural logarithm that the choice of a constant costs at most
 _RIVAL = -6.0  # natural logarithm of how much less probable laws may be and still be rivals, a few together
@@ -46,7 +46,12 @@ _LAWS = packaged_toml("estimator.tracing.laws", "laws.toml")["length"]
 
 
 def laws_of(runs: Sequence[Run]) -> list[Candidate]:
-    """Return the laws to try on runs, each as a candidate; constants stand at values to begin with."""
+    """Return the composed laws that can be tried on runs, as candidates; each constant begins at one of its start
+    values.
+
+    Longer laws have less prior probability. Laws whose quantities the runs lack, or whose terms do not vary, are left
+    out.
+    """
     offers = frozenset.intersection(*(run.grid.offers for run in runs))
     gimbals = runs[0].grid.gimbals if len(runs[0].grid.gimbals) > 1 else ()
     found: list[Candidate] = []
@@ -63,7 +68,7 @@ def laws_of(runs: Sequence[Run]) -> list[Candidate]:
 
 
 def _listed(offers: frozenset[str], gimbals: Sequence[str]) -> Iterable[list[tuple[str, str]]]:
-    """Yield the laws by length: those without a constant, and those with one as text with {c} and what c is."""
+    """Yield the laws by length, as pairs (text, kind of the constant {c} in it, "" without one)."""
     for one in _LAWS:
         kinds = [(law, "") for law in one["plain"]]
         kinds += [(law, kind) for kind, texts in one.get("bent", {}).items() for law in texts]
@@ -77,7 +82,12 @@ def _on_its_axis(kind: str, law: str) -> str:
 
 
 def _on_axes(text: str, offers: frozenset[str], gimbals: Sequence[str]) -> list[str]:
-    """Return the laws that a text stands for on a table, but those of what is not known."""
+    """Return the laws that a text with placeholders gives for the table's axes, without those that need unknown
+    quantities.
+
+    ``{axis}`` gives one law for each axis, ``{one}`` and ``{other}`` one for each pair, ``{rates}`` the sum over all
+    axes.
+    """
     laws = [text]
     if "{one}" in text:
         laws = [text.replace("{one}", one).replace("{other}", other) for one, other in combinations(gimbals, 2)]
@@ -89,7 +99,11 @@ def _on_axes(text: str, offers: frozenset[str], gimbals: Sequence[str]) -> list[
 
 
 def _candidate(runs: Sequence[Run], law: str, kind: str, prior: float) -> Candidate | None:
-    """Return a law, its constant to be looked for if it has one of some kind; None where it would be nothing."""
+    """Return the candidate of a law, with a search for its constant if ``kind`` says of which kind that is ("" for
+    none).
+
+    None if a term of the law does not vary in the runs, or its constant has no range.
+    """
     start = _LAGS_S
     if kind != "lag":
         what, _, name = kind.partition(" ")
@@ -108,7 +122,9 @@ def _candidate(runs: Sequence[Run], law: str, kind: str, prior: float) -> Candid
 
 
 def _largest(runs: Sequence[Run], law: str) -> tuple[float, ...] | None:
-    """Return the coefficients with which the terms of a law vary by the largest bias there is; None if they do not."""
+    """Return for each term of a law the coefficient that makes its rms ``_LARGEST_RPS``; None if a term does not
+    vary.
+    """
     effect = constructed(law)
     squares = np.zeros(len(effect.parameters))
     for run in runs:
@@ -149,10 +165,10 @@ def _range(runs: Sequence[Run], name: str) -> float:
 
 
 class Composer:
-    """Laws beside what a search has found, or in the place of some of it."""
+    """Adds composed laws to the result of a search, beside its effects or in the place of some of them."""
 
     def __init__(self, search: Search, laws: Sequence[Candidate]) -> None:
-        """Begin with none of the laws among the candidates of the search."""
+        """Take the laws; none of them is among the candidates of the search yet."""
         self._search = search
         # Each law with the constants that it is tried with.
         self._laws = [
@@ -162,14 +178,19 @@ class Composer:
         self._kept: set[str] = set()
 
     def composed(self, found: Found, most: int) -> Found:
-        """Return what was found with laws that have no name, where they explain more than names do, or beside these."""
+        """Return the result of a search with composed laws added where they explain more than named effects do.
+
+        A law may stand beside the effects found or replace some of them; at most ``most`` effects remain in all. Terms
+        of laws that do not pay for themselves are removed, and so are effects that "nothing" replaces as well. Without
+        any law the result is ``found`` itself.
+        """
         search = self._search
         named = [part for part in found.parts if part.tone is None]
         tones = [part for part in found.parts if part.tone is not None]
         model = [(part.candidate, part.term) for part in named]
         best = self._worth(model)
         for _ in range(_MOST_LAWS):
-            # A law may stand beside what was found, or in the place of some of it.
+            # A law may stand beside the effects found, or replace some of them.
             bases = [model, [], *([pair for pair in model if pair is not one] for one in model)]
             tried = []
             for n, base in enumerate(bases):
@@ -196,7 +217,10 @@ class Composer:
         return replace(found, parts=(*judged, *tones), log_evidence=chain)
 
     def _pruned(self, model: Model) -> Model:
-        """Return a model without those terms of its laws that it is more probable without."""
+        """Return a model whose laws have lost each term without which the model is more probable.
+
+        Laws with a single term, or more than ``_MOST_PRUNED``, stay as they are.
+        """
         search, best = self._search, self._worth(model)
         pruned = list(model)
         for place, (law, _) in enumerate(model):
@@ -221,7 +245,11 @@ class Composer:
         return (evidence.of(terms) if noise is None else float(evidence.by_noise(terms)[noise])) + expected
 
     def _best_law(self, base: Model, known: Model) -> Model:
-        """Return the law that explains most beside a model; none if none can explain more than what is ``known``."""
+        """Return the law that explains most beside ``base``, as a list of one pair; empty if none may explain more than
+        ``known``.
+
+        Laws whose fitted size is not sensible are left out.
+        """
         search, chosen = self._search, self._likely(base, known, _CLEARLY)
         terms = [term for _, term in base]
         scores = search.scores(terms, [candidate.name for candidate, _ in base]) if chosen else {}
@@ -233,9 +261,12 @@ class Composer:
         return [(search.known[best][0], scores[best][1])]
 
     def _likely(self, base: Model, known: Model, least: float) -> list[str]:
-        """Bring in the laws that may be more probable beside a model than what is ``known``, by ``least``; name them.
+        """Add to the search the laws that may exceed the model ``known`` by ``least`` in log evidence beside ``base``;
+        return their names.
 
-        The noise is that beside what is known: beside less, it would hold what slow laws explain.
+        The noise is the one beside ``known``: beside less, the noise would hold what slow laws explain. Constants of
+        the laws are tuned, at most ``_LAWS_TRIED`` laws are taken, the most promising first. Laws that are not kept are
+        removed from the search.
         """
         search = self._search
         noise = int(np.argmax(search.evidence.noise_weight([term for _, term in known])))
@@ -251,7 +282,7 @@ class Composer:
             open_constant = law.start is not None
             gain = float(gains[best])
             reach = gain * (_BETWEEN if open_constant else 1.0) + law.log_prior
-            # Of some law it is sure that it is so probable: what cannot come near it needs no constant.
+            # This probability is certain for some law: laws that cannot come near it need no constant.
             missing = max(missing, float(floors[best]) + law.log_prior - _TRIES * open_constant + _RIVAL)
             ranked.append((gain + law.log_prior, reach, options[best]))
         ranked = [one for one in ranked if one[1] > missing]

@@ -1,4 +1,4 @@
-"""Flexible laws: any function of what a law is about, as a sum of terms of which each has its own coefficient.
+"""Flexible laws: any function of a law's variable, as a sum of terms with a coefficient each.
 
 A law in closed form, such as ``tanh(u/c)``, is one function of its variable among all. These stand for the others: a
 function that bends at some of many nodes, a memory that is any sum of first-order lags, a hysteresis that is any sum of
@@ -22,9 +22,10 @@ _PLAYS = np.array([0.02, 0.05, 0.1, 0.2, 0.4, 0.8])  # of the range
 
 
 def flexible_laws(runs: Sequence[Run], offers: frozenset[str]) -> list[tuple[str, str]]:
-    """Return flexible laws, each with the kind of the constant {c} that is yet to be found in it ("" for none).
+    """Return flexible laws, each with the kind of the constant {c} that is still to be found in it ("" for none).
 
-    ``offers`` is what all runs hold beside rates and times.
+    ``offers`` are the quantities beside rates and times that all runs hold; without a temperature its laws are left
+    out. Laws without terms are left out, too.
     """
     size, speed = (_bends(name, _nodes_of_rate(name, runs)) for name in ("abs(u)", "speed"))
     decays = _each("expm1(-t/{})", _TAUS_S)

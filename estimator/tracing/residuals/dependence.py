@@ -1,4 +1,4 @@
-"""What a residual depends on: how much of its power functions of time, rate, angle and so on take up."""
+"""What a residual depends on: the share of its power explained by functions of time, rate, angle and so on."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,15 +13,16 @@ from estimator.types import Floats
 Columns = NDArray[np.intp]
 
 _VARIABLES = ("time", "rate", "direction", "angle", "acceleration", "temperature", "gravity")
-_BY_CHANCE = 1e-4  # a dependence more probable than this beside white noise is none
-_INDEPENDENT = 1e-8  # share of a column's squares that must be left beside the others
+_BY_CHANCE = 1e-4  # a dependence more probable than this under white noise does not count
+_INDEPENDENT = 1e-8  # share of a column's squares that must remain beside the others
 
 
 @dataclass(frozen=True, slots=True)
 class Dependence:
-    """How much of a residual's power beyond the noise a variable takes up, 0 where that is chance; shares overlap.
+    """Share of a residual's power beyond the noise that depends on a variable; 0 where chance explains it. Shares
+    overlap.
 
-    ``p_value`` is the probability that it takes up as much of white noise.
+    ``p_value`` is the probability that white noise shows as much.
     """
 
     variable: str
@@ -31,7 +32,9 @@ class Dependence:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Group:
-    """Columns, those ``beside`` which they count, and the squares over the noise that the model's ``doubt`` adds."""
+    """Columns, the columns ``beside`` which they count, and the squares over the noise that the model's ``doubt``
+    adds.
+    """
 
     columns: Columns
     beside: Columns
@@ -39,10 +42,10 @@ class Group:
 
 
 class Regressors:
-    """Functions of each variable over the blocks of runs; ``where`` they are among the columns."""
+    """Functions of each variable over the blocks of runs; ``where`` gives the places of each variable's columns."""
 
     def __init__(self, runs: Sequence[Run]) -> None:
-        """Take those functions that these runs have the conditions for."""
+        """Take the candidates that can be tried on these runs, except for nonlinear ones and steps."""
         self._runs = [run.coarse() for run in runs]
         candidates = [c for c in candidates_of(runs)[0] if (c.theta is None or c.by_size) and c.run is None]
         of = {c.name: c.depends_on or c.effect.record.depends_on for c in candidates}
@@ -55,7 +58,7 @@ class Regressors:
         }
 
     def columns(self, number: int, gyro: int) -> Floats:
-        """Return the columns (b, q) of a gyro of run ``number``."""
+        """Return the columns (b, q) of all candidates for a gyro of run ``number``; they are kept for the next call."""
         columns = [np.empty((len(self._runs[number].t_s), 0))]
         for candidate in self._candidates:
             key = candidate.name, number, None if candidate.alike else gyro
@@ -70,10 +73,9 @@ def dependences(
 ) -> tuple[float, tuple[Dependence, ...]]:
     """Return the share of a whitened residual's power beyond the noise, and what that depends on.
 
-    ``gram`` holds the products of all columns.
-
-    ``rest`` is the residual, of ``count`` degrees of freedom, which its squares exceed by ``doubt`` if it is more than
-    noise; what a variable takes up for certain is, in any case. ``groups`` holds the columns of each variable.
+    ``gram`` holds the products of all columns, of which ``rest`` is the residual with ``count`` degrees of freedom; its
+    squares may exceed that by ``doubt`` as noise. Dependences that are certain count even within that. ``groups`` holds
+    the columns of each variable.
     """
     from scipy.special import fdtrc  # of the F distribution; scipy.stats takes a second to import
 
@@ -82,7 +84,7 @@ def dependences(
     for variable, group in groups.items():
         power, rank = _taken(gram, group.columns, group.beside, rest)
         left = max(count - rank, 1.0)
-        # So many columns would take up so much of noise: what is beyond that is the dependence.
+        # So many columns explain so much of noise by chance: the rest is the dependence.
         chance = (rank + group.doubt) * max(total - power, 1e-12 * total) / left
         p_value = float(fdtrc(rank, left, power / chance)) if rank else 1.0
         found.append((variable, power - chance, p_value))
@@ -95,7 +97,10 @@ def dependences(
 
 
 def _taken(gram: Floats, columns: Columns, beside: Columns, rest: int) -> tuple[float, int]:
-    """Return the squares of the residual that columns take up beside others, and how many of them are independent."""
+    """Return the squares of the residual that columns explain beside others, and the number of independent columns.
+
+    Columns of zeros do not count; (0.0, 0) if there are no others.
+    """
     size = np.sqrt(np.diag(gram)[columns])
     columns, size = columns[size > 0], size[size > 0]
     if not len(columns):

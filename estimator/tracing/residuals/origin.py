@@ -1,4 +1,4 @@
-"""Whose a residual is: redundant gyros tell an error of the body rate, which all share, from one that each has alone.
+"""The origin of a residual: redundant gyros tell an error of the body rate, common to all, from their own errors.
 
 An error dw of the body rate (the table, the site, the clock) shows in n gyros with sense axes P as P dw. What lies
 outside the column space of P can only be the gyros' own. Errors of their own fall into both parts, as noise does: in
@@ -23,7 +23,7 @@ from estimator.types import Floats
 WHITE_DOUBT = 2.33
 """Over the root of half the coefficients: doubt of a white noise's variance that their median gave."""
 _SEEN = 0.05  # a direction that gyros see by less than this share of another is not common to them
-_BANDS = (1, 4, 16, 64)  # all frequencies, and so many times fewer: slow errors stand out among the slow
+_BANDS = (1, 4, 16, 64)  # all frequencies, and these fractions of them: slow errors stand out among the slow
 _BEYOND = 5.0  # sigmas
 _LEAST_OWN = 0.01  # share of the power that misalignment of the axes leaves outside of the common part at most
 _FEWEST_BLOCKS = 10
@@ -32,7 +32,7 @@ _GAP_S = 5.0
 
 
 class Origin(StrEnum):
-    """Whose a residual is."""
+    """Where a residual comes from: errors that gyros have in common, errors of their own, or noise only."""
 
     NOISE = "within noise"
     COMMON = "common to all gyros"
@@ -41,11 +41,11 @@ class Origin(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Split:
-    """A residual in the part that gyros have in common and their own.
+    """A residual, split into the part that gyros have in common and their own part.
 
-    ``common`` and ``own``: power beyond the noise, summed over gyros, over the noise of one; 0.1 a gyro is chance.
-    ``own_share`` is the share of it that is the gyros' own, counting what of that looks common; None within the noise.
-    ``spare``: gyros beyond the axes that they span.
+    ``common`` and ``own`` are power beyond the noise, summed over gyros, over the noise of one; 0.1 a gyro is chance.
+    ``own_share`` is the gyros' own share of it, corrected for own power that looks common; None within the noise.
+    ``spare`` is the number of gyros beyond the axes that they span.
     """
 
     origin: Origin
@@ -62,7 +62,10 @@ def shape_of(model: Augmented, stretch: Stretch, span_s: float = 0.0) -> Floats:
 
 
 def split_of(runs: Sequence[Run], rests: Sequence[Floats], model: Augmented) -> tuple[Split | None, str]:
-    """Return the split of what a model leaves of the blocks of each run (b, m), or None and what stands against it."""
+    """Return the split of the residuals of each run (b, m), or None and the reason why there is none.
+
+    None for fewer gyros than their axes need, or gyros that rarely measure at the same time.
+    """
     names = [name for name in model.names if any(name in run.array.names for run in runs)]
     arw = np.array([model.arw[model.names.index(name)] for name in names])
     left, singular, _ = np.linalg.svd(_sense_axes(runs, model, names) / arw[:, None])
@@ -86,7 +89,11 @@ def split_of(runs: Sequence[Run], rests: Sequence[Floats], model: Augmented) -> 
 
 
 def _judged(squares: Floats, blocks: Floats, parts: NDArray[np.intp], all_blocks: float) -> Split:
-    """Return the split of squares (bands, 2) in the common and the own part, of so many dimensions and blocks."""
+    """Return the split for squares (bands, 2) of the common and the own part.
+
+    ``blocks`` (bands, 1) are the coefficients in each band, ``parts`` the two numbers of dimensions. The band that is
+    most beyond the noise decides.
+    """
     count = int(parts.sum())
     beyond = squares - blocks * parts
     white = WHITE_DOUBT**2 / (0.5 * all_blocks * count)
@@ -101,7 +108,7 @@ def _judged(squares: Floats, blocks: Floats, parts: NDArray[np.intp], all_blocks
 
 
 def _sense_axes(runs: Sequence[Run], model: Augmented, names: Sequence[str]) -> Floats:
-    """Return the calibrated sense axes (n, 3)."""
+    """Return the calibrated sense axes (n, 3) of the gyros ``names``, with their scale factors."""
     axes = {}
     for run in runs:
         for i, name in enumerate(run.array.names):
@@ -112,7 +119,11 @@ def _sense_axes(runs: Sequence[Run], model: Augmented, names: Sequence[str]) -> 
 
 
 def _together(runs: Sequence[Run], rests: Sequence[Floats], names: Sequence[str]) -> list[tuple[Stretch, Floats]]:
-    """Return the stretches of recordings in which all gyros, of whatever source, measure: residuals (b, n), rad/s."""
+    """Return the stretches of recordings in which all gyros measure, with their residuals (b, n) in rad/s.
+
+    Blocks in which a gyro is missing are 0. Recordings whose sources have blocks of different length are left out, and
+    so are short stretches.
+    """
     found = []
     for order in dict.fromkeys(run.order for run in runs):
         mine = [(run, rest) for run, rest in zip(runs, rests, strict=True) if run.order == order]

@@ -1,4 +1,4 @@
-"""What a model leaves of the output errors, against the noise model: its size, whiteness, spectrum, what it depends on.
+"""The residual of a model against the noise model: its size, whiteness, spectrum, and dependences.
 
 All is worked out in the cosine domain, where bias instability and random walk are a weight for each frequency
 (``spectra``). The mean of each stretch is left out: it holds the bias since power-on, of which nothing is known.
@@ -28,7 +28,9 @@ BY_CHANCE = 1e-4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spectrum:
-    """One-sided density of a residual and of its noise model, (rad/s)^2/Hz, at the frequencies of bands; (f,) each."""
+    """One-sided density of a residual and of its noise model in (rad/s)^2/Hz, at the frequencies of bands; (f,)
+    each.
+    """
 
     frequency_hz: Floats
     density: Floats
@@ -37,11 +39,11 @@ class Spectrum:
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class GyroResidual:
-    """What a model leaves of one gyro, whitened by its noise model.
+    """The residual of one gyro under a model, whitened by its noise model.
 
-    ``nis`` is the mean square, 1 if it is noise; ``nis_sd`` how far chance takes it from there. ``lag1`` is the
+    ``nis`` is the mean square, 1 for noise, ``nis_sd`` its standard deviation by chance. ``lag1`` is the
     autocorrelation from one block to the next, with its standard deviation; ``white_p`` the probability that white
-    noise shows as much at twenty lags (Ljung and Box 1978). ``beyond`` is the share of its power beyond the noise, of
+    noise shows as much at twenty lags (Ljung and Box 1978). ``beyond`` is the share of the power beyond the noise, of
     which ``dependences`` hold shares.
     """
 
@@ -68,9 +70,9 @@ class GyroResidual:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Residual:
-    """What a model leaves of some runs: by gyro, and whose it is.
+    """The residual of some runs under a model: by gyro, and split by its origin.
 
-    ``split`` is None where that cannot be told, ``no_split`` is the reason.
+    ``split`` is None where that is unknown, with ``no_split`` as the reason.
     """
 
     gyros: tuple[GyroResidual, ...]
@@ -79,15 +81,15 @@ class Residual:
 
     @property
     def clean(self) -> bool:
-        """Whether it passes for noise, in every gyro and in what they have in common."""
+        """Whether it counts as noise, in every gyro and in their common part."""
         return all(gyro.clean for gyro in self.gyros) and (self.split is None or self.split.origin == Origin.NOISE)
 
 
 @dataclass(kw_only=True, slots=True, eq=False)
 class _Gyro:
-    """Stretches of one gyro in the cosine domain, over the noise; of each model what it leaves (b, models).
+    """Stretches of one gyro in the cosine domain, divided by the noise; ``rests`` are (b, models).
 
-    ``gram`` holds the products of all columns: those of the regressors, of each model, what each model leaves.
+    ``gram`` holds the products of all columns: those of regressors, of each model, then each model's residual.
     """
 
     arw: float
@@ -101,9 +103,10 @@ class _Gyro:
 def residuals(
     runs: Sequence[Run], models: Sequence[Augmented], first: int = 0, *, held_back: bool = False
 ) -> list[Residual]:
-    """Return what each of some models of the same gyros and noise leaves of runs; the first has this number among all.
+    """Return the residual of runs under each of some models; ``first`` is the number of the first run among all.
 
-    ``held_back``: the models were not fitted to these runs; that their states do not fit them either is a dependence.
+    The models have the same gyros and noise. ``held_back``: the models were not fitted to these runs, so that states
+    that do not fit them count as a dependence. Gyros without a stretch that is long enough are left out.
     """
     regressors = Regressors(runs)
     left = [[run.z_rps.copy() for run in runs] for _ in models]
@@ -125,7 +128,10 @@ def _whitened(
     left: Sequence[Sequence[Floats]],
     regressors: Regressors,
 ) -> _Gyro | None:
-    """Return what models leave of a gyro; ``left``, by model and run (b, m), takes it in as it is."""
+    """Return the whitened columns and residuals of a gyro in all runs, None without a long enough stretch.
+
+    The states and effects of each model are subtracted in ``left``, by model and run (b, m).
+    """
     g = models[0].names.index(name)
     arw = float(models[0].arw[g])
     gyro = _Gyro(arw=arw, stretches=[], shapes=[], rests=[], gram=np.zeros(()), blocks=0.0)
@@ -154,11 +160,15 @@ def _whitened(
 def _judged(
     name: str, gyro: _Gyro, m: int, models: Sequence[Augmented], regressors: Regressors, held_back: bool
 ) -> GyroResidual:
+    """Return the residual of a gyro under model number ``m``: how large it is, how white, and what it depends on.
+
+    ``held_back``: the models were not fitted to these data, which adds their uncertainty to the squares.
+    """
     model, gram = models[m], gyro.gram
     ends = np.cumsum([regressors.count, *(other.mean.shape[1] for other in models)])
     own = np.arange(ends[m], ends[m + 1])
     rest = int(ends[-1]) + m
-    # A fit takes away so many squares; to runs it was not fitted to, its doubt adds as many.
+    # A fit removes so many squares; for runs that were not fitted, its uncertainty adds as many.
     fitted = _doubt(model, name, gram, own)
     expected = max(gyro.blocks + fitted if held_back else gyro.blocks - fitted, 1.0)
     nis_sd = float(np.sqrt(2 / expected + WHITE_DOUBT**2 / (0.5 * gyro.blocks)))
@@ -183,13 +193,15 @@ def _judged(
 
 
 def _doubt(model: Augmented, name: str, gram: Floats, columns: NDArray[np.intp]) -> float:
-    """Return the squares over the noise that come from what a model does not know of its first parameters."""
+    """Return the squares over the noise that the uncertainty of a model's first parameters adds."""
     covariance = model.covariance[model.names.index(name), : len(columns), : len(columns)]
     return float(np.sum(covariance * gram[np.ix_(columns, columns)]))
 
 
 def _whiteness(parts: Sequence[Floats]) -> tuple[float, float]:
-    """Return the autocorrelation from one block to the next, and the probability of as much at twenty lags."""
+    """Return the autocorrelation from one block to the next, and the probability that white noise shows as much at 20
+    lags.
+    """
     from scipy.fft import idct
     from scipy.special import chdtrc  # of the chi-square distribution; scipy.stats takes a second to import
 
@@ -202,11 +214,11 @@ def _whiteness(parts: Sequence[Floats]) -> tuple[float, float]:
 
 
 def _spectrum(gyro: _Gyro, parts: Sequence[Floats]) -> Spectrum:
-    """Return the mean density within bands, of all stretches together."""
+    """Return the mean densities of the residual and its noise within bands, over all stretches together."""
     hz = np.concatenate([s.frequency_hz[1:] for s in gyro.stretches])
     noise = np.concatenate([2 * gyro.arw**2 * shape[1:] for shape in gyro.shapes])
     density = noise * np.concatenate([part[1:] for part in parts]) ** 2
-    lowest = np.sort(hz)[:_FEWEST_IN_BAND][-1]  # of single coefficients the spectrum says nothing
+    lowest = np.sort(hz)[:_FEWEST_IN_BAND][-1]  # single coefficients say nothing about the spectrum
     _, band = np.unique(np.floor(_BANDS_A_DECADE * np.log10(np.maximum(hz, lowest))), return_inverse=True)
     counts = np.bincount(band)
     return Spectrum(*(np.bincount(band, values) / counts for values in (hz, density, noise)))

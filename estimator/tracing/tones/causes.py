@@ -1,4 +1,4 @@
-"""Which tones are a cause of their own: no image of another by the sampling, nor next to nothing of what is left."""
+"""Which tones have a cause of their own: neither images of others by sampling nor too weak to matter."""
 
 from collections.abc import Sequence
 
@@ -10,17 +10,17 @@ from estimator.tracing.augmented import Augmented, Part
 from estimator.tracing.residuals.residual import Residual
 from estimator.types import Floats
 
-_FAINT = 0.1  # share of what is beyond the noise, 5 % of its size
+_FAINT = 0.1  # share of the power beyond the noise, 5 % of its size
 _MOST_HELD = 6  # samples for which a logger may keep a value, or between which it may interpolate
 _RESOLVED = 2.0  # of one over the length of a run: nearer than this frequencies are one
 _ALIKE = 0.98  # cosine of the angle between the sizes that two lines have in the gyros
 
 
 def images(parts: Sequence[Part], runs: Sequence[Run]) -> dict[str, list[Part]]:
-    """Return by the name of a tone among candidates the later, weaker ones that sampling makes of it.
+    """Return by candidate name of a tone the weaker, later ones that sampling makes of it.
 
-    Where values are held or interpolated over some samples, a line comes again at multiples of their rate beside it; it
-    is as large in one gyro beside another as the line itself.
+    If values are held or interpolated over some samples, a line appears again beside each multiple of their rate, with
+    the same ratio of sizes between gyros.
     """
     found: dict[str, list[Part]] = {}
     taken: set[str] = set()
@@ -34,6 +34,9 @@ def images(parts: Sequence[Part], runs: Sequence[Run]) -> dict[str, list[Part]]:
 
 
 def _is_image(part: Part, other: Part, runs: Sequence[Run]) -> bool:
+    """Return whether tone ``other`` may be an image of tone ``part``: weaker, similar over gyros, at a sampling
+    frequency.
+    """
     assert part.tone is not None
     assert other.tone is not None
     sizes, others = _sizes(part), _sizes(other)
@@ -61,7 +64,9 @@ def _sizes(part: Part) -> Floats:
 def faint(
     parts: Sequence[Part], evidence: Evidence, runs: Sequence[Run], model: Augmented, left: Residual
 ) -> list[Part]:
-    """Return the tones that take next to nothing of what is beyond the noise beside what a ``model`` leaves of it."""
+    """Return the tones that explain next to nothing of the power beyond the noise, compared with what ``model``
+    leaves.
+    """
     beyond = {gyro.name: gyro.nis * gyro.beyond for gyro in left.gyros}
     found = []
     for part in (part for part in parts if part.tone is not None):

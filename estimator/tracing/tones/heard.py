@@ -17,22 +17,22 @@ _MOST_TONES = 3
 
 
 class Heard:
-    """The tones that were taken off so far, as ``parts`` of a model, and the samples without them."""
+    """The tones found so far, as ``parts`` of a model, and the samples without them."""
 
     def __init__(self, runs: Sequence[Run], evidence: Evidence) -> None:
-        """Begin with no tones; ``evidence`` is of the same runs."""
+        """Begin without tones; ``evidence`` is of the same runs."""
         self._runs, self._evidence = runs, evidence
-        # Beside another instrument that moves no tone is looked for (``find_tone``): its samples are not worked out.
+        # Beside another moving instrument no tone is searched (``find_tone``): its samples are not computed.
         self._samples = [] if any(run.by_another for run in runs) else [samples_of(run) for run in runs]
         self.parts: list[Part] = []
 
     def strongest(self, model: Sequence[Term]) -> ToneFound | None:
-        """Return the strongest line beside a model."""
+        """Return the strongest line beside a model, None without one or once there are ``_MOST_TONES``."""
         full = len(self.parts) >= _MOST_TONES or not self._samples
         return None if full else find_tone(self._runs, self._samples, self._predicted(model))
 
     def take(self, tone: ToneFound, probability: float, model: Sequence[Term]) -> None:
-        """Take a tone off the samples and off the blocks: from now on all is beside it."""
+        """Fit a tone and subtract it from the samples and from the blocks; append it to ``parts``."""
         fit = fit_tone(tone, self._runs, self._samples, self._predicted(model))
         waves = [tone_columns(tone.frequency_hz, run, own) for run, own in zip(self._runs, self._samples, strict=True)]
 
@@ -48,7 +48,7 @@ class Heard:
         self.parts.append(Part(candidate, Term(candidate.name, (), False), probability, (TONE.name,), fit))
 
     def _predicted(self, model: Sequence[Term]) -> list[Floats]:
-        """Return what a model says of the blocks of each run (b, m)."""
+        """Return the output errors (b, m) of each run that the posterior of a model predicts."""
         from scipy.fft import idct
 
         posterior = self._evidence.posterior(model)

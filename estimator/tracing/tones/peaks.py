@@ -6,9 +6,9 @@ _SHARE = 1e-4  # of the bracket: how closely the place is found
 
 
 def highest(function: Callable[[float], float], low: float, high: float, close: float = 0.0) -> float:
-    """Return where a function with one maximum between two numbers is largest (Brent's method, scipy).
+    """Return where a function with one maximum between ``low`` and ``high`` is largest (Brent's method, scipy).
 
-    It is found as closely as ``close``, or to a ten-thousandth of the bracket if that is more.
+    The accuracy is the larger of ``close`` and a ten-thousandth of the bracket.
     """
     from scipy.optimize import minimize_scalar
 

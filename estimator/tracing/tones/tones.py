@@ -1,4 +1,4 @@
-"""Tones: vibrations and aliases of unknown frequency, looked for in the samples themselves."""
+"""Tones: vibrations and aliases of unknown frequency, searched for in the samples themselves."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,25 +17,25 @@ from estimator.types import Floats
 
 Waves = NDArray[np.complex128]
 
-_LOWEST_HZ = 0.05  # below it a tone is told from slow effects by them, not by its line
-_LOWEST_BY_HAND_HZ = 5.0  # below it hands move what they hold, and a reference that is off by it shows it
+_LOWEST_HZ = 0.05  # below it a tone is distinguished from slow effects by these, not by its line
+_LOWEST_BY_HAND_HZ = 5.0  # below it hands move the body, and an error of the reference shows
 _FLOOR_BINS = 60  # the noise about a line is the median over so many frequencies to each side
 _STEPS = 12
 _WORTH = 0.3
 _FEWEST_CYCLES = 20
 _PARTS = 4
 _GAP_S = 1.0  # between samples: means of both sides are not those of one piece
-_CYCLES_A_PIECE = 3.0  # fewer within a piece without a gap are no line, but what the bias does from piece to piece
+_CYCLES_A_PIECE = 3.0  # fewer within a piece without a gap are no line, but changes of the bias from piece to piece
 _FEWEST = 256
 _RAMP = 0.02  # share of the steepest acceleration
-_COHERENT = 0.75  # of what parts of a run show each by itself, a tone shows as much with one phase
+_COHERENT = 0.75  # least share of the power of single parts of a run that a tone shows with one phase for all
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ToneFound:
-    """A line: its frequency, whether its phase is the same in all runs, and how much it tells.
+    """A line: its frequency, whether its phase is the same in all runs, and its log evidence.
 
-    ``log_evidence`` is beside no tone, the search among frequencies taken off.
+    ``log_evidence`` is relative to no tone, less the cost of the search over frequencies.
     """
 
     frequency_hz: float
@@ -44,9 +44,14 @@ class ToneFound:
 
 
 def find_tone(runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequence[Floats]) -> ToneFound | None:
-    """Return the strongest line beside a model; ``predicted`` (b, m) is what the model says of each run's blocks."""
+    """Return the strongest line beside a model, None if there is none; ``predicted`` (b, m) is what the model gives for
+    each run's blocks.
+
+    None as well beside a reference of another instrument, with too few samples, with sources of different rates, if
+    chance may give such a line, or if it does not last through the runs.
+    """
     if any(run.by_another for run in runs):
-        return None  # what moves the body moves its reference: of a line in their difference nobody knows whose it is
+        return None  # the reference moves with the body: a line in their difference may be of either
     samples = [_steady(run, s) for run, s in zip(runs, samples, strict=True)]
     if min(len(s.t_s) for s in samples) < _FEWEST:
         return None
@@ -76,11 +81,11 @@ def find_tone(runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequen
 
     amplitudes = sum(len(s.names) for s in samples)
     if float(gammaincc(amplitudes, total[peak])) * usable.sum() > _WORTH:
-        return None  # chance alone gives such a line: what follows costs more than the search for it
+        return None  # chance alone gives such a line: the next steps cost more than the search for it
     width = 1 / span_s
     variances = [floor[peak] for floor in floors]
 
-    @cache  # both kinds of tone are looked for at the same frequencies first
+    @cache  # both kinds of tone are first computed at the same frequencies
     def turning(frequency_hz: float) -> list[Waves]:
         return _turning(frequency_hz, samples, rests)
 
@@ -101,7 +106,9 @@ def find_tone(runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequen
 def _coherent(
     found: ToneFound, samples: Sequence[Samples], rests: Sequence[Floats], variances: Sequence[Floats]
 ) -> bool:
-    """Return whether a line goes on through each run: what comes and goes shows more in parts than in the whole."""
+    """Return whether a line lasts through each run: a line that comes and goes shows more in parts than in the
+    whole.
+    """
     parts, part_rests, part_variances = [], [], []
     for s, rest, variance in zip(samples, rests, variances, strict=True):
         edges = np.linspace(0, len(s.t_s), _PARTS + 1).astype(int)
@@ -117,7 +124,7 @@ def _coherent(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ToneFit:
-    """A tone as fitted to samples: for each gyro its cosine and sine (2,), of each run (2 runs,) if not locked; rad/s.
+    """A tone fitted to samples: by gyro cosine and sine (2,), or of each run (2 runs,) if not locked; in rad/s.
 
     ``sd`` is the standard deviation of each of these numbers.
     """
@@ -135,7 +142,11 @@ class ToneFit:
 
 
 def fit_tone(found: ToneFound, runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequence[Floats]) -> ToneFit:
-    """Return the tone that fits samples best beside a model, as ``find_tone`` takes it."""
+    """Return the tone with the amplitudes that fit samples best beside a model; ``predicted`` (b, m) as in
+    ``find_tone``.
+
+    Its standard deviations assume white noise.
+    """
     names = list(dict.fromkeys(name for s in samples for name in s.names))
     width = 1 if found.locked else len(samples)
     total = {name: np.zeros(width, dtype=np.complex128) for name in names}
@@ -160,7 +171,7 @@ def fit_tone(found: ToneFound, runs: Sequence[Run], samples: Sequence[Samples], 
 
 
 def without_tone(fit: ToneFit, samples: Sequence[Samples]) -> list[Samples]:
-    """Return the samples less a tone."""
+    """Return the samples with a tone subtracted."""
     cleaned = []
     for number, s in enumerate(samples):
         phase = 2 * np.pi * fit.found.frequency_hz * s.t_s
@@ -171,7 +182,7 @@ def without_tone(fit: ToneFit, samples: Sequence[Samples]) -> list[Samples]:
 
 
 def _steady(run: Run, samples: Samples) -> Samples:
-    """Return the samples of a run within full blocks outside of ramps, where block means say enough of each."""
+    """Return the samples of a run in full blocks outside ramps, where block means say enough of each sample."""
     keep = run.weight > 0
     if run.grid.gimbals:
         steep = run.fold(np.abs(run.grid.acceleration_rps2).max(axis=1, keepdims=True))[:, 0]
@@ -185,7 +196,9 @@ def _steady(run: Run, samples: Samples) -> Samples:
 
 
 def _left(run: Run, samples: Samples, predicted: Floats) -> Floats:
-    """Return what a model of blocks (b, m) leaves of samples (n, m), about its mean over each piece without a gap."""
+    """Return samples (n, m) less a model's blocks (b, m), interpolated, and less the mean of each piece without a
+    gap.
+    """
     known = run.weight > 0
     rest = samples.z_rps - np.column_stack([np.interp(samples.t_s, run.t_s[known], c) for c in predicted[known].T])
     pieces = _pieces(samples)
@@ -216,7 +229,7 @@ def _evened(t_s: Floats, values: Floats) -> tuple[Floats, float]:
 
 
 def _floor(power: Floats) -> Floats:
-    """Return the noise at each frequency (f, m): the median about it, as the mean of what is exponentially spread."""
+    """Return the noise power at each frequency (f, m): the running median, scaled to a mean of exponential noise."""
     from scipy.ndimage import median_filter
 
     floor = np.empty_like(power)
@@ -243,14 +256,17 @@ def _gain_at(
     variances: Sequence[Floats],
     locked: bool,
 ) -> tuple[float, list[float], list[float]]:
-    """Return the same as ``_gain`` at a frequency."""
+    """Return the result of ``_gain`` at a frequency, whose waves ``turning`` gives."""
     return _gain(turning(frequency_hz), samples, variances, locked)
 
 
 def _gain(
     turning: Sequence[Waves], samples: Sequence[Samples], variances: Sequence[Floats], locked: bool
 ) -> tuple[float, list[float], list[float]]:
-    """Return what a tone takes of the squares in all, and by amplitude its squares and its information."""
+    """Return half the sum of the squares that a tone explains, and by amplitude the squares and the information.
+
+    Amplitudes are one for each gyro, or one for each gyro and run if not ``locked``.
+    """
     sums: dict[tuple[str, int], tuple[complex, float]] = {}
     for number, (own, s, variance) in enumerate(zip(turning, samples, variances, strict=True)):
         for i, name in enumerate(s.names):
@@ -262,14 +278,14 @@ def _gain(
 
 
 def _peak(gain: Callable[[float], tuple[float, list[float], list[float]]], low: float, high: float) -> float:
-    """Return the frequency of the highest point: the best of a grid, then what is highest beside it."""
+    """Return the frequency of the highest gain: the best point of a grid, refined between its neighbours."""
     grid = np.linspace(low, high, _STEPS)
     best = int(np.argmax([gain(f)[0] for f in grid.tolist()]))
     return highest(lambda f: gain(f)[0], float(grid[max(best - 1, 0)]), float(grid[min(best + 1, _STEPS - 1)]))
 
 
 def _log_evidence(squares: Floats, information: Floats) -> float:
-    """Return the evidence of amplitudes, cosine and sine each, over the scales of their prior."""
+    """Return the log evidence of amplitudes (cosine and sine each), averaged over the scales of their prior."""
     largest = TONE.effect(frequency_hz=1.0).largest[0]
     values = []
     for scale in SCALES:

@@ -1,4 +1,4 @@
-"""The gyros of one device with what is wrong with them: from the motion to what is put out."""
+"""The gyros of one device with their faults: from the motion to the outputs."""
 
 from collections.abc import Iterable
 from copy import copy
@@ -17,12 +17,17 @@ T = TypeVar("T")
 
 
 class GyroChain:
-    """Motion -> delay -> rate, dead band, what is sensed beside it -> low pass -> biases; then noise -> converter."""
+    """Signal chain: motion, delay, rate and further sensed effects, dead band, low pass, biases; then noise and
+    converter.
+    """
 
     def __init__(
         self, effects: Iterable[object], world: World, gain: Floats, period_s: float, seed: tuple[int, ...]
     ) -> None:
-        """``gain`` (m,) is what the constant scale factor errors leave of the rate."""
+        """Prepare the chain of ``effects``; HiddenError if one names a gyro that does not exist.
+
+        ``gain`` (m,) is the sensitivity left by the constant scale factor errors.
+        """
         m = len(gain)
         self._world, self._gain = world, gain
         fitted = [for_gyros(e.for_run(m, seed) if isinstance(e, BiasWalk) else e, m) for e in effects]
@@ -42,11 +47,13 @@ class GyroChain:
 
     @property
     def remembers(self) -> bool:
-        """Return whether what comes depends on what has been."""
+        """Return whether outputs depend on earlier samples."""
         return bool(self._low_passes or self._turns)
 
     def output(self, t_s: Floats, *, keep: bool) -> Floats:
-        """Return outputs (n, m) without noise at successive instants; with ``keep`` they count as having been."""
+        """Return outputs (n, m) without noise at successive instants; only with ``keep`` do they change the chain's
+        state.
+        """
         low_passes = self._low_passes if keep else [copy(p) for p in self._low_passes]
         turns = self._turns if keep else [copy(t) for t in self._turns]
         now = Scene(self._world, t_s)
@@ -61,7 +68,7 @@ class GyroChain:
         return out
 
     def put_out(self, t_s: Floats, out: Floats) -> Floats:
-        """Return what the converter makes of successive outputs (n, m) with their noise."""
+        """Return successive outputs (n, m) with their noise after the converter."""
         return self._converter(t_s + self._world.started_s, out)
 
     def _sense_late(self, now: Scene, late: Scene) -> Floats:
@@ -72,6 +79,9 @@ class GyroChain:
         return np.column_stack([self._sense(scene)[:, i] for i, scene in enumerate(scenes)])
 
     def _sense(self, scene: Scene) -> Floats:
+        """Return the sensed rate (n, m): gain times rate plus the sensed effects; a dead band removes gain times rate
+        alone.
+        """
         out = self._gain * scene.u
         for effect in self._sensed:
             out = out + effect.output(scene)

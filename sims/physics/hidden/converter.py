@@ -13,14 +13,14 @@ KINDS: dict[str, type[Any]] = {}
 
 @hidden(KINDS, "dead_band")
 class DeadBand:
-    """A gyro shows no rate while its rate is within ``size_rps``; what else it shows goes on."""
+    """A gyro shows no rate while its rate is within ``size_rps``; its other effects stay."""
 
     size_rps: Each = field(metadata=each("deg/s"))
 
 
 @hidden(KINDS, "saturation")
 class Saturation:
-    """An output that goes no further than ``limit_rps`` to each side."""
+    """An output limited to ``limit_rps`` on each side."""
 
     limit_rps: Each = field(metadata=each("deg/s", least=0))
 
@@ -34,7 +34,7 @@ class SampleHold:
 
 @hidden(KINDS, "stuck")
 class Stuck:
-    """An output of one gyro, counted from 1, that stays what it was between two instants of the bench clock."""
+    """An output of one gyro, counted from 1, that is frozen between two instants of the bench clock."""
 
     gyro: int = field(metadata=WHOLE)
     from_s: float = field(metadata=given("s"))
@@ -48,7 +48,7 @@ class Stuck:
 
 @dataclass(slots=True, eq=False)
 class Converter:
-    """The converters of one run (m,): limits, then holds; remembers the last output."""
+    """The converters of one run (m,): limits, then sample holds, then stuck outputs; remembers the last output."""
 
     limits: tuple[Saturation, ...]
     hold: int
@@ -58,7 +58,7 @@ class Converter:
     last: Floats = field(default_factory=lambda: np.empty(0))
 
     def __call__(self, clock_s: Floats, out: Floats) -> Floats:
-        """Return what is put out (n, m) at successive instants of the bench clock."""
+        """Return the outputs (n, m) after limits, holds and stuck gyros, at successive instants of the bench clock."""
         for limit in self.limits:
             out = np.clip(out, -np.asarray(limit.limit_rps), limit.limit_rps)
         if self.hold > 1:

@@ -1,4 +1,4 @@
-"""All hidden effects: what is wrong with a table and its gyros, and the file that says so."""
+"""All hidden effects of a table and its gyros, and the file that states them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -17,9 +17,9 @@ KINDS = OUTPUTS | TIMING | CONVERTER | TABLE
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hidden:
-    """What is wrong, in SI: effects, the temperature (of the devices' own truth if None).
+    """The hidden errors, in SI: effects, and the temperature (None: that of the devices' truth).
 
-    ``devices`` are those whose gyros have the effects; all if None. The table's effects are there for all.
+    ``devices`` are those whose gyros have the effects, None for all. Effects of the table apply to all.
     """
 
     effects: tuple[object, ...] = ()
@@ -27,7 +27,7 @@ class Hidden:
     devices: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what is no effect."""
+        """Check effects and temperature; HiddenError for an invalid one."""
         for effect in self.effects:
             if type(effect) not in KINDS.values():
                 raise HiddenError(f"{effect!r} is no hidden effect")
@@ -37,29 +37,30 @@ class Hidden:
 
     @classmethod
     def of(cls, tables: Mapping[str, object]) -> Self:
-        """Return what tables of texts with units say; HiddenError for what is wrong, which begins with table and key.
+        """Return the effects described by tables of texts with units; HiddenError, which begins with table and key, if
+        invalid.
 
-        An effect that is there more than once is a list of tables, named in errors by its place: "tone.1".
+        An effect that occurs several times is a list of tables, named in errors by its index: "tone.1".
         """
         refuse_unknown(tables, dict.fromkeys(("devices", Temperature.name, *KINDS)), "hidden effects")
         effects: list[object] = []
         for name, kind in KINDS.items():
             if name in tables:
-                said = tables[name]
-                several = enumerate(said) if isinstance(said, list | tuple) else [("", said)]
+                value = tables[name]
+                several = enumerate(value) if isinstance(value, list | tuple) else [("", value)]
                 effects.extend(read(kind, one, f"{name}.{place}".rstrip(".")) for place, one in several)
         temperature = read(Temperature, tables["temperature"], "temperature") if "temperature" in tables else None
         return cls(tuple(effects), temperature, _devices(tables.get("devices")))
 
     def of_device(self, name: str) -> Self:
-        """Return what is hidden from this device: effects of its gyros only if it is among the devices."""
+        """Return the hidden effects of this device: those of its gyros only if it is among the devices."""
         if self.devices is None or name in self.devices:
             return self
         return replace(self, effects=self.table.effects, temperature=None)
 
     @property
     def table(self) -> TableFaults:
-        """What is wrong with the table."""
+        """The faults of the table."""
         return TableFaults(tuple(e for e in self.effects if isinstance(e, OfTable)))
 
     @property

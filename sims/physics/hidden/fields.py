@@ -1,4 +1,4 @@
-"""Fields of effects: what each measures, and how a table of texts becomes an effect of numbers.
+"""Fields of effects: the quantity of each, and how a table of texts becomes an effect of numbers.
 
 A field's metadata say what it takes. Its key in the file is its name without the unit that the name of an SI number
 ends in; without a default it must be there.
@@ -29,12 +29,14 @@ _SUFFIX = re.compile(r"_(rps|rps2|rad|s|c|hz|rps_rts)$")
 
 
 class HiddenError(ValueError):
-    """A hidden effect that cannot be what it says; the message names file, table and key where there are such."""
+    """An invalid hidden effect; the message names file, table and key where known."""
 
 
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(field,))
 def hidden(kinds: dict[str, type[Any]], name: str) -> Callable[[type[T]], type[T]]:
-    """Return a decorator that makes an effect of a class and enters it among its kind by its name in the file."""
+    """Return a decorator that makes a class a frozen dataclass and enters it in ``kinds`` under its name in the
+    file.
+    """
 
     def entered(described: type[T]) -> type[T]:
         kinds[name] = dataclass(frozen=True, slots=True, eq=False)(described)
@@ -45,7 +47,7 @@ def hidden(kinds: dict[str, type[Any]], name: str) -> Callable[[type[T]], type[T
 
 
 def given(like: str, *, least: float | None = None) -> dict[str, object]:
-    """Describe a number whose unit measures the same as ``like``; ``least`` is the least it may be, in SI."""
+    """Describe a number whose unit measures the same as ``like``; ``least`` is its minimum, in SI."""
     return {"like": like, "least": least}
 
 
@@ -65,19 +67,22 @@ def key_of(what: Field[Any]) -> str:
 
 
 def read(kind: type[T], table: object, name: str) -> T:
-    """Return the effect that a table of texts describes; HiddenError with table and key for what is wrong."""
+    """Return the effect of type ``kind`` that a table of texts describes; HiddenError with ``name`` and key if invalid.
+
+    Keys that are unknown or missing without a default are errors, too.
+    """
     if not isinstance(table, Mapping):
         raise HiddenError(f"{name}: must be a table")
     declared = {key_of(f): f for f in fields(kind) if f.metadata}  # type: ignore[arg-type]
     refuse_unknown(table, declared, name)
     values = {}
-    for key, what in declared.items():
+    for key, described in declared.items():
         if key in table:
             try:
-                values[what.name] = _value(table[key], what)
+                values[described.name] = _value(table[key], described)
             except HiddenError as error:
                 raise HiddenError(f"{name}.{key}: {error}") from None
-        elif what.default is MISSING:
+        elif described.default is MISSING:
             raise HiddenError(f"{name}: {key} is missing")
     return kind(**values)
 
@@ -92,36 +97,39 @@ def refuse_unknown(table: Mapping[str, object], known: Mapping[str, object], whe
 
 
 def for_gyros(effect: T, count: int) -> T:
-    """Return the effect with every number that each gyro has to itself as an array (count,).
+    """Return the effect with every number that may differ between gyros as an array (count,).
 
-    HiddenError if there are not as many numbers as gyros.
+    HiddenError if there are neither one nor ``count`` numbers.
     """
     arrays = {}
-    for what in fields(effect):  # type: ignore[arg-type]
-        if what.metadata.get("each"):
-            value = np.asarray(getattr(effect, what.name), dtype=np.float64)
+    for described in fields(effect):  # type: ignore[arg-type]
+        if described.metadata.get("each"):
+            value = np.asarray(getattr(effect, described.name), dtype=np.float64)
             if value.ndim and value.shape != (count,):
-                name = f"{getattr(effect, 'name', '')}.{key_of(what)}"
+                name = f"{getattr(effect, 'name', '')}.{key_of(described)}"
                 raise HiddenError(f"{name}: {value.size} values for {count} gyros: give one for all, or one each")
-            arrays[what.name] = np.broadcast_to(value, (count,))
+            arrays[described.name] = np.broadcast_to(value, (count,))
     return replace(effect, **arrays) if arrays else effect  # type: ignore[type-var]
 
 
 def check(effect: object) -> None:
-    """Refuse what is no number, or less than it may be."""
-    for what in fields(effect):  # type: ignore[arg-type]
-        if "like" not in what.metadata:
+    """Check every number of an effect; HiddenError if one is not finite, other than by default, or out of its range."""
+    for described in fields(effect):  # type: ignore[arg-type]
+        if "like" not in described.metadata:
             continue
-        value = np.asarray(getattr(effect, what.name), dtype=np.float64)
-        least, most = what.metadata["least"], what.metadata.get("most")
-        finite = np.isfinite(value).all() or np.all(value == what.default)
+        value = np.asarray(getattr(effect, described.name), dtype=np.float64)
+        least, most = described.metadata["least"], described.metadata.get("most")
+        finite = np.isfinite(value).all() or np.all(value == described.default)
         if not finite or (least is not None and np.any(value < least)) or (most is not None and np.any(value > most)):
             wanted = "a number" if least is None else f"{least:g} or more"
-            name = f"{getattr(effect, 'name', '')}.{key_of(what)}".lstrip(".")
+            name = f"{getattr(effect, 'name', '')}.{key_of(described)}".lstrip(".")
             raise HiddenError(f"{name}: give 0 % to 100 %" if most is not None else f"{name}: must be {wanted}")
 
 
 def _value(raw: object, what: Field[Any]) -> Any:
+    """Return a value of the file in SI, checked by the kind of its field: quantity, flag, integer or choice; else
+    HiddenError.
+    """
     if "like" in what.metadata:
         if what.metadata.get("each") and isinstance(raw, list | tuple):
             return np.array([quantity(r, what.metadata["like"]) for r in raw])

@@ -1,4 +1,4 @@
-"""Effects on what a gyro puts out: what follows the motion beside its rate, and what time and temperature add.
+"""Effects on gyro outputs: of the motion beyond its rate, of time, and of temperature.
 
 Each gives what it adds, (n, m) in rad/s. Times are those of the bench clock, which goes on from run to run.
 """
@@ -22,19 +22,21 @@ _KNOTS_AT_ONCE = 4096
 
 
 class Output(ABC):
-    """An effect on what is put out."""
+    """An effect on the output."""
 
     @abstractmethod
     def output(self, scene: Scene) -> Floats:
-        """Return what it adds (n, m), rad/s."""
+        """Return the outputs (n, m) in rad/s that the effect adds."""
 
 
 class Added(Output):
-    """What the electronics add: it is there whether the gyro turns or not."""
+    """An effect of the electronics, which is there whether or not the gyro turns."""
 
 
 class Sensed(Output):
-    """What follows the motion: a scale factor that varies, or something sensed beside the rate; before the low pass."""
+    """An effect of the motion, before the low pass: a varying scale factor, or something sensed in addition to the
+    rate.
+    """
 
 
 @hidden(KINDS, "thermal_bias")
@@ -60,7 +62,7 @@ class ThermalGradient(Added):
 
 @hidden(KINDS, "thermal_lag")
 class ThermalLag(Added):
-    """A bias that follows the temperature of a gyro which lags behind the one that is reported."""
+    """A bias that follows the temperature of the gyro, which lags behind the reported one."""
 
     linear: Each = field(metadata=each("deg/s/degC"))
     lag_s: float = field(default=40.0, metadata=given("s", least=1e-3))
@@ -72,7 +74,7 @@ class ThermalLag(Added):
 
 @hidden(KINDS, "bias_drift")
 class BiasDrift(Added):
-    """A bias that grows evenly, by ``size_rps`` in ``over_s``, and goes on."""
+    """A bias that grows linearly by ``size_rps`` in ``over_s``, and beyond."""
 
     size_rps: Each = field(metadata=each("deg/s"))
     over_s: float = field(default=3600.0, metadata=given("s", least=1e-3))
@@ -83,7 +85,7 @@ class BiasDrift(Added):
 
 @hidden(KINDS, "warm_up")
 class WarmUp(Added):
-    """A bias that comes to ``size_rps`` with a time constant."""
+    """A bias that approaches ``size_rps`` with a time constant."""
 
     size_rps: Each = field(metadata=each("deg/s"))
     time_constant_s: float = field(metadata=given("s", least=1e-3))
@@ -94,7 +96,7 @@ class WarmUp(Added):
 
 @hidden(KINDS, "bias_step")
 class BiasStep(Added):
-    """A bias that is there from an instant on."""
+    """A bias that is present from an instant on."""
 
     size_rps: Each = field(metadata=each("deg/s"))
     at_s: float = field(metadata=given("s"))
@@ -105,9 +107,9 @@ class BiasStep(Added):
 
 @hidden(KINDS, "bias_walk")
 class BiasWalk(Added):
-    """A rate random walk from the bench clock's 0 on; ``size`` in rad/s/rts.
+    """A rate random walk that starts at the bench clock's 0; ``size`` in rad/s/rts.
 
-    The same ``seed`` is the same walk, over all runs of a bench clock; without one each run has its own.
+    The same ``seed`` gives the same walk in all runs of a bench clock; without one each run has its own.
     """
 
     size: Each = field(metadata=each("deg/h/rth"))
@@ -175,7 +177,7 @@ class AlignmentStep(Sensed):
 
 @hidden(KINDS, "scale_asymmetry")
 class ScaleAsymmetry(Sensed):
-    """A scale factor that differs between the directions by twice ``size``."""
+    """A scale factor that differs between the two directions by twice ``size``."""
 
     size: Each = field(metadata=each("ppm"))
 
@@ -217,7 +219,7 @@ class GSensitivity(Sensed):
 
 @hidden(KINDS, "acceleration_sensitivity")
 class AccelerationSensitivity(Sensed):
-    """What angular acceleration about the tilt axes j and k adds; rad/s per rad/s2."""
+    """An output in proportion to angular acceleration about the tilt axes j and k; rad/s per rad/s2."""
 
     j: Each = field(default=0.0, metadata=each("deg/s/(deg/s2)"))
     k: Each = field(default=0.0, metadata=each("deg/s/(deg/s2)"))
@@ -229,7 +231,7 @@ class AccelerationSensitivity(Sensed):
 
 @hidden(KINDS, "table_harmonic")
 class TableHarmonic(Sensed):
-    """What goes round with an axis of the table: cosine and sine (rad/s) of ``order`` times its angle."""
+    """An output periodic in the angle of a table axis: cosine and sine (rad/s) of ``order`` times the angle."""
 
     axis: str = field(metadata=choice(AXES))
     order: int = field(default=1, metadata=WHOLE)
@@ -243,10 +245,10 @@ class TableHarmonic(Sensed):
 
 @hidden(KINDS, "motor_current_gain")
 class MotorCurrentGain(Sensed):
-    """A scale factor that follows the current of all motors: the supply gives way to it.
+    """A scale factor that follows the current of all motors, which load the supply.
 
-    A motor's current is that of its acceleration and of its friction, stated as the acceleration (rad/s2) that
-    would need as much. ``size`` is the share per rad/s2.
+    The current of a motor is that of its acceleration and its friction; the latter is stated as the acceleration
+    (rad/s2) that would need as much. ``size`` is the share per rad/s2.
     """
 
     size: Each = field(metadata=each("ppm/(deg/s2)"))
@@ -260,7 +262,7 @@ class MotorCurrentGain(Sensed):
 
 
 class WalkPath:
-    """Wiener processes (m,) of unit size, worked out as far as they are asked for."""
+    """Wiener processes (m,) of unit size, computed as far as they are needed."""
 
     def __init__(self, count: int, seed: tuple[int, ...]) -> None:
         """Start at zero at the instant 0."""
@@ -268,7 +270,7 @@ class WalkPath:
         self._knots = np.zeros((1, count))
 
     def at(self, t_s: Floats) -> Floats:
-        """Return the processes (n, m) at instants (n,)."""
+        """Return the processes (n, m) at instants (n,), linear between knots; 0 before the instant 0."""
         at = np.maximum(t_s, 0.0) / _KNOT_S
         while len(self._knots) < at.max() + 2:
             steps = math.sqrt(_KNOT_S) * self._random.standard_normal((_KNOTS_AT_ONCE, self._knots.shape[1]))

@@ -1,4 +1,4 @@
-"""What there is to sense: the motion of the body, seen by gyros at the instants at which they look."""
+"""The motion of the body as gyros sense it at their instants."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,9 +15,9 @@ _STEP_S = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class World:
-    """Where gyros are: on a body, mounted so, with sense axes (m, 3) as they really are, at a temperature.
+    """The surroundings of the gyros: body, mounting, true sense axes (m, 3) and temperature.
 
-    The bench clock, which temperature and drift follow, stood at ``started_s`` at the instant 0 of the motion.
+    The bench clock, which temperature and drift follow, is at ``started_s`` at the instant 0 of the motion.
     """
 
     body: Body
@@ -28,7 +28,7 @@ class World:
 
 
 class Scene:
-    """All that effects look at, at instants (n,); each is worked out when it is first asked for."""
+    """The inputs of all effects at instants (n,); each is computed when first used."""
 
     def __init__(self, world: World, t_s: Floats) -> None:
         """``t_s`` are instants of the motion."""
@@ -66,7 +66,7 @@ class Scene:
 
     @cached_property
     def axes(self) -> tuple[Floats, Floats]:
-        """Rates (rad/s) and accelerations (rad/s2) of the axes of the table, each (n, axes)."""
+        """Rates (rad/s) and accelerations (rad/s2) of the axes of the table, each (n, axes), by finite differences."""
         body = self.world.body
         before, here, after = (
             np.column_stack([body.angle(axis, self.t_s + step) for axis in body.gimbals])

@@ -1,4 +1,4 @@
-"""Effects of the table: what its encoders say is not where its axes are, and its axes are not at right angles.
+"""Effects of the table: encoders that differ from the true angles, and axes that are not at right angles.
 
 A servo follows its encoder, so what the drives report is what they were told, and the body is what is off. But for
 readings on their way to the host: there the body does what it was told, and what is reported is off.
@@ -26,14 +26,14 @@ Angles = Callable[[Floats], Floats]
 
 
 class OfTable:
-    """An effect of the table, the same for all that rides on it."""
+    """An effect of the table, common to all that is mounted on it."""
 
     def true_angle(self, axis: str, angle_rad: Floats) -> Floats:
         """Return the true angle of an axis whose encoder stands at ``angle_rad`` (n,)."""
         return angle_rad
 
     def tilt(self, axis: str) -> Floats:
-        """Return what is added to the direction (3,) of an axis at home."""
+        """Return the change of the direction (3,) of an axis at home."""
         return np.zeros(3)
 
 
@@ -55,7 +55,7 @@ class TableAxes(OfTable):
 
 @hidden(KINDS, "table_rate")
 class TableRate(OfTable):
-    """Axes that turn further than their encoders say, by a share: gears, counts a turn."""
+    """Axes that turn further than their encoders indicate, by a share, because of gears or counts per turn."""
 
     x: float = field(default=0.0, metadata=given("ppm"))
     y: float = field(default=0.0, metadata=given("ppm"))
@@ -67,9 +67,9 @@ class TableRate(OfTable):
 
 @hidden(KINDS, "encoder_eccentricity")
 class EncoderEccentricity(OfTable):
-    """An encoder that says ``size_rad`` sin(order times the true angle + phase) more than the true angle.
+    """An encoder that indicates ``size_rad`` sin(order times the true angle + phase) more than the true angle.
 
-    It is zeroed at home, so it says that much less what it would say there.
+    It is zeroed at home, so its error there is subtracted.
     """
 
     size_rad: float = field(metadata=given("deg"))
@@ -83,13 +83,14 @@ class EncoderEccentricity(OfTable):
             raise HiddenError("encoder_eccentricity: size times order is beyond 0.1 rad")
 
     def true_angle(self, axis: str, angle_rad: Floats) -> Floats:
+        """Return the true angles at encoder angles, by Newton's method; unchanged for other axes."""
         if self.axis not in (axis, ALL):
             return angle_rad
         true = angle_rad
         for _ in range(_NEWTON_STEPS):
             wave = self.order * true + self.phase_rad
-            said = true + self.size_rad * (np.sin(wave) - np.sin(self.phase_rad))
-            true = true - (said - angle_rad) / (1 + self.order * self.size_rad * np.cos(wave))
+            reported = true + self.size_rad * (np.sin(wave) - np.sin(self.phase_rad))
+            true = true - (reported - angle_rad) / (1 + self.order * self.size_rad * np.cos(wave))
         return np.asarray(true)
 
 
@@ -97,10 +98,10 @@ class EncoderEccentricity(OfTable):
 class TableReading(OfTable):
     """Readings of one axis that are wrong between two instants of the bench clock.
 
-    Of the way since ``from_s`` the angle gains the share ``angle``, and it creeps by ``creep_rps``, both of which stay;
-    it is off by ``jump_rad``, or ``frozen``. The rate gains the share ``rate`` (-200 %: of the other sign), or is
-    ``stale``. The axis does as it is told; ``followed`` by its servo, the readings do, and the body is off by the
-    share and by what creeps.
+    The angle gains the share ``angle`` of the motion since ``from_s`` and creeps by ``creep_rps``; both stay
+    afterwards. It is off by ``jump_rad``, or ``frozen``. The rate gains the share ``rate`` (-200 %: opposite sign), or
+    is ``stale``. The axis follows its commands; if ``followed`` by its servo, the readings follow the commands instead,
+    and the body is off by the gain and the creep.
     """
 
     axis: str = field(metadata=choice(tuple(_UNIT)))
@@ -115,9 +116,11 @@ class TableReading(OfTable):
     followed: bool = field(default=False, metadata=FLAG)
 
     def shift(self, angles: Angles, started_s: float) -> Angles:
-        """Return by how much the angle gains and creeps; the bench clock stands at ``started_s`` at the instant 0."""
+        """Return a function of instants (n,) that gives the gain and creep of the angle; ``started_s`` is the bench
+        clock at 0.
+        """
         first_s, last_s = self.from_s - started_s, self.until_s - started_s
-        at = cache(lambda t_s: float(angles(np.array([t_s]))[0]))  # an axis forgets what has been
+        at = cache(lambda t_s: float(angles(np.array([t_s]))[0]))  # an axis forgets old segments
 
         def shift(t_s: Floats) -> Floats:
             if not (t_s >= first_s).any():
@@ -129,12 +132,18 @@ class TableReading(OfTable):
         return shift
 
     def read(self, motion: Motion, started_s: float) -> Motion:
-        """Return what is read of a motion."""
+        """Return the readings (angle, rate) as a function of the instant, given those without the error; 0 is
+        ``started_s``.
+        """
         first_s, last_s = self.from_s - started_s, self.until_s - started_s
         before = cache(motion)
         shift = self.shift(lambda t_s: np.array([motion(t)[0] for t in t_s.tolist()]), started_s)
 
         def read(t_s: float) -> tuple[float, float]:
+            """Return the angle and rate as the faulty table reports them; without a fault outside of its time span.
+
+            In the span the angle jumps or is frozen at its beginning, and the rate is off in scale or stale.
+            """
             angle, rate = motion(t_s)
             if not self.followed:
                 angle += float(shift(np.array([t_s]))[0])
@@ -159,9 +168,9 @@ class TableFaults:
         return angle_rad
 
     def true_angles(self, axis: str, angles: Angles, started_s: float) -> Angles:
-        """Return the true angles of an axis whose encoder stands at ``angles``."""
-        its = [e for e in self.effects if isinstance(e, TableReading) and e.axis == axis and e.followed]
-        shifts = [effect.shift(angles, started_s) for effect in its]
+        """Return a function that gives the true angles of an axis whose encoder indicates ``angles``."""
+        effects = [e for e in self.effects if isinstance(e, TableReading) and e.axis == axis and e.followed]
+        shifts = [effect.shift(angles, started_s) for effect in effects]
 
         def true(t_s: Floats) -> Floats:
             angle_rad = self.true_angle(axis, angles(t_s))
@@ -178,7 +187,7 @@ class TableFaults:
         return {axis: direction / np.linalg.norm(direction) for axis, direction in tilted.items()}
 
     def read(self, axis: str, motion: Motion, started_s: float) -> Motion:
-        """Return what is read of the motion of an axis, of which the instant 0 is this one of the bench clock."""
+        """Return the motion of an axis as it is read; its instant 0 is ``started_s`` of the bench clock."""
         for effect in self.effects:
             if isinstance(effect, TableReading) and effect.axis == axis:
                 motion = effect.read(motion, started_s)

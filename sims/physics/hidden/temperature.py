@@ -1,4 +1,4 @@
-"""The temperature of the gyros over time, and what follows it."""
+"""The temperature of the gyros over time, and the outputs that follow it."""
 
 from dataclasses import dataclass, field
 from typing import ClassVar
@@ -13,10 +13,10 @@ EXPONENTIAL, LINEAR, CYCLE = "exponential", "linear", "cycle"
 
 @dataclass(frozen=True, slots=True)
 class Temperature:
-    """A temperature (degC) that rises by ``rise_c`` from the instant 0 of the bench clock on.
+    """A temperature (degC) that rises by ``rise_c`` from the bench clock's 0 on.
 
-    Exponential: with ``time_constant_s``. Linear: over ``over_s``, and stays. Cycle: up and down again, a raised
-    cosine of period ``over_s``. ``reference_c`` is where thermal effects are nothing.
+    Exponential: with ``time_constant_s``. Linear: over ``over_s``, then constant. Cycle: up and down, a raised cosine
+    of period ``over_s``. Thermal effects are zero at ``reference_c``.
     """
 
     name: ClassVar[str] = "temperature"
@@ -28,7 +28,7 @@ class Temperature:
     reference_c: float = field(default=25.0, metadata=given("degC"))
 
     def at(self, t_s: Floats) -> Floats:
-        """Return the temperature in degC."""
+        """Return the temperature in degC at instants (n,) of the bench clock; the start value before 0."""
         t_s = np.maximum(t_s, 0.0)
         if self.shape == LINEAR:
             risen = np.minimum(t_s / self.over_s, 1.0)
@@ -43,7 +43,7 @@ class Temperature:
         return self.at(t_s) - self.reference_c
 
     def slope(self, t_s: Floats) -> Floats:
-        """Return its rate of change in degC/s."""
+        """Return the rate of change in degC/s at instants (n,) of the bench clock; 0 before 0."""
         if self.shape == LINEAR:
             rising = np.where(t_s < self.over_s, 1 / self.over_s, 0.0)
         elif self.shape == CYCLE:
@@ -53,7 +53,9 @@ class Temperature:
         return np.asarray(np.where(t_s >= 0, self.rise_c * rising, 0.0))
 
     def lagged(self, t_s: Floats, lag_s: float) -> Floats:
-        """Return the temperature of a body that follows this one with a first-order lag, in step at the instant 0."""
+        """Return the temperature of a body that follows this one with a first-order lag and equals it at the
+        instant 0.
+        """
         t_s = np.maximum(t_s, 0.0)
         decay = np.exp(-t_s / lag_s)
         if self.shape == LINEAR:

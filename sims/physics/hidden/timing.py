@@ -1,4 +1,4 @@
-"""Effects of time on what is sensed: looked at late, low-passed; and what the last rotation leaves behind."""
+"""Effects of time on sensed rates: delays, low passes, and the aftermath of the last rotation."""
 
 import math
 from dataclasses import dataclass, field
@@ -14,14 +14,14 @@ KINDS: dict[str, type[Any]] = {}
 
 @hidden(KINDS, "latency")
 class Latency:
-    """All gyros show what was ``delay_s`` ago."""
+    """All gyros show their state of ``delay_s`` ago."""
 
     delay_s: float = field(metadata=given("s", least=0))
 
 
 @hidden(KINDS, "rate_dependent_delay")
 class RateDependentDelay:
-    """A gyro shows what was ``size`` times its rate ago; s per rad/s."""
+    """A gyro shows its state of ``size`` times its rate ago; s per rad/s."""
 
     size: Each = field(metadata=each("us/(deg/s)", least=0))
 
@@ -32,7 +32,7 @@ class RateDependentDelay:
 
 @hidden(KINDS, "bandwidth")
 class Bandwidth:
-    """A first-order low pass of what is sensed, stated by its cutoff or by its time constant."""
+    """A first-order low pass of the sensed rate, stated by its cutoff or its time constant."""
 
     cutoff_hz: Each = field(default=0.0, metadata=each("Hz", least=0))
     time_constant_s: Each = field(default=0.0, metadata=each("s", least=0))
@@ -59,14 +59,14 @@ class Hysteresis:
 
 @dataclass(slots=True, eq=False)
 class LowPass:
-    """The low pass of one run: remembers the last sample, input and output (m,)."""
+    """The low pass of one run; remembers the last input and output (m,)."""
 
     lag_s: Floats
     period_s: float
     last: tuple[Floats, Floats] | None = field(default=None)
 
     def __call__(self, x: Floats) -> Floats:
-        """Return successive inputs (n, m) low-passed: exactly, for inputs straight between samples."""
+        """Return successive inputs (n, m) after the low pass, exact for inputs that are linear between samples."""
         from scipy.signal import lfilter  # slow to import
 
         if not len(x):
@@ -91,7 +91,7 @@ class LastTurn:
     sign: Floats
 
     def __call__(self, u: Floats) -> Floats:
-        """Return the signs (n, m) at successive rates (n, m)."""
+        """Return the signs (n, m) of the last rotation above the threshold at successive rates (n, m)."""
         if not len(u):
             return u
         turning = np.abs(u) > self.threshold_rps

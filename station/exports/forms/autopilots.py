@@ -39,7 +39,11 @@ def write_px4(exported: Exported) -> Written:
 
 
 def write_ardupilot(exported: Exported) -> Written:
-    """Return parameters of one of ArduPilot's gyros, 0 to 2, as its ground stations load them."""
+    """Return the parameters of ArduPilot's gyro number ``exported.instance`` (0 to 2), in the format of its ground
+    stations.
+
+    UsageError for other numbers, or if there are not three gyros.
+    """
     held, values = _bias_only(exported, "ArduPilot", 3)
     if values["thermal"]:
         linear, quadratic = values["thermal"]
@@ -50,7 +54,11 @@ def write_ardupilot(exported: Exported) -> Written:
 
 
 def _bias_only(exported: Exported, form: str, most: int) -> tuple[dict[str, str], dict[str, Any]]:
-    """Return why effects are not in it, and what an autopilot can hold: rad/s along x, y, z, per K and per K2, degC."""
+    """Return the effects that are left out, with reasons, and the values that an autopilot can hold.
+
+    Values: bias in rad/s along x, y, z, its linear and quadratic temperature coefficients, temperatures in degC.
+    UsageError if the gyro number is not below ``most``.
+    """
     if not 0 <= exported.instance < most:
         raise UsageError(f"{form} has gyros number 0 to {most - 1}, not {exported.instance}")
     held, dropped = as_triad(exported, form, _KEPT)
@@ -71,7 +79,7 @@ def _bias_only(exported: Exported, form: str, most: int) -> tuple[dict[str, str]
 
 
 def _along_axes(exported: Exported, values: Floats) -> Floats:
-    """Return what belongs to each gyro (3,) along x, y and z; UsageError unless the gyros lie along these."""
+    """Return values of each gyro (3,) reordered to x, y and z; UsageError unless the gyros lie along these axes."""
     p = exported.compensation.array.p
     nearest = np.round(p)
     if np.abs(p - nearest).max() > TOLERANCE or (np.abs(nearest).sum(axis=0) != 1).any():

@@ -41,7 +41,7 @@ def write_matlab(exported: Exported) -> Written:
 
 
 def _matlab(value: Any) -> Any:
-    """Return a value of JSON as savemat takes it; None is left out, names are those that MATLAB allows."""
+    """Return a JSON value in the form for savemat; None is left out, keys become names that MATLAB allows."""
     if isinstance(value, dict):
         return {re.sub(r"\W", "_", f"{key}", flags=re.ASCII): _matlab(x) for key, x in value.items() if x is not None}
     if not isinstance(value, list) or all(isinstance(x, float | int | list) for x in value):
@@ -52,7 +52,9 @@ def _matlab(value: Any) -> Any:
 
 
 def write_csv(exported: Exported) -> Written:
-    """Return a line a gyro: axes, states, sigmas, row of the sensitivity, effects; SI units are in the headings."""
+    """Return one line per gyro: axes, states, sigmas, row of the sensitivity matrix, effects; headings have SI
+    units.
+    """
     lines = [_line(exported, i, gyro) for i, gyro in enumerate(exported.gyros)]
     file = io.StringIO()
     writer = csv.DictWriter(file, lines[0], lineterminator="\n")
@@ -63,6 +65,7 @@ def write_csv(exported: Exported) -> Written:
 
 
 def _line(exported: Exported, i: int, gyro: GyroCalibration) -> dict[str, str]:
+    """Return one gyro's values as texts by heading."""
     array, gain = exported.compensation.array, exported.compensation.sensitivity
     values = {f"{a}_{part}": x for a in "pjk" for part, x in zip("xyz", getattr(array, a)[i], strict=True)}
     for key, unit, state, sd in zip(STATES, ("1", "rad/s", "rad", "rad"), gyro.states, gyro.sd, strict=True):
@@ -77,6 +80,7 @@ def _line(exported: Exported, i: int, gyro: GyroCalibration) -> dict[str, str]:
 
 
 def _object(exported: Exported) -> dict[str, Any]:
+    """Return the complete export as a JSON object; ``solution_h`` is null if the gyros do not span space."""
     compensation = exported.compensation
     try:
         solution: Any = compensation.solution.tolist()
@@ -112,6 +116,7 @@ def _object(exported: Exported) -> dict[str, Any]:
 
 
 def _gyro(exported: Exported, number_of: int, gyro: GyroCalibration) -> dict[str, Any]:
+    """Return the JSON object of one gyro: axes, states, covariance, budget, noise, effects."""
     array = exported.compensation.array
     return {
         "name": array.names[number_of],

@@ -41,6 +41,11 @@ def write_openvins(exported: Exported) -> Written:
 
 
 def _chain(exported: Exported, form: str, called: str) -> Written:
+    """Return the file of a model that multiplies a lower triangular matrix and a rotation; UsageError without three
+    gyros.
+
+    Held are sensitivity, bias, sensitivity to gravity and noise.
+    """
     constants, dropped = as_triad(exported, called, (G_SENSITIVITY.name,))
     m, c = _lower_and_rotation(constants.sensitivity, called)
     felt = constants.held(G_SENSITIVITY.name)
@@ -51,7 +56,10 @@ def _chain(exported: Exported, form: str, called: str) -> Written:
 
 
 def _lower_and_rotation(sensitivity: Floats, form: str) -> tuple[Floats, Floats]:
-    """Return a lower triangular matrix with positive diagonal and a rotation whose product is ``sensitivity``."""
+    """Return a lower triangular matrix with positive diagonal and a rotation, whose product is ``sensitivity`` (3, 3).
+
+    UsageError if it is left-handed.
+    """
     q, r = np.linalg.qr(sensitivity.T)
     signs = np.sign(np.diag(r))
     rotation = (q * signs).T

@@ -40,9 +40,12 @@ def write_c_float(exported: Exported) -> Written:
 
 
 def _header(exported: Exported, real: str, prefix: str) -> Written:
+    """Return the C99 header, in type ``real`` and with names that begin with ``prefix``, and what it leaves out."""
     terms = terms_of(exported.compensation)
     not_held = _cautions(exported, terms)
-    what = f"{prefix}_correct: outputs of {len(exported.gyros)} gyros (rad/s) to the rate of their body (rad/s). C99."
+    purpose = (
+        f"{prefix}_correct: outputs of {len(exported.gyros)} gyros (rad/s) to the rate of their body (rad/s). C99."
+    )
     samples, rates = _vectors(exported, terms)
     text = _function_text(
         "header.jinja",
@@ -52,7 +55,7 @@ def _header(exported: Exported, real: str, prefix: str) -> Written:
         {"value": "(", "sign": f"{prefix}_sign"}
         | {axis: f"{prefix}_{axis}" for axis in AXIS_TABLES}
         | {name: f"{prefix}_{name}(state, " for name in ("follow", "last")},
-        head=[f" *{_said(line.removeprefix(' *'))}" for line in head(exported, what, not_held, " *")],
+        head=[f" *{_said(line.removeprefix(' *'))}" for line in head(exported, purpose, not_held, " *")],
         said=list(map(_said, _arguments_said(exported, terms))),
         p=prefix,
         upper=prefix.upper(),
@@ -67,10 +70,10 @@ def _header(exported: Exported, real: str, prefix: str) -> Written:
 
 
 def _macros(exported: Exported) -> list[tuple[str, str, str]]:
-    """Return what a program may check: name of each macro behind the prefix, its value, what it says.
+    """Return (name behind the prefix, value, meaning) of the macros that a program may check.
 
-    Identity first, then validity: the conditions under which the calibration was measured. A figure that nobody knows
-    is left out, so that a check of it does not compile.
+    Identity first, then validity: the conditions of the calibration. Unknown figures are left out, so that a check of
+    them does not compile.
     """
     texts = {
         "DEVICE": ("device", "device under test"),
@@ -80,25 +83,25 @@ def _macros(exported: Exported) -> list[tuple[str, str, str]]:
         "RECORDING": ("recording", "file that the calibration is from"),
         "RECORDING_SHA256": ("sha256 of the recording", "hash of that file"),
     }
-    macros = [(name, _c_string(exported.identity.get(key, "")), what) for name, (key, what) in texts.items()]
+    macros = [(name, _c_string(exported.identity.get(key, "")), meaning) for name, (key, meaning) in texts.items()]
     low_c, _, high_c = exported.seen.temperature_c
     limits = {
         "RATE_MAX_RPS": (exported.seen.largest_rps, "largest rate that a gyro was calibrated at, rad/s"),
         "TEMPERATURE_MIN_C": (low_c, "lowest temperature during the calibration, degC"),
         "TEMPERATURE_MAX_C": (high_c, "highest temperature during the calibration, degC"),
     }
-    macros += [(name, f"({number(value)})", what) for name, (value, what) in limits.items() if np.isfinite(value)]
+    macros += [(name, f"({number(value)})", meaning) for name, (value, meaning) in limits.items() if np.isfinite(value)]
     return macros
 
 
 def _c_string(text: str) -> str:
-    """Return a string literal of C in ASCII; what it cannot hold becomes a question mark."""
+    """Return a string literal of C in ASCII; other characters become question marks."""
     plain = "".join(c if " " <= c <= "~" and c not in '\\"?' else "'" if c == '"' else "?" for c in text)
     return f'"{plain}"'
 
 
 def _single(found: re.Match[str]) -> str:
-    """Return a function or a number of C in single precision; a comment or a string as it is."""
+    """Return a function or a number of C in single precision; comments and strings unchanged."""
     text = found.group()
     if not text[0].isdigit():
         return text if text.startswith(("/*", '"')) else f"{text}f"
@@ -106,9 +109,10 @@ def _single(found: re.Match[str]) -> str:
 
 
 def _vectors(exported: Exported, terms: Terms) -> tuple[Floats, Floats]:
-    """Return samples (8, n + 5) over the conditions of the calibration, and what the Python module makes of them.
+    """Return test inputs (8, n + 5) over the conditions of the calibration, and the Python module's results (8, 3) in
+    rad/s.
 
-    Outputs in rad/s, specific force in m/s2, temperature in degC, time step in s; rates (8, 3) in rad/s, NaN for none.
+    Inputs: outputs in rad/s, specific force in m/s2, temperature in degC, time step in s, as far as they are arguments.
     """
     made: dict[str, Any] = {}
     exec(write_python(exported).text, made)  # no text of the recording's stands in it but in comments and quotes
@@ -123,11 +127,11 @@ def _vectors(exported: Exported, terms: Terms) -> tuple[Floats, Floats]:
 
 
 def write_python(exported: Exported) -> Written:
-    """Return the module; CompensationError for gyros that do not span space."""
+    """Return the Python module; CompensationError for gyros that do not span space."""
     terms = terms_of(exported.compensation)
     not_held = _cautions(exported, terms)
     call = "Correction().correct" if terms.keeps_state else "correct"
-    what = f"{call}(...): outputs of {len(exported.gyros)} gyros (rad/s) to the rate of their body (rad/s)."
+    purpose = f"{call}(...): outputs of {len(exported.gyros)} gyros (rad/s) to the rate of their body (rad/s)."
     text = _function_text(
         "module.jinja",
         exported,
@@ -136,7 +140,7 @@ def write_python(exported: Exported) -> Written:
         {"value": "_value(lambda: ", "sign": "_sign"}
         | {axis: axis.upper() for axis in AXIS_TABLES}
         | {name: f"self._{name}(" for name in ("follow", "last")},
-        head=head(exported, what, not_held, "#"),
+        head=head(exported, purpose, not_held, "#"),
         said=[line.replace("\\", "/").replace('"""', "'''") for line in _arguments_said(exported, terms)],
         names=list(exported.compensation.array.names),
         simple="_solve" if terms.of(Acts.RATE) else "_invert",
@@ -149,7 +153,7 @@ def write_python(exported: Exported) -> Written:
 
 
 def identifier(name: str) -> str:
-    """Return what a device is called in source code."""
+    """Return the identifier of a device in source code."""
     word = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_") or "imu"
     return word if word[0].isalpha() else f"imu_{word}"
 
@@ -160,14 +164,14 @@ def _said(text: str) -> str:
 
 
 def _argument_names(terms: Terms) -> list[str]:
-    """Return what the function is given of a sample, in order; ``_arguments_said`` says what each is."""
+    """Return the names of the function's arguments for a sample, in order; ``_arguments_said`` explains each."""
     warm = terms.uses("warmth") or terms.uses("slope")
     asked = {"rate_rps": True, "temperature_c": warm, "accel": terms.uses("accel"), "dt_s": terms.timed}
     return [name for name, needed in asked.items() if needed]
 
 
 def _arguments_said(exported: Exported, terms: Terms) -> list[str]:
-    """Return a line for each argument of the function, and what holds of them."""
+    """Return one line about each argument of the function, and the conditions for all."""
     used = {name: terms.uses(name) for name in ("slope", "wdot")} | {"rate": bool(terms.of(Acts.RATE))}
     given = {
         "names": _argument_names(terms),
@@ -179,7 +183,9 @@ def _arguments_said(exported: Exported, terms: Terms) -> list[str]:
 
 
 def _cautions(exported: Exported, terms: Terms) -> list[str]:
-    """Return what of the calibration the function does not undo, and what undoing costs."""
+    """Return the effects that the function does not correct, and the noise that correcting a lag adds, one line
+    each.
+    """
     lines = [*lines_of(exported.compensation.left_out), *delay_line(exported)]
     if terms.lag is not None and np.isfinite(exported.seen.rate_hz):
         share = float(terms.lag.values.max()) * exported.seen.rate_hz
@@ -196,8 +202,10 @@ def _function_text(
     helpers: Mapping[str, str],
     **values: object,
 ) -> str:
-    """Return the source code of a template; ``name_of`` names the table of a term, ``helpers`` are how the language
-    writes what stands in braces in its expression. ``values`` are more names that the template uses.
+    """Return the source code from a template, with ``values`` as further names in it.
+
+    ``name_of`` names the table of a term; ``helpers`` are the target language's texts for the placeholders in braces in
+    a term's expression.
     """
 
     def written(acts: Acts) -> list[str]:

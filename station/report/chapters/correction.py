@@ -1,4 +1,4 @@
-"""The correction of each device, by ``estimator.calibration.compensation``: what is undone, what is not, in letters."""
+"""The correction of each device, by ``estimator.calibration.compensation``, as formulas: effects undone or not."""
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -23,8 +23,8 @@ from estimator.geometry.array import SensorArray
 from estimator.geometry.kinematics import GRAVITY_MPS2
 from station.exports.terms import SPELLED, law_terms
 from station.render.template import rendered
+from station.report.investigation_chapter import ALL, Traced
 from station.report.recorded import Recorded
-from station.report.traced import ALL, Traced
 
 _STEPS = "np.maximum(np.diff(t_s, prepend=t_s[:1]), 0)"
 _NUMBERS = {"GRAVITY": str(GRAVITY_MPS2), "REFERENCE": f"{REFERENCE_C:g}", "SLOPE": f"{SLOPE_S:g}"}
@@ -39,9 +39,9 @@ _ACTS = (Acts.LAG, Acts.ADDED, Acts.RATE, Acts.MOTION)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Correction:
-    """The correction of one device. ``axes_only``: its gyros do not tell a body rate, only rates about their own axes.
+    """The correction of one device. ``axes_only``: its gyros give only rates about their own axes, no body rate.
 
-    ``not_applied``: effects that are not undone, with the reason.
+    ``not_applied``: effects that are not corrected, with the reason.
     """
 
     device: str
@@ -56,7 +56,10 @@ class Correction:
 
 
 def corrections_of(recorded: Recorded, traced: Traced | None = None) -> list[Correction]:
-    """Return one correction a device: of the calibration, or with the states and effects of an investigation."""
+    """Return one correction per device: of the calibration, or with states and effects of an investigation.
+
+    The recording must have a calibration.
+    """
     assert recorded.calibration is not None
     gyros, model = list(recorded.calibration.gyros), recorded.calibration.model
     if traced is not None:
@@ -76,6 +79,7 @@ def _by_device(gyros: Sequence[GyroCalibration]) -> dict[str, list[GyroCalibrati
 
 
 def _augmented(gyro: GyroCalibration, label: str, traced: Traced) -> GyroCalibration:
+    """Return the gyro with the states and effects of the investigation."""
     assert traced.model is not None
     model, none = traced.model.effects, (0.0, 0.0)
     found = {k.called: k.found.get(ALL if k.shared else label, [none] * len(k.sizes)) for k in model}
@@ -96,6 +100,7 @@ def _augmented(gyro: GyroCalibration, label: str, traced: Traced) -> GyroCalibra
 
 
 def _correction(device: str, gyros: list[GyroCalibration], arrays: Mapping[str, SensorArray], model: str) -> Correction:
+    """Return the correction of one device; with ``axes_only`` effects that need the body rate are not applied."""
     compensation = Compensation.of(gyros, arrays, model)
     try:
         axes_only = not compensation.solution.size
@@ -109,7 +114,7 @@ def _correction(device: str, gyros: list[GyroCalibration], arrays: Mapping[str, 
 
 
 def formula_of(effect: HeldEffect) -> Markup:
-    """Return what an effect adds to the outputs, with a factor a for each of its terms."""
+    """Return what an effect adds to the outputs as HTML, with a factor a for each of its terms."""
     known = effect.known
     shown = "<code>{}</code>" if known.record is CONSTRUCTED else "{}"
     terms = [term.strip() for term in (known.law or str(escape(known.record.formula))).split(";")]
@@ -131,7 +136,7 @@ _SIGNS: Mapping[str, str | Callable[[re.Match[str]], str]] = {
 
 
 def _typeset(law: str) -> str:
-    """Return a law, which holds no sign that HTML knows, as mathematics."""
+    """Return a law as mathematics in HTML; laws hold no characters special to HTML."""
     for pattern, sign in _SIGNS.items():
         law = re.sub(pattern, sign, law)
     return law
@@ -150,13 +155,15 @@ _MORE = {
 
 
 def variables_of_laws(effects: Sequence[HeldEffect]) -> list[str]:
-    """Return what the variables mean in the laws of effects."""
+    """Return the meanings of the variables in the laws of effects."""
     names = {name for effect in effects if effect.known.law for name in variables_of(effect.known.law)}
     return [f"{name}: {VARIABLES[name][2]} in {VARIABLES[name][1]}{_MORE.get(name, '')}" for name in sorted(names)]
 
 
 def snippet(correction: Correction, origin: str) -> str:
-    """Return Python that turns outputs (N, n) into body rates (N, 3), rad/s; ``origin`` becomes its first comment."""
+    """Return Python code that turns outputs (N, n) into body rates (N, 3), rad/s; ``origin`` becomes its first
+    comment.
+    """
     lag, added, of_the_rate, of_motion = (list(_of(correction, acts)) for acts in _ACTS)
     code = "\n".join([*lag, *added, *of_the_rate, *of_motion])
     values = {
@@ -180,7 +187,7 @@ def snippet(correction: Correction, origin: str) -> str:
 
 
 def _of(correction: Correction, acts: Acts) -> Iterator[str]:
-    """Yield the expressions of the effects that act like this."""
+    """Yield the expressions of the effects that act at this place of the chain."""
     for effect in correction.held:
         if effect.acts is acts:
             table, law = _constant(correction, effect), effect.known.law
@@ -189,7 +196,7 @@ def _of(correction: Correction, acts: Acts) -> Iterator[str]:
 
 
 def _called(name: str, inner: str, constant: str) -> str:
-    """Return the call of a function of laws, on arrays."""
+    """Return the call of a law's function in the code, on arrays."""
     if name == "pow":
         return f"({inner} ** {constant})"
     if name == "lag":
@@ -200,7 +207,7 @@ def _called(name: str, inner: str, constant: str) -> str:
 
 
 def _tables(correction: Correction, code: str) -> dict[str, Floats]:
-    """Return the numbers by the names that they have in the code."""
+    """Return the arrays that ``code`` needs, by their names in it."""
     compensation = correction.compensation
     tables = {"BIAS_RPS": compensation.bias_rps}
     if correction.axes_only:

@@ -1,4 +1,4 @@
-"""What was calibrated, by whom, when and under what conditions, and what the table did."""
+"""The calibrated device, by whom, when, under which conditions, and the table's motion."""
 
 import math
 from collections.abc import Mapping
@@ -10,7 +10,7 @@ from estimator.observations.rows import observations
 from estimator.recordings.recording import ImuData
 from estimator.recordings.reference import AttitudeReadings, RateReadings, TableReadings, Turns
 from station.opening.links import ends_here
-from station.report.chapters.unseen import driven_step
+from station.report.chapters.unobserved_effects import driven_step
 from station.report.pictures import Picture, rates_picture
 from station.report.recorded import Recorded, Step
 from station.scripts.steps.rotate import Rotate
@@ -44,7 +44,9 @@ def turns(recorded: Recorded) -> int:
 
 
 def motion_picture(recorded: Recorded) -> Picture | None:
-    """Return the rates of the axes, or of the body where there was no table."""
+    """Return a picture of the rates of the table axes, or of the body if there was no table; None if they are not
+    known.
+    """
     reference = recorded.recording.reference
     if isinstance(reference, TableReadings):
         order = sorted(range(len(reference.gimbals)), key=lambda column: reference.gimbals[column])

@@ -1,4 +1,4 @@
-"""What was found: states with their uncertainties, the comparison with the limits, the budget."""
+"""The results: states with their uncertainties, the comparison with the limits, the budget."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -10,10 +10,10 @@ from drivers.packaged import packaged_toml
 from drivers.units import split_quantity
 from estimator.calibration.gyro import GyroCalibration
 from estimator.calibration.values import Calibration
+from station.report.document_status import Standing
 from station.report.figures import ONE, PERCENT, SYMBOLS, Unit, figure, plain, stated, typographic
+from station.report.investigation_chapter import Traced
 from station.report.recorded import Recorded
-from station.report.standing import Standing
-from station.report.traced import Traced
 from station.run.outcome import Outcome
 from station.views.limits import MEAN_NIS, SAMPLES_LOST, LimitLine
 
@@ -35,7 +35,7 @@ class DeviceSummary:
 
 
 def summary(recorded: Recorded, standing: Standing) -> list[DeviceSummary]:
-    """Return a line for each device of a calibration, in the order of its gyros; none without a calibration."""
+    """Return a summary of each device, in the order of the gyros; none without a calibration."""
     if recorded.calibration is None:
         return []
     rows: dict[str, list[int]] = {}
@@ -45,6 +45,7 @@ def summary(recorded: Recorded, standing: Standing) -> list[DeviceSummary]:
 
 
 def _device_summary(recorded: Recorded, standing: Standing, name: str, rows: Sequence[int]) -> DeviceSummary:
+    """Return the summary of one device, whose gyros are ``rows``; PASS if only other devices failed."""
     assert recorded.calibration is not None
     gyros = recorded.calibration.gyros
     largest = [max(rows, key=lambda row: abs(float(gyros[row].states[state]))) for state in range(4)]
@@ -56,7 +57,7 @@ def _device_summary(recorded: Recorded, standing: Standing, name: str, rows: Seq
 
 
 def moved_by(recorded: Recorded, found: Calibration, traced: Traced) -> float:
-    """Return by how many of their sigmas an investigation moved the states, the largest."""
+    """Return the largest shift of a state by an investigation, in sigmas of the calibration."""
     moved = [
         np.abs(traced.states[traced.names.index(label)] - gyro.states) / gyro.sd
         for gyro, label in zip(found.gyros, recorded.labels, strict=True)
@@ -66,7 +67,7 @@ def moved_by(recorded: Recorded, found: Calibration, traced: Traced) -> float:
 
 
 def quantity(line: LimitLine) -> tuple[str, Unit, str | None]:
-    """Return what a limit is of, its unit, and where the recording has the value."""
+    """Return the quantity of a limit, its unit, and where the recording holds the value (None if nowhere)."""
     if line.state is not None and line.unit is not None:
         unit = Unit(typographic(line.unit.unit), line.unit.factor)
         return SYMBOLS[line.state], unit, f"calibration/{'sd' if line.of_u else 'states'}[{line.row},{line.state}]"
@@ -76,17 +77,17 @@ def quantity(line: LimitLine) -> tuple[str, Unit, str | None]:
 
 
 def written(line: LimitLine) -> Markup:
-    """Return the upper bound of a limit as the bench file has it: without its unit if it is that of the column."""
+    """Return the upper bound of a limit as in the bench file; without its unit if that is the column's."""
     _, unit, _ = quantity(line)
-    said = split_quantity(line.written)
-    if said is None:
+    parsed = split_quantity(line.written)
+    if parsed is None:
         return stated(line.high, unit)
-    text = line.written.removesuffix(said[1]).rstrip() if typographic(said[1]) == unit.name else line.written
+    text = line.written.removesuffix(parsed[1]).rstrip() if typographic(parsed[1]) == unit.name else line.written
     return figure(line.high, unit, typographic(text))
 
 
 def limits_by_gyro(standing: Standing) -> Mapping[str, list[tuple[LimitLine | None, LimitLine | None]]]:
-    """Return by gyro the limits of each quantity, and of its standard uncertainty."""
+    """Return by gyro, for each quantity, its limit and that of its standard uncertainty; None where there is none."""
     quantities: dict[tuple[str, str, str], dict[bool, LimitLine]] = {}
     for line in standing.lines:
         quantities.setdefault((line.gyro, line.what, line.note), {})[line.of_u] = line

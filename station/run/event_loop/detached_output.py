@@ -1,4 +1,4 @@
-"""Output that a run does not depend on: its far end may be gone, or take no more for as long as it likes."""
+"""Output that a run does not depend on: its reader may be gone, or slow without limit."""
 
 import os
 import queue
@@ -9,12 +9,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, TextIO, cast
 
-_MOST_WAITING = 1 << 16  # characters; what comes while so many wait is dropped
+_MOST_WAITING = 1 << 16  # characters; further text is dropped while so many wait
 _LAST_WORDS_S = 1.0
 
 
 class _LastingStream:
-    """A text stream that goes on to nowhere once its far end is gone (EIO of a terminal, EPIPE of a pipe)."""
+    """A text stream that writes to nowhere once its far end is gone (EIO of a terminal, EPIPE of a pipe)."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -30,6 +30,7 @@ class _LastingStream:
 
     @contextmanager
     def _lasting(self) -> Iterator[None]:
+        """Context that redirects the stream to os.devnull if it raises OSError."""
         try:
             yield
         except OSError:
@@ -43,13 +44,13 @@ class _LastingStream:
 
 
 class _PatientStream:
-    """A text stream that is written by a thread of its own, so that nobody waits for its far end.
+    """A text stream written by a separate thread, so that nobody waits for its far end.
 
-    The thread writes to the descriptor itself: who prints later must not wait for a lock that it holds.
+    The thread writes to the descriptor directly, so that it holds no lock that a later print would wait for.
     """
 
     def __init__(self, stream: TextIO) -> None:
-        """UnsupportedOperation, an OSError, if the stream has no descriptor."""
+        """Start the thread; UnsupportedOperation, an OSError, if the stream has no descriptor."""
         self._stream = stream
         self._descriptor = stream.fileno()
         stream.flush()
@@ -65,17 +66,18 @@ class _PatientStream:
         return len(text)
 
     def flush(self) -> None:
-        """Do nothing: what was written is on its way."""
+        """Do nothing: the thread writes texts as soon as it can."""
 
     def end(self, limit_s: float) -> None:
-        """Let the thread end after what was written; wait for that until an instant of the monotonic clock."""
+        """Let the thread end after the last text; wait for that until an instant of the monotonic clock."""
         self._texts.put("")
         self._thread.join(max(limit_s - time.monotonic(), 0.0))
 
     def _write_all(self) -> None:
+        """Write queued texts until an empty one comes; a far end that is gone is ignored."""
         errors = self._stream.errors or "replace"
         while text := self._texts.get():
-            with suppress(OSError):  # its far end is gone
+            with suppress(OSError):  # its reader is gone
                 data = memoryview(text.encode(self._stream.encoding, errors))
                 while data:
                     data = data[os.write(self._descriptor, data) :]
@@ -87,7 +89,7 @@ class _PatientStream:
 
 @contextmanager
 def lasting_streams() -> Iterator[None]:
-    """Let stdout and stderr outlive their far ends."""
+    """Keep stdout and stderr usable within this context when their far ends are gone; restore them afterwards."""
     before = sys.stdout, sys.stderr
     sys.stdout, sys.stderr = (stream and cast(TextIO, _LastingStream(stream)) for stream in before)
     try:
@@ -101,9 +103,9 @@ def lasting_streams() -> Iterator[None]:
 
 @contextmanager
 def patient_streams() -> Iterator[None]:
-    """Let nobody wait for stdout and stderr: a terminal may be held (Ctrl-S, a lost connection), a pipe unread.
+    """Let no print within this context wait for a held terminal (Ctrl-S, a lost connection) or an unread pipe.
 
-    What they have not taken a second after the end is lost, and what comes while 64 KiB wait.
+    Lost is what they have not accepted a second after the end, and what is printed while 64 KiB wait. POSIX only.
     """
     before = sys.stdout, sys.stderr
     patient = []

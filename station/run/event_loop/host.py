@@ -10,19 +10,19 @@ from station.run.event_loop.loops import PacedLoop
 
 _LATE_S = 0.03  # of the wall, after which a late computer may be why a run fails
 _BEHIND_S = 0.1  # the shortest time that a driver waits for an answer
-_RECENT_S = 2.0  # of the wall: what was late before has no part in a fault
+_RECENT_S = 2.0  # of real time: earlier delays are not related to a fault
 _CROWDED = 0.8  # share of the time in which some program waited for a processor
-_TOLD_S, _TOLD_SHARE = 1.0, 0.1  # for which a paced clock has waited, of the wall, before it is told
+_TOLD_S, _TOLD_SHARE = 1.0, 0.1  # real time by which a paced clock has waited before it is reported
 _PRESSURE = Path("/proc/pressure/cpu")
 _HELP = "close other programs or lower --scale"
 
 
 class Overdue(DeviceRefused):
-    """An axis has not arrived in time, as far as this computer has seen."""
+    """As far as this computer has seen, an axis has not arrived in time."""
 
 
 class HostWatch:
-    """Keeps by how much a loop was late, and how crowded the processors were."""
+    """Records by how much the loop was late, and how busy the processors were."""
 
     def __init__(self, scale: float) -> None:
         """``scale`` is how fast the loop's clock runs."""
@@ -35,7 +35,7 @@ class HostWatch:
         """The longest delay so far, in seconds of the wall; 0 if none was worth telling."""
 
     def woke(self, due_s: float) -> bool:
-        """Take in that a sleep which was due at an instant of the loop's clock is over; return whether it was late."""
+        """Record that a sleep due at ``due_s`` (loop time) has ended; return whether it ended late."""
         now_s = asyncio.get_running_loop().time()
         late_s = (now_s - due_s) / self._scale
         if late_s <= _LATE_S:
@@ -46,17 +46,18 @@ class HostWatch:
         return True
 
     def look(self) -> None:
-        """Look how crowded the processors are."""
+        """Measure how crowded the processors are."""
         now_s = asyncio.get_running_loop().time()
-        with suppress(OSError, ValueError, IndexError):  # not every system tells it
+        with suppress(OSError, ValueError, IndexError):  # not every system reports it
             waited_s = float(_PRESSURE.read_text(encoding="ascii").split("\n", 1)[0].rpartition("total=")[2]) * 1e-6
             self._pressure.append((now_s, waited_s))
             self._forget(self._pressure, now_s)
 
     def slowed(self) -> str:
-        """Return, once, what is to be told of a clock of twins that has gone slower than it was to since asked first.
+        """Return a message, once, if the clock of twins has become clearly slower than its scale; else "".
 
-        To be asked for as long as a script goes on: what comes before it, as imports, takes a computer longer.
+        Call it only while a script runs, from its beginning: imports before that take longer. Time counts from the
+        first call.
         """
         now_s, so_far_s = asyncio.get_running_loop().time(), self._waited_s
         self._began = self._began or (now_s, so_far_s)
@@ -77,9 +78,10 @@ class HostWatch:
         return loop.waited_s if isinstance(loop, PacedLoop) else 0.0
 
     def blame(self, error: DeviceError, *, served_here: bool) -> DeviceError:
-        """Return the error that names this computer if a device was late because of it, else the error itself.
+        """Return an error that blames this computer if it fell behind or is overloaded, else ``error`` itself.
 
-        ``served_here``: what answers for the device is a program on this computer.
+        Only lost links and late arrivals may be its fault. ``served_here``: a program on this computer answers for the
+        device.
         """
         if not isinstance(error, LinkLost | Overdue):
             return error

@@ -35,10 +35,10 @@ class ScaledLoop(asyncio.SelectorEventLoop):
 
 
 class PacedLoop(asyncio.SelectorEventLoop):
-    """A loop whose clock runs ``scale`` times as fast as the wall's, or slower where this computer cannot keep up.
+    """A loop whose clock runs ``scale`` times as fast as the wall's, or slower if this computer cannot keep up.
 
-    Only for links in memory. Nothing outside goes on while the computer is busy, so the clock waits for it: it passes
-    by no timer, and whatever is due is done at its own instant. A delay of up to 50 ms of the wall is caught up with.
+    Only for links in memory, where nothing happens while the computer is busy: the clock passes no timer that has not
+    been served. Delays of up to 50 ms (wall) are made up for.
     """
 
     def __init__(self, scale: float) -> None:
@@ -55,11 +55,13 @@ class PacedLoop(asyncio.SelectorEventLoop):
         return self._now
 
     def wall_s_until(self, seconds: float) -> float:
-        """Return for how long to wait by the wall until so many seconds of this clock have gone, 0 if it is late."""
+        """Return the real time to wait until ``seconds`` of this clock have passed, 0 if it is late."""
         return max(self._zero_s + (self._now + seconds) / self.scale - time.monotonic(), 0.0)
 
     def follow(self) -> None:
-        """Let the clock follow the wall, up to the next timer."""
+        """Advance the clock with the wall clock, but not beyond the next timer; longer delays are added to
+        ``waited_s``.
+        """
         scheduled: list[asyncio.TimerHandle] = self._scheduled  # type: ignore[attr-defined]
         reached_s = (time.monotonic() - self._zero_s) * self.scale
         self._now = max(self._now, min(reached_s, scheduled[0].when()) if scheduled else reached_s)
@@ -72,8 +74,8 @@ class PacedLoop(asyncio.SelectorEventLoop):
 class VirtualLoop(asyncio.SelectorEventLoop):
     """A loop whose clock jumps to the next timer when nothing is left to do.
 
-    Only for links in memory: it waits for no socket, starts no thread, and runs what is given to an executor
-    at once. Two runs of the same program see the same instants.
+    Only for links in memory: it waits for no socket, starts no thread, and runs executor jobs at once. Two runs of the
+    same program see the same times.
     """
 
     def __init__(self) -> None:
@@ -86,7 +88,9 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         return self._now
 
     def advance(self, seconds: float | None) -> None:
-        """Let the clock jump; RuntimeError when nothing is left that could ever happen."""
+        """Jump to the next timer; RuntimeError if there is none and ``seconds`` is None, as nothing can happen any
+        more.
+        """
         if seconds is None:
             raise RuntimeError("virtual time stands still: every task waits and no timer is set")
         if seconds > 0:
@@ -142,16 +146,16 @@ def is_virtual(loop: asyncio.AbstractEventLoop) -> bool:
 
 
 def run_to_end(runner: asyncio.Runner, work: Coroutine[Any, Any, T]) -> T:
-    """Run until ``work`` has ended by itself, whatever is raised in callbacks meanwhile.
+    """Run ``work`` until it has ended, whatever callbacks raise meanwhile, and return its result.
 
-    KeyboardInterrupt and SystemExit stop a loop in the middle of everything, what else a callback raises ends in its
-    exception handler. What drives a table has to bring it to rest then: ``work`` is cancelled, with the exception as
-    the message, once, and the loop goes on. The exception is raised here only if ``work`` gives no result of its own.
+    KeyboardInterrupt, SystemExit and exceptions of callbacks cancel ``work`` once, with the exception as the message,
+    and the loop goes on, so that a table is brought to rest. The exception is raised only if ``work`` gives no result,
+    or after several of them.
     """
     try:
         loop = runner.get_loop()
     except BaseException:
-        work.close()  # nobody else will await it
+        work.close()  # never awaited
         raise
     task = loop.create_task(work)
     broken: list[BaseException] = []

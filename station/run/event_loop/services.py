@@ -1,4 +1,4 @@
-"""What goes on beside the work of a run, and what is in the errors that end it."""
+"""Tasks beside the work of a run, and how their errors end it."""
 
 import asyncio
 from collections.abc import Coroutine, Iterator
@@ -6,7 +6,7 @@ from typing import Any
 
 
 def leaves(error: BaseException) -> Iterator[BaseException]:
-    """Yield what is in groups, and what a cancel was for."""
+    """Yield the exceptions within exception groups, and those that a cancel carries as its message."""
     if isinstance(error, BaseExceptionGroup):
         for one in error.exceptions:
             yield from leaves(one)
@@ -17,9 +17,14 @@ def leaves(error: BaseException) -> Iterator[BaseException]:
 
 
 def serve(group: asyncio.TaskGroup, service: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
-    """Begin what goes on all the run; a task group takes a cancel that nobody asked for as a good end of it."""
+    """Start a coroutine that must run for the whole run; RuntimeError if it ends without being cancelled by the
+    group.
+    """
 
     async def served() -> None:
+        """Await the service; RuntimeError if it ends by itself, also by a cancellation that was not asked of this
+        task.
+        """
         task = asyncio.current_task()
         try:
             await service

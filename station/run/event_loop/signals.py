@@ -12,9 +12,10 @@ _HANG_UP = getattr(signal, "SIGHUP", None)
 
 @contextmanager
 def heeded_signals(stop: Callable[[str], None], hang_up: Callable[[], None] | None = None) -> Iterator[None]:
-    """Call ``stop(name)`` on the event loop for Ctrl-C, SIGTERM and SIGHUP; for SIGHUP ``hang_up()`` if given.
+    r"""Call ``stop(name)`` on the event loop for Ctrl-C, SIGTERM, SIGHUP, Ctrl-\ and Ctrl-Z, within this context.
 
-    For Ctrl-\\ and Ctrl-Z, too: a process that is dead or frozen leaves the table turning.
+    For SIGHUP call ``hang_up()`` instead if given. Ctrl-Z counts, as a frozen process would leave the table turning.
+    Nothing is installed outside the main thread.
     """
     loop = asyncio.get_running_loop()
     terminals = [stream for stream in (0, 1, 2) if os.isatty(stream)]
@@ -34,7 +35,7 @@ def heeded_signals(stop: Callable[[str], None], hang_up: Callable[[], None] | No
     for number in names:
         try:
             before[number] = signal.signal(number, handle)
-        except ValueError:  # not the main thread: signals are somebody else's
+        except ValueError:  # not the main thread: signals are handled elsewhere
             break
     try:
         yield
@@ -44,7 +45,7 @@ def heeded_signals(stop: Callable[[str], None], hang_up: Callable[[], None] | No
 
 
 def _to_nowhere(descriptors: Iterable[int]) -> None:
-    """Have what is printed on a terminal that is gone be lost: it would fail, and hide how the run ended."""
+    """Discard output to a terminal that is gone: writing would fail, and hide how the run ended."""
     nowhere = os.open(os.devnull, os.O_RDWR)
     for descriptor in descriptors:
         os.dup2(nowhere, descriptor)

@@ -1,4 +1,4 @@
-"""The station's side of the guard: starts it, gives it the devices, sees that it lives, and dismisses it."""
+"""The station's side of the guard: starts it, gives it the devices, checks that it lives, and dismisses it."""
 
 import asyncio
 import os
@@ -19,20 +19,20 @@ _UNGUARDED = "if the station is killed now, only the watchdogs of the drives sto
 
 
 def guard_log_of(recording: Path) -> Path:
-    """Return where a guard writes what it did after the death of a run; there is no such file otherwise."""
+    """Return the path of the log that a guard writes after the death of a run."""
     return recording.with_name(f"{recording.name}.guard.log")
 
 
 class Guard:
-    """A process that makes devices safe if this one is killed; started anew if it is killed itself.
+    """A process that makes devices safe if this one is killed; it is restarted if it is killed itself.
 
-    Without it a run goes on: ``tell`` says so.
+    A run continues without it; ``tell`` gets a message then.
     """
 
     def __init__(
         self, devices: GuardedDevices | None, recording: Path, time_scale: float, tell: Callable[[str], None]
     ) -> None:
-        """Nothing is started yet; ``devices`` is None if all that are to be made safe are twins in this process."""
+        """Prepare without starting; ``devices`` is None if only twins in this process would have to be made safe."""
         self._devices, self._tell, self._time_scale = devices, tell, time_scale
         self._log = str(guard_log_of(recording).absolute())
         self._process: subprocess.Popen[bytes] | None = None
@@ -41,7 +41,9 @@ class Guard:
         self._starts = 0
 
     def start(self) -> None:
-        """Start the process, which takes a fraction of a second to be ready."""
+        """Start the process, which is ready a fraction of a second later; nothing without devices. A failure is
+        told.
+        """
         if self._devices is None:
             return
         self._starts += 1
@@ -74,7 +76,7 @@ class Guard:
         asyncio.get_running_loop().add_reader(self._process.stdout.fileno(), self._hear)
 
     async def arm(self) -> None:
-        """Have the devices guarded from now on; waits until a guard can act, or until it is told that none can."""
+        """Start guarding the devices; wait until a guard can act, or until it is known that none can."""
         self._armed = True
         await self._see_ready()
 
@@ -86,7 +88,11 @@ class Guard:
             await self._see_ready()
 
     async def _see_ready(self) -> None:
-        """Start guards until one is ready, and give it the devices; each that fails is told."""
+        """Wait until a guard is ready, restarting it if it ends, up to ``_MOST_STARTS`` times or the time limit; then
+        arm it.
+
+        Each failure is told; no error is raised.
+        """
         limit_s = asyncio.get_running_loop().time() + _READY_LIMIT_S * max(self._time_scale, 1.0)
         while self._devices is not None and (self._process is None or not self._ready):
             if self._process is None:
@@ -114,13 +120,13 @@ class Guard:
         self._close()
 
     def _send(self, data: bytes) -> None:
-        """Send a word; a guard that is gone is heard of by its output."""
+        """Send a command to the guard; if it is gone, the end of its output tells so."""
         if self._process is not None and self._process.stdin is not None:
             with suppress(OSError):
                 self._process.stdin.write(data)
 
     def _hear(self) -> None:
-        """Take in what the guard says: that it is ready, and its end."""
+        """Handle output of the guard: that it is ready, or its end."""
         assert self._process is not None
         assert self._process.stdout is not None
         self._heard.set()
@@ -130,6 +136,7 @@ class Guard:
             self._close()
 
     def _close(self) -> None:
+        """Wait for the guard's end, killing it if necessary, and close its pipes."""
         process, self._process = self._process, None
         if process is None:
             return

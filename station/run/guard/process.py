@@ -37,7 +37,7 @@ _Device = tuple[DeviceKind, Any]
 
 
 def main() -> None:
-    """Read the order, say that it can be carried out, and wait."""
+    """Read the order from stdin, confirm it, wait for the station's end, and act on it; signals are ignored."""
     for name in _SIGNALS:
         signal.signal(getattr(signal, name), signal.SIG_IGN)
     _ask_to_be_spared()
@@ -50,7 +50,7 @@ def main() -> None:
 
 
 def _read(size: int) -> bytes:
-    """Return so many bytes of the pipe; the process ends if the station is gone before."""
+    """Return ``size`` bytes of the pipe; exit if the station is gone before."""
     data = b""
     while len(data) < size:
         more = os.read(0, size - len(data))
@@ -61,7 +61,7 @@ def _read(size: int) -> bytes:
 
 
 def _ask_to_be_spared() -> None:
-    """Have the kernel end this process last when memory runs out, as far as this user may ask for that."""
+    """Ask the kernel to end this process last when memory runs out, as far as this user may; no error otherwise."""
     for value in _OOM_STEPS:
         try:
             with open("/proc/self/oom_score_adj", "w", encoding="ascii") as file:
@@ -74,17 +74,21 @@ def _ask_to_be_spared() -> None:
 
 
 def _ask_to_be_continued() -> None:
-    """Have the kernel continue this process at the station's death, should somebody have stopped it (SIGSTOP)."""
+    """Let the kernel continue this process at the station's death, in case it was stopped (SIGSTOP)."""
     with suppress(OSError, AttributeError):  # not Linux
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGCONT), 0, 0, 0)
 
 
 async def _guard(order: Order) -> None:
+    """Build the drivers, report that the guard is ready, and make the devices safe if the station dies while armed.
+
+    A driver that cannot be built is reported on stderr and left out.
+    """
     devices: list[_Device] = []
     for packed in order.devices:
         try:
             devices.append(unpacked_device(packed))
-        except Exception as error:  # what stands in a plug-in: the others are guarded all the same
+        except Exception as error:  # errors in a plug-in: the other devices are guarded all the same
             os.write(2, f"station: the guard cannot create a driver: {type(error).__name__}: {error}\n".encode())
     if not devices:
         return
@@ -97,28 +101,27 @@ async def _guard(order: Order) -> None:
 
 
 async def _station_dies(pid: int) -> bool:
-    """Return at the station's death whether the devices were its own then, or false when this guard is dismissed.
+    """Wait until the station has died or dismissed this guard; return True only if it died while the guard was armed.
 
-    The death shows at the pipe and, on Linux, at the process: a child of the station's that was forked without
-    ``exec`` keeps the pipe open.
+    Death shows at the pipe and, on Linux, at the process: a forked child of the station may keep the pipe open.
     """
     loop = asyncio.get_running_loop()
-    told, ended = asyncio.Event(), asyncio.Event()
+    woken, ended = asyncio.Event(), asyncio.Event()
     os.set_blocking(0, False)
-    loop.add_reader(0, told.set)
+    loop.add_reader(0, woken.set)
     process = _process(pid)
 
     def see_end() -> None:
         loop.remove_reader(process)
         ended.set()
-        told.set()
+        woken.set()
 
     if process >= 0:
         loop.add_reader(process, see_end)
     armed = False
     while True:
-        await told.wait()
-        told.clear()
+        await woken.wait()
+        woken.clear()
         words, closed = _words()
         if DISMISS in words:
             return False
@@ -129,12 +132,14 @@ async def _station_dies(pid: int) -> bool:
 
 
 def _process(pid: int) -> int:
-    """Return a descriptor that can be read once the station has ended, -1 where there is no such thing."""
+    """Return a descriptor that becomes readable when the station ends; -1 if the system has none or it has ended
+    already.
+    """
     if not hasattr(os, "pidfd_open"):
         return -1
     try:
         process = os.pidfd_open(pid)
-    except OSError:  # an old kernel, or it has ended: the pipe tells that
+    except OSError:  # an old kernel, or it has ended: then the pipe tells so
         return -1
     if os.getppid() != pid:  # it has ended, and its number may be another process's
         os.close(process)
@@ -143,7 +148,7 @@ def _process(pid: int) -> int:
 
 
 def _words() -> tuple[bytes, bool]:
-    """Return all that the station has said, and whether the pipe is closed."""
+    """Return all that the station has sent so far, and whether the pipe is closed; does not wait."""
     words = b""
     with suppress(BlockingIOError):
         while data := os.read(0, 64):
@@ -157,10 +162,7 @@ def _named(devices: Sequence[_Device]) -> str:
 
 
 async def _act(order: Order, devices: Sequence[_Device], say: "_Log") -> None:
-    """Make devices safe, the others once the first, the table, has been tried; each again and again for a minute.
-
-    From then on none waits for another.
-    """
+    """Make devices safe: the table first, then all others at once; each is tried repeatedly for a minute."""
     say(f"{order.who} died while it controlled {_named(devices)}: the guard stops {'them' if devices[1:] else 'it'}")
     first_tried = asyncio.Event()
     async with asyncio.TaskGroup() as tasks:
@@ -171,7 +173,11 @@ async def _act(order: Order, devices: Sequence[_Device], say: "_Log") -> None:
 
 
 async def _until_safe(order: Order, kind: DeviceKind, device: Any, say: "_Log", tried: Callable[[], None]) -> None:
-    """Make one device safe, again and again for a minute; ``tried`` is called after the first time."""
+    """Make one device safe, trying again for a minute, then give up; progress and outcome go to ``say``.
+
+    ``tried`` is called after every attempt. Before a new attempt the device is closed. A driver without ``make_safe``
+    leaves its device as it is.
+    """
     loop = asyncio.get_running_loop()
     began_s = loop.time()
     while True:
@@ -194,12 +200,12 @@ async def _until_safe(order: Order, kind: DeviceKind, device: Any, say: "_Log", 
 async def _tried(way: Callable[[], Coroutine[Any, Any, SafeState]]) -> SafeState:
     try:
         return await way()
-    except Exception as error:  # a driver from outside may raise anything: there is nobody else to make it safe
+    except Exception as error:  # a driver from outside may raise anything, and no other process makes it safe
         return SafeState(trouble=f"defect of the driver ({type(error).__name__}: {error})", seen=False)
 
 
 class _Log:
-    """Says what is done, on the terminal and in a file beside the recording, if that can be written."""
+    """Reports what the guard does on the terminal and, if possible, in a file beside the recording."""
 
     def __init__(self, order: Order) -> None:
         self._terminal = _Sink(lambda: 2)
@@ -219,9 +225,9 @@ class _Log:
 
 
 class _Sink:
-    """Writes lines to one place in a thread of its own.
+    """Writes lines to one file or stream in a separate thread.
 
-    A terminal that is held (Ctrl-S), a pipe that nobody reads or a disk that hangs must not keep a table turning.
+    A held terminal (Ctrl-S), an unread pipe or a hanging disk must not keep a table turning.
     """
 
     def __init__(self, opened: Callable[[], int]) -> None:
@@ -248,7 +254,7 @@ class _Sink:
 
 
 def _opened_log(path: str) -> int:
-    """Open the file that tells what a guard did; OSError where it cannot be this user's own."""
+    """Open the guard's log file; OSError if it is not this user's own."""
     flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
     file = os.open(path, flags, 0o666)
     check_own(path, file)  # others may be able to write to the folder

@@ -9,18 +9,18 @@ from station.run.snapshot import EventKind
 
 
 class WayOut:
-    """Makes the devices of one run safe, each once, however often that is interrupted."""
+    """Makes the devices of one run safe, each once, even if that is interrupted and called again."""
 
     def __init__(self, opened: OpenBench, time_scale: float, tell: Callable[[EventKind, str], Any]) -> None:
-        """``time_scale`` is how fast the clock runs; ``tell`` keeps what happens in the record."""
+        """``time_scale`` is how fast the clock runs; ``tell`` records events."""
         self._open, self._time_scale, self._tell = opened, time_scale, tell
         self._done: set[str] = set()
         self._troubles: list[str] = []
 
     async def go(self, *, untrue_readings: bool) -> list[str]:
-        """Make safe what is not yet; return what went wrong so far, in words.
+        """Make safe all devices that are not yet, in their order; return the troubles so far, in words.
 
-        With ``untrue_readings`` nothing that the table says of its stop is believed.
+        With ``untrue_readings`` nothing that the table reports of its stop is believed.
         """
         for device in self._open.in_safe_order():
             if device.name in self._done:
@@ -37,7 +37,9 @@ class WayOut:
         return list(self._troubles)
 
     async def _made_safe(self, device: OpenDevice, *, is_table: bool, untrue_readings: bool) -> SafeState:
-        """Make one device safe; what a driver of another kind raises does not keep those after it from their turn."""
+        """Make one device safe; an exception of a driver becomes a trouble, except that of the table, which is
+        raised.
+        """
 
         def unconfirmed(trouble: str) -> None:
             if is_table:

@@ -1,4 +1,4 @@
-"""What the station and its guard say to each other."""
+"""Messages between the station and its guard."""
 
 from dataclasses import dataclass
 
@@ -8,11 +8,11 @@ READY, ARM, DISMISS = b"r", b"a", b"d"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Order:
-    """What a guard is told.
+    """The guard's instructions.
 
-    ``devices`` are packed drivers (``drivers.recipe``) in the order in which they are made safe, ``locks`` the
-    descriptors that lock their links, ``pid`` is the station's process, ``who`` names it, ``log`` is the file for what
-    the guard did, and ``time_scale`` is how fast the clock runs.
+    ``devices`` are packed drivers (``drivers.recipe``) in the order of making safe, ``locks`` the descriptors that lock
+    their links, ``pid`` is the station's process, ``who`` its name, ``log`` the file for the guard's actions, and
+    ``time_scale`` is how fast the clock runs.
     """
 
     devices: tuple[bytes, ...]

@@ -1,4 +1,4 @@
-"""Reads recordings in a process beside the screen that may be given up."""
+"""Reads recordings in a separate process, which can be abandoned."""
 
 import asyncio
 import multiprocessing
@@ -28,7 +28,9 @@ _TICK_NS = 50_000_000  # a file that changed less ago may change again under the
 
 
 class Archive:
-    """Reads recordings, as many at once as it has processes. What takes too long or kills its reader is damaged."""
+    """Reads recordings in a limited number of processes. One that takes too long or kills its reader counts as
+    damaged.
+    """
 
     def __init__(self, count: int = 1) -> None:
         self._count, self._turn = count, asyncio.Semaphore(count)
@@ -37,10 +39,11 @@ class Archive:
         self.unread = 0
 
     async def entries(self, folder: Path, *, deep: bool = True) -> AsyncGenerator[Entry]:
-        """Yield the recordings of a folder and, if ``deep``, its subfolders: known ones, then ``unread`` others.
+        """Yield the recordings of a folder and, if ``deep``, its subfolders: indexed ones first, then ``unread``
+        others.
 
-        Of both those that changed last come first. What is read is soon indexed; what cannot be read is tried again by
-        the next program.
+        Both are in the order of their last change, newest first. New entries are indexed, except unreadable ones, which
+        are tried again next time. HDF5 files that are not recordings are left out.
         """
         from station.screen.archive import index  # with SQLite: not before the first picture
 
@@ -64,7 +67,7 @@ class Archive:
                     yield entry
 
     async def read(self, path: Path) -> Whole:
-        """Return a whole recording; its entry says what is wrong, if something is."""
+        """Return a whole recording; its entry has the error, if there is one."""
         try:
             when_utc_s = (await asyncio.to_thread(path.stat)).st_mtime
         except OSError as error:
@@ -72,7 +75,7 @@ class Archive:
         return await self._read(path, when_utc_s, everything=True)
 
     async def accept(self, path: Path, attributes: Mapping[str, str]) -> str:
-        """Write who accepted a recording into it; return what went wrong, empty if nothing did."""
+        """Write the acceptance into a recording; return the error, empty if there is none."""
         async with self._turn:
             wrong = str(await self._do("accept", path, dict(attributes), limit_s=_WRITE_LIMIT_S))
             if wrong:  # HDF5 does not get over a write that failed
@@ -87,7 +90,9 @@ class Archive:
             await asyncio.to_thread(pool.join)
 
     async def _read_all(self, files: Sequence[File]) -> AsyncGenerator[tuple[File, Entry]]:
-        """Yield files with their entries; many are read by several processes, which end with it."""
+        """Yield each file with its entry, in order; many files are read by more processes, which are closed at
+        the end.
+        """
         many = len(files) > _MANY
         readers, tasks = Archive(2 * (os.cpu_count() or 1)) if many else self, deque[asyncio.Task[Whole]]()
         try:
@@ -107,7 +112,7 @@ class Archive:
         return Whole(Entry(str(path), when_utc_s, wrong=found)) if isinstance(found, str) else found
 
     async def _do(self, work: str, *about: Any, limit_s: float = _LIMIT_S) -> Any:
-        """Return what a function of ``reading`` comes to, or in words why it came to nothing."""
+        """Run a function of ``reading`` in a process; return its result, or a text if it took too long or crashed."""
         from pebble import ProcessExpired, ProcessPool  # not before the first picture
 
         if self._pool is None:
@@ -124,7 +129,9 @@ class Archive:
 
 
 async def moved(recording: Path) -> list[dict[str, Any]]:
-    """Return what moved since the last comparable run in its folder, as far as that is read within some seconds."""
+    """Return what moved since the last comparable run in the recording's folder, as far as that is read in some
+    seconds.
+    """
     archive, found = Archive(), list[Entry]()
     entries = archive.entries(recording.absolute().parent, deep=False)
     with suppress(TimeoutError):
@@ -136,7 +143,7 @@ async def moved(recording: Path) -> list[dict[str, Any]]:
 
 
 def _begin() -> None:
-    """Leave the terminal to the screen: what HDF5 says of errors, too; and the processor to a run."""
+    """Detach from the terminal, with HDF5's messages discarded, and lower the priority in favour of a run."""
     os.setsid()
     os.nice(10)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
@@ -149,6 +156,9 @@ def _done(work: str, *about: Any) -> Any:
 
 
 def _files(folder: Path, deep: bool) -> list[File]:
+    """Return path, time of change and size of the .h5 files in a folder, newest first; unreadable folders are listed,
+    too.
+    """
     found: list[File] = []
     walk = os.walk(folder, onerror=lambda e: found.extend([(e.filename, 0, 0)] * os.path.exists(e.filename)))  # told
     for path in (os.path.join(top, name) for top, _, names in islice(walk, None if deep else 1) for name in names):

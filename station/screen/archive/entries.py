@@ -23,10 +23,10 @@ NO_LIMITS: tuple[float, ...] = (math.inf,) * 4
 
 @dataclass(frozen=True)
 class Entry:
-    """One recording of a folder. ``wrong`` says why it cannot be read, and then nothing else is known of it.
+    """One recording of a folder. If it cannot be read, ``wrong`` says why and nothing else is known.
 
-    ``foreign``: it is no recording at all, but some other HDF5 file. ``figures``: ``gyros`` as JSON, see there.
-    ``nis_mean``: mean NIS of its calibration, None if there is none. ``units``: those that its bench file chose.
+    ``foreign``: an HDF5 file that is not a recording. ``figures``: ``gyros`` as JSON, see there. ``nis_mean``: mean NIS
+    of its calibration, None without one. ``units``: those chosen in its bench file.
     """
 
     file: str
@@ -46,7 +46,7 @@ class Entry:
 
     @cached_property
     def gyros(self) -> tuple[GyroSnapshot, ...]:
-        """The gyros of its calibration; not read before they are asked for, ten thousand would take a while."""
+        """The gyros of its calibration; parsed on first use, as ten thousand entries would take a while."""
         found = json.loads(self.figures)
         return tuple(GyroSnapshot(name, source, tuple(x), tuple(sd)) for name, source, x, sd in found)
 
@@ -67,7 +67,7 @@ class Entry:
 
     @property
     def series(self) -> tuple[object, ...] | None:
-        """What comparable runs have in common; None for what is compared with none."""
+        """Key that comparable runs share; None if it is comparable with none."""
         return series_of(self.texts, [(gyro.source, gyro.name) for gyro in self.gyros])
 
     @property
@@ -90,14 +90,13 @@ class Entry:
 
 @dataclass(frozen=True, slots=True)
 class Whole:
-    """A recording opened: its entry and everything that the result screen shows of it.
+    """A recording with everything that the result screen shows.
 
-    ``sizes`` are the limits of the four states in SI, infinite where there is none, and ``written`` as the bench file
-    has them, empty where that is not known; ``curves`` are the live estimates by gyro, ``investigation`` the newest
-    that is kept beside it, as JSON. ``samples`` and ``lost`` are None without a calibration, ``noise`` then the mean
-    angle random walk in rad/s/rtHz and what 95 % of the expectation of the bias instability lies below in rad/s, None
-    if no noise was found. ``broken`` are the limits that are: their cells, what helps, and of which row, state, and
-    whether of its sigma they are; ``because`` is what may be behind that.
+    ``sizes`` are the limits of the four states in SI, infinite where there is none, ``written`` the same as in the
+    bench file, empty where not known; ``curves`` are the live estimates by gyro, ``investigation`` the newest one
+    stored beside it, as JSON. ``samples`` and ``lost`` are None without a calibration. ``noise`` is the mean angle
+    random walk in rad/s/rtHz and the upper 95 % limit of the bias instability in rad/s, None if unknown. ``broken``
+    lists the broken limits: cells, remedy, and (row, state, whether of the sigma); ``because`` their possible causes.
     ``attributes`` are those of the file.
     """
 
@@ -121,8 +120,8 @@ class Whole:
 def series_of(texts: Mapping[str, str], gyros: Sequence[tuple[str, str]]) -> tuple[object, ...] | None:
     """Return what comparable runs have in common: serial number, bench, script, sources and names of the gyros.
 
-    ``texts`` are attributes of the recording. None for what is compared with none: a device without a serial number, no
-    calibration, and a run that was driven by hand or did not come to its end.
+    ``texts`` are attributes of the recording. None if the run is compared with none: no serial number, no calibration,
+    driven by hand, or ended early.
     """
     serial = texts.get("device_serial", "")
     if not serial or not gyros or texts.get("outcome") in ("MANUAL", "ABORTED", "FAULT"):
@@ -131,7 +130,7 @@ def series_of(texts: Mapping[str, str], gyros: Sequence[tuple[str, str]]) -> tup
 
 
 def last_comparable(run: Entry, entries: Iterable[Entry]) -> Entry | None:
-    """Return the newest run before this one that it may be compared with: of its series, and not failed."""
+    """Return the newest earlier run of the same series that did not fail, None if there is none."""
     earlier = [
         other
         for runs in comparable(entries)
@@ -142,7 +141,7 @@ def last_comparable(run: Entry, entries: Iterable[Entry]) -> Entry | None:
 
 
 def comparable(entries: Iterable[Entry], whatever: int = 0) -> list[list[Entry]]:
-    """Return the runs that may be compared, the oldest first; whatever serial number (1) and bench (2) they are of."""
+    """Return the groups of comparable runs, oldest first; ``whatever`` ignores serial number (1) and bench (2)."""
     found = defaultdict(list)
     for entry in sorted(entries, key=lambda entry: entry.when_utc_s):
         if (series := entry.series) is not None and math.isfinite(sum(sum(g.values + g.sds) for g in entry.gyros)):
@@ -151,7 +150,11 @@ def comparable(entries: Iterable[Entry], whatever: int = 0) -> list[list[Entry]]
 
 
 def moves(entries: Iterable[Entry]) -> dict[str, list[dict[str, Any]]]:
-    """Return by file what moved since the last comparable run that did not fail, by more than its sigmas explain."""
+    """Return, by file, the states that moved since the last comparable run that did not fail by more than chance
+    explains.
+
+    A copy of a run gets the same list as the run.
+    """
     from statistics import NormalDist  # as numpy takes a while to load, and few look at a second run
 
     from estimator.geometry.model import STATES

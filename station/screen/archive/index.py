@@ -1,4 +1,4 @@
-"""Index of the recordings of a folder, kept between sessions: made of the files, and never the truth itself.
+"""Index of the recordings of a folder, kept between sessions; the files themselves are authoritative.
 
 It is among what programs remember of this user, not in the folder, which may be a stranger's, write-protected, or on a
 share whose locks do not reach other machines. A row counts if its checksum holds and its file has still the same size
@@ -21,7 +21,7 @@ from estimator.errors import MISSHAPEN
 from station.screen.archive.entries import Entry, File
 from station.screen.memory import is_of_this_user_alone, state_folder
 
-_VERSION = 2  # of what an entry holds: an older index is left to older stations
+_VERSION = 2  # of the content of an entry: an older index is left to older stations
 _PATIENCE_S = 1.0  # for another station, which writes for some milliseconds
 _TOLD = ("when_utc_s", "wrong", "foreign", "devices", "texts", "nis_mean", "units")
 
@@ -33,7 +33,9 @@ def index_file(folder: Path) -> Path:
 
 
 def load(folder: Path) -> dict[File, Entry]:
-    """Return what the index of a folder holds; nothing if there is none, or none that can be read."""
+    """Return the entries in the index of a folder; nothing if there is none or it is damaged. Damaged rows are
+    skipped.
+    """
     found, top = {}, os.path.join(folder, "")
     texts = "IFNULL(CAST(entry AS TEXT), ''), IFNULL(CAST(figures AS TEXT), '')"  # also where harm made them other
     rows = _done(folder, f"SELECT path, mtime_ns, size, {texts}, checksum FROM recordings") or ()
@@ -41,9 +43,9 @@ def load(folder: Path) -> dict[File, Entry]:
     try:
         sound = [row for *row, checksum in rows if checksum == _checksum(row)]
         about = json.loads(b"[%b]" % b",".join(row[3] for row in sound))
-        for (path, mtime_ns, size, _, figures), told in zip(sound, about, strict=True):
-            told["devices"] = tuple(told["devices"])
-            entry = Entry(top + os.fsdecode(path), figures=figures, **told)
+        for (path, mtime_ns, size, _, figures), more in zip(sound, about, strict=True):
+            more["devices"] = tuple(more["devices"])
+            entry = Entry(top + os.fsdecode(path), figures=figures, **more)
             found[entry.file, mtime_ns, size] = entry
     finally:
         gc.enable()
@@ -51,11 +53,11 @@ def load(folder: Path) -> dict[File, Entry]:
 
 
 def keep(folder: Path, entries: Mapping[File, Entry]) -> bool:
-    """Add recordings to the index of a folder; return whether it could be written."""
+    """Add entries to the index of a folder; return whether that succeeded."""
     rows = []
     for file, entry in entries.items():
-        told = json.dumps({name: getattr(entry, name) for name in _TOLD})
-        rows.append([os.fsencode(os.path.relpath(file[0], folder)), *file[1:], told.encode(), entry.figures])
+        as_json = json.dumps({name: getattr(entry, name) for name in _TOLD})
+        rows.append([os.fsencode(os.path.relpath(file[0], folder)), *file[1:], as_json.encode(), entry.figures])
     sql = "REPLACE INTO recordings VALUES (CAST(? AS TEXT), ?, ?, CAST(? AS TEXT), CAST(? AS TEXT), ?)"
     return _done(folder, sql, [[*row, _checksum(row)] for row in rows]) is not None
 
@@ -65,12 +67,15 @@ def _checksum(row: Sequence[Any]) -> int:
 
 
 def _done(folder: Path, sql: str, rows: Sequence[Sequence[Any]] | None = None) -> list[Any] | None:
-    """Return what a statement gives, None if it fails; then an index that is not just busy goes."""
+    """Run a statement on the index of a folder; return its rows, None if it failed.
+
+    An index that failed, except for being busy, is deleted.
+    """
     path = index_file(folder)
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         if not is_of_this_user_alone(path.parent):
-            return None  # SQLite follows links, and writes into what they lead to
+            return None  # SQLite follows links, and writes into their targets
         with closing(sqlite3.connect(path, timeout=_PATIENCE_S)) as index, index:
             index.text_factory = bytes
             index.executescript(packaged_text("station.screen.archive", "index.sql"))

@@ -1,4 +1,4 @@
-"""What a process beside the screen does with recordings: a damaged HDF5 file can hang or kill it, not the screen."""
+"""Reading of recordings in a separate process: a damaged HDF5 file can hang or kill it, not the screen."""
 
 import json
 import math
@@ -30,10 +30,10 @@ _TEXTS = ("station", "script", "outcome", "reason", "operator", "device_serial",
 
 
 def accept(path: Path, attributes: Mapping[str, str]) -> str:
-    """Write attributes into a copy that then takes the recording's place: a full disk in between costs nothing.
+    """Write attributes to a copy of the recording, which then replaces it; return what went wrong, "" if nothing.
 
-    Return what went wrong, empty if nothing did. A write that fails within HDF5 leaves a file that cannot be opened any
-    more, and a process that should write no other.
+    A failure, such as a full disk, leaves the recording unchanged. Run this in a process of its own: a failed write
+    within HDF5 leaves it unusable.
     """
     path = path.resolve()  # a link to a recording stays one
     copy = path.with_name(f".{path.name}.{os.getpid()}.part")
@@ -48,8 +48,8 @@ def accept(path: Path, attributes: Mapping[str, str]) -> str:
             os.fsync(file.fileno())
         copy.replace(path)
     except (OSError, RecordingError) as error:
-        said = error.strerror if isinstance(error, OSError) else str(error).rpartition("cannot be written: ")[2]
-        return f"it cannot be written and is unchanged ({said})"
+        reason = error.strerror if isinstance(error, OSError) else str(error).rpartition("cannot be written: ")[2]
+        return f"it cannot be written and is unchanged ({reason})"
     finally:
         if made:
             copy.unlink(missing_ok=True)
@@ -57,9 +57,14 @@ def accept(path: Path, attributes: Mapping[str, str]) -> str:
 
 
 def read(path: Path, when_utc_s: float, everything: bool) -> Whole:
-    """Return a recording that was changed last at ``when_utc_s``, or only its entry; the entry says what is wrong."""
+    """Return a recording, or only its entry unless ``everything``; if unreadable, ``entry.wrong`` says why. Never
+    raises.
+
+    ``when_utc_s`` is the time of its last change, used if the recording has no clock. A run that was cut off is
+    recovered first.
+    """
     unread = Entry(str(path), when_utc_s)
-    with suppress(RecordingError):  # of a run that goes on, or where nothing can be written: it is shown as it is
+    with suppress(RecordingError):  # of a run in progress, or in a write-protected place: shown unrecovered
         recover(path)
     try:
         # Without HDF5's locks: a session that writes the same file must never find it locked by a reader.
@@ -76,18 +81,19 @@ def read(path: Path, when_utc_s: float, everything: bool) -> Whole:
                 return Whole(entry)
             whole, bench = _whole(entry, file), str(plain(file.attrs.get("bench", "")))
         return _judged(whole, bench)
-    except Exception as error:  # whatever a file made by hand holds, the next one is to be read
+    except Exception as error:  # a file made by hand may hold anything; the next one is still read
         wrong = f"it cannot be read: it is damaged or incomplete ({first_line(error)})"
         return Whole(replace(unread, wrong=wrong))
 
 
 def _listed(file: Any) -> list[str]:
-    """Return the names of what an entry is made of."""
+    """Return the names of the groups and datasets that an entry needs."""
     figures = [f"calibration/{key}" for key in ("states", "sd", "name", "source")] if "calibration" in file else []
     return [".", *(f"imu/{source}" for source in file.get("imu", {}).keys()), *figures]  # noqa: SIM118 (no rows of data)
 
 
 def _entry(unread: Entry, file: Any) -> Entry:
+    """Return the entry of an open recording; ValueError for an impossible time."""
     began_utc_s = plain(file.attrs.get("clock_zero_utc_s"))
     if began_utc_s is not None and not 0 <= float(began_utc_s) < 2.5e11:  # later years have five digits
         raise ValueError(f"it began {began_utc_s} s after 1970")
@@ -112,7 +118,7 @@ def _entry(unread: Entry, file: Any) -> Entry:
 
 
 def _units(bench: str) -> dict[str, str]:
-    """Return the section [units] of a bench file's text; most have none, and are not read for it."""
+    """Return the section [units] of a bench file's text; empty if there is none or it is invalid."""
     if "[units]" not in bench:
         return {}
     with suppress(tomllib.TOMLDecodeError):
@@ -122,6 +128,7 @@ def _units(bench: str) -> dict[str, str]:
 
 
 def _whole(entry: Entry, file: Any) -> Whole:
+    """Return everything the result screen shows of an open recording, except the limits."""
     found: dict[str, Any] = {}
     if (group := file.get("calibration")) is not None:
         found = {key: plain(group.attrs[key]) for key in ("samples", "lost", "nis_mean") if key in group.attrs}
@@ -142,7 +149,7 @@ def _whole(entry: Entry, file: Any) -> Whole:
 
 
 def _judged(whole: Whole, bench: str) -> Whole:
-    """Return it with the limits of its bench, and with those that are broken, unless its reason names others."""
+    """Return the recording with the limits of its bench, and the broken ones if its recorded reason names the same."""
     from station.bench.bench import read_limits  # with all drivers, which a list of recordings does without
     from station.views.limits import limit_lines, worst_first
 
@@ -152,7 +159,7 @@ def _judged(whole: Whole, bench: str) -> Whole:
         found = limit_lines(read_calibration(whole.entry.path, trusted=True), limits)
         lines = [line for line in found if not line.within]
         before, named, after = whole.entry.texts["reason"].partition("; ".join(line.broken for line in lines) or "\0")
-        if named:  # losses and noise first: they are behind what the states miss
+        if named:  # losses and noise first: they may explain the others
             broken = [(line.cells, line.remedy, (line.row, line.state, line.of_u)) for line in worst_first(lines)]
             because = [text.removeprefix("but ") for text in f"{before}{after}".split("; ") if text]
             whole = replace(whole, broken=broken, because=because)
@@ -160,6 +167,7 @@ def _judged(whole: Whole, bench: str) -> Whole:
 
 
 def _curves(file: Any) -> dict[str, Trend]:
+    """Return the live estimates by gyro, thinned to a number of points."""
     found = {}
     for source, estimate in file.get("estimate", {}).items():
         step = max(len(estimate["t_ns"]) // _MOST_POINTS, 1)
@@ -172,7 +180,7 @@ def _curves(file: Any) -> dict[str, Trend]:
 
 
 def _investigation(recording: Path) -> dict[str, Any]:
-    """Return what the newest investigation that is kept beside a recording found; nothing if there is none."""
+    """Return the JSON of the newest investigation stored beside a recording; empty if there is none."""
     kept = recording.parent.glob(f"{recording.stem}{INVESTIGATION}*.h5")
     newest = max(kept, key=lambda path: path.stat().st_mtime, default=None)
     if newest is None:

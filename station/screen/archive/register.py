@@ -33,7 +33,7 @@ CREATE TABLE IF NOT EXISTS documents (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Document:
-    """A document by its number: of which recording it is, what it is called, the number that it replaces or None."""
+    """An issued document: its number, its recording, its title, the number that it replaces or None."""
 
     number: str
     data_sha256: str
@@ -57,7 +57,7 @@ def check_number(number: str, data_sha256: str, folder: Path) -> None:
 
 
 def enter(document: Document) -> None:
-    """Enter a document, in place of an earlier one of the same number and recording; UsageError as ``check_number``."""
+    """Enter a document, replacing one with the same number and data; UsageError as ``check_number``."""
     folder = Path(document.recording).parent
     with _register() as register:
         register.execute("BEGIN IMMEDIATE")
@@ -70,6 +70,7 @@ def enter(document: Document) -> None:
 
 
 def _check(register: sqlite3.Connection, number: str, data_sha256: str, folder: Path) -> None:
+    """Raise UsageError if the number is in use for other data, in the register or in the folder's list."""
     query = "SELECT recording FROM documents WHERE number = ? AND data_sha256 <> ?"
     others = [recording for (recording,) in register.execute(query, (number, data_sha256))]
     others += [one.recording for one in _listed(folder) if one.number == number and one.data_sha256 != data_sha256]
@@ -81,9 +82,9 @@ def _check(register: sqlite3.Connection, number: str, data_sha256: str, folder: 
 
 
 def _listed(folder: Path) -> Iterator[Document]:
-    """Yield the documents of the list in a folder; none of a list that is no file, too long or not to be read.
+    """Yield the documents of the list in a folder; none if it is not a regular file or cannot be read.
 
-    A line that is damaged is left out: others may write there.
+    Damaged lines are skipped, as others may write there.
     """
     try:
         with open(os.open(folder / LIST, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
@@ -96,7 +97,7 @@ def _listed(folder: Path) -> Iterator[Document]:
 
 
 def _add(document: Document, folder: Path) -> None:
-    """Add a document to the list in a folder, unless it is there; a folder that cannot be written into has none."""
+    """Append a document to the list in a folder unless it is there; ignored if the folder cannot be written to."""
     known = {(one.number, one.data_sha256) for one in _listed(folder)}
     if (document.number, document.data_sha256) in known:
         return
@@ -107,6 +108,9 @@ def _add(document: Document, folder: Path) -> None:
 
 @contextmanager
 def _register() -> Iterator[sqlite3.Connection]:
+    """Context that opens the user's register of documents; UsageError if it cannot be used or others can write to
+    it.
+    """
     path = register_file()
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)

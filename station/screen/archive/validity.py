@@ -15,17 +15,17 @@ _JUDGED = (Outcome.PASS, Outcome.FAIL)
 
 @dataclass(frozen=True, slots=True)
 class Validity:
-    """The newest judged run of a device up to a day, and why it is not valid then; ``reason`` is empty if it is."""
+    """The newest judged run of a device up to a day; ``reason`` says why it is not valid then, empty if it is."""
 
     entry: Entry | None
     reason: str = ""
 
 
 def validity_on(entries: Iterable[Entry], serial: str, day: date) -> Validity:
-    """Return the calibration of the device with this serial number that was valid on a day.
+    """Return the calibration of the device with this serial number that was valid on ``day``, or the reason for none.
 
     It is the newest run up to that day that ended PASS, if no later one up to that day ended FAIL, and if the next
-    calibration was not due before that day, as far as the form of the certificate beside the recording states it.
+    calibration stated in the certificate form beside the recording was not due before that day.
     """
     judged = [e for e in entries if e.serial == serial and e.gyros and e.texts.get("outcome") in _JUDGED]
     earlier = [entry for entry in judged if _day_of(entry) <= day]
@@ -47,7 +47,7 @@ def _day_of(entry: Entry) -> date:
 
 
 def _next_due(entry: Entry) -> date | None:
-    """Return the date of the next calibration that was stated for a recording; None if nobody stated one."""
+    """Return the date of the next calibration stated for a recording; None if none is stated."""
     from station.report.formal import kept_facts
 
     kept = kept_facts(entry.path)

@@ -1,4 +1,4 @@
-"""The screen's connection to a session: found, followed, found again after a break, told to stop at once."""
+"""The screen's connection to a session: found, followed, found again after a break, and its STOP."""
 
 import asyncio
 from collections.abc import Callable
@@ -14,16 +14,18 @@ _AGAIN_S = 1.0
 
 
 class SessionLink:
-    """Follows one session: one that this screen started, or one that runs already."""
+    """Follows one session, started by this screen or running already."""
 
     def __init__(self, run: LiveRun, *, process: SessionProcess | None = None, socket: Path | None = None) -> None:
-        """Give the process that was started, or the socket of a session."""
+        """Take the process that was started, or the socket of a session."""
         self.run = run
         self._process, self._socket = process, socket
         self._remote: RemoteSession | None = None
 
     async def follow(self, changed: Callable[[], None]) -> None:
-        """Take in what the session says until it has ended; ``changed`` is called when its stage changes."""
+        """Receive the session's messages until it has ended, reconnecting if necessary; ``changed`` is called at each
+        new stage.
+        """
         try:
             while self.run.stage is not Stage.ENDED:
                 socket = await self._find()
@@ -36,34 +38,34 @@ class SessionLink:
             self.close()
 
     def stop(self) -> bool:
-        """Stop the run, at once and from any thread; return whether there was a way to tell it.
+        """Stop the run at once; may be called from any thread. Return whether the request could be sent.
 
-        It is told again by every connection that comes after: a word that a break has swallowed is not lost.
+        It is repeated on every new connection, so that a lost request takes effect.
         """
         self.run.ask_to_stop()
         remote = self._remote
         return (remote is not None and remote.stop()) or self._interrupt()
 
     def pause(self) -> None:
-        """Hold after the step under way, or go on."""
+        """Pause after the current step, or resume."""
         if self._remote is not None:
             holds = self.run.snapshot is not None and self.run.snapshot.paused
             self._remote.resume() if holds else self._remote.pause()
 
     def drive(self, action: str, **given: str | float) -> None:
-        """Say a word of manual mode; what a broken link swallows is not said again."""
+        """Send a command of manual mode; it is not repeated if the link breaks."""
         if self._remote is not None:
             self._remote.drive(action, **given)
 
     def note(self, text: str) -> bool:
-        """Have a note kept in the recording; return whether there was a way to tell the session."""
+        """Store a note in the recording; return whether it could be sent."""
         if self._remote is None:
             return False
         self._remote.note(text)
         return True
 
     def close(self) -> None:
-        """Hang up; the session goes on."""
+        """Close the connection; the session continues."""
         self._hang_up()
         if self._process is not None:
             self._process.close()
@@ -80,7 +82,7 @@ class SessionLink:
             self._remote = None
 
     async def _find(self) -> Path | None:
-        """Return the session's socket, None if the session is gone."""
+        """Return the session's socket, waiting for that of a new process; None if the session is gone."""
         while True:
             sockets = await asyncio.to_thread(running_sessions)
             if self._socket is not None:
@@ -93,6 +95,11 @@ class SessionLink:
                 await asyncio.sleep(_LOOK_S)
 
     async def _listen(self, socket: Path, changed: Callable[[], None]) -> None:
+        """Connect to the session and receive its messages until the connection ends; then wait a little before the next
+        attempt.
+
+        A STOP that was asked for is sent again, or the process is interrupted if the session does not answer.
+        """
         why = "the connection to the session broke"
         try:
             remote = self._remote = await RemoteSession.connect(socket)
@@ -113,7 +120,7 @@ class SessionLink:
             await asyncio.sleep(_AGAIN_S)
 
     async def _take(self, remote: RemoteSession) -> None:
-        """Take in what a session says, and first of all how its estimates went before this screen was there."""
+        """Pass on the session's messages; after the first snapshot ask for the earlier course of its estimates."""
         asked = bool(self.run.trends)
         async for message in remote.messages():
             self.run.take(message)
@@ -129,9 +136,9 @@ class SessionLink:
 
 
 async def sessions_on(bench: str, bench_file: str) -> list[str]:
-    """Return the numbers of the processes that run sessions on a bench, known by its name or its file.
+    """Return the process numbers of the sessions on a bench, known by its name or file.
 
-    A session that does not say what it is counts: it may hold the same devices.
+    A session that does not say its bench is included, as it may hold the same devices.
     """
     file = await asyncio.to_thread(lambda: str(Path(bench_file).resolve())) if bench_file else None
     return [
@@ -142,7 +149,7 @@ async def sessions_on(bench: str, bench_file: str) -> list[str]:
 
 
 async def sessions_there() -> list[tuple[Path, dict[str, object]]]:
-    """Return the running sessions, the newest first, and what each says of itself: nothing, if it does not answer."""
+    """Return the running sessions, newest first, with the greeting of each, empty if it does not answer."""
     paths = await asyncio.to_thread(running_sessions)
     return list(zip(paths, await asyncio.gather(*map(_hello, paths)), strict=True))
 
@@ -157,6 +164,7 @@ async def _hello(path: Path) -> dict[str, object]:
 
 
 async def stop_session(path: Path) -> None:
+    """Stop a session by its socket, or interrupt its process if it does not answer."""
     try:
         remote = await RemoteSession.connect(path)
     except UsageError:

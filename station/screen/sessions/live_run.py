@@ -1,4 +1,4 @@
-"""A run as its messages tell it: what every screen that shows a run looks at."""
+"""A run as known from its messages: the data of every screen that shows a run."""
 
 import math
 import time
@@ -19,7 +19,7 @@ _MOVING, _ENDING = (Phase.HOMING, Phase.RUNNING), (Phase.STOPPING, Phase.ESTIMAT
 
 
 class Stage(Enum):
-    """Where a run is, seen from the screen."""
+    """The stage of a run as seen from the screen."""
 
     STARTING = "starting"
     RUNNING = "running"
@@ -29,14 +29,14 @@ class Stage(Enum):
 
 @dataclass(slots=True)
 class Trend:
-    """How the states of one gyro went: instants, values and sigmas of the four states."""
+    """The course of one gyro's states: instants, values and sigmas of the four states."""
 
     times_s: list[float] = field(default_factory=list)
     values: list[tuple[float, ...]] = field(default_factory=list)
     sds: list[tuple[float, ...]] = field(default_factory=list)
 
     def add(self, t_s: float, values: tuple[float, ...], sds: tuple[float, ...]) -> None:
-        """Take in an estimate if it is a new one; a long run is thinned to every other."""
+        """Add an estimate if it is new; when there are too many points, every other one is dropped."""
         if self.values and (self.values[-1] == values or t_s <= self.times_s[-1]):
             return
         self.times_s.append(t_s)
@@ -48,10 +48,12 @@ class Trend:
 
 
 class LiveRun:
-    """What is known of a run: its greeting, events, newest snapshot, trends, and how it ended."""
+    """The known state of a run: its greeting, events, newest snapshot, trends, and result."""
 
     def __init__(self, recording: Path | None = None, script: str = "") -> None:
-        """``recording`` and ``script`` are what the run was started with, until it says so itself."""
+        """Start without messages; ``recording`` and ``script`` are those it was started with, until its greeting states
+        them.
+        """
         self.stage = Stage.STARTING
         self.hello: Mapping[str, Any] = {}
         self.snapshot: Snapshot | None = None
@@ -85,7 +87,7 @@ class LiveRun:
 
     @property
     def steps_begin_s(self) -> list[float]:
-        """When steps begin: by plan where that is known in advance, else as they were seen to begin."""
+        """The beginnings of steps (s): by plan if all durations are known in advance, else as seen so far."""
         script = self.hello.get("script", {})
         if script.get("longest_s", script.get("duration_s")) == script.get("duration_s"):
             return [float(step["start_s"]) for step in script.get("steps", [])]
@@ -104,13 +106,13 @@ class LiveRun:
 
     @property
     def stop_heard(self) -> bool:
-        """Whether the session is seen to bring the table to rest, or to have ended."""
+        """Whether the session is known to be stopping the table, or has ended."""
         ending = self.snapshot is not None and self.snapshot.phase in _ENDING
         return ending or self.at_rest or self.stage is Stage.ENDED
 
     @property
     def silent_s(self) -> float:
-        """How long a session that is connected, and has ten things to say a second, has said nothing."""
+        """How long a connected session, which sends ten messages a second, has been silent."""
         return time.monotonic() - self._heard_s if self.stage is Stage.RUNNING else 0.0
 
     @property
@@ -123,7 +125,7 @@ class LiveRun:
             self._stop_asked_s = time.monotonic()
 
     def greet(self, hello: Mapping[str, Any]) -> None:
-        """Take in the greeting of a connection, the first or another: the events come again from the first."""
+        """Take the greeting of a first or later connection; past events will be sent again, so they are cleared."""
         self.hello = hello
         self.recording, self.script = Path(hello["recording"]), str(hello["script"]["name"])
         self.stage = Stage.RUNNING
@@ -132,7 +134,7 @@ class LiveRun:
         self._heard_s = time.monotonic()
 
     def take(self, message: Mapping[str, Any]) -> None:
-        """Take in a message; what is malformed changes nothing."""
+        """Update the state from a message; malformed messages and unknown kinds are ignored."""
         self._heard_s = time.monotonic()
         kind = message.get("kind")
         with suppress(KeyError, TypeError, ValueError):
@@ -152,12 +154,12 @@ class LiveRun:
                 self.refusals.append(str(message["reason"]))
 
     def leave(self, stage: Stage, why: str) -> None:
-        """Take in that the connection broke before the end, or that the process is gone without a result."""
+        """Set the stage and reason after a broken connection, or a process that ended without a result."""
         if self.stage is not Stage.ENDED:
             self.stage, self.trouble = stage, why
 
     def _take_course(self, points: Sequence[Mapping[str, Any]]) -> None:
-        """Put before the trends what was before them."""
+        """Prepend earlier estimates to the trends; incomplete points are skipped."""
         found: dict[str, Trend] = {}
         for point in points:
             for name, (values, sds) in point["gyros"].items():
@@ -170,6 +172,7 @@ class LiveRun:
             self.trends[name] = trend
 
     def _take_snapshot(self, snapshot: Snapshot) -> None:
+        """Keep a snapshot as the newest and, if time has advanced, in the history; extend the trends."""
         self.snapshot = snapshot
         self.moved = self.moved or snapshot.phase in _MOVING or snapshot.elapsed_s > 0
         if not self.seen or snapshot.elapsed_s > self.seen[-1].elapsed_s:

@@ -18,7 +18,7 @@ _SETTLE_S = 3.0
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What a command said: its exit code, its JSON object (empty if it gave none), the last line on stderr."""
+    """The result of a command: exit code, JSON object (empty if it printed none), last line on stderr."""
 
     code: int
     found: dict[str, Any]
@@ -28,18 +28,17 @@ class Answer:
     def reason(self) -> str:
         """Why there is no result, in words."""
         reason = str(self.found.get("reason") or self.said or f"the command ended with code {self.code}")
-        return reason.splitlines()[0].removeprefix("station: ")  # what HDF5 says has more, for its makers
+        return reason.splitlines()[0].removeprefix("station: ")  # HDF5's further lines are for its developers
 
 
 def command_line(arguments: Sequence[str]) -> list[str]:
-    """Return what starts a command of this station, and nothing that stands in the working folder."""
+    """Return the start of a command line for this station, which imports nothing from the working folder."""
     return [sys.executable, "-P", "-m", "station.cli", *arguments]
 
 
 async def ask(arguments: Sequence[str], on_line: Callable[[str], None] = lambda line: None) -> Answer:
-    """Run a command to its end and return its answer; ``on_line`` gets what it says on stderr.
-
-    Cancelled, it ends the command.
+    """Run a command to its end and return its answer; ``on_line`` gets each line on stderr. Cancelling ends the
+    command.
     """
     process = await asyncio.create_subprocess_exec(
         *command_line(arguments),
@@ -52,14 +51,15 @@ async def ask(arguments: Sequence[str], on_line: Callable[[str], None] = lambda 
     assert process.stdout is not None
     assert process.stderr is not None
     try:
-        said, out = await asyncio.gather(_listen(process.stderr, on_line), process.stdout.read())
+        messages, out = await asyncio.gather(_listen(process.stderr, on_line), process.stdout.read())
         code = await process.wait()
     finally:
         await _end(process)
-    return Answer(code, _object(out), said)
+    return Answer(code, _object(out), messages)
 
 
 async def _listen(stream: asyncio.StreamReader, on_line: Callable[[str], None]) -> str:
+    """Pass on each line of a stream that is not blank; return the last one."""
     last = ""
     async for raw in stream:
         line = raw.decode(errors="replace").strip()
@@ -70,7 +70,7 @@ async def _listen(stream: asyncio.StreamReader, on_line: Callable[[str], None]) 
 
 
 async def _end(process: asyncio.subprocess.Process) -> None:
-    """See that a process is gone: politely first, since it may have to bring something to its end."""
+    """Terminate a process, and kill its group if it has not ended after a while; nothing if it has ended already."""
     if process.returncode is not None:
         return
     with suppress(ProcessLookupError):
@@ -99,9 +99,10 @@ def interrupt(pid: int) -> bool:
 
 
 class SessionProcess:
-    """A run in a process that outlives the screen: of its own session, with its output in a file without a name."""
+    """A run in a process that outlives the screen: its own session, output in a file without a name."""
 
     def __init__(self, arguments: Sequence[str]) -> None:
+        """Start the command; OSError if that fails."""
         self._output: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  read when the process has ended
         self._code: int | None = None
         words = command_line(arguments)
@@ -116,7 +117,7 @@ class SessionProcess:
                 (os.POSIX_SPAWN_DUP2, self._output.fileno(), 2),
             ],
             setsid=True,
-            setsigdef=(signal.SIGINT, signal.SIGTERM),  # whatever this screen was told to ignore by its parent
+            setsigdef=(signal.SIGINT, signal.SIGTERM),  # even if this screen's parent made it ignore them
         )
         """Number of the process, and of its socket."""
 
@@ -134,7 +135,7 @@ class SessionProcess:
         return self._code is None and interrupt(self.pid)  # else its number may be another's by now
 
     def reason(self) -> str:
-        """Return what it said last, in words: why a run that has ended never began."""
+        """Return why a run ended before it began: the reason in its JSON, else its last line, else its exit code."""
         self._output.seek(0)
         lines = [line for line in self._output.read().decode(errors="replace").splitlines() if line.strip()]
         given = [str(reason) for line in lines if (reason := _object(line.encode()).get("reason"))]
@@ -143,5 +144,5 @@ class SessionProcess:
         return [ended, *plain[-1:], *given[-1:]][-1]
 
     def close(self) -> None:
-        """Give up what it says; it goes on."""
+        """Stop reading its output; the process continues."""
         self._output.close()

@@ -1,4 +1,4 @@
-"""The tray: devices and scripts that are to be run one after another on a bench, kept when the screen is closed."""
+"""The tray: devices and scripts to be run one after another on a bench, kept when the screen is closed."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -14,7 +14,7 @@ _FILE = "trays.json"
 
 
 @dataclass(frozen=True, slots=True)
-class Spot:
+class TrayItem:
     """A device and a script, empty for the 360 s script; ``recording`` is that of its last run. Paths are absolute."""
 
     serial: str
@@ -24,30 +24,30 @@ class Spot:
 
 
 class Tray:
-    """The spots of one bench in their order; every change is kept at once."""
+    """The items of one bench in order; every change is stored at once."""
 
     def __init__(self, bench: str) -> None:
-        """``bench`` is the absolute path of the bench file, empty for the built-in one; what the tray held is read."""
-        self.bench, self.spots = bench, list[Spot]()
+        """Load the stored tray of a bench: ``bench`` is the absolute path of its file, empty for the built-in one."""
+        self.bench, self.spots = bench, list[TrayItem]()
         with suppress(*MISSHAPEN):
-            told = load_state(_FILE)[bench]
-            self.spots = [Spot(*(str(spot.get(key, "")) for key in Spot.__slots__)) for spot in told]
+            stored = load_state(_FILE)[bench]
+            self.spots = [TrayItem(*(str(spot.get(key, "")) for key in TrayItem.__slots__)) for spot in stored]
 
     @property
-    def next(self) -> Spot | None:
+    def next(self) -> TrayItem | None:
         """The first spot that waits."""
         return next((spot for spot in self.spots if spot.state == WAITING), None)
 
-    def keep(self, spots: Sequence[Spot]) -> str:
-        """Take other spots, or another order; return why they cannot be kept, empty if they are."""
+    def keep(self, spots: Sequence[TrayItem]) -> str:
+        """Replace all items and store them; return why they cannot be stored, empty if they are."""
         self.spots = list(spots)
         return save_state(_FILE, {**load_state(_FILE), self.bench: [asdict(spot) for spot in spots]})
 
-    def change(self, spot: Spot, **new: str) -> None:
-        """Change fields of a spot, if it is there."""
+    def change(self, spot: TrayItem, **new: str) -> None:
+        """Change fields of an item, if it is on the tray."""
         self.keep([replace(old, **new) if old == spot else old for old in self.spots])
 
-    def end(self, recording: Path, state: str) -> Spot | None:
+    def end(self, recording: Path, state: str) -> TrayItem | None:
         """Note how a run ended, or that it never began and its spot waits; return the spot, None if there is none."""
         ran = next((spot for spot in self.spots if spot.recording == str(recording.resolve())), None)
         if ran is not None:

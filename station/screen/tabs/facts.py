@@ -1,4 +1,4 @@
-"""The form for what a certificate states beside the measurement: filled in, checked, kept beside the recording."""
+"""The form for the facts of a certificate beside the measurement: filled in, checked, stored with the recording."""
 
 import asyncio
 import hashlib
@@ -36,11 +36,14 @@ _LEAVE = "Your entries are not saved yet.", [("back", "Back to the form"), ("dro
 
 
 class FactsDialog(ChooseDialog):
-    """All facts, one a line, as large as the terminal is."""
+    """All facts, one a line, as large as the terminal."""
 
 
 async def fill_in(app: Any, whole: Whole) -> None:
-    """Ask for facts, by names as "customer.name" and "equipment.0.due", until they are kept or given up."""
+    """Let the operator edit facts, named as "customer.name" or "equipment.0.due", until they are stored or given up.
+
+    Facts that cannot be read or stored are reported.
+    """
     try:
         recorded, files, sources = await asyncio.to_thread(_stated, whole)
     except (UsageError, *MISSHAPEN) as error:
@@ -49,7 +52,7 @@ async def fill_in(app: Any, whole: Whole) -> None:
     from station.report.formal import read_formal  # imported by now
 
     begun: dict[str, str] = {}
-    for facts in sources.values():  # what comes first goes before, and lists are not mixed
+    for facts in sources.values():  # the first source wins, and lists are not mixed
         listed = any(field.startswith(_LIST) for field in begun)
         begun |= {f: text for f, text in facts.items() if f not in begun and not (listed and f.startswith(_LIST))}
     entered, chosen, values = {**begun}, "", {**_FORM, "sources": sources, "path": recorded.path}
@@ -78,7 +81,7 @@ async def fill_in(app: Any, whole: Whole) -> None:
         else:
             try:
                 await asyncio.to_thread(write_whole, files[0], toml, replace=True)
-                with suppress(UsageError):  # what is remembered is no loss
+                with suppress(UsageError):  # a failure to store entries does no harm
                     await asyncio.to_thread(write_whole, files[1], toml, replace=True)
                 app.notify(f"{files[0]}: CTRL+P makes report, PDF and DCC with them", title="Kept", markup=False)
                 return
@@ -87,7 +90,10 @@ async def fill_in(app: Any, whole: Whole) -> None:
 
 
 def _stated(whole: Whole) -> tuple["Recorded", tuple[Path, Path], Mapping[str, Mapping[str, str]]]:
-    """Return a recording without samples, the files to keep facts in, and those that are stated already, by where."""
+    """Return the recording without samples, the two files for facts, and the facts stated so far, by their origin.
+
+    The files are that of this recording and that of the last form of this bench.
+    """
     from estimator.recordings.recording import Recording
     from station.report.formal import kept_facts
     from station.report.recorded import Recorded, Step
@@ -105,9 +111,9 @@ def _stated(whole: Whole) -> tuple["Recorded", tuple[Path, Path], Mapping[str, M
     )
     station = hashlib.sha256(recorded.text("station").encode()).hexdigest()
     kept, last = kept_facts(recorded.path), state_folder() / f"certificate-{station[:20]}.toml"
-    told = {field: recorded.text(name) for field, name in _RECORDED.items()}
-    told["performed.date"] = str(recorded.begun_utc.date()) if recorded.begun_utc else ""
-    found = {"recording": {field: text for field, text in told.items() if text}}
+    recorded_facts = {field: recorded.text(name) for field, name in _RECORDED.items()}
+    recorded_facts["performed.date"] = str(recorded.begun_utc.date()) if recorded.begun_utc else ""
+    found = {"recording": {field: text for field, text in recorded_facts.items() if text}}
     found["bench file"] = _texts(recorded.text("bench"))
     if kept.is_file():
         return recorded, (kept, last), {"kept": _texts(read_text(kept, UsageError)), **found}
@@ -118,7 +124,7 @@ def _stated(whole: Whole) -> tuple["Recorded", tuple[Path, Path], Mapping[str, M
 
 
 def _texts(toml: str) -> dict[str, str]:
-    """Return the facts in a file as they are entered."""
+    """Return the facts in a TOML text, by names such as "equipment.0.due", as they are entered."""
     found = {}
     for name, facts in tomllib.loads(toml).items():
         for number, table in enumerate(facts if isinstance(facts, list) else [facts]):

@@ -27,7 +27,7 @@ _DAY_S = 86400.0
 
 
 class HistoryScreen(StationScreen):
-    """All recordings, and trends."""
+    """All recordings of the folder, and trends."""
 
     MODE = "history"
     BINDINGS: ClassVar = [
@@ -38,6 +38,7 @@ class HistoryScreen(StationScreen):
     ]
 
     def __init__(self) -> None:
+        """Start without entries."""
         super().__init__()
         self._entries: list[Entry] = []
         self._shown: list[Entry] = []
@@ -49,6 +50,7 @@ class HistoryScreen(StationScreen):
         self._began_utc_s = 0.0  # the first calibration of the trend
 
     def body(self) -> ComposeResult:
+        """Yield the filter, the table of recordings, and the charts."""
         with Horizontal(classes="field"):
             yield Label("Filter")
             yield Field(id="device", placeholder="words of any column: SN-0042 2026-11 FAIL")
@@ -58,7 +60,7 @@ class HistoryScreen(StationScreen):
         yield Charts(STATE_CHARTS, self._drawing)
 
     def on_screen_resume(self) -> None:
-        """Read what is new; what was read before is known."""
+        """Read new recordings; those read before are kept."""
         self.action_read_again()
         self.set_focus(self.query_one(DataTable))
 
@@ -96,6 +98,9 @@ class HistoryScreen(StationScreen):
         self._show()
 
     async def _read(self, folder: Path) -> None:
+        """Read the entries of a folder, showing them from time to time; limits and units are those of the newest
+        calibration.
+        """
         self._entries, self._reading, shown_s = [], True, time.monotonic()
         running = self.station.shown
         written = running.recording if running is not None and running.active else None
@@ -117,6 +122,7 @@ class HistoryScreen(StationScreen):
             self.redraw()
 
     def _show(self) -> None:
+        """Fill the table with the entries that match the filter, in the chosen order."""
         words = self.query_one("#device", Input).value.lower().split()
         rows = [(entry, _cells(entry)) for entry in self._entries]
         rows = [row for row in rows if all(word in " ".join(map(str, row[1])).lower() for word in words)]
@@ -138,6 +144,7 @@ class HistoryScreen(StationScreen):
         self.redraw()
 
     def redraw(self) -> None:
+        """Show the trend of the chosen recording's device, for the chosen gyro; nothing before the screen is built."""
         if not self.query(Charts):
             return
         table, self._trend, failed = self.query_one(DataTable), Trend(), 0
@@ -169,10 +176,11 @@ class HistoryScreen(StationScreen):
 
 
 def _cells(entry: Entry) -> list[Text]:
+    """Return the cells of an entry; an unreadable one has its reason in place of the outcome."""
     outcome = entry.texts.get("outcome", "")
     ended = Text(outcome or "-", OUTCOME_STYLES.get(outcome, ""))
-    told = [entry.device, *(entry.texts.get(key, "") for key in ("script", "operator", "accepted_by"))]
+    cells = [entry.device, *(entry.texts.get(key, "") for key in ("script", "operator", "accepted_by"))]
     if entry.wrong:
-        ended, told = Text("UNREADABLE", "red"), ["-"] * 4
-    device, script, operator, accepted = map(Text, told)
+        ended, cells = Text("UNREADABLE", "red"), ["-"] * 4
+    device, script, operator, accepted = map(Text, cells)
     return [Text(entry.when), device, script, ended, operator, accepted, Text(entry.path.name)]

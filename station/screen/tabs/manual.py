@@ -1,4 +1,4 @@
-"""Manual mode on the screen: how it begins, which axis and rate are chosen, what its keys say to the session."""
+"""Manual mode on the screen: its start, the chosen axis and rate, and its keys."""
 
 import asyncio
 import math
@@ -21,10 +21,17 @@ _STALE_S = 0.25
 
 
 def begin_manual(screen: StationScreen) -> None:
-    """Ask, and begin manual mode on the bench that is chosen: its table is homed first."""
+    """Ask for confirmation, then start manual mode on the chosen bench, which homes the table; refuse if something is
+    wrong.
+
+    Real hardware that is only remembered from the last run must be opened first.
+    """
     station = screen.station
 
     async def begin() -> None:
+        """Start a manual run on the bench of the choices, or notify why not: it is invalid, or recalled and real
+        hardware.
+        """
         prospect = await asyncio.to_thread(look_ahead, station.choices)
         wrong = prospect.bench_wrong or prospect.folder_wrong
         if station.bench_recalled and not prospect.all_twins:
@@ -62,7 +69,7 @@ class ManualScreen(StationScreen):
         return dict(sorted(run.hello["table"].items())) if run is not None and by_hand else {}
 
     def manual_values(self) -> dict[str, Any]:
-        """Return what the bar shows: axes with their limits, which is chosen, the rate in deg/s, angles by axis."""
+        """Return the values of the bar: axes with their limits, the chosen axis, the rate in deg/s, angles by axis."""
         table, run = self.table, self.station.shown
         chosen = list(table)[self._axis % len(table)] if table else ""
         angles = {a.name: a.angle_rad for a in run.snapshot.axes} if run is not None and run.snapshot else {}
@@ -73,7 +80,7 @@ class ManualScreen(StationScreen):
         return action != "drive" or bool(self.table)
 
     def on_key(self, event: events.Key) -> None:
-        """Let no key drive that waited for its turn: whoever held it may have let go."""
+        """Ignore a driving key that waited too long: it may have been released."""
         if event.key in ("comma", "full_stop") and time.monotonic() - event.time > _STALE_S:
             event.stop()
 
@@ -82,7 +89,9 @@ class ManualScreen(StationScreen):
         begin_manual(self)
 
     def action_drive(self, word: str) -> None:
-        """Choose, or say a word to the session with what is chosen."""
+        """Change the chosen axis or rate, ask for an angle, or send the command ``word`` with axis and rate to the
+        session.
+        """
         axis = self.manual_values()["chosen"]
         rate_dps, drive = _RATES_DPS[self._rate], self.station.drive
         if word == "axis":

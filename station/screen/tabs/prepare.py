@@ -1,4 +1,4 @@
-"""Prepare: bench and what answers, script and its plan, operator and device; START once everything is green."""
+"""Prepare: bench and its devices, script and its plan, operator and device; START once everything is green."""
 
 import asyncio
 import time
@@ -40,35 +40,37 @@ _SCAN_LEAST = 4
 
 
 class PrepareScreen(StationScreen):
-    """What a run needs before it may start."""
+    """Everything that must be entered and checked before a run."""
 
     MODE = "prepare"
     BINDINGS: ClassVar = [
         Binding("f6", "look_again", "Check again", key_display="F6"),
         Binding("f7", "start", "START", key_display="F7"),
         Binding("f8", "confirm_serial", show=False),
-        # Before the field sees them: what is typed, or scanned, right after them then goes to the next field.
+        # Before the field gets them, so that text typed or scanned right after them goes to the next field.
         Binding("enter", "enter", priority=True, show=False),
         Binding("tab", "app.focus_next", priority=True, show=False),
         Binding("shift+tab", "app.focus_previous", priority=True, show=False),
     ]
 
     def __init__(self) -> None:
+        """Start without answers."""
         super().__init__()
         self._prospect: Prospect | None = None
         self._check: Answer | None = None
         self._plan: Answer | None = None
         self._checking = ""
         self._looked_for: tuple[str, str] | None = None
-        self._confirmed = ("", "", "")  # number as entered, number that the device says, why both are right
+        self._confirmed = ("", "", "")  # number as entered, number reported by the device, reason why both are right
         self._run_before: LiveRun | None = None
-        self._chosen: Choices | None = None  # what the fields show
-        self._burst = ""  # what was typed in one go until now
+        self._chosen: Choices | None = None  # choices shown in the fields
+        self._burst = ""  # text typed in one burst so far
         self._burst_at_s = 0.0
         self._burst_pattern = ""  # of serial numbers, by then
-        self._before_burst: tuple[Input | None, str] = None, ""  # the field it went to, and what stood there
+        self._before_burst: tuple[Input | None, str] = None, ""  # the field that got it, and its text before
 
     def body(self) -> ComposeResult:
+        """Yield the entries, the blocks of answers, and the chart of the motion."""
         with Container(id="columns"):
             with Vertical(id="entries"):
                 for name, words, placeholder in _FIELDS:
@@ -88,7 +90,7 @@ class PrepareScreen(StationScreen):
             yield Static(id="summary", markup=False)
 
     def on_mount(self) -> None:
-        """Fill in what is chosen."""
+        """Fill in the choices."""
         self._chosen = choices = self.station.choices
         with self.prevent(Input.Changed):
             for name, *_ in _FIELDS:
@@ -96,17 +98,17 @@ class PrepareScreen(StationScreen):
         self.set_focus(self.query_one("#operator" if not choices.operator else "#serial", Input))
 
     def on_input_changed(self, event: Input.Changed) -> None:
-        """Take over what was typed; bench and script are looked at when they are complete."""
+        """Take over the text; bench and script are read only when they are complete."""
         self.station.mounted = False
         if event.input.id == "operator":
             self.station.operator_utc_s = time.time()
         self._take_over()
-        if self._looked_for != self._files():  # else this tells of what a look has taken over before
+        if self._looked_for != self._files():  # otherwise this shows the result of an earlier check
             self._prospect = None
         self.redraw()
 
     def action_enter(self) -> None:
-        """Go to the next field, or press what has the focus; bench and script are then looked at."""
+        """Go to the next field or press the focused button; a scanned serial number is put into its field instead."""
         at = self.focused
         if self._take_scan():
             return
@@ -119,7 +121,9 @@ class PrepareScreen(StationScreen):
             self.redraw()
 
     def note_key(self, event: events.Key) -> None:
-        """Keep what a scanner types, wherever the focus is; called before anything else sees the key."""
+        """Collect characters that come as fast as a scanner's, wherever the focus is; called before any other handling
+        of the key.
+        """
         gap_s = event.time - self._burst_at_s
         self._burst_at_s = event.time
         if gap_s > _SCAN_GAP_S:
@@ -135,7 +139,7 @@ class PrepareScreen(StationScreen):
         self._burst += event.character
 
     def _take_scan(self) -> bool:
-        """Put a serial number that was scanned elsewhere into its field; return whether there was one."""
+        """Move a serial number that was scanned into another field to its own; return whether there was one."""
         text, self._burst = self._burst.strip(), ""
         field, before = self._before_burst
         serial = self.query_one("#serial", Input)
@@ -143,6 +147,7 @@ class PrepareScreen(StationScreen):
             return False
 
         def put() -> None:
+            """Restore the field that was scanned into, put the number into the serial field, and select it."""
             if field is not None:
                 field.value = before
             if self.maximized is not None:  # the scan held the key that enlarges a chart
@@ -156,7 +161,10 @@ class PrepareScreen(StationScreen):
         return True
 
     def _is_serial(self, text: str, field: Input | None, before: str) -> bool:
-        """Return whether a text that was typed in one go into a field, or into none, can be a serial number."""
+        """Return whether a text typed at once, into ``field`` or none, can be a serial number.
+
+        It must match the pattern. In an empty operator field it is a badge; in other fields it must not be a file.
+        """
         pattern = self._burst_pattern
         if pattern and not matches(pattern, text):
             return False
@@ -167,12 +175,12 @@ class PrepareScreen(StationScreen):
         return True
 
     def on_input_blurred(self, event: Input.Blurred) -> None:
-        """Look at bench and script when they are left."""
+        """Check bench and script when their fields lose the focus."""
         if event.input.id in ("bench", "script") and self._prospect is None:
             self.action_look_again()
 
     def on_screen_resume(self) -> None:
-        """Ask bench and script once the first picture is out; again when others were chosen, or a session has ended."""
+        """Read bench and script after the first picture; again if others were chosen or a session has ended."""
         ended = self.station.shown is not self._run_before and not self.station.busy
         if self.station.choices is not self._chosen:
             self.on_mount()
@@ -182,7 +190,7 @@ class PrepareScreen(StationScreen):
         self.redraw()
 
     def on_screen_suspend(self) -> None:
-        """Start nothing by itself that is not seen."""
+        """Cancel an automatic start when the screen is left."""
         self.station.mounted = False
 
     def action_look_again(self) -> None:
@@ -191,7 +199,7 @@ class PrepareScreen(StationScreen):
         self._look_at_both()
 
     def _look_at_both(self) -> None:
-        """Read bench and script, ask the devices, plan; what was asked before is given up."""
+        """Read bench and script, check the devices, and plan, in the background; earlier answers are dropped."""
         self._take_over()
         self._looked_for = self._files()
         self._prospect = self._check = self._plan = None
@@ -201,8 +209,8 @@ class PrepareScreen(StationScreen):
         self.station.work(partial(self._look, self.station.choices), "look")
 
     def action_start(self) -> None:
-        """Start the run, if nothing stands against it."""
-        if self.small:  # nobody starts what cannot be seen
+        """Start the run, or report what prevents it; nothing if the screen is too small to be seen."""
+        if self.small:  # no start by something that cannot be seen
             return
         self._take_over()
         obstacles = self._obstacles()
@@ -213,6 +221,7 @@ class PrepareScreen(StationScreen):
             self.station.start_run(self._prospect)
 
     async def _look(self, choices: Choices) -> None:
+        """Read bench and script, then check the devices and plan at the same time; stops if the bench is invalid."""
         found = await asyncio.to_thread(look_ahead, choices)
         self._prospect = found
         for field in ("#bench", "#script"):
@@ -223,6 +232,9 @@ class PrepareScreen(StationScreen):
         await asyncio.gather(self._look_at_devices(choices, found), self._look_at_plan(choices, found))
 
     async def _look_at_devices(self, choices: Choices, found: Prospect) -> None:
+        """Run `station check`, unless a session uses the bench or it is hardware that is only remembered from the last
+        run.
+        """
         if self.station.bench_recalled and not found.all_twins:
             self._checking = f"bench {found.bench} was used in the last run and is real hardware: F6 opens it"
             self.redraw()
@@ -247,27 +259,28 @@ class PrepareScreen(StationScreen):
         self.redraw()
 
     def _told_serial(self) -> str:
-        """Return the serial number that the one device under test tells of itself, empty if it or several tell none."""
+        """Return the serial number reported by the only device under test; empty for several devices or none."""
         devices = self._check.found.get("devices", [])[1:] if self._check is not None else []
         return str(devices[0]["identity"].get("serial") or "") if len(devices) == 1 else ""
 
     def _suggest(self) -> None:
-        """Fill in the serial number that the one device under test tells of itself, if none was entered."""
-        field, told = self.query_one("#serial", Input), self._told_serial()
-        if told and not field.value and self._prospect and matches(self._prospect.serial_pattern, told):
-            field.value = told
-            field.select_all()  # what is scanned next, at whatever moment, takes its place
+        """Fill in the serial number reported by the only device under test, if none was entered and it matches."""
+        field, reported = self.query_one("#serial", Input), self._told_serial()
+        if reported and not field.value and self._prospect and matches(self._prospect.serial_pattern, reported):
+            field.value = reported
+            field.select_all()  # the next scan, at any time, replaces it
 
     def action_confirm_serial(self) -> None:
-        """Ask why a device that says another number is the right one all the same; it goes onto the record."""
-        entered, told = self.station.choices.serial, self._told_serial()
-        if told and entered and entered != told:
-            question = (
-                f"The device reports {told}, but you entered {entered}. Why are both right? (Also for the certificate.)"
-            )
+        """Ask why a device that reports another number is the right one; the reason is recorded. Nothing if they
+        agree.
+        """
+        entered, device = self.station.choices.serial, self._told_serial()
+        if device and entered and entered != device:
+            both = f"The device reports {device}, but you entered {entered}"
+            question = f"{both}. Why are both right? (Also for the certificate.)"
 
             def keep(reason: str | None) -> None:
-                self._confirmed = entered, told, reason or ""
+                self._confirmed = entered, device, reason or ""
                 self._take_over()
                 self.redraw()
 
@@ -277,7 +290,7 @@ class PrepareScreen(StationScreen):
         return self.station.choices.bench, self.station.choices.script
 
     def _take_over(self) -> None:
-        """Take over what stands in the fields."""
+        """Take the entries of the fields as choices."""
         entered: dict[str, Any] = {name: self.query_one(f"#{name}", Input).value.strip() for name, *_ in _FIELDS}
         if self._told_serial():
             both = entered["serial"], self._told_serial()
@@ -285,7 +298,7 @@ class PrepareScreen(StationScreen):
         self._chosen = self.station.choices = replace(self.station.choices, **entered)
 
     def _obstacles(self) -> list[tuple[str, str]]:
-        """Return what stands against a start: WRONG or WAIT, and what to do."""
+        """Return what prevents a start, as ("WRONG" or "WAIT", what to do)."""
         found: list[tuple[str, str]] = []
         prospect, choices = self._prospect, self.station.choices
         if self.station.busy:
@@ -301,9 +314,11 @@ class PrepareScreen(StationScreen):
         age_s = time.time() - self.station.operator_utc_s
         if prospect is not None and choices.operator and age_s > prospect.shift_s:
             found.append(("WRONG", f"is the operator still {choices.operator}? Press Enter in the field to confirm"))
-        told = self._told_serial()
-        if told and choices.serial and choices.serial != told and not choices.serial_reason:
-            found.append(("WRONG", f"the device reports serial no. {told}: correct it, or confirm with a reason (F8)"))
+        reported = self._told_serial()
+        if reported and choices.serial and choices.serial != reported and not choices.serial_reason:
+            found.append(
+                ("WRONG", f"the device reports serial no. {reported}: correct it, or confirm with a reason (F8)")
+            )
         if prospect is None:
             found.append(("WAIT", "bench and script are being read (Enter)"))
             return found
@@ -327,6 +342,7 @@ class PrepareScreen(StationScreen):
         return [("WRONG", f"{d['device']}: {wrong}") for d in devices for wrong in d["wrong"]]
 
     def redraw(self) -> None:
+        """Show all answers; start a mounted device's run if nothing prevents it, or report what does."""
         if not self.query(Charts):
             return
         obstacles = self._obstacles()
@@ -341,7 +357,7 @@ class PrepareScreen(StationScreen):
         looked_at = self.station.mounted and self.station.choices is self._chosen
         if looked_at and (not obstacles or "WRONG" in dict(obstacles)):
             self.station.mounted = False
-            self.action_start()  # or what stands against it is told
+            self.action_start()  # or reports its obstacles
 
     def _drawing(self, name: str) -> Drawing | None:
         motion = self._prospect.motion if self._prospect is not None else None

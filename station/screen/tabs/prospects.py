@@ -1,4 +1,4 @@
-"""What a bench file and a script say before anything is asked of a device: names, patterns, limits, the motion."""
+"""Contents of a bench file and a script before any device is asked: names, patterns, limits, the motion."""
 
 import math
 import os
@@ -22,7 +22,7 @@ ANYTHING = r".*\S.*"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prospect:
-    """A bench and a script, or ``manual``, or what is wrong with either; ``files`` are what may be named."""
+    """A bench and a script, or ``manual``, or what is wrong with either; ``files`` are suggestions for names."""
 
     bench: str = ""
     bench_wrong: str = ""
@@ -49,7 +49,7 @@ def look_ahead(choices: "Choices") -> Prospect:
 
 
 def _read(bench_path: str, script_path: str, device_options: tuple[str, ...]) -> Prospect:
-    """Read bench and script, empty paths meaning the built-in ones."""
+    """Read bench and script, the built-in ones for empty paths; errors are part of the result."""
     from station.bench.bench import load_bench
     from station.errors import ScriptError, UsageError
     from station.opening import needs_only_memory, with_links
@@ -80,7 +80,7 @@ def _read(bench_path: str, script_path: str, device_options: tuple[str, ...]) ->
 
 
 def matches(pattern: str, text: str) -> bool:
-    """Return whether all of a text is as the pattern says; a pattern that is none lets everything pass."""
+    """Return whether a pattern matches all of a text; an invalid pattern matches everything."""
     try:
         return re.fullmatch(pattern, text) is not None
     except re.error:
@@ -88,7 +88,7 @@ def matches(pattern: str, text: str) -> bool:
 
 
 def folder_trouble(folder: Path) -> str:
-    """Return why recordings cannot be written into a folder, empty if they can."""
+    """Return why recordings cannot be written to a folder, "" if they can."""
     there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     free_mb = shutil.disk_usage(there).free / 1e6
     for wrong, words in (

@@ -1,4 +1,4 @@
-"""Result: the verdict, the states, what changed since the last calibration, what the model lacks, and what to do."""
+"""Result: the verdict, the states, their change since the last calibration, effects not in the model, advice."""
 
 import asyncio
 from collections.abc import Mapping, Sequence
@@ -28,7 +28,7 @@ from station.views.figures import told_figures
 
 _MOST_OFFERED = 20
 _LOOKING = "looking for errors that the model misses"
-_NONE, _ALL = "none", "all"  # choices of runs that judge, beside the number of one
+_NONE, _ALL = "none", "all"  # choices of runs that judge, besides the number of one
 _BLOCKS = ("verdict", "states", "change", "model", "record")
 _BUTTONS = (
     ("accept", "Accept  A"),
@@ -39,7 +39,7 @@ _BUTTONS = (
 
 
 class ResultScreen(StationScreen):
-    """One recording and what it says."""
+    """One recording and its results."""
 
     MODE = "result"
     BINDINGS: ClassVar = [
@@ -50,6 +50,7 @@ class ResultScreen(StationScreen):
     ]
 
     def __init__(self) -> None:
+        """Start without a recording."""
         super().__init__()
         self._whole: Whole | None = None
         self._same: list[Entry] = []
@@ -61,7 +62,7 @@ class ResultScreen(StationScreen):
 
     @property
     def said_of_recording(self) -> str:
-        """Warn of a run that ended without a word: nobody has seen its table come to rest."""
+        """Warning on a run that ended unexpectedly: whether its table came to rest is unknown. Else empty."""
         entry = self._whole.entry if self._whole is not None else None
         if entry is None or entry.wrong or entry.texts.get("outcome"):
             return ""
@@ -80,13 +81,14 @@ class ResultScreen(StationScreen):
                 yield Button(words, id=name, compact=True, disabled=True, action=f"screen.{name}")
 
     def _open(self, path: Path, fresh: bool) -> None:
-        """Show a recording. ``fresh``: it has just been made; if it failed, the cause is looked for at once."""
+        """Show a recording; a ``fresh`` one that failed is investigated at once."""
         self.recording, self._whole, self._same, self._moves, self._found = path, None, [], [], {}
         self._busy, self._said, self.gyro = "reading", "", 0
         self.redraw()
         self.station.work(partial(self._read, path, fresh), "open")
 
     async def _read(self, path: Path, fresh: bool) -> None:
+        """Read a recording and others of the same device; for a ``fresh`` one that failed, start an investigation."""
         whole = await self.station.archive.read(path)
         self._whole, self._busy = whole, ""
         await self._take_investigation(whole.investigation)
@@ -103,7 +105,9 @@ class ResultScreen(StationScreen):
         self.redraw()
 
     def action_investigate(self) -> None:
-        """Look for what the model lacks; ask by which run that is to be judged, if there are others of the device."""
+        """Look for errors that the model misses, after asking which runs should verify them if there are others of the
+        device.
+        """
         if not self._may("investigate"):
             return
         if not self._same:
@@ -123,7 +127,7 @@ class ResultScreen(StationScreen):
             self._look_for_cause([self._same[int(chosen)]] if runs is None else runs)
 
     def _look_for_cause(self, judging: Sequence[Entry]) -> None:
-        """Investigate in a process of its own; ``judging`` are the runs that verify what is found."""
+        """Investigate in a separate process; ``judging`` are the runs that verify the result."""
         if self.recording is not None:
             self._tell(_LOOKING)
             self.station.work(
@@ -131,6 +135,9 @@ class ResultScreen(StationScreen):
             )
 
     async def _investigate(self, path: Path, judging: Sequence[Path]) -> None:
+        """Run `station investigate` on a recording, verified by ``judging``, and show its result if it is still on the
+        screen.
+        """
         kept = await asyncio.to_thread(free_path, path.with_name(f"{path.stem}{INVESTIGATION}.h5"))
         script = await asyncio.to_thread(free_path, path.with_name(f"{path.stem}-next.toml"))
         verify = ["--verify", *map(str, judging)] if judging else []
@@ -148,7 +155,7 @@ class ResultScreen(StationScreen):
         self.redraw()
 
     def action_accept(self) -> None:
-        """Ask whether to accept, then record who did and write the certificate."""
+        """Ask whether to accept the calibration; if so, record who did and write the certificate."""
         if not self._may("accept") or self._whole is None:
             return
         operator = self.station.choices.operator
@@ -162,25 +169,26 @@ class ResultScreen(StationScreen):
             self.station.work(partial(self._certify, self.recording), "accept")
 
     async def _certify(self, path: Path) -> None:
+        """Record the acceptance, write the certificate, and show what succeeded."""
         now = datetime.now(UTC).isoformat(timespec="seconds")
         wrong = await self.station.archive.accept(
             path, {"accepted_by": self.station.choices.operator, "accepted_utc": now}
         )
         if wrong:
-            said = f"NOT ACCEPTED: {wrong}"
+            outcome = f"NOT ACCEPTED: {wrong}"
         else:
             certificate = await asyncio.to_thread(free_path, path.with_suffix(".html"))
             answer = await ask(["report", str(path), "--output", str(certificate)])
-            said = f"accepted; certificate: {certificate}"
+            outcome = f"accepted; certificate: {certificate}"
             if answer.code:
-                said = f"accepted, but NO CERTIFICATE: {answer.reason}"
+                outcome = f"accepted, but NO CERTIFICATE: {answer.reason}"
         whole = await self.station.archive.read(path)
         if path == self.recording:
-            self._busy, self._said, self._whole = "", said, whole
+            self._busy, self._said, self._whole = "", outcome, whole
             self.redraw()
 
     def action_facts(self) -> None:
-        """Ask for what the certificate states beside the measurement."""
+        """Open the form for the facts that the certificate states beside the measurement."""
         if self._may("facts") and self._whole is not None:
             self.station.work(partial(fill_in, self.app, self._whole), "facts")
 
@@ -193,14 +201,14 @@ class ResultScreen(StationScreen):
             self.station.prepare(str(self._found["next_script"]))
 
     def _may(self, what: str) -> bool:
-        """Return whether something can be done, and say why not."""
+        """Return whether an action is possible, and notify why not."""
         obstacle = self._obstacle(what)
         if obstacle:
             self.notify(obstacle, severity="warning", markup=False)
         return not obstacle
 
     def _obstacle(self, what: str) -> str:
-        """Return why something cannot be done, empty if it can."""
+        """Return why the action ``what`` is not possible, "" if it is."""
         entry = self._whole.entry if self._whole is not None else None
         if entry is None or entry.wrong:
             return "no recording is open"
@@ -223,13 +231,16 @@ class ResultScreen(StationScreen):
         return "" if self.station.choices.operator else "accepting needs an operator: F2, enter the name"
 
     def on_screen_resume(self) -> None:
-        """Open what a run has left in the meantime; show what may be done now."""
+        """Open a recording that a run has left, and update the buttons."""
         to_open = self.station.take_recording()
         if to_open is not None:
             self._open(*to_open)
         self.redraw()
 
     def redraw(self) -> None:
+        """Show the recording in all blocks, and enable the buttons whose action is possible; nothing before the screen
+        is built.
+        """
         if not self.query(Charts):
             return
         for name, _ in _BUTTONS:
@@ -243,8 +254,8 @@ class ResultScreen(StationScreen):
         shown: dict[str, RenderableType] = {}
         if whole is not None and not whole.entry.wrong:
             values |= {"entry": whole.entry, "last": last_comparable(whole.entry, self._same), "moves": self._moves}
-            told = ("states", "change", "record") if whole.entry.gyros else ("record",)
-            shown = {name: templated(f"{name}.rich", values) for name in told}
+            blocks = ("states", "change", "record") if whole.entry.gyros else ("record",)
+            shown = {name: templated(f"{name}.rich", values) for name in blocks}
             if whole.entry.gyros:
                 lines = self._model or [Text("I looks for errors beyond the four states", "dim")]
                 shown["model"] = Group(Text("Investigation", "bold underline"), *lines)
@@ -258,6 +269,7 @@ class ResultScreen(StationScreen):
         block.update("" if shown is None else shown)
 
     def _drawing(self, name: str) -> Drawing | None:
+        """Return the chart of a state, with the calibration's figure; None without curves."""
         whole = self._whole
         if whole is None or not whole.curves:
             return None
@@ -268,16 +280,17 @@ class ResultScreen(StationScreen):
         calibrated = next((found for found in whole.entry.gyros if found.name == gyro), None)
         if calibrated is None:
             return drawing
-        # The course is that of the live filter; the figure is that of the calibration, as in the table beside it.
+        # The curve is that of the live filter; the figure is that of the calibration, as in the table beside it.
         state, _, *others = drawing.words
         figure = told_figures(whole.entry.units)[index].figure(calibrated.values[index], calibrated.sds[index])
         return drawing._replace(words=[state, (figure, "line"), *others])
 
 
 def _investigation(found: Mapping[str, Any]) -> list[RenderableType]:
-    """Return what `station investigate` prints, from its JSON.
+    """Return the lines and tables of `station investigate` from its JSON; a hint if it is damaged or of another
+    version.
 
-    Loads what renders it, which takes a moment: not for the thread that paints.
+    Call it in a thread: it loads a library first.
     """
     from station.render.investigation_printed import investigation_shown
     from station.views.investigation import InvestigationView, is_investigation
@@ -288,4 +301,4 @@ def _investigation(found: Mapping[str, Any]) -> list[RenderableType]:
         shown = None
     if shown is None:
         return [Text("damaged, or written by another version of the station: I investigates again", "yellow")]
-    return [Text.from_markup(what, emoji=False) if isinstance(what, str) else what for what, _ in shown]
+    return [Text.from_markup(line, emoji=False) if isinstance(line, str) else line for line, _ in shown]

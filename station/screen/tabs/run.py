@@ -1,4 +1,4 @@
-"""Run: what the table and the gyros do now, how the estimates narrow, whether the filter is right."""
+"""Run: the present state of table and gyros, the narrowing of the estimates, whether the filter is right."""
 
 import math
 import textwrap
@@ -25,7 +25,7 @@ _MOST_EVENTS = 24
 _REASON_ROWS = 4
 _NIS_OFF = 0.25
 _WHITE_OFF = 0.2
-_MANY_SIGMAS = 4.0  # by which both are off before anybody is to look
+_MANY_SIGMAS = 4.0  # by which both must be off to be reported
 
 
 class RunScreen(ManualScreen):
@@ -41,6 +41,7 @@ class RunScreen(ManualScreen):
     ]
 
     def body(self) -> ComposeResult:
+        """Yield progress, figures, sources, charts, events and details."""
         yield Lines(id="progress")
         with Container(id="columns"):
             yield Lines(id="figures")
@@ -59,13 +60,13 @@ class RunScreen(ManualScreen):
     on_screen_resume = redraw
 
     def tick(self) -> None:
-        """Show figures at each tick, one of the charts, too; what has not changed costs nothing."""
+        """Update all figures, and one chart per call; unchanged parts cost nothing."""
         run = self.station.shown
         width = self.size.width - 4
         wrapped = partial(textwrap.wrap, width=max(width, 1), max_lines=_REASON_ROWS, placeholder=" ...")
         shown = {"run": run, "others": self.station.others, "width": width, "wrapped": wrapped, "silence_s": SILENCE_S}
         self._show("progress", templated("progress.rich", {**shown, **self.manual_values()}))
-        if run is None or run.snapshot is None:  # what is there is of the run before
+        if run is None or run.snapshot is None:  # the screen still shows the run before
             for name in ("figures", *_SOURCES, "events"):
                 self._show(name, Text())
             return
@@ -92,7 +93,7 @@ class RunScreen(ManualScreen):
         return run_drawing(name, run, gyros[self.gyro % len(gyros)])
 
     def action_pause(self) -> None:
-        """Hold after the step under way, or go on."""
+        """Pause after the current step, or resume."""
         self.station.pause_run()
 
     def action_others(self) -> None:
@@ -106,7 +107,7 @@ class RunScreen(ManualScreen):
 
 
 def _values(run: LiveRun, snapshot: Snapshot, large: bool) -> dict[str, Any]:
-    """Return what is shown of axes, sources, innovations, states; of a run that has gone the last that is known."""
+    """Return the template values for axes, sources, innovations and states; after the run, the last known ones."""
     judged, style = _judgement(snapshot)
     return {
         "snapshot": snapshot,
@@ -121,7 +122,10 @@ def _values(run: LiveRun, snapshot: Snapshot, large: bool) -> dict[str, Any]:
 
 
 def _judgement(snapshot: Snapshot) -> tuple[str, str]:
-    """Return how the innovations of the live filter look, in words and their style."""
+    """Return a text on the innovations of the live filter, and its style.
+
+    It says whether their NIS is off 1 or they are not white, by more than chance; "not known yet" with too few blocks.
+    """
     if not (math.isfinite(snapshot.nis_recent) and math.isfinite(snapshot.whiteness)):  # too few blocks for either
         return "not known yet", "dim"
     by_chance = _MANY_SIGMAS / math.sqrt(max(snapshot.recent, 1))

@@ -14,14 +14,14 @@ from station.screen.dialogs import AskTextDialog
 from station.screen.figures import templated
 from station.screen.memory import whole
 from station.screen.sessions.link import sessions_there
-from station.screen.sessions.tray import NO_RESULT, RUNNING, SKIPPED, WAITING, Spot
+from station.screen.sessions.tray import NO_RESULT, RUNNING, SKIPPED, WAITING, TrayItem
 
 
 class ScanField(Field):
-    """A field for a scanner: what ends with Enter or Tab is submitted, and the field is free for the next at once."""
+    """A field for a scanner: Enter or Tab submits its text, and it is free for the next at once."""
 
     def on_key(self, event: events.Key) -> None:
-        """Submit before the next letter is read."""
+        """Submit the text on Enter or Tab, before the next character is read."""
         text = self.value.strip()
         if event.key == "enter" or (event.key == "tab" and text):
             event.stop()
@@ -32,7 +32,7 @@ class ScanField(Field):
 
 
 class MountDialog(AskTextDialog):
-    """Asks that a device be mounted; no key that a scanner sends confirms it, but the number itself."""
+    """Asks to mount a device; only its number confirms it, no other key that a scanner sends."""
 
     BINDINGS: ClassVar = [Binding("f8", "mounted", "It is mounted", key_display="F8")]
 
@@ -44,7 +44,7 @@ class MountDialog(AskTextDialog):
 
 
 class TrayScreen(StationScreen):
-    """What is to be run, what runs, and what became of it."""
+    """The devices and scripts to run, the one that runs, and the results."""
 
     MODE = "tray"
     BINDINGS: ClassVar = [
@@ -55,9 +55,10 @@ class TrayScreen(StationScreen):
         ("s", "skip", "Skip/again"),
         ("c", "clear", "Clear done"),
     ]
-    _shown: list[Spot] | None = None
+    _shown: list[TrayItem] | None = None
 
     def body(self) -> ComposeResult:
+        """Yield the fields for scripts and scans, the next item, and the list."""
         with Horizontal(classes="field"):
             yield Label("Scripts")
             yield Field(id="scripts", placeholder="the 360 s script; of several: a.toml, b.toml")
@@ -78,16 +79,16 @@ class TrayScreen(StationScreen):
         """Find out how runs ended whose end no screen saw."""
         live = {hello.get("recording") for _, hello in await sessions_there()}
         for spot in [spot for spot in self.station.tray.spots if spot.state == RUNNING and spot.recording not in live]:
-            if not self.station.busy:  # what this screen has just started is in no list yet
+            if not self.station.busy:  # a session that this screen has just started is in no list yet
                 entry = (await self.station.archive.read(Path(spot.recording))).entry
                 self.station.tray.end(Path(spot.recording), entry.texts.get("outcome") or NO_RESULT)
 
     def on_input_submitted(self, event: Input.Submitted) -> None:
-        """Put a device that was scanned onto the tray, once for each script."""
+        """Add a scanned device to the tray, once for each script; report items that are there already."""
         scan, tray = self.query_one("#scan", Input), self.station.tray
         self.set_focus(scan)
         for script in self.query_one("#scripts", Input).value.split(",") if event.input is scan and event.value else ():
-            spot = Spot(event.value, whole(script.strip()))
+            spot = TrayItem(event.value, whole(script.strip()))
             if any((old.serial, old.script) == (spot.serial, spot.script) for old in tray.spots):
                 self.notify(
                     f"{spot.serial} is on the tray already", title="Not added", severity="warning", markup=False
@@ -100,7 +101,7 @@ class TrayScreen(StationScreen):
             if spot.recording:
                 self.station.open_recording(Path(spot.recording))
 
-    def _chosen(self) -> list[Spot]:
+    def _chosen(self) -> list[TrayItem]:
         row = self.query_one(OptionList).highlighted
         return [spot for n, spot in enumerate(self.station.tray.spots) if n == row and spot.state != RUNNING]
 
@@ -108,12 +109,12 @@ class TrayScreen(StationScreen):
         self.station.tray.keep([spot for spot in self.station.tray.spots if spot not in self._chosen()])
 
     def action_clear(self) -> None:
-        """Remove what has been run."""
+        """Remove the items that have been run."""
         left = (WAITING, RUNNING, SKIPPED)
         self.station.tray.keep([spot for spot in self.station.tray.spots if spot.state in left])
 
     def action_move(self, step: int) -> None:
-        """Let a spot change places with the one before or after it."""
+        """Swap the highlighted item with the one before or after it."""
         spots, row = list(self.station.tray.spots), self.query_one(OptionList).highlighted
         if row is not None and 0 <= row + step < len(spots):
             spots[row], spots[row + step] = spots[row + step], spots[row]
@@ -127,6 +128,7 @@ class TrayScreen(StationScreen):
             self.station.tray.change(spot, state=SKIPPED if spot.state == WAITING else WAITING, recording="")
 
     def tick(self) -> None:
+        """Update the list if the tray has changed."""
         tray = self.station.tray
         if self.query("#spots") and tray.spots != self._shown:
             head, *lines = templated("spots.rich", {"spots": tray.spots, "next": tray.next}).split()

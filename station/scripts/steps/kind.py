@@ -1,4 +1,4 @@
-"""What every step of a script has, and the record of a kind of steps.
+"""The base of all steps of a script, and the record of a kind of steps.
 
 A kind is one module that holds a class of steps and its record, ``SPEC``; ``station.scripts.steps.registry`` names it.
 Nothing else knows a kind: the station asks a step what it demands of the axes, how it moves them and for how long.
@@ -14,7 +14,7 @@ from drivers.specs import Key
 from drivers.types import AxisLimits
 from station.errors import ScriptError, sentence
 
-_SAME = 1e-9  # relative; what is nearer than this is the same acceleration
+_SAME = 1e-9  # relative; nearer accelerations count as equal
 _COMMENTS = 44  # the column of comments in a script file
 
 AXIS = Key(name="axis", kind="text", doc="axis", required=True, one_of=("x", "y", "z"))
@@ -31,7 +31,7 @@ LABEL = Key(name="label", kind="text", doc="text shown to the operator; default:
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """How long something takes: at least and at most, in s. Both are the same where that is known in advance.
+    """Least and most duration, in s; equal where it is known in advance.
 
     ``most_s`` is infinite where there is no limit.
     """
@@ -41,7 +41,7 @@ class Span:
 
     @classmethod
     def exactly(cls, duration_s: float) -> Self:
-        """Return the span of what takes this long."""
+        """Return a span of exactly this duration."""
         return cls(duration_s, duration_s)
 
     @property
@@ -51,7 +51,7 @@ class Span:
 
     @property
     def longer_s(self) -> float:
-        """By how much it may be longer than the least."""
+        """Difference between the longest and the least duration."""
         return 0.0 if self.is_exact else self.most_s - self.least_s
 
     def elapsed_s(self, since_s: float) -> float:
@@ -59,7 +59,7 @@ class Span:
         return min(since_s, self.most_s)
 
     def remaining(self, since_s: float) -> "Span":
-        """Return what is left after a time."""
+        """Return what is left after ``since_s``."""
         return Span(max(self.least_s - since_s, 0.0), max(self.most_s - since_s, 0.0))
 
 
@@ -70,9 +70,9 @@ def total(spans: Sequence[Span]) -> Span:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Turn:
-    """A motion of one axis from standstill to standstill: two ramps, and a steady rate in between if it is reached.
+    """A motion of one axis from standstill to standstill: two ramps, and a constant rate in between if it is reached.
 
-    Angles are from home. ``rate_rps`` is as the step states it, and may be negative of a turn backwards.
+    Angles are from home. ``rate_rps`` is that of the step, possibly negative for a turn backwards.
     """
 
     axis: str
@@ -84,7 +84,7 @@ class Turn:
 
     @property
     def way_rad(self) -> float:
-        """Angle that is turned, with its sign."""
+        """Angle of the turn, with its sign."""
         return self.to_rad - self.from_rad
 
     @property
@@ -96,7 +96,7 @@ class Turn:
 
 
 def turn_to(axis: str, from_rad: float, to_rad: float, rate_rps: float, acceleration_rps2: float) -> Turn:
-    """Return the turn of an axis from one angle to another."""
+    """Return the turn of an axis between two angles; its duration is 0 if they are equal."""
     way_rad = abs(to_rad - from_rad)
     peak_rps = min(abs(rate_rps), math.sqrt(way_rad * acceleration_rps2))
     duration_s = way_rad / peak_rps + peak_rps / acceleration_rps2 if peak_rps > 0 else 0.0
@@ -112,9 +112,9 @@ def turn_to(axis: str, from_rad: float, to_rad: float, rate_rps: float, accelera
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A part of the plan of a step: a turn, or standstill where there is none.
+    """A part of the plan of a step: a turn, or standstill if it has none.
 
-    Where a step has several parts, they are recorded one by one; ``label`` says what a standstill is for.
+    The parts of a step with several are recorded singly; ``label`` is the purpose of a standstill.
     """
 
     span: Span
@@ -134,7 +134,7 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Demand:
-    """The largest rate and the acceleration that a step asks of an axis, to be compared with its limits."""
+    """The largest rate and the acceleration that a step demands of an axis, for comparison with its limits."""
 
     axis: str
     rate_rps: float
@@ -142,13 +142,13 @@ class Demand:
 
 
 class Stage(Protocol):
-    """What a step is carried out on: a table that is enabled and homed, and what is seen of the devices."""
+    """The interface on which a step is carried out: a homed table, and values of the devices."""
 
     async def turn(self, turn: Turn) -> None:
         """Turn an axis and see it arrive; DeviceRefused if it does not."""
 
     async def stand(self, duration_s: float, label: str = "") -> None:
-        """Leave all axes at rest for a time; ``label`` says what for."""
+        """Leave all axes at rest for a time; ``label`` gives its purpose."""
 
     def newest(self, quantity: str) -> Mapping[str, float]:
         """Return the newest value of a quantity by source; sources that do not measure it are left out.
@@ -161,7 +161,7 @@ class Stage(Protocol):
 
 
 class Step(ABC):
-    """A step of a script. A class of steps is a frozen dataclass with a ``label`` beside the fields of its keys."""
+    """A step of a script. Subclasses are frozen dataclasses with a ``label`` and the fields of their keys."""
 
     __slots__ = ()
 
@@ -173,14 +173,14 @@ class Step(ABC):
 
     @abstractmethod
     def parts(self, angles_rad: Mapping[str, float]) -> Sequence[Part]:
-        """Return the plan: what moves, in order, from these angles of the axes; 0 for an axis that is not listed."""
+        """Return the planned parts in order, from these angles of the axes; 0 for an axis that is not listed."""
 
     def demands(self) -> Sequence[Demand]:
-        """Return what is asked of each axis that it turns; nothing of a step in which all axes stand."""
+        """Return the demands on each axis that the step turns; empty if all axes stand."""
         return ()
 
     def problem(self) -> str:
-        """Return what is wrong with the values of a step, whatever the table; empty if nothing is."""
+        """Return what is wrong with the step's values, for any table; empty if nothing."""
         return ""
 
     def driven(self, limits: Mapping[str, AxisLimits]) -> Self:
@@ -200,7 +200,7 @@ class Step(ABC):
         """Whether it turns an axis."""
         return bool(self.demands())
 
-    # What follows is asked by those who make scripts out of others. A kind can do without.
+    # The following methods serve the makers of scripts from other scripts. A kind can do without.
 
     @property
     def ends_at_stated_angles(self) -> bool:
@@ -209,7 +209,7 @@ class Step(ABC):
 
     @property
     def rest_s(self) -> float:
-        """How much of its time is rest that may be shortened; 0 for steps that turn an axis."""
+        """Time at rest that may be shortened; 0 for steps that turn an axis."""
         return 0.0
 
     def shortened(self, share: float) -> "Step":
@@ -221,11 +221,11 @@ class Step(ABC):
         return None
 
     def mirrored(self, sign: int) -> "Step":
-        """Return the step with its rate or its angle times ``sign``, and a label that says so."""
+        """Return the step with its rate or its angle times ``sign``, and a label to match."""
         return self
 
     def written(self, duration_s: float) -> Sequence[str]:
-        """Return the lines of a script file that state it, beside its label; it takes ``duration_s``."""
+        """Return the lines of a script file for this step, without its label; the step takes ``duration_s``."""
         raise NotImplementedError(f"{type(self).__name__} steps are not written into files")
 
 
@@ -233,8 +233,8 @@ class Step(ABC):
 class StepKind:
     """A kind of steps.
 
-    ``what`` says in a few words what it does. ``keys`` are those of a script file, beside ``kind`` and ``label``;
-    ``make`` is given their values by their fields, and a ``label``, and returns the step: most often it is the class.
+    ``what`` describes it in a few words. ``keys`` are those in a script file besides ``kind`` and ``label``; ``make``
+    gets their values by field and a ``label``, and returns the step: usually it is the class.
     """
 
     name: str
@@ -249,7 +249,10 @@ def with_comment(text: str, comment: str) -> str:
 
 
 def driven_acceleration(acceleration_rps2: float, axis: str, limit: AxisLimits) -> float:
-    """Return the acceleration that the controller makes of one; ScriptError if it has none so small."""
+    """Return the acceleration rounded down to the controller's step, at least one step; unchanged without one.
+
+    ScriptError if the step is larger than the limit of the axis.
+    """
     quantum = limit.acceleration_step_rps2
     if not quantum:
         return acceleration_rps2

@@ -21,7 +21,7 @@ from station.scripts.steps.kind import (
 
 @dataclass(frozen=True, slots=True)
 class Move(Step):
-    """Go to an angle from home and stop there. The sign of the rate means nothing."""
+    """Go to an angle from home and stop there. The sign of the rate is ignored."""
 
     axis: str
     angle_rad: float
@@ -43,7 +43,7 @@ class Move(Step):
         return replace(self, acceleration_rps2=acceleration_rps2)
 
     def parts(self, angles_rad: Mapping[str, float]) -> Sequence[Part]:
-        """Return one part, the turn to the angle; it takes no time where the axis is there already."""
+        """Return one part, the turn to the angle; it takes no time if the axis is there already."""
         from_rad = angles_rad.get(self.axis, 0.0)
         turn = turn_to(self.axis, from_rad, self.angle_rad, self.rate_rps, self.acceleration_rps2)
         return (Part.turning(turn),)
@@ -54,7 +54,7 @@ class Move(Step):
         return True
 
     def halved(self, limits: Mapping[str, AxisLimits]) -> "Move":
-        """Return the move as it is: it cannot be made in half of the time."""
+        """Return the move unchanged: it cannot be done in half of the time."""
         return self
 
     def mirrored(self, sign: int) -> "Move":

@@ -13,7 +13,7 @@ _AXES = ("x", "y", "z")
 
 @dataclass(frozen=True, slots=True)
 class Aim:
-    """The angle from home that an axis is to have, and the acceleration with which it goes there."""
+    """The target angle of an axis from home, and its acceleration."""
 
     axis: str
     angle_rad: float
@@ -60,6 +60,7 @@ class Pose(Step):
         return list(self._parts(angles_rad))
 
     def _parts(self, angles_rad: Mapping[str, float]) -> Iterator[Part]:
+        """Yield a turn for each axis that is not at its angle, the settling time if any, and the rest."""
         for aim in self.aims:
             from_rad = angles_rad.get(aim.axis, 0.0)
             if from_rad != aim.angle_rad:
@@ -84,7 +85,7 @@ def _make(
     label: str,
     **angles_rad: float | None,
 ) -> Pose:
-    """Return a pose of a script file; axes that it does not state stay where they are."""
+    """Return a pose from the keys of a script file; axes without an angle stay where they are."""
     aims = tuple(Aim(axis, angle, acceleration_rps2) for axis, angle in angles_rad.items() if angle is not None)
     return Pose(aims=aims, rate_rps=rate_rps, settle_s=settle_s, duration_s=duration_s, label=label)
 

@@ -21,7 +21,7 @@ class Rest(Step):
         return "rest"
 
     def problem(self) -> str:
-        """Return what is wrong with the duration."""
+        """Return what is wrong with the duration; empty if nothing."""
         if 0 < self.duration_s < math.inf:
             return ""
         return f"a rest of {self.duration_s:g} s. Give a time above zero"

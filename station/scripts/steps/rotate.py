@@ -34,7 +34,7 @@ class Rotate(Step):
 
     @property
     def turn_rad(self) -> float:
-        """Angle that is turned, with its sign."""
+        """Angle of the rotation, with its sign."""
         return self.rate_rps * (self.duration_s - abs(self.rate_rps) / self.acceleration_rps2)
 
     def words(self) -> str:
@@ -61,7 +61,7 @@ class Rotate(Step):
         return replace(self, acceleration_rps2=acceleration_rps2, duration_s=duration_s)
 
     def parts(self, angles_rad: Mapping[str, float]) -> Sequence[Part]:
-        """Return one part, the turn by the angle of the trapezoid."""
+        """Return one part: the turn by the angle of the trapezoid."""
         from_rad = angles_rad.get(self.axis, 0.0)
         turn = Turn(
             axis=self.axis,
@@ -74,10 +74,10 @@ class Rotate(Step):
         return (Part.turning(turn),)
 
     def halved(self, limits: Mapping[str, AxisLimits]) -> "Rotate | None":
-        """Return a rotation of half the time, None where its ramps would leave too little of it.
+        """Return a rotation of half the time, None if its ramps would take too much of it.
 
-        Ramps of half the length make half of a turn of it: whole turns stay whole turns if they were an even number.
-        Where the axis cannot accelerate so much, less is turned.
+        Ramps of half the length make half of the turn: an even number of full turns stays whole. If the axis cannot
+        accelerate that fast, the turn is smaller.
         """
         duration_s = 0.5 * self.duration_s
         acceleration_rps2 = min(2 * self.acceleration_rps2, limits[self.axis].acceleration_rps2)

@@ -11,10 +11,10 @@ from station.scripts.steps.kind import AXIS, Demand, Part, Step, StepKind, drive
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sine(Step):
-    """Swing about the angle at which the axis stands: turns from one end to the other, and back to the middle.
+    """Swing about the present angle: turns from one end to the other, and back to the middle.
 
-    Each turn is a trapezoid of rate with the largest rate of the sine, and lasts as long as half a cycle. Its
-    acceleration is 0.88 times the largest one of the sine.
+    Each turn is a trapezoid of rate with the largest rate of the sine, and lasts half a cycle. Its acceleration is 0.88
+    times the largest one of the sine.
     """
 
     axis: str
@@ -43,7 +43,7 @@ class Sine(Step):
         return replace(self, acceleration_rps2=acceleration_rps2)
 
     def parts(self, angles_rad: Mapping[str, float]) -> Sequence[Part]:
-        """Return the turns: to one end, to the other and back for each cycle, and to the middle."""
+        """Return the turns: to one end and the other for each cycle, then to the middle."""
         middle_rad = angles_rad.get(self.axis, 0.0)
         ends_rad = [middle_rad + self.amplitude_rad, middle_rad - self.amplitude_rad] * self.cycles
         angle_rad = middle_rad
@@ -56,7 +56,7 @@ class Sine(Step):
 
 
 def _make(*, axis: str, amplitude_rad: float, frequency_hz: float, cycles: int, label: str) -> Sine:
-    """Return the swings of a script file."""
+    """Return a swing from the keys of a script file."""
     rate_rps = 2 * math.pi * frequency_hz * amplitude_rad
     half_cycle_s = 0.5 / frequency_hz
     ramp_s = half_cycle_s - 2 * amplitude_rad / rate_rps

@@ -21,7 +21,7 @@ from textual.widgets import Footer, OptionList
 from station.screen.app import StationApp
 from station.screen.choices import Choices
 from station.screen.sessions.live_run import Stage
-from station.screen.sessions.tray import Spot, Tray
+from station.screen.sessions.tray import Tray, TrayItem
 from station.screen.tabs.facts import FactsDialog
 from station.views.figures import clock
 
@@ -307,10 +307,10 @@ def test_history(recordings: Path, pictures: Pictures) -> None:
 def test_a_tray(place: Path, snap_compare: Compare, size: tuple[int, int], pressed: str) -> None:
     ended = [("SN-0041", "FAIL"), ("SN-0042", "PASS"), ("SN-0043", "FAULT"), ("SN-0044", "skipped")]
     spots = [
-        Spot(serial, "short.toml", state, f"run-20261121-1{n}1502.h5" if state.isupper() else "")
+        TrayItem(serial, "short.toml", state, f"run-20261121-1{n}1502.h5" if state.isupper() else "")
         for n, (serial, state) in enumerate([*ended, ("SN-0045", "waiting"), ("SN-0046", "waiting")])
     ]
-    Tray(str(place / "bench.toml")).keep([*spots, Spot("SN-0046")])
+    Tray(str(place / "bench.toml")).keep([*spots, TrayItem("SN-0046")])
     app = HistoryFirst(CHOICES)
 
     async def before(pilot: Pilot[None]) -> None:

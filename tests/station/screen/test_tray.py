@@ -22,7 +22,7 @@ from station.report.dcc import validate
 from station.screen.app import StationApp
 from station.screen.choices import Choices
 from station.screen.memory import Remembered, save_remembered
-from station.screen.sessions.tray import Spot, Tray
+from station.screen.sessions.tray import Tray, TrayItem
 
 FIRST, SECOND = "N25582405002002", "N25582405002003"
 """What the device says that stands on the bench, and the other one of its kind that may be put there."""
@@ -84,7 +84,7 @@ async def test_what_is_scanned_makes_a_tray_that_can_be_put_in_order_and_is_kept
 )
 def test_a_tray_that_is_interrupted_does_not_go_on_by_itself(place: Path, stream: str, outcome: str) -> None:
     bench, recording = str(place / "bench.toml"), str(place / RECORDING)
-    spots = [Spot("SN-0042", state="running", recording=recording), Spot("SN-0042", str(place / "short.toml"))]
+    spots = [TrayItem("SN-0042", state="running", recording=recording), TrayItem("SN-0042", str(place / "short.toml"))]
     Tray(bench).keep(spots)
 
     @driven
@@ -105,7 +105,7 @@ def test_a_tray_that_is_interrupted_does_not_go_on_by_itself(place: Path, stream
 
 
 def test_a_run_that_is_gone_without_an_outcome_is_told_when_the_tray_is_seen_again(place: Path) -> None:
-    Tray(str(place / "bench.toml")).keep([Spot("SN-0042", state="running", recording=str(place / "gone.h5"))])
+    Tray(str(place / "bench.toml")).keep([TrayItem("SN-0042", state="running", recording=str(place / "gone.h5"))])
 
     @driven
     async def look(place: Path) -> None:

@@ -1,4 +1,4 @@
-"""An investigation read back: what the error model lacks, the residual before and after, and how the report says so."""
+"""An investigation in the report: effects that the error model lacks, residuals before and after, the text."""
 
 import math
 from collections.abc import Mapping
@@ -24,15 +24,15 @@ if TYPE_CHECKING:
     from h5py import Group
 
 
-ALL = "all gyros"  # under this name an error model keeps what was found of a shared effect
+ALL = "all gyros"  # under this name an error model keeps the values of a shared effect
 
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Traced:
-    """Group /investigation: ``what`` is what `station investigate --json` printed.
+    """Group /investigation: ``what`` is the output of `station investigate --json`.
 
-    ``states`` (n, 4) are those of the gyros ``names`` with the effects of ``model`` in place. ``residuals`` are of one
-    run, that which verifies if there is one; ``spectra`` by gyro.
+    ``states`` (n, 4) are those of the gyros ``names`` with the effects of ``model``. ``residuals`` are of one run, the
+    verification run if there is one; ``spectra`` by gyro.
     """
 
     path: Path
@@ -45,22 +45,22 @@ class Traced:
 
     @property
     def added(self) -> list[str]:
-        """What people call the effects that were added."""
+        """Readable names of the effects that were added."""
         return [words(name) for name in dict.fromkeys(str(effect["effect"]) for effect in self.what["added"])]
 
 
 def read_traced(path: Path | None, recorded: Recorded) -> Traced | None:
-    """Return the investigation in a file, or by default the one in the recording itself, None if it has none.
+    """Return the investigation in a file, or by default in the recording itself; None if the recording has none.
 
-    Raises RecordingError for a file without one, and for one of other gyros than the recording's.
+    RecordingError for a file without one, or with gyros that the recording does not have.
     """
     import h5py
 
     where = path or recorded.path
     if path is not None:
         probe(path)
-    told = "its investigation cannot be read ({}). Investigate again"
-    with laid_out(where, told), h5py.File(where, "r") as file:
+    message = "its investigation cannot be read ({}). Investigate again"
+    with laid_out(where, message), h5py.File(where, "r") as file:
         if "investigation" not in file:
             if path is None:
                 return None
@@ -74,6 +74,7 @@ def read_traced(path: Path | None, recorded: Recorded) -> Traced | None:
 
 
 def _read(path: Path, group: "Group") -> Traced:
+    """Return the investigation in an open group; ValueError if its states have a wrong shape."""
     names = tuple(str(plain(name)) for name in group["name"][()])
     states = np.asarray(group["states_after"][()], dtype=np.float64)
     if states.shape != (len(names), 4):
@@ -109,5 +110,5 @@ def _spectrum(part: "Group") -> Spectra:
 
 
 def number(value: float | None) -> float:
-    """Return a number of JSON, in which null stands for what is not known."""
+    """Return a number from JSON, where null means unknown; NaN for that."""
     return math.nan if value is None else float(value)

@@ -1,4 +1,4 @@
-"""What can be made of a recording, offered in the command palette: its path copied, report, PDF, exports."""
+"""Actions on a recording in the command palette: copy its path, report, PDF, exports."""
 
 import asyncio
 import os
@@ -17,7 +17,7 @@ _EXPORTS = {"csv": "Export as CSV", "json": "Export as JSON", "yaml": "Export as
 
 
 def offered(app: Any, recording: Path) -> Iterator[SystemCommand]:
-    """Yield what can be made of a recording, beside it, under a name that is free."""
+    """Yield the actions on a recording; files are written beside it under an unused name."""
     yield SystemCommand("Copy path", str(recording), partial(app.copy_to_clipboard, str(recording.absolute())))
     for suffix, words in (_PAPER | _EXPORTS).items():
         make = partial(app.work, partial(_make, app, recording, suffix), "give out")
@@ -25,12 +25,17 @@ def offered(app: Any, recording: Path) -> Iterator[SystemCommand]:
 
 
 async def _make(app: Any, recording: Path, suffix: str) -> None:
+    """Write a report or export of a recording in the format ``suffix``, and report the result; HTML is opened in a
+    browser.
+
+    The browser is opened on a desktop only: a browser in this terminal would hide STOP.
+    """
     named = recording.with_suffix(".pdf" if suffix == "xml" else f".{suffix}")
     file = await asyncio.to_thread(free_path, named, beside=[".html", ".xml"] if suffix in _PAPER else [])
     how = ["report"] if suffix in _PAPER else ["export", "--format", "c" if suffix == "h" else suffix]
     answer = await ask([*how, str(recording), "--output", str(file), *["--dcc"] * (suffix == "xml")])
     title, severity = ("NOT written", "error") if answer.code else ("Written", "information")
     app.notify(answer.reason if answer.code else str(file), title=title, severity=severity, markup=False)
-    # Without a desktop a browser would run in this terminal, and nobody could press STOP.
+    # Without a desktop a browser would run in this terminal, and STOP would be out of reach.
     if suffix == "html" and not answer.code and (os.environ.keys() & {"DISPLAY", "WAYLAND_DISPLAY"}):
         app.open_url(file.absolute().as_uri())

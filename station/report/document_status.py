@@ -1,4 +1,4 @@
-"""What a document may call itself: every limit compared with what was found, and a certificate only of a pass."""
+"""The title that a document may have: every limit compared with the result, and a certificate only for a pass."""
 
 import hashlib
 import math
@@ -18,7 +18,7 @@ from station.views.limits import LimitLine, limit_lines
 
 
 class Kind(Enum):
-    """Kinds of documents: title, and why it is no certificate."""
+    """Kinds of documents: title, and why it is not a certificate."""
 
     CERTIFICATE = ("Calibration certificate", "")
     SPECIMEN = ("Specimen of a calibration certificate", " of any real device")
@@ -40,9 +40,9 @@ class Kind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """What the document is, how the run ended or was judged (None: not at all), each limit beside what was found.
+    """The kind of the document, the verdict (None if not judged), and each limit with the value found.
 
-    ``beside`` are further formal reasons for which it is no certificate.
+    ``beside`` are further formal reasons why it is not a certificate.
     """
 
     kind: Kind
@@ -63,19 +63,19 @@ class Standing:
 
     @property
     def kinds(self) -> tuple[Kind, ...]:
-        """The kind of the document, and what else would keep it from being a certificate."""
+        """The kind of the document, and further reasons why it is not a certificate."""
         return (self.kind, *self.beside)
 
     @property
     def warning(self) -> str:
-        """What it is not, empty for a certificate."""
+        """Why it is not a certificate, empty for one."""
         twins = "Simulated devices: table and gyros of this run were twins in software." if self.simulated else ""
         why = "".join(kind.value[1].replace(": ", "; " if kind in self.beside else ": ", 1) for kind in self.kinds)
         return " ".join(filter(None, (twins, why and f"This is not a calibration certificate{why}.")))
 
 
 def standing_of(recorded: Recorded, formal: Formal | None = None) -> Standing:
-    """Judge a recording by its formal facts, left out: its own; BenchError if its bench text cannot be read."""
+    """Judge a recording by its formal facts, by default its own; BenchError if its bench text cannot be read."""
     formal, limits, found = formal or read_formal(recorded), limits_of(recorded), recorded.calibration
     lines: tuple[LimitLine, ...] = ()
     if found is not None and limits is not None:
@@ -91,7 +91,7 @@ def standing_of(recorded: Recorded, formal: Formal | None = None) -> Standing:
 
 
 def _formal_kinds(formal: Formal, *, simulated: bool) -> list[Kind]:
-    """Return what a run that passed lacks of a certificate; a specimen needs neither a date nor a place."""
+    """Return what keeps a passed run from a certificate; a specimen needs neither a date nor a place."""
     lacking = {Kind.OVERDUE: bool(formal.overdue), Kind.NOT_APPROVED: not formal.approved}
     if not simulated:
         lacking |= {Kind.UNDATED: formal.performed_date is None, Kind.NO_PLACE: not formal.place}
@@ -99,11 +99,11 @@ def _formal_kinds(formal: Formal, *, simulated: bool) -> list[Kind]:
 
 
 def _guarded(line: LimitLine, found: Calibration, false_accept: float | None) -> LimitLine:
-    """Return the limit of a state with its guard band, any other as it is; None is simple acceptance.
+    """Return the limit of a state with its guard band; unchanged for other limits, or if ``false_accept`` is None.
 
     At the acceptance limit the probability that the state, normal about its estimate with its u, is beyond one of its
-    limits is ``false_accept`` (JCGM 106:2012, 7.4 and 8.3.2; ILAC-G8:09/2019, 4.2.2). Where it is larger in the
-    middle nothing is accepted.
+    limits is ``false_accept`` (JCGM 106:2012, 7.4 and 8.3.2; ILAC-G8:09/2019, 4.2.2). If it is larger even in the
+    middle, nothing is accepted.
     """
     if false_accept is None or line.state is None or line.row is None or line.of_u:
         return line
@@ -116,6 +116,7 @@ def _guarded(line: LimitLine, found: Calibration, false_accept: float | None) ->
 
 
 def _kind_of(recorded: Recorded, limits: Limits | None, lines: tuple[LimitLine, ...]) -> tuple[Kind, Verdict | None]:
+    """Return the kind of the document, before formal reasons, and the verdict by the limits with their guard bands."""
     ended = ended_of(recorded.recording.attributes)
     if ended is not None and ended.outcome in (Outcome.MANUAL, Outcome.ABORTED, Outcome.FAULT):
         return Kind[ended.outcome.name], ended
@@ -139,9 +140,9 @@ def _kind_of(recorded: Recorded, limits: Limits | None, lines: tuple[LimitLine, 
 
 
 def is_simulated(recorded: Recorded) -> bool:
-    """Return whether a run was made with twins: by their links, or in a time that is not that of the world.
+    """Return whether a run was made with twins: by their links, or by a time scale other than 1.
 
-    Twins on real ports look like devices at real time, and cannot be told from them.
+    Twins on real ports in real time cannot be told from devices.
     """
     attributes = recorded.recording.attributes
     links = [str(device).rstrip(")") for device in attributes.get("devices", ())]
@@ -156,7 +157,7 @@ def limits_of(recorded: Recorded) -> Limits | None:
 
 
 def number_of(recorded: Recorded, hashes: tuple[str, ...], replaces: str = "") -> str:
-    """Return a number for the document from its date and what its sources hash to: the same sources give the same.
+    """Return a document number from the date and the hashes of the sources: the same sources give the same number.
 
     An amendment has another number than the document that it ``replaces``.
     """

@@ -1,4 +1,4 @@
-"""What a run could not see: its motion as it was driven, what such a motion shows, and how the report says so."""
+"""Effects that a run could not show: its real motion, what such a motion shows, and the text in the report."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -28,17 +28,17 @@ from station.scripts.steps.rotate import Rotate
 from station.views.figures import human
 
 _PERIOD_S = 0.1
-_MOST_ROWS = 36_000  # an hour of them; longer runs are looked at in coarser steps
+_MOST_ROWS = 36_000  # an hour of them; longer runs use coarser steps
 _PLATEAU = 0.9  # of the largest rate: above it an axis is taken to be at its steady rate
-_FINEST_DEG = 0.01  # to which rates and turns of a script are told from the readings of the table
+_FINEST_DEG = 0.01  # resolution to which rates and turns of a script are derived from the table's readings
 _SHORTEST_RAMP_S = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Unseen:
-    """What the motion shows, as it was driven, of the gyros and of the effects of the catalogue.
+    """What the motion of a run shows of the gyros and of the effects of the catalogue.
 
-    ``budgeted`` are effects of the table that the uncertainty budget holds, at the size that is stated of the table.
+    ``budgeted`` are effects of the table that the uncertainty budget covers, at the size stated for the table.
     ``site_known``: Earth rate is in the model, so that only an error of it can be hidden.
     """
 
@@ -54,12 +54,12 @@ class Unseen:
         return [self.words(name) for name in sorted(found, key=lambda name: -largest[name])]
 
     def words(self, effect: str) -> str:
-        """Return what people call an effect."""
+        """Return the readable name of an effect."""
         return "wrong Earth rate" if effect == EARTH_RATE.name and self.site_known else words(effect)
 
 
 def unseen_of(recorded: Recorded) -> Unseen | None:
-    """Return what a run on a table could not see; None where no steps are known."""
+    """Return what a run on a table could not see; None without table readings, steps, a calibration, or any turn."""
     reference, found = recorded.recording.reference, recorded.calibration
     if not isinstance(reference, TableReadings) or not recorded.steps or found is None:
         return None
@@ -83,21 +83,21 @@ def unseen_of(recorded: Recorded) -> Unseen | None:
 
 @dataclass(frozen=True, slots=True)
 class Driven:
-    """What was driven in one step of a run: a turn and the rest after it, or either of them."""
+    """The motion in one step of a run: a turn, a rest after it, or both."""
 
     turn: Rotate | None = None
     rest: Rest | None = None
 
     @property
     def parts(self) -> tuple[ScriptStep, ...]:
-        """What there is of both, in order."""
+        """The turn and the rest, as far as there are both, in order."""
         return tuple(part for part in (self.turn, self.rest) if part is not None)
 
 
 def driven_step(table: TableReadings, step: Step) -> Driven:
-    """Return what was driven in one step; nothing if it took no time.
+    """Return the motion in one step, reconstructed from the readings; nothing if it took no time.
 
-    Rates and turns are told to 0.01 deg: finer differences are those of the readings.
+    Rates and turns are rounded to 0.01 deg. A motion that the readings do not resolve counts as rest.
     """
     duration_s = (step.end_ns - step.start_ns) * 1e-9
     inside = (table.t_ns >= step.start_ns) & (table.t_ns <= step.end_ns)
@@ -111,10 +111,10 @@ def driven_step(table: TableReadings, step: Step) -> Driven:
     steady = np.abs(rate[:, column]) > _PLATEAU * largest
     peak = abs(_rounded(float(np.median(rate[steady, column]))))
     turn = _rounded(float(angle[-1, column] - angle[0, column]))
-    # Of a trapezoid, the integrals of the rate and of its square tell the length of a ramp.
+    # For a trapezoid, the integrals of the rate and of its square give the length of a ramp.
     square = float(np.trapezoid(rate[:, column] ** 2, t_s))
     if not peak or not turn:
-        return Driven(rest=Rest(duration_s, step.label))  # there and back, or read too seldom to say
+        return Driven(rest=Rest(duration_s, step.label))  # there and back, or read too seldom to decide
     way_s = abs(turn) / peak
     ramp_s = min(max(3 * (way_s - square / peak**2), _SHORTEST_RAMP_S), 0.999 * way_s)
     moving_s = way_s + ramp_s
@@ -130,7 +130,7 @@ def _rounded(angle_rad: float) -> float:
 
 
 def _temperature(recorded: Recorded, t_s: Floats) -> Floats | None:
-    """Return the mean temperature of the sources at times since the start; None if one of them has none."""
+    """Return the mean temperature of the sources at ``t_s`` since the start; None if one of them has none."""
     courses = []
     for data in recorded.recording.sources.values():
         if data.temperature_c is None or not np.isfinite(data.temperature_c).any():
@@ -142,7 +142,10 @@ def _temperature(recorded: Recorded, t_s: Floats) -> Floats | None:
 
 
 def _noise(found: Calibration, source: str, data: ImuData) -> NoiseModel:
-    """Return the mean noise of the gyros of a source as found, else what the data sheet says."""
+    """Return the noise of a source: the mean of its gyros' estimated noise, else that of the data sheet.
+
+    Without either, white noise is derived from the noise of a sample; without gyros it has a usual size.
+    """
     own = [gyro for gyro in found.gyros if gyro.source == source]
     models = [gyro.noise.mean for gyro in own if gyro.noise is not None]
     if models:
@@ -155,7 +158,7 @@ def _noise(found: Calibration, source: str, data: ImuData) -> NoiseModel:
 
 
 def by_state(found: Forecast) -> Mapping[str, Floats]:
-    """Return by effect the largest shift of each state (4,), in sigmas, that it makes without being seen."""
+    """Return by effect the largest shift of each state (4,), in sigmas, that stays unseen."""
     return {effect.effect.name: unnoticed(effect).max(axis=(0, 1), initial=0.0) for effect in found.effects}
 
 

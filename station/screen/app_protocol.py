@@ -1,4 +1,4 @@
-"""What bars and screens ask of the app that shows them."""
+"""The methods of the app that bars and screens use."""
 
 from collections.abc import Callable, Coroutine
 from pathlib import Path
@@ -12,7 +12,9 @@ from station.screen.tabs.prospects import Prospect
 
 
 class SeenApp(Protocol):
-    """The session that is shown, what the operator has chosen, and what can be asked for; ``StationApp`` is one."""
+    """What screens need of the app: the session shown, the operator's choices, and requests; ``StationApp`` provides
+    it.
+    """
 
     shown: LiveRun | None
     others: int
