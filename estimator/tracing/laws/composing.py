@@ -287,7 +287,8 @@ class Composer:
             ranked.append((gain + law.log_prior, reach, options[best]))
         ranked = [one for one in ranked if one[1] > missing]
         ranked.sort(key=lambda pair: -pair[0])
-        chosen = [self._settled(scan, law) for _, _, law in ranked[:_LAWS_TRIED]]
+        settled = [self._settled(scan, law) for _, _, law in ranked[:_LAWS_TRIED]]
+        chosen = [law for law in settled if law.name not in taken]  # a flexible law may come to one that is there
         search.forget([name for name, (c, _) in search.known.items() if c.law and name not in self._kept])
         search.add([law for law in chosen if law.name not in self._kept])
         return [law.name for law in chosen]
