@@ -150,17 +150,17 @@ def _conclude(
     causes = Causes.among(search, certain, after, fitted[1], unexplained)
     verdict = verdict_of([*(a.effect for a in faulty), *_called(causes.parts)], doubtful, unexplained)
     gyros = averaged(search, errors.gyros, after, [*certain, *doubtful], opened, between)
-    # Nothing but what it predicts speaks for a law without a name.
     laws = [part for part in certain if part.candidate.law]
     contradicted = errors.surprise > _SURPRISED or (bool(laws) and errors.understated > _UNKNOWN)
-    most_probable = _UNKNOWN if contradicted or opened.probability > CERTAIN else 1.0
-    causes = causes.less_probable(
-        {part.candidate.name: most_probable * (1 - part.candidate.flexible * errors.formless) for part in laws}
-    )
     if held_back and verdict.finding in (Finding.NOTHING, Finding.ADDED) and contradicted:
         suspected, with_it = _suspected(search, held_back, most)
         verdict = surprised(certain, suspected, verified[1])
         gyros = beside_suspect(gyros, with_it)
+    # A law without a name has nothing but its predictions to support it, so it is certain only if nothing is left open.
+    most_probable = 1.0 if verdict.leaves_nothing_open and not contradicted else _UNKNOWN
+    causes = causes.less_probable(
+        {part.candidate.name: most_probable * (1 - part.candidate.flexible * errors.formless) for part in laws}
+    )
     models = [ModelStep((), 0.0, errors.before)]
     gained = found.log_evidence[-1] - found.log_evidence[0]
     models += [ModelStep(_called(certain), gained, errors.after)] if certain else []

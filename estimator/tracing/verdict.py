@@ -32,6 +32,13 @@ class Verdict:
     rivals: tuple[tuple[str, ...], ...] = ()
     unexplained: Unexplained | None = None
 
+    @property
+    def leaves_nothing_open(self) -> bool:
+        """Whether all that depends on measured values is explained, without rivals."""
+        if self.finding is Finding.PARTLY:
+            return self.unexplained is not None and self.unexplained.depends_on == NOTHING_MEASURED
+        return self.finding is Finding.ADDED
+
 
 def verdict_of(added: Sequence[str], doubtful: Sequence[Part], unexplained: Unexplained | None) -> Verdict:
     """Return the verdict for the ``added`` effects, the ``doubtful`` ones and the unexplained part.
