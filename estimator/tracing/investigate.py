@@ -1,7 +1,7 @@
 """Closing the loop on recordings: residual, cause, better model, and the error before and after."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,8 +20,9 @@ from estimator.tracing.candidates import candidates_of
 from estimator.tracing.investigation import Finding, Investigation, ModelStep, OutOfSample
 from estimator.tracing.judging.averaging import averaged, beside_suspect, between_notes, between_recordings
 from estimator.tracing.judging.cross_validation import confirmed, judged, out_of_sample
+from estimator.tracing.judging.verification import Judged
 from estimator.tracing.laws.composing import Composer, laws_of
-from estimator.tracing.open_world import something_beside, weighed_against
+from estimator.tracing.open_world import OpenWorld, something_beside, weighed_against
 from estimator.tracing.residuals.residual import Residual, residuals
 from estimator.tracing.run_columns import RunColumns
 from estimator.tracing.search import CERTAIN, Found, Search
@@ -35,6 +36,7 @@ from estimator.tracing.verdict import (
     unexplained_of,
     verdict_of,
 )
+from estimator.types import Floats
 
 Progress = Callable[[float, str], None]
 
@@ -136,12 +138,15 @@ def _conclude(
     weight = evidence.noise_weight([part.term for part in parts])
     told = out_of_sample(search.runs, Augmented.of(evidence, parts, weight), evidence.shapes)
     named = [part if _of_the_comparison(search, part) else _proven(part, told.get(part.term.name)) for part in parts]
-    certain, taken_back = confirmed(search, [part for part in named if part.probability >= CERTAIN], held_back)
     doubtful = [part for part in named if part.probability < CERTAIN]
-    before, after, wider = (Augmented.of(evidence, own, weight) for own in ([], certain, [*certain, *doubtful]))
+    borne_out = _borne_out(
+        search, [part for part in named if part.probability >= CERTAIN], held_back, verification, weight
+    )
+    certain, taken_back, after = borne_out.parts, borne_out.taken_back, borne_out.after
+    opened, errors = borne_out.opened, borne_out.errors
+    before, wider = (Augmented.of(evidence, own, weight) for own in ([], [*certain, *doubtful]))
     terms = [part.term for part in certain if part.tone is None]
-    opened, between = something_beside(search, terms), between_recordings(search, terms)
-    errors = judged(search, before, after, held_back, verification, opened)
+    between = between_recordings(search, terms)
     fitted, verified = _left(search.runs, 0, before, after), _left(held_back, len(search.runs), before, after)
     unexplained = unexplained_of(fitted[1]) if opened.probability > CERTAIN else beyond_noise(search, found)
     if unexplained and _explained_by(search, terms, doubtful):
@@ -191,6 +196,44 @@ def _conclude(
         verified_after=verified[1],
         rival_sizes=rival_sizes(search, found, certain, doubtful, weight),
     )
+
+
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
+class _BorneOut:
+    """Effects that the verification run supports, what was taken back, the model ``after`` and its errors."""
+
+    parts: list[Part]
+    taken_back: list[str]
+    after: Augmented
+    opened: OpenWorld
+    errors: Judged
+
+
+def _borne_out(
+    search: Search,
+    certain: list[Part],
+    held_back: Sequence[Run],
+    verification: Sequence[Recording],
+    weight: Floats,
+) -> _BorneOut:
+    """Return the effects among ``certain`` that the verification run supports, together and each.
+
+    Effects that together do not lower the error are taken back, the least probable first. ``weight`` (G,) is that of
+    the noise models.
+    """
+    certain, taken_back = confirmed(search, certain, held_back)
+    before = Augmented.of(search.evidence, [], weight)
+    while True:
+        after = Augmented.of(search.evidence, certain, weight)
+        named = [part for part in certain if part.tone is None]
+        opened = something_beside(search, [part.term for part in named])
+        errors = judged(search, before, after, held_back, verification, opened)
+        grown = errors.improvement is not None and errors.improvement.ratio <= 1
+        if not (held_back and named and grown):
+            return _BorneOut(parts=certain, taken_back=taken_back, after=after, opened=opened, errors=errors)
+        worst = min(named, key=lambda part: part.probability)
+        certain = [part for part in certain if part is not worst]
+        taken_back = [*taken_back, worst.called]
 
 
 def _explained_by(search: Search, terms: Sequence[Term], doubtful: Sequence[Part]) -> bool:
