@@ -56,7 +56,7 @@ class CanNodes:
             force = self._setup.force_mps2(at)[0] if self._feels else np.zeros(3)
             with_temperature = sample % every == 0 or not self._rarely
             temperature_c = self._setup.gyros.temperature_c(start) if with_temperature else math.nan
-            sent = _Told(sample, device_s, temperature_c, force)
+            sent = _NodeState(sample, device_s, temperature_c, force)
             times = self.faults.times_to_send()
             for node in self._nodes:
                 messages = node.messages(rates[node.gyros], sent, with_temperature=with_temperature)
@@ -64,7 +64,7 @@ class CanNodes:
                     self._bus.send(message)
 
 
-class _Told:
+class _NodeState:
     """The values of a device at one sampling instant, apart from the rates."""
 
     def __init__(self, sample: int, device_s: float, temperature_c: float, force_mps2: Floats) -> None:
@@ -114,7 +114,7 @@ class _Node:
             for key, message in by_key.items()
         }
 
-    def messages(self, rates_rps: Floats, told: _Told, *, with_temperature: bool) -> list[can.Message]:
+    def messages(self, rates_rps: Floats, told: _NodeState, *, with_temperature: bool) -> list[can.Message]:
         """Return the messages for one sample; those that carry only a temperature are left out unless
         ``with_temperature``.
         """

@@ -45,7 +45,7 @@ _ROWS = 3  # of a series
 
 
 @dataclass(slots=True)
-class Heard:
+class ImuSamples:
     """Samples of an IMU, by source, at rest and turning about z; table readings ``angles`` in s, rad; ``error``: the
     end's.
     """
@@ -64,10 +64,10 @@ class Heard:
             yield self.counts[name], t_s, rate_rps, self.imu.array.p[gyros, 2]
 
 
-async def heard_on(opened: OpenBench) -> Heard:
+async def samples_on(opened: OpenBench) -> ImuSamples:
     """Return nine seconds of the IMU's samples, at rest and then turning; its exceptions are stored, not raised."""
     table, source = opened.table, opened.imus[0].source
-    heard = Heard(opened.imus[0].config)
+    heard = ImuSamples(opened.imus[0].config)
 
     async def listen() -> None:
         """Open the source and collect its blocks; any exception is kept in ``heard.error``."""
@@ -96,7 +96,7 @@ async def heard_on(opened: OpenBench) -> Heard:
     return heard
 
 
-def _units(heard: Heard) -> str:
+def _units(heard: ImuSamples) -> str:
     """Return what is wrong with rates while turning: unit, scale, sign or order of axes; "" if they are right."""
     for _, t_s, rate_rps, along in heard.sources():
         off_rps = np.nanmean(rate_rps[t_s > t_s[-1] - 2.0], axis=0) - along * _RATE_RPS
@@ -108,7 +108,7 @@ def _units(heard: Heard) -> str:
     return ""
 
 
-def _clock(heard: Heard) -> str:
+def _clock(heard: ImuSamples) -> str:
     """Return what is wrong with sample times: order, rate, or more than 20 ms off the motion; "" if right."""
     for _, t_s, rate_rps, along in heard.sources():
         step_s = np.diff(t_s)
@@ -125,7 +125,7 @@ def _clock(heard: Heard) -> str:
     return ""
 
 
-def _complete(heard: Heard) -> str:
+def _complete(heard: ImuSamples) -> str:
     for counts, t_s, *_ in heard.sources():
         if counts.lost or counts.corrupt or abs(len(t_s) / ((t_s[-1] - t_s[0]) * heard.imu.rate_hz) - 1) > 0.01:
             wrong = f"byte by byte {len(t_s)} samples came, {counts.lost} were lost, {counts.corrupt} corrupt"
@@ -133,7 +133,7 @@ def _complete(heard: Heard) -> str:
     return ""
 
 
-def _counted(heard: Heard) -> str:
+def _counted(heard: ImuSamples) -> str:
     for counts, t_s, *_ in heard.sources():
         sent = (t_s[-1] - t_s[0]) * heard.imu.rate_hz + 1
         if abs(len(t_s) + counts.lost - sent) > 0.01 * sent:
@@ -141,7 +141,7 @@ def _counted(heard: Heard) -> str:
     return ""
 
 
-def _undamaged(heard: Heard) -> str:
+def _undamaged(heard: ImuSamples) -> str:
     """Return what is wrong on a wire that damages bytes: damaged samples accepted, or too few; "" if nothing."""
     for counts, t_s, rate_rps, along in heard.sources():
         middle_rps = along * _RATE_RPS / 2  # of the table's motion
@@ -154,9 +154,9 @@ def _undamaged(heard: Heard) -> str:
     return ""
 
 
-def _unplugged(heard: Heard) -> str:
+def _unplugged(heard: ImuSamples) -> str:
     ended, heard.error = heard.error, None
-    ending = "without an error" if ended is None else f"with {_told(ended)}"
+    ending = "without an error" if ended is None else f"with {_error_text(ended)}"
     return "" if isinstance(ended, LinkLost) else f"it ended {ending}: do not catch LinkLost of its link"
 
 
@@ -348,10 +348,10 @@ def complaint(
             if spec.kind != IMU.name:
                 wrong = str(await judge(opened))
             else:
-                heard = await heard_on(opened)
+                heard = await samples_on(opened)
                 failed = None if isinstance(heard.error, DeviceError) else heard.error  # all else follows from it
                 wrong = judge(heard) if heard.blocks and not failed else ""
-                ended = [f"it ended with {_told(heard.error)}"] if heard.error and not wrong else []
+                ended = [f"it ended with {_error_text(heard.error)}"] if heard.error and not wrong else []
                 wrong = wrong or "; ".join([*["no samples came"] * (not heard.blocks), *ended])
             for device in opened.devices.values():
                 device.driver.close()
@@ -374,7 +374,7 @@ def complaint(
     except (Exception, KeyboardInterrupt) as error:  # the driver may raise anything
         if isinstance(error, KeyboardInterrupt) and not late:
             raise
-        return late[0] if late else f"it ended with {_told(error)}"
+        return late[0] if late else f"it ended with {_error_text(error)}"
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, before)
@@ -399,7 +399,7 @@ def _axes_of(description: Path | None) -> list[list[float]]:
     return [[1.0 if axis == gyro % 3 else 0.0 for axis in (2, 1, 0)] for gyro in range(gyros)]
 
 
-def _told(error: BaseException) -> str:
+def _error_text(error: BaseException) -> str:
     if isinstance(error, (DeviceError, PluginError)):
         return str(error)
     frame = traceback.extract_tb(error.__traceback__)[-1]

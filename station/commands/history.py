@@ -28,7 +28,7 @@ from station.render.terminal import print_all, print_rendered, stdout
 from station.screen.archive.archive import Archive
 from station.screen.archive.entries import Entry, comparable, moves
 from station.screen.archive.validity import validity_on
-from station.views.figures import OUTCOME_STYLES, told_figures
+from station.views.figures import OUTCOME_STYLES, figures_from
 from station.views.json_values import by_state, json_object
 
 _MOST_ROWS = 50  # for a person
@@ -86,7 +86,7 @@ def command_history(arguments: argparse.Namespace) -> int:
             console,
             "station.render",
             name,
-            {**found, "serial": arguments.serial, "states": STATES, "figures_in": told_figures},
+            {**found, "serial": arguments.serial, "states": STATES, "figures_in": figures_from},
         )
     return 0
 

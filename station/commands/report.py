@@ -65,7 +65,7 @@ def command_report(arguments: argparse.Namespace) -> int:
         print(
             json.dumps(
                 {
-                    **_said(report, formal, verdict),
+                    **_result_object(report, formal, verdict),
                     "recording": arguments.recording,
                     "html": str(html),
                     "pdf": made[0],
@@ -82,7 +82,7 @@ def command_report(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _said(report: "Report", formal: "Formal", verdict: "Verdict | None") -> dict[str, Any]:
+def _result_object(report: "Report", formal: "Formal", verdict: "Verdict | None") -> dict[str, Any]:
     """Return the report's own statements for --json: title, number, outcome, hashes."""
     return {
         "title": report.standing.title,

@@ -123,7 +123,7 @@ async def check_bench(
 
 
 @contextmanager
-def _heard(check: DeviceCheck, look_at: str) -> Iterator[None]:
+def _errors_noted(check: DeviceCheck, look_at: str) -> Iterator[None]:
     """Context that turns the errors of a device into entries of ``check.wrong``; ``look_at`` is what to check for a
     dead one.
     """
@@ -148,7 +148,7 @@ async def _check_table(opened: OpenBench, device: OpenDevice, time_scale: float)
     check = DeviceCheck(device.name, bench.table.protocol, ", ".join(bench.table.links))
     check.experimental = not bench.table.spec.checked_against
     loop = asyncio.get_running_loop()
-    with _heard(check, _LOOK_AT_TABLE):
+    with _errors_noted(check, _LOOK_AT_TABLE):
         async with asyncio.timeout(_OPEN_S * max(time_scale, 1.0)):
             await table.open()
             check.identity = await table.identify()
@@ -201,7 +201,7 @@ async def _check_other(opened: OpenBench, device: OpenDevice, time_scale: float)
     config, driver = device.config, device.driver
     check = OtherCheck(device.name, config.spec.name, ", ".join(config.links))
     check.experimental = not config.spec.checked_against
-    with _heard(check, _LOOK_AT_OTHER):
+    with _errors_noted(check, _LOOK_AT_OTHER):
         async with asyncio.timeout(_OPEN_S * max(time_scale, 1.0)):
             await driver.open()
             check.identity = await driver.identify()
@@ -229,12 +229,14 @@ async def _others(
     """
     for part in _LOOKS:
         await asyncio.sleep(part * _OTHERS_S * max(time_scale, 1.0))
-        if found := _told_by_others(told, await _orders(table, axes)):
+        if found := _commanded_by_others(told, await _orders(table, axes)):
             return found
     return []
 
 
-def _told_by_others(before: Mapping[str, Mapping[str, float]], now: Mapping[str, Mapping[str, float]]) -> list[str]:
+def _commanded_by_others(
+    before: Mapping[str, Mapping[str, float]], now: Mapping[str, Mapping[str, float]]
+) -> list[str]:
     """Return a sentence for each axis whose last commands changed between ``before`` and ``now``."""
     found = []
     for axis, orders in now.items():
@@ -250,7 +252,7 @@ async def _check_imu(opened: OpenBench, device: OpenDevice, time_scale: float) -
     config, source = imu.config, imu.source
     check = DeviceCheck(config.name, config.protocol, config.link, experimental=not config.spec.checked_against)
     blocks: dict[str, list[ImuBlock]] = {}
-    with _heard(check, _LOOK_AT_IMU):
+    with _errors_noted(check, _LOOK_AT_IMU):
         async with asyncio.timeout(_OPEN_S * max(time_scale, 1.0)):
             await source.open()
             check.identity = await source.identify()

@@ -38,12 +38,12 @@ class Reopening:
         except DeviceRefused as error:
             if known is None:
                 raise
-            raise DeviceFault(name, f"{error.message}; when the run began it was {_said(known)}") from None
+            raise DeviceFault(name, f"{error.message}; when the run began it was {_identity_text(known)}") from None
         before, after = (astuple(one) for one in (self._known.setdefault(name, now), now))
         if any(old != new for old, new in zip(before, after, strict=True) if old and new):
             other = "a different device" if before[:-1] != after[:-1] else "the same device with other settings"
             identities = [
-                f"{_said(Identity(*one))}{f', set to {one[-1]}' * (before[:-1] == after[:-1])}"
+                f"{_identity_text(Identity(*one))}{f', set to {one[-1]}' * (before[:-1] == after[:-1])}"
                 for one in (before, after)
             ]
             raise DeviceFault(
@@ -110,6 +110,6 @@ class Reopening:
         ]
 
 
-def _said(identity: Identity) -> str:
+def _identity_text(identity: Identity) -> str:
     parts = [identity.model, f"serial {identity.serial}" if identity.serial else "", identity.firmware]
     return ", ".join(part for part in parts if part) or "a device without identification"

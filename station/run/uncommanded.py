@@ -114,7 +114,7 @@ class MotionGuard:
         if abs(rate_dps) < math.degrees(_RATE_RPS):
             off_deg = math.degrees(command.off_rad(state.angle_rad))
             does = f"stands {off_deg:+.2f} deg from where it should be (it was turned, or its encoder has jumped)"
-        raise DeviceFault("table", f"axis {axis} {does}; {_was_told(command)}")
+        raise DeviceFault("table", f"axis {axis} {does}; {_command_text(command)}")
 
     def _off(self, axis: str, state: AxisState) -> bool:
         """Return whether a reading is outside the commanded angles or rate; its noise and the time since the command
@@ -155,7 +155,7 @@ class MotionGuard:
         way = _Way(tuple(readings), limits.resolution_rad)
         for found in (self._stands(axis, command, late_s + round_trips_s, way), self._contradicts(axis, way)):
             if found:
-                return f"axis {axis} {found}; {_was_told(command)}"
+                return f"axis {axis} {found}; {_command_text(command)}"
         return ""
 
     def _stands(self, axis: str, told: Commanded, late_s: float, way: "_Way") -> str:
@@ -254,7 +254,7 @@ def _patience_s(told: Commanded, limits: AxisLimits) -> tuple[float, float]:
     return late_s, max(min(at_rate_s, from_start_s - late_s), _SHORTEST_WINDOW_S)
 
 
-def _was_told(told: Commanded) -> str:
+def _command_text(told: Commanded) -> str:
     return f"it was told to {f'turn at up to {math.degrees(told.rate_rps):.1f} deg/s' if told.rate_rps else 'stand'}"
 
 

@@ -414,7 +414,7 @@ class StationApp(App[None]):
             below = next((screen for screen in self.screen_stack if isinstance(screen, StationScreen)), None)
             run, line = self.shown, ""
             if below is not None and (run is None or run.settled):
-                line = below.said_of_recording
+                line = below.recording_line
                 if run is not None and not below.shows(run.recording):
                     run = None  # a run that has ended is not shown
             for bar in (bar for screen in self.screen_stack for bar in screen.query(StopBar)):

@@ -64,7 +64,7 @@ class StationScreen(Screen[None]):
         """Draw again what depends on the size of the screen and on the gyro shown."""
 
     @property
-    def said_of_recording(self) -> str:
+    def recording_line(self) -> str:
         """Text of the bottom bar on the recording that is shown; empty for none."""
         return ""
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from drivers.units import split_quantity
 from station.run.snapshot import GyroSnapshot, Snapshot
 from station.screen.sessions.live_run import LiveRun, Trend
-from station.views.figures import STATE_FIGURES, StateUnit, number, told_figures
+from station.views.figures import STATE_FIGURES, StateUnit, figures_from, number
 
 STATE_CHARTS = tuple(state.name for state in STATE_FIGURES)
 DIALS = ("axes",)
@@ -78,8 +78,8 @@ def run_drawing(name: str, run: LiveRun, gyro: GyroSnapshot) -> Drawing | None:
     elif name in STATE_CHARTS:
         index = STATE_CHARTS.index(name)
         trend = run.trends.get(gyro.name) or Trend()
-        figures = told_figures(limits.get("units"))
-        found = state_drawing(index, trend, _told_limit(limits, _LIMITS[index]), figures=figures)
+        figures = figures_from(limits.get("units"))
+        found = state_drawing(index, trend, _sent_limit(limits, _LIMITS[index]), figures=figures)
     else:
         found = _seen(name, run, gyro, [float(limits[key]) for key in ("nis_low", "nis_high") if limits.get(key)])
     return found._replace(marks=run.steps_begin_s, span=(0.0, run.seen[-1].elapsed_s))
@@ -127,7 +127,7 @@ def _seen(name: str, run: LiveRun, gyro: GyroSnapshot, nis_limits: Sequence[floa
     return Drawing(words, curves)
 
 
-def _told_limit(limits: Mapping[str, Any], key: str) -> StateLimit:
+def _sent_limit(limits: Mapping[str, Any], key: str) -> StateLimit:
     """Return a limit from a session's message; one of another version may lack how it was written."""
     size, written = limits.get(key), limits.get("written")
     text = written.get(key, "") if isinstance(written, Mapping) else ""

@@ -229,7 +229,7 @@ def _settled(names: Sequence[str], before: _Grams, after: _Grams, sizes: Mapping
         if true == _NOTHING:
             continue
         (seen, spared), (new_seen, new_spared) = _apart(before, true, other), _apart(after, true, other)
-        chances[true] = min(chances[true], _told(sizes[true] * (new_seen - seen), new_spared - spared))
+        chances[true] = min(chances[true], _decision_probability(sizes[true] * (new_seen - seen), new_spared - spared))
     return float(np.mean(list(chances.values())))
 
 
@@ -245,7 +245,7 @@ def _apart(grams: _Grams, true: str, other: str) -> tuple[float, float]:
     return float(np.trace(own - copied)), 0.5 * float(freedom)
 
 
-def _told(gained: float, spared: float) -> float:
+def _decision_probability(gained: float, spared: float) -> float:
     """Return the probability that the log odds exceed the limit: normal, mean ``gained`` / 2 + ``spared``, variance
     ``gained``.
     """

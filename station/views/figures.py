@@ -77,7 +77,7 @@ def state_figures(units: Units) -> tuple[StateUnit, ...]:
     return tuple(found)
 
 
-def told_figures(told: Any) -> tuple[StateUnit, ...]:
+def figures_from(told: Any) -> tuple[StateUnit, ...]:
     """Return the states in the units of a session or file, given as JSON; the usual units if there are none."""
     try:
         return state_figures(Units(**told)) if told else STATE_FIGURES

@@ -62,8 +62,8 @@ class XsensImu(XbusDevice):
             return Identity()
         await self._request(Mid.GO_TO_CONFIG)
         serial = serial_of(await self._request(Mid.REQ_DEVICE_ID))
-        product = product_of(await self._told(Mid.REQ_PRODUCT_CODE))
-        return Identity(product, serial, firmware_of(await self._told(Mid.REQ_FIRMWARE)))
+        product = product_of(await self._optional_answer(Mid.REQ_PRODUCT_CODE))
+        return Identity(product, serial, firmware_of(await self._optional_answer(Mid.REQ_FIRMWARE)))
 
     async def configure(self) -> None:
         """Configure counters, rate of turn, acceleration and temperature as output, and start measuring.
@@ -232,7 +232,7 @@ class XsensImu(XbusDevice):
         if mtdata2.SAMPLE_TIME_FINE not in by_kind and mtdata2.PACKET_COUNTER not in by_kind:
             raise DeviceRefused(self._device, sentence("imu.no_times"))
 
-    async def _told(self, mid: Mid) -> bytes:
+    async def _optional_answer(self, mid: Mid) -> bytes:
         """Return the answer to a request that some devices refuse; empty from these."""
         try:
             return await self._request(mid)

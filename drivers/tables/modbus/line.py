@@ -180,7 +180,7 @@ class ModbusLine:
             began_s, pause_s = self._now(), _FIRST_PAUSE * self._timeout_s
             limit_s = began_s + within_s if prompt else None  # else the client asks twice
             self._rtu.refusal = None
-            await self._hear_out()
+            await self._await_old_reply()
             while True:
                 try:
                     if not isinstance(self._address, SerialPort):
@@ -220,7 +220,7 @@ class ModbusLine:
             heard = f": Modbus exception {code}, {_EXCEPTIONS.get(code, 'unknown exception')}"
         return LinkLost(self._device, f"{_who(request)} {reason}{heard}")
 
-    async def _hear_out(self) -> None:
+    async def _await_old_reply(self) -> None:
         """Wait a little for the reply to a request that was cancelled, if one is outstanding, as a stop cancels all of
         them.
 
@@ -351,13 +351,13 @@ class ModbusLine:
         """Store why the connection ended, and fail the request that waits for an answer."""
         self._ended = "the controller closed it" if error is None else f"it broke ({error})"
         if self._asking and not self._client.ctx.response_future.done():
-            self._client.ctx.response_future.set_exception(self._gone())
+            self._client.ctx.response_future.set_exception(self._connection_lost())
 
     def _check_connected(self) -> None:
         if self._client is None or not self._client.connected:
-            raise self._gone()
+            raise self._connection_lost()
 
-    def _gone(self) -> LinkLost:
+    def _connection_lost(self) -> LinkLost:
         reason = f"the connection to {_text(self._address)} is gone"
         return LinkLost(self._device, f"{reason}: {self._ended}" if self._ended else reason)
 

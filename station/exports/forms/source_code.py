@@ -55,8 +55,8 @@ def _header(exported: Exported, real: str, prefix: str) -> Written:
         {"value": "(", "sign": f"{prefix}_sign"}
         | {axis: f"{prefix}_{axis}" for axis in AXIS_TABLES}
         | {name: f"{prefix}_{name}(state, " for name in ("follow", "last")},
-        head=[f" *{_said(line.removeprefix(' *'))}" for line in head(exported, purpose, not_held, " *")],
-        said=list(map(_said, _arguments_said(exported, terms))),
+        head=[f" *{_comment_text(line.removeprefix(' *'))}" for line in head(exported, purpose, not_held, " *")],
+        said=list(map(_comment_text, _argument_comments(exported, terms))),
         p=prefix,
         upper=prefix.upper(),
         names=_argument_names(terms),
@@ -141,7 +141,7 @@ def write_python(exported: Exported) -> Written:
         | {axis: axis.upper() for axis in AXIS_TABLES}
         | {name: f"self._{name}(" for name in ("follow", "last")},
         head=head(exported, purpose, not_held, "#"),
-        said=[line.replace("\\", "/").replace('"""', "'''") for line in _arguments_said(exported, terms)],
+        said=[line.replace("\\", "/").replace('"""', "'''") for line in _argument_comments(exported, terms)],
         names=list(exported.compensation.array.names),
         simple="_solve" if terms.of(Acts.RATE) else "_invert",
         arguments=", ".join(_argument_names(terms)),
@@ -158,7 +158,7 @@ def identifier(name: str) -> str:
     return word if word[0].isalpha() else f"imu_{word}"
 
 
-def _said(text: str) -> str:
+def _comment_text(text: str) -> str:
     """Return a text that may stand in a comment."""
     return text.replace("*/", "* /").replace("/*", "/ *").replace("??/", "?? /")
 
@@ -170,7 +170,7 @@ def _argument_names(terms: Terms) -> list[str]:
     return [name for name, needed in asked.items() if needed]
 
 
-def _arguments_said(exported: Exported, terms: Terms) -> list[str]:
+def _argument_comments(exported: Exported, terms: Terms) -> list[str]:
     """Return one line about each argument of the function, and the conditions for all."""
     used = {name: terms.uses(name) for name in ("slope", "wdot")} | {"rate": bool(terms.of(Acts.RATE))}
     given = {

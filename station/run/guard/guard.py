@@ -73,7 +73,7 @@ class Guard:
         assert self._process.stdout is not None
         packed = pickle.dumps(order)
         self._send(len(packed).to_bytes(4, "big") + packed)
-        asyncio.get_running_loop().add_reader(self._process.stdout.fileno(), self._hear)
+        asyncio.get_running_loop().add_reader(self._process.stdout.fileno(), self._read_output)
 
     async def arm(self) -> None:
         """Start guarding the devices; wait until a guard can act, or until it is known that none can."""
@@ -125,7 +125,7 @@ class Guard:
             with suppress(OSError):
                 self._process.stdin.write(data)
 
-    def _hear(self) -> None:
+    def _read_output(self) -> None:
         """Handle output of the guard: that it is ready, or its end."""
         assert self._process is not None
         assert self._process.stdout is not None

@@ -18,7 +18,7 @@ from station.screen.charts import Charts
 from station.screen.drawings import STATE_CHARTS, Drawing, StateLimit, state_drawing
 from station.screen.figures import templated
 from station.screen.sessions.live_run import Trend
-from station.views.figures import OUTCOME_STYLES, told_figures
+from station.views.figures import OUTCOME_STYLES, figures_from
 
 _COLUMNS = ("when", "device", "script", "outcome", "operator", "accepted", "file")
 _SHOWN_EVERY_S = 0.5
@@ -171,7 +171,7 @@ class HistoryScreen(StationScreen):
         index = STATE_CHARTS.index(name)
         if not self._trend.values:
             return None
-        figures = told_figures(self._units)
+        figures = figures_from(self._units)
         return state_drawing(index, self._trend, self._limits[index], "days", figures, self._began_utc_s)
 
 

@@ -258,14 +258,14 @@ class PrepareScreen(StationScreen):
         self._checking = line
         self.redraw()
 
-    def _told_serial(self) -> str:
+    def _reported_serial(self) -> str:
         """Return the serial number reported by the only device under test; empty for several devices or none."""
         devices = self._check.found.get("devices", [])[1:] if self._check is not None else []
         return str(devices[0]["identity"].get("serial") or "") if len(devices) == 1 else ""
 
     def _suggest(self) -> None:
         """Fill in the serial number reported by the only device under test, if none was entered and it matches."""
-        field, reported = self.query_one("#serial", Input), self._told_serial()
+        field, reported = self.query_one("#serial", Input), self._reported_serial()
         if reported and not field.value and self._prospect and matches(self._prospect.serial_pattern, reported):
             field.value = reported
             field.select_all()  # the next scan, at any time, replaces it
@@ -274,7 +274,7 @@ class PrepareScreen(StationScreen):
         """Ask why a device that reports another number is the right one; the reason is recorded. Nothing if they
         agree.
         """
-        entered, device = self.station.choices.serial, self._told_serial()
+        entered, device = self.station.choices.serial, self._reported_serial()
         if device and entered and entered != device:
             both = f"The device reports {device}, but you entered {entered}"
             question = f"{both}. Why are both right? (Also for the certificate.)"
@@ -292,8 +292,8 @@ class PrepareScreen(StationScreen):
     def _take_over(self) -> None:
         """Take the entries of the fields as choices."""
         entered: dict[str, Any] = {name: self.query_one(f"#{name}", Input).value.strip() for name, *_ in _FIELDS}
-        if self._told_serial():
-            both = entered["serial"], self._told_serial()
+        if self._reported_serial():
+            both = entered["serial"], self._reported_serial()
             entered["serial_reason"] = self._confirmed[2] if self._confirmed[:2] == both else ""
         self._chosen = self.station.choices = replace(self.station.choices, **entered)
 
@@ -314,7 +314,7 @@ class PrepareScreen(StationScreen):
         age_s = time.time() - self.station.operator_utc_s
         if prospect is not None and choices.operator and age_s > prospect.shift_s:
             found.append(("WRONG", f"is the operator still {choices.operator}? Press Enter in the field to confirm"))
-        reported = self._told_serial()
+        reported = self._reported_serial()
         if reported and choices.serial and choices.serial != reported and not choices.serial_reason:
             found.append(
                 ("WRONG", f"the device reports serial no. {reported}: correct it, or confirm with a reason (F8)")

@@ -24,7 +24,7 @@ from station.screen.drawings import STATE_CHARTS, Drawing, StateLimit, state_dra
 from station.screen.figures import templated
 from station.screen.sessions.programs import ask
 from station.screen.tabs.facts import fill_in
-from station.views.figures import told_figures
+from station.views.figures import figures_from
 
 _MOST_OFFERED = 20
 _LOOKING = "looking for errors that the model misses"
@@ -61,7 +61,7 @@ class ResultScreen(StationScreen):
         self._said = ""
 
     @property
-    def said_of_recording(self) -> str:
+    def recording_line(self) -> str:
         """Warning on a run that ended unexpectedly: whether its table came to rest is unknown. Else empty."""
         entry = self._whole.entry if self._whole is not None else None
         if entry is None or entry.wrong or entry.texts.get("outcome"):
@@ -248,7 +248,7 @@ class ResultScreen(StationScreen):
         whole, charts = self._whole, self.query_one(Charts)
         charts.display = bool(whole and whole.curves)
         values: dict[str, Any] = {"whole": whole, "path": self.recording, "busy": self._busy, "said": self._said}
-        values["state_figures"] = told_figures(whole.entry.units if whole is not None else {})
+        values["state_figures"] = figures_from(whole.entry.units if whole is not None else {})
         moved = Text.from_markup(rendered("station.render", "moved.rich", {"moves": self._moves}).strip(), emoji=False)
         self._block("verdict", Text("\n").join(filter(None, (templated("verdict.rich", values), moved))))
         shown: dict[str, RenderableType] = {}
@@ -276,13 +276,13 @@ class ResultScreen(StationScreen):
         index = STATE_CHARTS.index(name)
         gyro, curve = list(whole.curves.items())[self.gyro % len(whole.curves)]
         limit = StateLimit(whole.sizes[index], whole.written[index])
-        drawing = state_drawing(index, curve, limit, figures=told_figures(whole.entry.units))
+        drawing = state_drawing(index, curve, limit, figures=figures_from(whole.entry.units))
         calibrated = next((found for found in whole.entry.gyros if found.name == gyro), None)
         if calibrated is None:
             return drawing
         # The curve is that of the live filter; the figure is that of the calibration, as in the table beside it.
         state, _, *others = drawing.words
-        figure = told_figures(whole.entry.units)[index].figure(calibrated.values[index], calibrated.sds[index])
+        figure = figures_from(whole.entry.units)[index].figure(calibrated.values[index], calibrated.sds[index])
         return drawing._replace(words=[state, (figure, "line"), *others])
 
 

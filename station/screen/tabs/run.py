@@ -18,7 +18,7 @@ from station.screen.drawings import DIALS, RUN_CHARTS, Drawing, run_drawing, ser
 from station.screen.figures import templated
 from station.screen.sessions.live_run import LiveRun, Stage
 from station.screen.tabs.manual import ManualScreen
-from station.views.figures import told_figures
+from station.views.figures import figures_from
 
 _SOURCES = ("sources", "details")  # beside the figures, or at the end of all
 _MOST_EVENTS = 24
@@ -117,7 +117,7 @@ def _values(run: LiveRun, snapshot: Snapshot, large: bool) -> dict[str, Any]:
         "judged": judged,
         "style": style,
         "large": large,
-        "state_figures": told_figures((run.hello.get("limits") or {}).get("units")),
+        "state_figures": figures_from((run.hello.get("limits") or {}).get("units")),
     }
 
 
