@@ -287,16 +287,24 @@ class Composer:
             ranked.append((gain + law.log_prior, reach, options[best]))
         ranked = [one for one in ranked if one[1] > missing]
         ranked.sort(key=lambda pair: -pair[0])
-        settled = [self._settled(scan, law) for _, _, law in ranked[:_LAWS_TRIED]]
-        chosen = [law for law in settled if law.name not in taken]  # a flexible law may come to one that is there
+        chosen = []
+        for _, _, law in ranked[:_LAWS_TRIED]:
+            settled, worth = self._settled(scan, law)
+            # A flexible law may come to one that is in the model, or to next to nothing.
+            if settled.name not in taken and worth > missing:
+                chosen.append(settled)
         search.forget([name for name, (c, _) in search.known.items() if c.law and name not in self._kept])
         search.add([law for law in chosen if law.name not in self._kept])
         return [law.name for law in chosen]
 
-    def _settled(self, scan: Scan, law: Candidate) -> Candidate:
-        """Return a law with the constant that explains most, a flexible one with the terms that are needed."""
+    def _settled(self, scan: Scan, law: Candidate) -> tuple[Candidate, float]:
+        """Return a law with its best constant, a flexible one with the terms that are needed, and its worth at most.
+
+        The worth is what it adds to the log evidence, with how much it is expected; inf for laws that are not flexible.
+        """
         law = law if law.start is None else scan.tuned(law)
         if not law.flexible:
-            return law
+            return law, float("inf")
         found = needed(*scan.products(law))
-        return replace(_with_terms(law, found.terms), log_tries=law.log_tries + found.log_tries)
+        settled = replace(_with_terms(law, found.terms), log_tries=law.log_tries + found.log_tries)
+        return settled, found.log_evidence + settled.log_prior - settled.log_tries

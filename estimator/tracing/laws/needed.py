@@ -18,9 +18,13 @@ from estimator.types import Floats
 
 @dataclass(frozen=True, slots=True)
 class Needed:
-    """Numbers of the terms that are needed, and the logarithm of how many choices of as many there are (nats)."""
+    """Numbers of the terms that are needed, and by how much they raise the log evidence.
+
+    ``log_tries`` is the logarithm of how many choices of as many terms there are; it is not yet taken off.
+    """
 
     terms: tuple[int, ...]
+    log_evidence: float
     log_tries: float
 
 
@@ -38,8 +42,8 @@ def needed(products: Floats, with_rest: Floats) -> Needed:
         log_tries = lgamma(count + 1) - lgamma(len(terms) + 1) - lgamma(count - len(terms) + 1)
         found.append((shown.log_evidence - log_tries, terms, log_tries))
         terms = np.delete(terms, shown.least)
-    _, best, log_tries = max(found, key=lambda one: one[0])
-    return Needed(tuple(best.tolist()), log_tries)
+    worth, best, log_tries = max(found, key=lambda one: one[0])
+    return Needed(tuple(best.tolist()), worth + log_tries, log_tries)
 
 
 @dataclass(frozen=True, slots=True)
