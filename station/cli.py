@@ -117,10 +117,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _carry_out(command: str, arguments: argparse.Namespace) -> int:
-    """Import and call the function of a command; return its exit code. Errors of the station are printed, others
-    raised.
+    """Import and call the function of a command, after registering effects of plug-ins; return its exit code.
 
-    Effects of plug-ins are registered first. Ctrl-C gives 3, lack of memory or threads 2.
+    Errors of the station are printed, with --json as an empty result, too: a DeviceError gives 4, others 2. Lack of
+    memory or threads gives 2, Ctrl-C 3. Any other exception is raised.
     """
     module = None
     try:

@@ -252,11 +252,11 @@ class HostFit:
 
 
 def _line_through(points: list[tuple[float, float]], most_drift: float, known_to: float = 0.0) -> _Line:
-    """Fit a line robustly through ``points`` (t, y), some of which may lie far off.
+    """Fit a line robustly through ``points`` (t, y), at least two in order of time, some of which may lie far off.
 
     Starts from the median slope of well separated pairs (Theil-Sen), then three rounds of least squares without
     outliers, with a prior of zero on the slope and its size limited to ``most_drift``. ``known_to`` is a lower limit
-    for the standard deviation of one point.
+    for the standard deviation of one point, from which those of value and slope follow.
     """
     t, y = np.array(points).T
     half = (len(t) + 1) // 2

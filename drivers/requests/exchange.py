@@ -241,7 +241,11 @@ class Exchange:
         return _MalformedError(received.decode("ascii", "replace").strip())
 
     async def _resync(self) -> bytes:
-        """Send tokens until an answer is followed by silence; return the last bytes received before that answer."""
+        """Send a token, again after each answer that no silence follows; return the last bytes before the last answer.
+
+        At most 512 bytes are kept. Nothing is sent again while no answer comes, without limit: the caller sets a time-
+        out. Afterwards requests and answers are in step. All bytes passed over are counted as discarded.
+        """
         before = b""
         while True:
             token = self._framing.token()

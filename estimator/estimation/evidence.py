@@ -157,7 +157,9 @@ class Evidence:
     def settle(self, terms: Sequence[Term], least: Floats) -> None:
         """Scale the noise to what a model leaves: first the ``level`` (gyros,), then bands that hold more or less.
 
-        With stated noise (``least`` (gyros,) above 0, as of turns) only the level is set: a few rows tell no spectrum.
+        ``level`` is a variance relative to that of the gyro's ``arw``; ``least`` (gyros,) is its lower limit, as a
+        density in rad/s sqrt(s). If any ``least`` is above 0, as of turns, only the levels are set: a few rows tell no
+        spectrum.
         """
         for level_only in (True, False)[: 1 if least.any() else 2]:
             for n, (gyro, (_, hz, _, squares, freedom)) in enumerate(zip(self.gyros, self._left(terms), strict=True)):

@@ -263,10 +263,12 @@ def expected_of(laws: Sequence[Law]) -> Floats:
 
 
 def _steadied(run: Run, columns: Floats) -> Run:
-    """Return a run in which blocks on ramps weigh less, as far as their residual is larger than at steady rates.
+    """Return a run in which blocks on ramps weigh less, as far as their residual exceeds that at steady rates.
 
-    While an axis accelerates, the table's readings are off by their timing and by what lies between two readings. The
-    run comes back as it is for turns, without ramps, and with too few blocks.
+    ``columns`` (gyros, blocks, p) are those of the laws, fitted together with the states. All gyros get one factor,
+    from the mean of what their variances exceed chance by. While an axis accelerates, the table's readings are off by
+    their timing and by what lies between two readings. The same run is returned for turns with stated noise, without
+    ramps, and with too few blocks.
     """
     good = np.flatnonzero(run.weight > 0)
     if run.stated_rps or len(good) < _ROWS_A_COLUMN * (4 + columns.shape[2]):

@@ -171,7 +171,12 @@ def _factors(array: SensorArray, found: Sequence[_Gain | None], gyro: GyroColumn
 
 
 def _prior(data: ImuData, found: Sequence[_Gain | None]) -> Prior:
-    """Return the usual prior, widened if factor or offset of a gyro are far beyond it."""
+    """Return one prior for all gyros: the usual one, wider where the largest factor error or offset found asks for it.
+
+    ``found`` has a gain for each gyro, None if it was not determined. ``k`` becomes at least ``_WIDER`` times the
+    largest deviation of a factor from 1 if that is above ``_NARROW``, ``b_rps`` at least ``_WIDER`` times the largest
+    offset. A gyro without a meaningful factor counts with its mean output as offset. ``sigma_rad`` is kept.
+    """
     usual, told = data.prior, [gain for gain in found if gain is not None and gain.told]
     off = max((abs(gain.factor - 1) for gain in told), default=0.0)
     offset = [abs(gain.offset_rps) for gain in told]

@@ -350,10 +350,11 @@ def _accelerometer(file: _File, names: Sequence[str]) -> str:
 
 
 def _rests(file: _File, names: Sequence[str] | None, step_s: float) -> int:
-    """Return the number of rests of the gyro, spans of windows nearly as quiet as the quietest ones.
+    """Return how often the gyro rests: for at least 2 s in a row, in windows of 0.5 s nearly as quiet as the quietest.
 
-    0 without columns or a time, with fewer than four windows, or if no window is much quieter than the others; a gyro
-    that is equally quiet all the time rests once.
+    ``names`` are the columns of the gyro, ``step_s`` is the sampling period in s. Return 0 without columns (None),
+    without a time (``step_s`` not above 0), with fewer than four windows, or if no window is much quieter than the
+    others. A gyro that is equally quiet all the time rests once.
     """
     if names is None or not step_s > 0:
         return 0

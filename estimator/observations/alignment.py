@@ -275,7 +275,12 @@ def _columns(means: _Means, delay_s: float) -> tuple[Floats, Flags, Floats]:
 
 
 def _line(means: _Means, delay_s: float, fits: Flags) -> tuple[Floats, Floats, Floats]:
-    """Return rows (4, m) by least squares of the intervals that fit, what they leave (n, m), and weights (n,)."""
+    """Fit the outputs by least squares at a delay; return coefficients (4, m), residuals (n, m), and weights (n,).
+
+    The coefficients of a gyro are its offset and its factors for the body rates x, y, z. ``fits`` (n, m) flags the
+    intervals to use. A gyro with fewer than ``_FEWEST`` usable ones gets zeros, so that its residual is its output.
+    Residuals are not weighted and cover all intervals. Weights are 0 where the rate is unknown.
+    """
     columns, known, weight = _columns(means, delay_s)
     rows = np.zeros((4, means.outputs.shape[1]))
     for gyro, own in enumerate(fits.T):

@@ -149,7 +149,11 @@ def mean_length_s(reference: RateReadings) -> float:
 
 
 def row_length_s(recording: Recording, data: ImuData) -> float:
-    """Return the time that a row against an external reference stands for."""
+    """Return the time in s that a row against an external reference stands for.
+
+    ``MEAN_S`` for an attitude; for rates the length of the means if their steps are coarse. Otherwise the median
+    sampling period of ``data``, or ``BLOCK_S`` with fewer than two samples.
+    """
     if isinstance(recording.reference, AttitudeReadings):
         return MEAN_S
     length_s = mean_length_s(recording.reference) if isinstance(recording.reference, RateReadings) else 0.0

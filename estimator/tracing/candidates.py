@@ -162,10 +162,13 @@ def _expected(candidate: Candidate, of_kind: Mapping[str, int], warm: bool) -> C
 
 
 def _catalogue(runs: Sequence[Run], gimbals: tuple[str, ...], span_s: float, foreign: bool) -> list[Candidate]:
-    """Return the candidates for the laws of the catalogue that are searched for, without regard to what the runs offer.
+    """Return the candidates for the laws of the catalogue that are searched for, also those whose quantities runs lack.
 
-    ``foreign``: the reference is another instrument, so that delays may be large. Several names of one effect occur
-    (orders of a harmonic, drifts on one clock, steps of each recording).
+    ``gimbals`` are the axes of the table, empty without one; ``span_s`` is the length of the longest run, which sets
+    the grids of settings. ``foreign``: the reference is another instrument, so that delays may be large; no bandwidth
+    is listed if they are. Sample hold needs held values, laws that go on over runs a common clock. Without gimbals,
+    site and turns only the upward Earth rate is listed. Several names of one effect occur (orders of a harmonic, drifts
+    on one clock, steps of each recording).
     """
     known = [record for record in records() if record.kind is Kind.LAW and record.searched]
     plain = [record for record in known if record.grid is None]

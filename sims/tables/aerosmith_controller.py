@@ -72,7 +72,10 @@ class AerosmithController(LineController):
         return ""
 
     def _set(self, word: str, value: float) -> str:
-        """Set velocity or acceleration; return "?" if it is not within the rated values, else ""."""
+        """Set the velocity (``word`` VEL, deg/s), or else the acceleration (deg/s2); return "".
+
+        Return "?" and set nothing unless the value is above 0 and at most 0.1 % above the rated one.
+        """
         if not 0.0 < value <= (self._most_dps if word == "VEL" else self._most_dps2) * 1.001:
             return "?"
         if word == "VEL":

@@ -245,8 +245,10 @@ class Drive:
         return min(limits, default=0.0)
 
     def _master_is_silent(self) -> None:
-        """Stop the axis after the master's silence, if it is enabled: power off for the watchdog, a trip for node
-        guarding.
+        """React to the silence of the master if the axis is in OPERATION_ENABLED; otherwise do nothing.
+
+        The shorter of both limits has expired: if that is the bench's watchdog, power goes off, else (node guarding)
+        the axis trips.
         """
         if self._state is not DriveState.OPERATION_ENABLED:
             return

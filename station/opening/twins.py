@@ -52,7 +52,8 @@ class Twins:
     def __init__(self, bench: Bench, stack: AsyncExitStack, time_scale: float) -> None:
         """Build the table model and read all truths and faults of the bench file; BenchError if one is invalid.
 
-        Tasks and timers end with ``stack``.
+        ``time_scale`` above 1 lengthens the watchdog alone. Without a site the table stands at 45 deg latitude, heading
+        0. Needs a running loop. Tasks and timers, as of a fault of the table, end with ``stack``.
         """
         self.bench, self._stack = bench, stack
         self.watchdog_s = bench.twin.watchdog_s * max(time_scale, 1.0)  # it waits for a host

@@ -191,8 +191,11 @@ class MotionGuard:
         return nearest_rps > _RATE_OFF * least_rps + _RATE_RPS + doubt_rps
 
     def _contradicts(self, axis: str, way: "_Way") -> str:
-        """Return in words that an axis reports a rate while its position stands, "" if not; rates must all have one
-        sign.
+        """Return in words that an axis reports a rate while its position stands, "" if not.
+
+        It stands if its path is less than half of what the smallest reported rate gives in that time, less the
+        uncertainty of the readings. Return "" as well if rates differ in sign, or if the smallest one is below 1 deg/s
+        after its noise is taken off.
         """
         least_rps = min(map(abs, way.rates_rps), default=0.0) - _SIGMAS * math.sqrt(self._noise_rps2[axis])
         if least_rps < _RATE_RPS or min(way.rates_rps) < 0.0 < max(way.rates_rps):

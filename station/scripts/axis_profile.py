@@ -42,7 +42,10 @@ def _rate(rate_rps: float) -> str:
 
 
 def _columns_within(motion: PlannedMotion, edges: NDArray[np.int64]) -> str:
-    """Return the character for standstill in each column that begins at these rows of the motion."""
+    """Return one character for each column, to be drawn if the axis stands: ~ in a step of open duration, else _.
+
+    ``edges`` (columns,) are the rows of the motion at which the columns begin. The rates are not looked at.
+    """
     ends = np.append(edges[1:], len(motion.t_s)) - 1
     characters = []
     for begin_s, end_s in zip(motion.t_s[edges], motion.t_s[ends], strict=True):

@@ -169,11 +169,11 @@ class ModbusLine:
         self._untold = 0
 
     async def _answered(self, request: Request, within_s: float, *, prompt: bool) -> Reply:
-        """Send a request and return its reply, retrying while the drive is busy; ``prompt`` sends it at once, as
-        ``tell``.
+        """Send a request and return its reply; repeat it after growing pauses, up to ``within_s``, while the drive is busy.
 
-        LinkLost without a reply within ``within_s``, BadReply for one that violates Modbus, DeviceRefused for a
-        refusal.
+        With ``prompt`` it is sent as for ``tell`` and the reply has to come within ``within_s``; otherwise as for
+        ``ask``, at most twice with a time-out each. LinkLost without a reply or connection, BadReply for one that
+        violates Modbus, DeviceRefused for a refusal, also of a drive that stays busy.
         """
         async with self._lock:
             self._check_connected()
@@ -265,10 +265,11 @@ class ModbusLine:
         return await self._exchange(request, deadline_s, line)
 
     async def _probe(self, unit: int, deadline_s: float, line: SerialPort) -> None:
-        """Read something harmless whose reply proves that earlier replies are past.
+        """Send one harmless read whose reply can prove that earlier replies are past; the caller repeats it.
 
-        A read is chosen whose reply fits nothing that may still come; if there is none, the one asked last, repeatedly,
-        until only its own replies may come and the other one is unmistakable. _NoReply once ``deadline_s`` is over.
+        Chosen is a read whose reply fits nothing that may still come; if there is none, the one asked last, so that in
+        the end only its own replies may come. Wait for half of the time left, at least a tenth of the time-out, and
+        return as well if nothing came. Raise _NoReply once ``deadline_s`` (loop time) is over.
         """
         pending = self._pending[unit]
         left_s = deadline_s - self._now()

@@ -176,7 +176,11 @@ def _angle(section: StrictTable) -> Measured:
 
 
 def _turns(section: StrictTable) -> StatedTurns:
-    """Return the stated turns: in sections, by file name, or one turn; the section's error if none is given."""
+    """Return the stated turns, in the first form that the section has.
+
+    The forms are ``sections``, a table of turns by name of section; ``file_name``, a regular expression for the names
+    of files; ``angle_deg``, a single turn. Raise the section's error if there is none of them, or one is invalid.
+    """
     stated = StatedTurns(**section.stated(KEYS["turns"]))
     if section.has("sections"):
         cuts, tables = _sections(section)

@@ -140,10 +140,11 @@ def _start(bands: Bands) -> Floats:
 
 
 def _trimmed(bands: Bands, hz: Floats, start: Floats) -> tuple[Bands, Floats]:
-    """Return the bands without the highest octaves if these contradict the ones below, and the fit.
+    """Return the bands without the highest octaves of each sensor that contradict those below, and the fit (p, 3).
 
-    The output filter of a sensor, and its quantisation, shape the highest frequencies. As a filter reaches further down
-    than it shows, the octave below is dropped, too.
+    ``hz`` (b,) are the frequencies of the bands, ``start`` (p, 3) the squares with which the fit begins. Go down octave
+    by octave as long as that of a sensor contradicts and ``_LEAST_BANDS`` bands are left below. The output filter of a
+    sensor reaches further down than it shows, so the octave below a dropped one is dropped, too.
     """
     dropped = np.zeros(bands.counts.shape, dtype=bool)
     top_hz = float(hz.max())

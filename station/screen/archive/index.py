@@ -67,9 +67,10 @@ def _checksum(row: Sequence[Any]) -> int:
 
 
 def _done(folder: Path, sql: str, rows: Sequence[Sequence[Any]] | None = None) -> list[Any] | None:
-    """Run a statement on the index of a folder; return its rows, None if it failed.
+    """Run a statement on the index of a folder, created if missing; return its rows, None if it failed.
 
-    An index that failed, except for being busy, is deleted.
+    With ``rows`` the statement is run once for each of them, as its parameters. An index that failed, except for being
+    busy, is deleted. Return None, and touch nothing, if the folder of the index is not this user's alone.
     """
     path = index_file(folder)
     try:

@@ -37,8 +37,10 @@ def command_line(arguments: Sequence[str]) -> list[str]:
 
 
 async def ask(arguments: Sequence[str], on_line: Callable[[str], None] = lambda line: None) -> Answer:
-    """Run a command to its end and return its answer; ``on_line`` gets each line on stderr. Cancelling ends the
-    command.
+    """Run a command of the station to its end; return exit code, the JSON object on stdout, the last line on stderr.
+
+    The object is empty if stdout holds none; an exit code other than 0 raises nothing. ``on_line`` gets each line on
+    stderr that is not blank. Cancelling terminates the command, and kills its process group if that takes too long.
     """
     process = await asyncio.create_subprocess_exec(
         *command_line(arguments),
