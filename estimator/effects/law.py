@@ -383,7 +383,9 @@ _MANY = {"play": "plays", "expm1": "decays", "abs": "bends", "lag": "lags"}
 def _words(node: ast.expr) -> str:
     """Return a syntax tree in words."""
     match node:
-        case ast.BinOp(left=ast.Call(func=ast.Name(id="abs"), args=[inner]), op=op, right=right) if _same(inner, right):
+        case ast.BinOp(
+            left=ast.Call(func=ast.Name(id="abs"), args=[inner]), op=ast.Add() | ast.Sub() as op, right=right
+        ) if _same(inner, right):
             return _one_side(inner, "beyond" if isinstance(op, ast.Add) else "below")
         case ast.Name(id=name):
             return VARIABLES[name][2]

@@ -41,7 +41,8 @@ class Candidate:
     value of the nonlinear parameter, in ``unit``; ``of`` makes the effect for another value, ``start`` are the values
     at which the search for it begins, ``range_log`` is the logarithm of the range that it may have in nature. ``run``
     is the number of the recording in which a step lies. ``by_size``: the nonlinear parameter is the size of the effect,
-    its first parameter. ``flexible``: a law that stands for any function of its variable. ``sensed`` are the directions
+    its first parameter. ``flexible``: a law that stands for any function of its variable, ``family`` is
+    then the name of that with all terms. ``sensed`` are the directions
     (3,) that gyros really sense, with their scale, in place of the nominal ones. ``settings`` are those of the model
     that fix the nonlinear parameter. ``log_prior`` is the logarithm of the prior probability; if the effect ``beside``
     is in the model, ``likelier`` is added to it.
@@ -62,6 +63,7 @@ class Candidate:
     likelier: float = 0.0
     by_size: bool = False
     flexible: bool = False
+    family: str = ""
     sensed: Mapping[str, Floats] = field(default_factory=dict)
     settings: Settings = field(default_factory=dict)
 

@@ -156,15 +156,18 @@ def _conclude(
     verdict = verdict_of([*(a.effect for a in faulty), *_called(causes.parts)], doubtful, unexplained)
     gyros = averaged(search, errors.gyros, after, [*certain, *doubtful], opened, between)
     laws = [part for part in certain if part.candidate.law]
-    contradicted = errors.surprise > _SURPRISED or (bool(laws) and errors.understated > _UNKNOWN)
-    if held_back and verdict.finding in (Finding.NOTHING, Finding.ADDED) and contradicted:
+    contradicted = bool(held_back) and (errors.surprise > _SURPRISED or (bool(laws) and errors.understated > _UNKNOWN))
+    if verdict.finding in (Finding.NOTHING, Finding.ADDED) and contradicted:
         suspected, with_it = _suspected(search, held_back, most)
         verdict = surprised(certain, suspected, verified[1])
         gyros = beside_suspect(gyros, with_it)
     # A law without a name has nothing but its predictions to support it, so it is certain only if nothing is left open.
     most_probable = 1.0 if verdict.leaves_nothing_open and not contradicted else _UNKNOWN
     causes = causes.less_probable(
-        {part.candidate.name: most_probable * (1 - part.candidate.flexible * errors.formless) for part in laws}
+        {
+            part.candidate.name: min(most_probable, max(1 - part.candidate.flexible * errors.formless, _UNKNOWN))
+            for part in laws
+        }
     )
     models = [ModelStep((), 0.0, errors.before)]
     gained = found.log_evidence[-1] - found.log_evidence[0]
@@ -231,7 +234,7 @@ def _borne_out(
         grown = errors.improvement is not None and errors.improvement.ratio <= 1
         if not (held_back and named and grown):
             return _BorneOut(parts=certain, taken_back=taken_back, after=after, opened=opened, errors=errors)
-        worst = min(named, key=lambda part: part.probability)
+        worst = min(named, key=lambda part: (not part.candidate.law, part.probability))  # laws before names
         certain = [part for part in certain if part is not worst]
         taken_back = [*taken_back, worst.called]
 

@@ -169,7 +169,7 @@ class ModbusLine:
         self._untold = 0
 
     async def _answered(self, request: Request, within_s: float, *, prompt: bool) -> Reply:
-        """Send a request and return its reply; repeat it after growing pauses, up to ``within_s``, while the drive is busy.
+        """Send a request and return its reply; repeat it after growing pauses for up to ``within_s`` if busy.
 
         With ``prompt`` it is sent as for ``tell`` and the reply has to come within ``within_s``; otherwise as for
         ``ask``, at most twice with a time-out each. LinkLost without a reply or connection, BadReply for one that

@@ -35,5 +35,6 @@ def _open_directions(model: Augmented, gyro: int) -> Floats:
         of_laws[law] = True
         form = np.zeros(len(of_laws))
         form[law] = model.mean[gyro, law]
-        forms.append(form)
+        if form.any():  # a gyro whose columns are zero has no form
+            forms.append(form)
     return np.column_stack([np.eye(len(of_laws))[:, ~of_laws], *forms])

@@ -61,9 +61,9 @@ def laws_of(runs: Sequence[Run]) -> list[Candidate]:
     flexible = flexible_laws(runs, offers)
     prior = _RARE + _LONGER * len(_LAWS) - float(np.log(max(len(flexible), 1)))
     for law, kind in flexible:
-        candidate = _candidate(runs, law, kind, prior)
+        candidate = _candidate(runs, law, kind, prior, whole=False)
         if candidate is not None:
-            found.append(replace(candidate, flexible=True))
+            found.append(replace(candidate, flexible=True, family=candidate.name))
     return found
 
 
@@ -98,19 +98,24 @@ def _on_axes(text: str, offers: frozenset[str], gimbals: Sequence[str]) -> list[
     return [law for law in laws if needs_of(law.replace("{c}", "1")) <= offers]
 
 
-def _candidate(runs: Sequence[Run], law: str, kind: str, prior: float) -> Candidate | None:
+def _candidate(runs: Sequence[Run], law: str, kind: str, prior: float, *, whole: bool = True) -> Candidate | None:
     """Return the candidate of a law, with a search for its constant if ``kind`` says of which kind that is ("" for
     none).
 
-    None if a term of the law does not vary in the runs, or its constant has no range.
+    None if a term of the law does not vary in the runs, or its constant has no range. Of a law that is not needed
+    ``whole`` the terms that do not vary are left out; it is None without any that does.
     """
     start = _LAGS_S
     if kind != "lag":
         what, _, name = kind.partition(" ")
         start = _STARTS[what or "share"] * (_range(runs, name) if name else 0.2)
-    largest = _largest(runs, law.format(c=f"{start[1]:.6g}")) if start[0] > 0 else None
-    if largest is None:
+    if not start[0] > 0:
         return None
+    varies = _largest(runs, law.format(c=f"{start[1]:.6g}"))
+    largest = tuple(size for size in varies if size is not None)
+    if not largest or (whole and len(largest) < len(varies)):
+        return None
+    law = "; ".join(term.strip() for term, size in zip(law.split(";"), varies, strict=True) if size is not None)
     if not kind:
         return Candidate(f"law: {law}", constructed(law, largest), prior)
 
@@ -121,18 +126,14 @@ def _candidate(runs: Sequence[Run], law: str, kind: str, prior: float) -> Candid
     return Candidate.among(f"law: {law}", of, start, 1, log_prior=prior, range_log=range_log)
 
 
-def _largest(runs: Sequence[Run], law: str) -> tuple[float, ...] | None:
-    """Return for each term of a law the coefficient that makes its rms ``_LARGEST_RPS``; None if a term does not
-    vary.
-    """
+def _largest(runs: Sequence[Run], law: str) -> list[float | None]:
+    """Return for each term of a law the coefficient that makes its rms ``_LARGEST_RPS``, None if it does not vary."""
     effect = constructed(law)
     squares = np.zeros(len(effect.parameters))
     for run in runs:
         of_run = run.grid.once(("mean squares", law), partial(_mean_squares, run, effect))
         squares = np.maximum(squares, np.nan_to_num(of_run, nan=0.0, posinf=0.0))
-    if not np.all(squares > _LARGEST_SCALE**-2):
-        return None
-    return tuple((_LARGEST_RPS / np.sqrt(squares)).tolist())
+    return [_LARGEST_RPS / float(np.sqrt(one)) if one > _LARGEST_SCALE**-2 else None for one in squares]
 
 
 def _mean_squares(run: Run, effect: Effect) -> Floats:
@@ -271,7 +272,7 @@ class Composer:
         search = self._search
         noise = int(np.argmax(search.evidence.noise_weight([term for _, term in known])))
         scan = Scan(self._coarse, search.evidence, [term for _, term in base], noise)
-        taken = {candidate.name for candidate, _ in base}
+        taken = {candidate.family or candidate.name for candidate, _ in base}
         missing = self._worth(known, noise) + least - self._worth(base, noise)
         laws = [(law, options) for law, options in self._laws if law.name not in taken]
         most, at_least = scan.bounds([option for _, options in laws for option in options])
@@ -287,12 +288,13 @@ class Composer:
             ranked.append((gain + law.log_prior, reach, options[best]))
         ranked = [one for one in ranked if one[1] > missing]
         ranked.sort(key=lambda pair: -pair[0])
-        chosen = []
-        for _, _, law in ranked[:_LAWS_TRIED]:
+        chosen: list[Candidate] = []
+        for _, _, law in ranked:
             settled, worth = self._settled(scan, law)
-            # A flexible law may come to one that is in the model, or to next to nothing.
-            if settled.name not in taken and worth > missing:
+            if worth > missing:  # with all its terms a flexible law seems to be worth more than it is
                 chosen.append(settled)
+            if len(chosen) == _LAWS_TRIED:
+                break
         search.forget([name for name, (c, _) in search.known.items() if c.law and name not in self._kept])
         search.add([law for law in chosen if law.name not in self._kept])
         return [law.name for law in chosen]

@@ -6,7 +6,7 @@ model needs to be fitted anew. All gyros have the same terms, each with coeffici
 """
 
 from dataclasses import dataclass
-from math import lgamma
+from math import lgamma, log
 from typing import Self
 
 import numpy as np
@@ -20,7 +20,8 @@ from estimator.types import Floats
 class Needed:
     """Numbers of the terms that are needed, and by how much they raise the log evidence.
 
-    ``log_tries`` is the logarithm of how many choices of as many terms there are; it is not yet taken off.
+    ``log_tries`` is the logarithm of how many choices of terms there are, as many for each number of them; it is not
+    yet taken off.
     """
 
     terms: tuple[int, ...]
@@ -39,7 +40,7 @@ def needed(products: Floats, with_rest: Floats) -> Needed:
     found = []
     while len(terms):
         shown = _Shown.of(products[:, terms[:, None], terms], with_rest[:, terms])
-        log_tries = lgamma(count + 1) - lgamma(len(terms) + 1) - lgamma(count - len(terms) + 1)
+        log_tries = log(count) + lgamma(count + 1) - lgamma(len(terms) + 1) - lgamma(count - len(terms) + 1)
         found.append((shown.log_evidence - log_tries, terms, log_tries))
         terms = np.delete(terms, shown.least)
     worth, best, log_tries = max(found, key=lambda one: one[0])
