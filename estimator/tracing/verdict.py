@@ -47,7 +47,7 @@ def verdict_of(added: Sequence[str], doubtful: Sequence[Part], unexplained: Unex
     NOTHING.
     """
     # An effect that leaves as much of its kind as it explains is a part of the unexplained, and no rival.
-    open_ones = [part for part in doubtful if part.share < CERTAIN <= part.probability / part.share]
+    open_ones = [part for part in doubtful if part.share < CERTAIN and part.probability >= CERTAIN * part.share]
     rivals = tuple(names for names in rivals_of(open_ones) if len(names) > 1)
     if rivals or (doubtful and not unexplained):
         rivals = rivals or rivals_of(doubtful)
