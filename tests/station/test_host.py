@@ -104,12 +104,11 @@ def test_a_program_that_was_stopped_and_goes_on_blames_no_device(tmp_path: Path)
             assert station.poll() is None
             time.sleep(0.1)  # looks at a file that another process writes
         os.kill(station.pid, signal.SIGSTOP)
-        time.sleep(1.5)  # what is tried
+        time.sleep(1.55)  # what is tried; the lag counts from the first sleep that was to end, up to 0.15 s later
         os.kill(station.pid, signal.SIGCONT)
         said: dict[str, Any] = json.loads(station.communicate(timeout=60)[0])
     if said["outcome"] == "FAULT":
-        # What sleeps when the stop begins is to wake within the next 0.2 s, and is late by the rest of the stop.
-        assert re.match(r"host: this computer fell behind by 1[3-5]\d\d ms", said["reason"]), said["reason"]
+        assert re.match(r"host: this computer fell behind by 1[45]\d\d ms", said["reason"]), said["reason"]
     else:
         assert said["outcome"] in ("ESTIMATED", "FAIL"), said["reason"]
     assert "fell silent" not in said["reason"].partition("host:")[0]
