@@ -139,12 +139,11 @@ def _conclude(
     told = out_of_sample(search.runs, Augmented.of(evidence, parts, weight), evidence.shapes)
     named = [part if _of_the_comparison(search, part) else _proven(part, told.get(part.term.name)) for part in parts]
     doubtful = [part for part in named if part.probability < CERTAIN]
-    borne_out = _borne_out(
-        search, [part for part in named if part.probability >= CERTAIN], held_back, verification, weight
-    )
+    likely = [part for part in named if part.probability >= CERTAIN]
+    borne_out = _borne_out(search, likely, held_back, verification, weight)
     certain, taken_back, after = borne_out.parts, borne_out.taken_back, borne_out.after
     opened, errors = borne_out.opened, borne_out.errors
-    before, wider = (Augmented.of(evidence, own, weight) for own in ([], [*certain, *doubtful]))
+    before, wider = borne_out.before, Augmented.of(evidence, [*certain, *doubtful], weight)
     terms = [part.term for part in certain if part.tone is None]
     between = between_recordings(search, terms)
     fitted, verified = _left(search.runs, 0, before, after), _left(held_back, len(search.runs), before, after)
@@ -203,10 +202,11 @@ def _conclude(
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class _BorneOut:
-    """Effects that the verification run supports, what was taken back, the model ``after`` and its errors."""
+    """Effects that the verification run supports, what was taken back, models without and with them, their errors."""
 
     parts: list[Part]
     taken_back: list[str]
+    before: Augmented
     after: Augmented
     opened: OpenWorld
     errors: Judged
@@ -233,7 +233,9 @@ def _borne_out(
         errors = judged(search, before, after, held_back, verification, opened)
         grown = errors.improvement is not None and errors.improvement.ratio <= 1
         if not (held_back and named and grown):
-            return _BorneOut(parts=certain, taken_back=taken_back, after=after, opened=opened, errors=errors)
+            return _BorneOut(
+                parts=certain, taken_back=taken_back, before=before, after=after, opened=opened, errors=errors
+            )
         worst = min(named, key=lambda part: (not part.candidate.law, part.probability))  # laws before names
         certain = [part for part in certain if part is not worst]
         taken_back = [*taken_back, worst.called]
@@ -324,7 +326,7 @@ def _together(model: Augmented, where: slice) -> float:
 
 
 def _of_pieces(part: Part) -> bool:
-    """Return whether an effect is a function in pieces, whose numbers need not be known each by itself."""
+    """Return whether an effect is a law of several terms, whose numbers need not be known each by itself."""
     return bool(part.candidate.law) and part.width > 1
 
 

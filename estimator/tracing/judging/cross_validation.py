@@ -166,11 +166,14 @@ def judged(
     errors = with_structure(runs, first, (before, after), bare, drawn(runs, first, before, after, true, misfit))
     found = judge(runs, first, before, after, True, errors)
     squares = sum_of(errors.values()).after
-    return replace(
-        found,
-        understated=float(np.mean(squares > _TWICE**2 * expected_squares(runs, first, after))),
-        formless=float(np.mean(squares > _LIKE**2 * expected_squares(runs, first, after, forms_known=True))),
-    )
+    candidates = [part.candidate for part in after.parts]
+    if any(candidate.law for candidate in candidates):
+        expected = expected_squares(runs, first, after)
+        found = replace(found, understated=float(np.mean(squares > _TWICE**2 * expected)))
+    if any(candidate.flexible for candidate in candidates):
+        expected = expected_squares(runs, first, after, forms_known=True)
+        found = replace(found, formless=float(np.mean(squares > _LIKE**2 * expected)))
+    return found
 
 
 def _noise_beside_anything(search: Search, after: Augmented, opened: OpenWorld | None) -> Augmented:

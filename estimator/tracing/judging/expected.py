@@ -17,13 +17,18 @@ def expected_squares(runs: Sequence[Run], first: int, model: Augmented, *, forms
     """
     total = 0.0
     for g, name in enumerate(model.names):
-        open_directions = _open_directions(model, g) if forms_known else np.eye(len(model.mean[g]))
-        precision = np.linalg.inv(model.covariance[g])
-        covariance = np.linalg.inv(open_directions.T @ precision @ open_directions)
+        covariance = _with_forms_known(model, g) if forms_known else model.covariance[g]
         for number, run, i in with_gyro(runs, name):
-            columns = model.columns(run, first + number, i)[run.weight > 0] @ open_directions
+            columns = model.columns(run, first + number, i)[run.weight > 0]
             total += float(np.einsum("bi,ij,bj->", columns, covariance, columns))
     return total
+
+
+def _with_forms_known(model: Augmented, gyro: int) -> Floats:
+    """Return the covariance (c, c) of the parameters of a gyro if flexible laws are of known form."""
+    directions = _open_directions(model, gyro)
+    precision = np.linalg.inv(model.covariance[gyro])
+    return np.asarray(directions @ np.linalg.inv(directions.T @ precision @ directions) @ directions.T)
 
 
 def _open_directions(model: Augmented, gyro: int) -> Floats:
