@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from estimator.effects.constructed import constructed
+from estimator.estimation.evidence import Term
+from estimator.tracing.augmented import Augmented, Part
+from estimator.tracing.candidates import Candidate
+from estimator.tracing.judging.expected import expected_squares
 from estimator.tracing.laws.needed import needed
 
 NODES = np.linspace(-0.95, 0.95, 39)
@@ -47,3 +52,20 @@ def test_what_more_terms_cost_is_told_by_how_many_choices_there_were() -> None:
     found = needed(products, with_rest)
     assert len(found.terms) == 1
     assert np.isclose(np.exp(found.log_tries), len(NODES) ** 2)  # as likely one term as two, and which one it is
+
+
+def test_a_gyro_that_feels_nothing_of_a_flexible_law_has_an_expected_error() -> None:
+    law = Candidate("law", constructed("abs(u)+(u); abs(u-1)+(u-1)", (1.0, 1.0)), flexible=True)
+    states_and_law = np.zeros((2, 6))
+    states_and_law[0, 4:] = 0.3, -0.1
+    model = Augmented(
+        names=("gyro1", "gyro2"),
+        mean=states_and_law,
+        covariance=np.array([np.eye(6)] * 2),
+        parts=(Part(law, Term("law", (5, 6), False)),),
+        prior=np.ones((2, 4)),
+        arw=np.ones(2),
+        instability=0.0,
+        walk=0.0,
+    )
+    assert expected_squares([], 0, model, forms_known=True) == 0.0
