@@ -13,8 +13,9 @@ from estimator.errors import RecordingError
 from estimator.geometry.array import SensorArray
 from estimator.geometry.model import Prior, regressor_maps
 from estimator.observations.rows import observations
+from estimator.recordings.motion.body_rates import GAP_NS
 from estimator.recordings.recording import ImuData, Recording
-from estimator.recordings.reference import GAP_NS, Poses, Turns
+from estimator.recordings.reference import Poses, Turns
 from estimator.types import Floats
 
 _LEAST_NOISE_RPS = 1e-9  # below any gyro; without noise at all the information has no inverse

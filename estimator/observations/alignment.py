@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from estimator.geometry.kinematics import Site
 from estimator.geometry.noise import SD_OF_MEDIAN
 from estimator.observations.turned import Turned, by_turns
+from estimator.recordings.motion.body_rates import BodyRates
 from estimator.recordings.recording import ImuData
-from estimator.recordings.reference import BodyRates, Poses, Reference, TableReadings, Turns
+from estimator.recordings.reference import Poses, Reference, TableReadings, Turns
 from estimator.types import Flags, Floats
 
 LONGEST_S = 0.3

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from estimator.geometry.array import SensorArray
 from estimator.geometry.model import regressor_maps
-from estimator.recordings.growing_rows import GrowingRows
+from estimator.recordings.motion.growing_rows import GrowingRows
 from estimator.types import Floats
 
 

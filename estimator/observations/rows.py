@@ -8,15 +8,9 @@ import numpy as np
 from estimator.observations.attitude import rates_from_attitude
 from estimator.observations.blocks import Blocks, BlockSums
 from estimator.observations.turned import Turned, by_turns
+from estimator.recordings.motion.body_rates import BodyRates
 from estimator.recordings.recording import ImuData, Recording
-from estimator.recordings.reference import (
-    AttitudeReadings,
-    BodyRates,
-    RateReadings,
-    Reference,
-    TableReadings,
-    Turns,
-)
+from estimator.recordings.reference import AttitudeReadings, RateReadings, Reference, TableReadings, Turns
 from estimator.types import Floats, Stamps, least_steps
 
 BLOCK_S = 0.2

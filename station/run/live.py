@@ -9,8 +9,9 @@ from drivers.types import Floats, Stamps
 from estimator.estimation.live.filter import Innovation
 from estimator.estimation.live.source import LiveSource
 from estimator.geometry.kinematics import Site, body_rate
-from estimator.recordings.growing_rows import GrowingRows
-from estimator.recordings.reference import BodyRates, TableReadings, TableUncertainty
+from estimator.recordings.motion.body_rates import BodyRates
+from estimator.recordings.motion.growing_rows import GrowingRows
+from estimator.recordings.reference import TableReadings, TableUncertainty
 from station.run.table_watch import TableRow
 
 _ROWS_AT_ONCE = 20  # table readings are taken in by handfuls: a second at 20 Hz

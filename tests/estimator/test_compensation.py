@@ -21,7 +21,8 @@ from estimator.errors import RecordingError
 from estimator.estimation.calibrate import calibrate
 from estimator.geometry.array import SensorArray, dodecahedron, tetrahedron, triad
 from estimator.geometry.kinematics import GRAVITY_MPS2
-from estimator.recordings.reference import BodyRates, TableReadings
+from estimator.recordings.motion.body_rates import BodyRates
+from estimator.recordings.reference import TableReadings
 from estimator.recordings.writing import write_recording
 from sims.physics.hidden import Hidden
 from station.opening import DeviceTruth

@@ -7,7 +7,8 @@ import pytest
 
 from estimator.errors import RecordingError
 from estimator.geometry.kinematics import Site, body_rate
-from estimator.recordings.reference import GAP_NS, BodyRates, TableReadings, TableUncertainty
+from estimator.recordings.motion.body_rates import GAP_NS, BodyRates
+from estimator.recordings.reference import TableReadings, TableUncertainty
 
 DEG = np.pi / 180
 COUNT_RAD = 2 * np.pi / 65536

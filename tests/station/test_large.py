@@ -17,8 +17,8 @@ from estimator.errors import RecordingError
 from estimator.estimation.live.source import LiveSource
 from estimator.geometry.array import triad
 from estimator.geometry.model import Prior
+from estimator.recordings.motion.body_rates import BodyRates
 from estimator.recordings.reading import read_recording
-from estimator.recordings.reference import BodyRates
 from estimator.recordings.writing import write_recording
 from station.run.live import LiveEstimate
 from station.run.table_watch import TableRow

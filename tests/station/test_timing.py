@@ -8,7 +8,7 @@ from reversals import Case as Reversal, Motion, ended as reversed_run
 from timing import CASES, ended
 
 from drivers.types import AxisState
-from estimator.recordings.reference import BodyRates
+from estimator.recordings.motion.body_rates import BodyRates
 from sims.physics.motion import AxisMotion
 from station.run.live import LiveEstimate
 from station.run.table_watch import Aligner

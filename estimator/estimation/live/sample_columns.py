@@ -13,8 +13,9 @@ from estimator.estimation.gram import Solution
 from estimator.geometry.array import SensorArray
 from estimator.geometry.kinematics import Site
 from estimator.geometry.model import Prior, regressor_maps
+from estimator.recordings.motion.body_rates import BodyRates
 from estimator.recordings.recording import ImuData, Recording
-from estimator.recordings.reference import BodyRates, TableReadings
+from estimator.recordings.reference import TableReadings
 from estimator.types import Floats, Stamps
 
 _ON_A_TABLE = frozenset({"gimbals", "specific force", "temperature"})

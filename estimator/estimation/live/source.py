@@ -19,9 +19,10 @@ from estimator.geometry.model import Prior, decode
 from estimator.observations.blocks import Blocks, BlockSums
 from estimator.observations.rows import BLOCK_S
 from estimator.observations.timing import expected_sd_s
-from estimator.recordings.growing_rows import GrowingRows
+from estimator.recordings.motion.body_rates import BodyRates
+from estimator.recordings.motion.growing_rows import GrowingRows
 from estimator.recordings.recording import ImuData, Recording, possible
-from estimator.recordings.reference import BodyRates, TableReadings
+from estimator.recordings.reference import TableReadings
 from estimator.types import Floats, Stamps
 
 RECENT_S = 30.0

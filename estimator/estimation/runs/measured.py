@@ -15,8 +15,9 @@ from estimator.estimation.runs.run import BLOCK_S
 from estimator.observations.blocks import BlockSums
 from estimator.observations.rows import table_rows
 from estimator.observations.turned import Turned
+from estimator.recordings.motion.body_rates import BodyRates
 from estimator.recordings.recording import ImuData, Recording
-from estimator.recordings.reference import BodyRates, TableReadings
+from estimator.recordings.reference import TableReadings
 from estimator.types import Floats
 
 _FINE_S = 0.005  # samples closer than this share one lookup of the earlier rate

@@ -5,8 +5,9 @@ import numpy as np
 from estimator.effects.conditions import Conditions
 from estimator.geometry.kinematics import AXES, GRAVITY_MPS2, specific_force
 from estimator.observations.turned import Turned, by_turns
+from estimator.recordings.motion.body_rates import BodyRates
 from estimator.recordings.recording import ImuData, Recording
-from estimator.recordings.reference import AttitudeReadings, BodyRates, TableReadings
+from estimator.recordings.reference import AttitudeReadings, TableReadings
 from estimator.types import Floats
 
 GRID_S = 0.02  # spacing of the instants for conditions, within blocks

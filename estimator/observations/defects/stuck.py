@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from estimator.recordings.motion.body_rates import BodyRates
 from estimator.recordings.recording import ImuData, Recording
-from estimator.recordings.reference import BodyRates, TableReadings
+from estimator.recordings.reference import TableReadings
 from estimator.types import Flags, runs_of
 
 _LONG_S, _AWRY_NS = 1.0, 400_000_000  # stamps may be off the table's by the second, so that a rest is not "stuck"
