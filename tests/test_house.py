@@ -1,7 +1,7 @@
 """The sizes that keep the house easy to find one's way in."""
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -91,20 +91,38 @@ def test_no_import_runs_in_a_circle_not_even_for_types() -> None:
 
 def test_nothing_but_the_kinds_of_steps_asks_of_which_kind_a_step_is() -> None:
     kinds = ROOT / "station" / "scripts" / "steps"
-    bases = {"Step"}
-    for path in sorted(kinds.glob("*.py")):
+    steps = _subclasses("Step", sorted(kinds.glob("*.py")))
+    assert {"Rest", "Move", "Rotate"} < steps
+    assert not [place for path, place in _places_that_ask_for(steps) if kinds not in path.parents]
+
+
+MOST_ASKING_FOR_REFERENCES = 35
+
+
+def test_few_places_ask_of_which_kind_a_reference_is() -> None:
+    """A reference is asked for what it can give, so that a new kind of it does not touch every module."""
+    readings = _subclasses("Reference", [ROOT / "estimator/recordings/reference.py"])
+    in_mappings = {"Measured", "Rests", "StatedTurns"}
+    assert {"TableReadings", "RateReadings", "Turns"} < readings
+    assert len(list(_places_that_ask_for(readings | in_mappings))) <= MOST_ASKING_FOR_REFERENCES
+
+
+def _subclasses(base: str, paths: Iterable[Path]) -> set[str]:
+    """Return the name of a class and those of the classes in some modules that derive from it."""
+    found = {base}
+    for path in paths:
         for node in nodes_of(path):
-            if isinstance(node, ast.ClassDef) and any(isinstance(b, ast.Name) and b.id == "Step" for b in node.bases):
-                bases.add(node.name)
-    assert {"Rest", "Move", "Rotate"} < bases
-    asking = {
-        f"{named(path)}, line {node.lineno}"
-        for path in modules()
-        if kinds not in path.parents
-        for node in nodes_of(path)
-        if isinstance(node, ast.Call | ast.MatchClass) and bases & set(_classes_asked_for(node))
-    }
-    assert not asking
+            if isinstance(node, ast.ClassDef) and any(isinstance(b, ast.Name) and b.id == base for b in node.bases):
+                found.add(node.name)
+    return found
+
+
+def _places_that_ask_for(classes: set[str]) -> Iterator[tuple[Path, str]]:
+    """Yield each module and place that compares a value with one of some classes."""
+    for path in modules():
+        for node in nodes_of(path):
+            if isinstance(node, ast.Call | ast.MatchClass) and classes & set(_classes_asked_for(node)):
+                yield path, f"{named(path)}, line {node.lineno}"
 
 
 def _classes_asked_for(node: ast.Call | ast.MatchClass) -> Iterator[str]:

@@ -22,13 +22,12 @@ from estimator.observations.coverage import coverage, coverage_notes
 from estimator.observations.defects.examined import examined
 from estimator.observations.defects.reading_doubts import reading_doubts
 from estimator.observations.defects.stuck import stuck_doubts
-from estimator.observations.foreign import at_rest, factor_notes, foreign_motion_notes, sparse_doubts
+from estimator.observations.foreign import factor_notes, foreign_motion_notes, sparse_doubts
 from estimator.observations.health import Excluded
 from estimator.observations.rests import motion_notes, rest_noise
 from estimator.packaged import sentence
 from estimator.recordings.memory import check_estimating
 from estimator.recordings.recording import Recording
-from estimator.recordings.reference import Poses, TableReadings, Turns
 
 _CHANCE = 4.0  # standard deviations of the scatter of block means
 _NEAR = 0.05  # accuracy of the estimated noise, in addition
@@ -70,8 +69,8 @@ def calibrate(
     effects = tuple(one for device in devices for one in device.undeclared)
     nis = _mean_nis(recording, model, estimates) if innovations else float("nan")
     doubts += _scatter_doubts(estimates)
-    if isinstance(recording.reference, TableReadings):
-        seen = [*reading_doubts(recording.reference), *stuck_doubts(recording)]
+    if recording.table is not None:
+        seen = [*reading_doubts(recording.table), *stuck_doubts(recording)]
         spoilt, doubts = [*seen, *spoilt], [*seen, *doubts]
     constancy = coverage(recording, [data for _, data in sources])
     notes += [*undeclared_notes(effects, gyros), *coverage_notes(constancy), *_parity_notes(checks)]
@@ -101,7 +100,7 @@ def _gyro_notes(recording: Recording, gyros: Sequence[tuple[SourceEstimate, Gyro
     note.
     """
     notes: list[str] = []
-    for one, gyro in gyros if not at_rest(recording.reference) else ():
+    for one, gyro in gyros if not recording.reference.at_rest else ():
         notes += unseen_notes(gyro.name, gyro.type_a, one.data.prior)
         notes += factor_notes(gyro.name, float(gyro.states[0]), float(gyro.sd[0]))
     return notes
@@ -160,9 +159,10 @@ def _device(
     Poses are estimated from gravity, turns without a model under white noise, all others under coloured noise. Where
     there is too little data for coloured noise, white noise is used instead; with a model TooShort is raised.
     """
-    if isinstance(recording.reference, Poses):
-        return estimate_laid(recording.reference, sources)
-    if not isinstance(recording.reference, Turns) or model is not None:
+    poses = recording.reference.poses
+    if poses is not None:
+        return estimate_laid(poses, sources)
+    if recording.turns is None or model is not None:
         try:
             return estimate_device(recording, sources, model, excluded)
         except TooShort:
@@ -177,14 +177,14 @@ def _gyros(recording: Recording, found: SourceEstimate) -> list[GyroCalibration]
     The uncertainty of the table is added only for table readings. A line that the estimate holds already (the time
     offset) replaces the line of that name which the table states.
     """
-    reference, data, m = recording.reference, found.data, len(found.data.array)
+    data, m = found.data, len(found.data.array)
     table: list[tuple[Contribution, ...]] = [()] * m
     rests: list[SensorNoise | None] = [None] * m
-    if isinstance(reference, TableReadings):
+    if recording.table is not None:
         arw = np.array([one.mean.arw if one else 0.0 for one in found.noise])
-        table = table_budget(reference, recording.site, data.array, data.prior, arw)
-    if isinstance(reference, TableReadings) or at_rest(reference):
-        rests = [*rest_noise(data, reference)] or rests
+        table = table_budget(recording.table, recording.site, data.array, data.prior, arw)
+    if recording.table is not None or recording.reference.at_rest:
+        rests = [*rest_noise(data, recording.reference)] or rests
     gyros = []
     for i, name in enumerate(data.array.names):
         own = found.lines[i]  # the time offset, if it was estimated, replaces the table's stated timing

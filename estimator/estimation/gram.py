@@ -15,7 +15,6 @@ from estimator.geometry.model import Prior, regressor_maps
 from estimator.observations.rows import observations
 from estimator.recordings.motion.body_rates import GAP_NS
 from estimator.recordings.recording import ImuData, Recording
-from estimator.recordings.reference import Poses, Turns
 from estimator.types import Floats
 
 _LEAST_NOISE_RPS = 1e-9  # below any gyro; without noise at all the information has no inverse
@@ -108,13 +107,15 @@ def gram_of(recording: Recording, source: str, data: ImuData) -> Gram:
     gram = Gram.empty(len(data.array))
     for part in observations(recording, data):
         gram += Gram.of(part.w_rps, part.y_rps, part.weight)
-    if isinstance(recording.reference, Turns) and gram.rows < 4:
+    turns = recording.turns
+    if turns is not None and gram.rows < 4:
         raise RecordingError(
-            f"{recording.name}: {gram.rows} of {len(recording.reference.sd_rad)} turns hold samples of {source}: "
+            f"{recording.name}: {gram.rows} of {len(turns.sd_rad)} turns hold samples of {source}: "
             "four states per gyro need at least four turns or rests"
         )
-    if not isinstance(recording.reference, Turns | Poses) and gram.rows < 8:
-        step_s = float(np.median(np.diff(recording.reference.t_ns, prepend=0))) * 1e-9
+    instants_ns = recording.reference.instants_ns
+    if instants_ns is not None and gram.rows < 8:
+        step_s = float(np.median(np.diff(instants_ns, prepend=0))) * 1e-9
         seldom = f", whose readings are {step_s:.3g} s apart: read it more often" if step_s > GAP_NS * 1e-9 else ""
         raise RecordingError(
             f"{recording.name}: source {source} has {len(data.t_ns)} samples, {gram.rows} of them with "

@@ -30,13 +30,12 @@ from estimator.geometry.model import regressor_maps
 from estimator.geometry.noise import NoiseModel
 from estimator.observations.alignment import body_turned, delay_by_motion
 from estimator.observations.blocks import Blocks, block_squares
-from estimator.observations.foreign import CLUSTER_S, COLOURED, FEWEST_CLUSTERS, at_rest
+from estimator.observations.foreign import CLUSTER_S, COLOURED, FEWEST_CLUSTERS
 from estimator.observations.rows import BLOCK_S, coarser, row_length_s, sample_noise, source_blocks
 from estimator.observations.timing import TimeOffset, expected_sd_s
-from estimator.observations.turned import by_turns
 from estimator.packaged import sentence
 from estimator.recordings.recording import ImuData, Recording
-from estimator.recordings.reference import Poses, RateReadings, TableReadings, Turns
+from estimator.recordings.reference import RateReadings, TableReadings
 from estimator.types import Floats
 
 EFFECTS = "effects"
@@ -59,24 +58,25 @@ def check_model(model: ErrorModel, recording: Recording) -> None:
     Raises ModelError for poses, and for turns with an effect that acts within turns or fewer than ``FEWEST_TURNS``
     turns. For all other references it does nothing.
     """
-    if isinstance(recording.reference, Poses):
+    if recording.reference.poses is not None:
         raise ModelError(f"{recording.name}: effects cannot be estimated from gravity between rests. Leave out --model")
-    if not isinstance(recording.reference, Turns):
+    turns = recording.turns
+    if turns is None:
         return
     within = [known.called for known in model.effects if known.record.within_turns]
     if within:
         raise ModelError(sentence("estimation.within_turns", recording=recording.name, effects=", ".join(within)))
-    if len(recording.reference.sd_rad) < FEWEST_TURNS:
+    if len(turns.sd_rad) < FEWEST_TURNS:
         raise ModelError(
-            f"{recording.name}: {len(recording.reference.sd_rad)} turns are too few to estimate effects in addition "
+            f"{recording.name}: {len(turns.sd_rad)} turns are too few to estimate effects in addition "
             f"to the states; at least {FEWEST_TURNS} are needed. Leave out --model"
         )
 
 
 def is_external(recording: Recording) -> bool:
     """Return whether the reference is another moving instrument, whose stamps and errors are unknown."""
-    own = isinstance(recording.reference, TableReadings) and "bench" in recording.attributes
-    return not own and not at_rest(recording.reference) and not isinstance(recording.reference, Turns)
+    own = recording.table is not None and "bench" in recording.attributes
+    return not own and not recording.reference.at_rest and recording.turns is None
 
 
 def estimate_device(
@@ -170,7 +170,7 @@ def _aligned(
     ``_MOST_STEPS``. At rest, for turns and with a model that holds a delay nothing is moved.
     """
     # A model with a delay estimates it itself.
-    timed = not at_rest(recording.reference) and not isinstance(recording.reference, Turns)
+    timed = not recording.reference.at_rest and recording.turns is None
     timed &= model is None or all(known.record.acts is not Acts.STAMPS for known in model.effects)
     begun_s = {name: _delay_by_motion(recording, data) if timed else 0.0 for name, data in sources}
     delays_s = dict(begun_s)
@@ -202,7 +202,7 @@ def _aligned(
 
 def _delay_by_motion(recording: Recording, data: ImuData) -> float:
     """Return the delay in s at which the search begins, 0 for a table's own readings."""
-    if not by_turns(recording.reference):
+    if not recording.reference.by_turns:
         return 0.0
     return delay_by_motion(data, recording.reference, recording.site)
 
@@ -240,7 +240,7 @@ def _run(recording: Recording, number: int, source: str, data: ImuData) -> Run:
     run = run_of(recording, source, named)
     if run is None:
         raise TooShort(sentence("estimation.short_for_effects", recording=recording.name, source=source))
-    if at_rest(recording.reference):  # Earth rate is too slow to distinguish k from other effects
+    if recording.reference.at_rest:  # Earth rate is too slow to distinguish k from other effects
         return replace(run, w_rps=np.zeros_like(run.w_rps))
     return run
 
@@ -267,10 +267,12 @@ def _hz(known: KnownEffect) -> float | None:
 
 def _delay_law(recording: Recording, source: str, taken_off_s: float) -> Law:
     """Return the law of a source's time offset, of which ``taken_off_s`` beyond the expected one was subtracted."""
-    reference, sd_s, line = recording.reference, expected_sd_s(), ""
-    if isinstance(reference, TableReadings):
-        stated = reference.uncertainty
-        sd_s = expected_sd_s(stated.timing_s if stated else 0.0, reference.half_width_ns)
+    table = recording.table
+    sd_s = expected_sd_s()
+    line = ""
+    if table is not None:
+        stated = table.uncertainty
+        sd_s = expected_sd_s(stated.timing_s if stated else 0.0, table.half_width_ns)
         line = _TIMING if stated else ""
     return Law(
         called=_DELAY,
@@ -298,7 +300,7 @@ def _offset_notes(recording: Recording, offsets: dict[str, TimeOffset], external
     """Return, in sentences, the time offsets beyond chance and, of a table, beyond its stated timing; none if not
     stated.
     """
-    stated = recording.reference.uncertainty if isinstance(recording.reference, TableReadings) else None
+    stated = recording.table.uncertainty if recording.table is not None else None
     notes = []
     for source, found in offsets.items():
         sure = np.hypot(found.sd_s, stated.timing_s if stated else 0.0)
@@ -340,7 +342,7 @@ def _estimated(
     if isinstance(recording.reference, (TableReadings, RateReadings)) and not (coarse and m < _REDUNDANT):
         blocks = source_blocks(recording, data, block_s)
         begin_s = float(recording.reference.t_ns[0]) * 1e-9
-        if at_rest(recording.reference):
+        if recording.reference.at_rest:
             blocks = replace(blocks, w_rps=np.zeros_like(blocks.w_rps))
         said_rps = np.einsum("mbp,mp->mb", columns, values)
         if said_rps.any():

@@ -16,7 +16,7 @@ from estimator.observations.rows import row_length_s, sample_noise
 from estimator.observations.timing import TimeOffset
 from estimator.packaged import sentence
 from estimator.recordings.recording import ImuData, Recording
-from estimator.recordings.reference import Poses, Turns
+from estimator.recordings.reference import Poses
 from estimator.types import Floats
 
 Sources = Sequence[tuple[str, ImuData]]
@@ -71,7 +71,7 @@ def estimate_white(recording: Recording, source: str, data: ImuData) -> SourceEs
     """
     gram, m = gram_of(recording, source, data), len(data.array)
     noise = None
-    if isinstance(recording.reference, Turns):  # a few rows: their uncertainty is stated, not estimated
+    if recording.turns is not None:  # a few rows: their uncertainty is stated, not estimated
         # The rows are weighted by the noise of the worst channel, so the noise is relative to that.
         noise = np.maximum(sample_noise(data).max(), solve(gram, data.array, data.prior).noise_rps)
     found = solve(gram, data.array, data.prior, noise)

@@ -29,7 +29,6 @@ from estimator.estimation.runs.run import Run
 from estimator.geometry.kinematics import GRAVITY_MPS2
 from estimator.geometry.model import STATES, Prior
 from estimator.packaged import sentence
-from estimator.recordings.reference import TableReadings
 from estimator.types import Floats
 
 _SHARE = 1 / 3  # of the largest plausible size of a parameter is its expected standard deviation
@@ -76,13 +75,13 @@ def undeclared(runs: Sequence[Run], excluded: frozenset[str]) -> Undeclared:
     reference_c = nearest_c if "temperature" in offers else float(warm.mean())
     runs = [replace(run, grid=replace(run.grid, reference_c=reference_c)) for run in runs]
     grid = runs[0].grid
-    reference = runs[0].recording.reference
+    table = runs[0].recording.table
     stated = {TONE.name}  # a line passes by steady rates that last many of its periods
     if runs[0].recording.several_files:
         stated.add(BIAS_STEP.name)  # that from file to file is in the noise
     if grid.site is not None or not grid.gimbals:
         stated.add(EARTH_RATE.name)
-    if isinstance(reference, TableReadings) and reference.uncertainty is not None:
+    if table is not None and table.uncertainty is not None:
         stated |= {record.name for record in records() if record.of_table}
     one_pose = all(_one_pose(run) for run in runs)
     turns = any(run.turns for run in runs)

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from estimator.geometry.kinematics import Site
 from estimator.geometry.noise import SD_OF_MEDIAN
-from estimator.observations.turned import Turned, by_turns
+from estimator.observations.turned import Turned
 from estimator.recordings.motion.body_rates import BodyRates
 from estimator.recordings.recording import ImuData
-from estimator.recordings.reference import Poses, Reference, TableReadings, Turns
+from estimator.recordings.reference import Reference
 from estimator.types import Flags, Floats
 
 LONGEST_S = 0.3
@@ -222,14 +222,15 @@ def _followed(data: ImuData, reference: Reference, site: Site | None) -> Followi
 
 def body_turned(reference: Reference, site: Site | None) -> Turned | None:
     """Return the integrated motion of a body; None if a reference does not give it at all instants."""
-    if isinstance(reference, (Turns, Poses)) or len(reference.t_ns) < 2:
+    if reference.instants_ns is None or len(reference.instants_ns) < 2:
         return None
-    if by_turns(reference):
+    if reference.by_turns:
         return Turned.of_reference(reference, site)
-    assert isinstance(reference, TableReadings)
-    rates = BodyRates.of(reference, site)
-    inside = (reference.t_ns >= rates.starts_ns) & (reference.t_ns <= rates.final_until_ns)
-    t_ns = reference.t_ns[inside]
+    table = reference.table
+    assert table is not None, "readings at instants are those of a table or of another instrument"
+    rates = BodyRates.of(table, site)
+    inside = (table.t_ns >= rates.starts_ns) & (table.t_ns <= rates.final_until_ns)
+    t_ns = table.t_ns[inside]
     return Turned.of_rates(t_ns, rates.at(t_ns)) if len(t_ns) > 1 else None
 
 

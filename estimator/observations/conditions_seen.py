@@ -2,9 +2,7 @@
 
 import numpy as np
 
-from estimator.observations.attitude import rates_from_attitude
 from estimator.recordings.recording import Recording
-from estimator.recordings.reference import AttitudeReadings, Poses, TableReadings, Turns
 from estimator.types import Floats
 
 _STILL_DPS = 0.5
@@ -29,17 +27,17 @@ def holds_for(recording: Recording) -> str:
 
 def _rates_rps(recording: Recording) -> list[Floats]:
     """Return the rates (k,) about x, y, z; for a table those of its axes."""
-    reference = recording.reference
-    if isinstance(reference, TableReadings):
-        of_axis = dict(zip(reference.gimbals, reference.rate_rps.T, strict=True))
+    table = recording.table
+    rates = recording.reference.external_rates()
+    if table is not None:
+        of_axis = dict(zip(table.gimbals, table.rate_rps.T, strict=True))
         return [of_axis.get(axis, np.zeros(1)) for axis in "xyz"]
-    if isinstance(reference, Turns):
-        seconds = (reference.t_end_ns - reference.t_start_ns)[:, None] * 1e-9
-        return list((reference.turn_rad / np.maximum(seconds, 1e-9)).T)
-    if isinstance(reference, Poses):
-        data = next(iter(recording.sources.values()))
-        return list((data.rate_rps @ np.linalg.pinv(data.array.p).T).T)
-    return list((rates_from_attitude(reference) if isinstance(reference, AttitudeReadings) else reference).rate_rps.T)
+    if recording.turns is not None:
+        return list(recording.turns.mean_rates_rps.T)
+    if rates is not None:
+        return list(rates.rate_rps.T)
+    data = next(iter(recording.sources.values()))  # between poses only the gyros measure
+    return list((data.rate_rps @ np.linalg.pinv(data.array.p).T).T)
 
 
 def _limits(rate: Floats) -> tuple[float, float]:

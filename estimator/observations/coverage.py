@@ -13,12 +13,10 @@ from typing import Any
 import numpy as np
 
 from estimator.geometry.kinematics import AXES, body_rate
-from estimator.observations.attitude import rates_from_attitude
-from estimator.observations.rests import REST_RPS
 from estimator.observations.rows import MEAN_S
 from estimator.packaged import sentence
 from estimator.recordings.recording import ImuData, Recording
-from estimator.recordings.reference import AttitudeReadings, Poses, TableReadings, Turns
+from estimator.recordings.reference import REST_RPS, TableReadings
 from estimator.types import Floats, Stamps
 
 STATES_OF_TURNS = ("k", "sigma_j", "sigma_k")
@@ -205,20 +203,17 @@ def _middle(turning: _Turning, amount: Floats) -> tuple[float, float]:
 
 def _turnings(recording: Recording, data: ImuData) -> Iterator[_Turning]:
     """Yield the motion of the body as seen by a source, then that of the axes of a table."""
-    reference = recording.reference
-    if isinstance(reference, Turns):
-        start_ns = reference.t_start_ns.astype(np.float64)
-        end_ns = reference.t_end_ns.astype(np.float64)
-        lengths_s = np.maximum(end_ns - start_ns, 1.0)[:, None] * 1e-9
-        yield _Turning(start_ns, end_ns, reference.turn_rad / lengths_s)
-    elif isinstance(reference, Poses):  # only the gyros measure the turns by hand between them
+    turns = recording.turns
+    rates = recording.reference.external_rates()
+    if turns is not None:
+        yield _Turning(turns.t_start_ns.astype(np.float64), turns.t_end_ns.astype(np.float64), turns.mean_rates_rps)
+    elif recording.table is not None:
+        yield from _table_turnings(recording.table)
+    elif rates is not None:
+        yield _means(rates.t_ns.astype(np.float64), rates.rate_rps)
+    else:  # poses: only the gyros measure the turns by hand between them
         rate = np.nan_to_num(data.rate_rps - np.nanmedian(data.rate_rps, axis=0))
         yield _means(data.t_ns.astype(np.float64), rate @ np.linalg.pinv(data.array.p).T)
-    elif isinstance(reference, TableReadings):
-        yield from _table_turnings(reference)
-    else:
-        rates = rates_from_attitude(reference) if isinstance(reference, AttitudeReadings) else reference
-        yield _means(rates.t_ns.astype(np.float64), rates.rate_rps)
 
 
 def _table_turnings(readings: TableReadings) -> Iterator[_Turning]:

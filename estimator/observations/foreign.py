@@ -1,17 +1,13 @@
 """Notes on a calibration against another instrument: an attitude, a rate, an encoder."""
 
-from typing import TypeGuard
-
 import numpy as np
 
 from estimator.geometry.kinematics import axis_text
-from estimator.observations.attitude import rates_from_attitude
-from estimator.observations.rests import REST_RPS
 from estimator.observations.rows import MEAN_S
 from estimator.observations.turned import Turned
 from estimator.packaged import sentence
 from estimator.recordings.recording import Recording
-from estimator.recordings.reference import AttitudeReadings, RateReadings, Reference
+from estimator.recordings.reference import RateReadings
 
 CLUSTER_S = 5.0
 """Length over which residuals against a foreign reference may hang together without the sigma being wrong."""
@@ -23,26 +19,17 @@ _TURNED = 1e-3  # share of the largest mean square rate from which on a directio
 _SELDOM = 1e-3  # that k may be off by
 
 
-def at_rest(reference: Reference) -> TypeGuard[RateReadings]:
-    """Return whether a reference never reports rotation faster than the Earth's."""
-    if not isinstance(reference, RateReadings):
-        return False
-    rate = reference.rate_rps[np.isfinite(reference.rate_rps).all(axis=1)]
-    return bool(len(rate) and (np.abs(rate) < REST_RPS).all())
-
-
 def foreign_motion_notes(recording: Recording) -> list[str]:
     """Return sentences on what the motion measured by a rate or attitude reference leaves unobserved.
 
     That is everything for a body at rest, and the other axes for one or two axes of turning; empty for other
     references.
     """
-    reference = recording.reference
-    if at_rest(reference):
+    if recording.reference.at_rest:
         return [sentence("observations.rests_only")]
-    if not isinstance(reference, (RateReadings, AttitudeReadings)):
+    rates = recording.reference.external_rates()
+    if rates is None:
         return []
-    rates = rates_from_attitude(reference) if isinstance(reference, AttitudeReadings) else reference
     rate = rates.rate_rps[np.isfinite(rates.rate_rps).all(axis=1)]
     if not len(rate):
         return []
@@ -60,7 +47,7 @@ def sparse_doubts(recording: Recording) -> list[str]:
     The gyros' own data, sampled at its instants only, are compared with all of them.
     """
     reference = recording.reference
-    if not isinstance(reference, RateReadings) or at_rest(reference):
+    if not isinstance(reference, RateReadings) or reference.at_rest:
         return []
     read_s = reference.t_ns * 1e-9
     step_s = float(np.median(np.diff(read_s, prepend=0.0)))

@@ -6,20 +6,16 @@ from estimator.errors import RecordingError
 from estimator.observations.allan.sensor import FORCE, RATE, SensorNoise, Series, sensor_noise
 from estimator.packaged import sentence
 from estimator.recordings.recording import ImuData, Recording
-from estimator.recordings.reference import AttitudeReadings, Poses, RateReadings, Reference, TableReadings, Turns
-from estimator.types import runs_of
-
-REST_RPS = float(np.radians(0.05))
-REST_S = 5.0
+from estimator.recordings.reference import REST_RPS, REST_S, Reference
 
 
-def rest_noise(data: ImuData, reference: TableReadings | RateReadings) -> list[SensorNoise]:
-    """Return the noise of each gyro of a source while the table rests; empty if it never rests for five seconds.
+def rest_noise(data: ImuData, reference: Reference) -> list[SensorNoise]:
+    """Return the noise of each gyro of a source while the body rests; empty if it never rests for five seconds.
 
     Empty, too, if an output is constant or silent, or more than a twentieth of the samples is missing.
     """
     try:
-        series = gyro_series(data, rest_spans(reference))
+        series = gyro_series(data, reference.rests_ns)
     except RecordingError:
         return []
     if not series.long_enough or series.constant or series.silent:
@@ -32,7 +28,7 @@ def sensor_series(recording: Recording) -> tuple[dict[str, list[Series]], list[s
 
     RecordingError, with what to do, if no rest is known.
     """
-    spans = known_rests(recording.reference)
+    spans = recording.reference.rests_ns
     if not spans:
         raise RecordingError(sentence("allan.no_rest", recording=recording.name, length_s=REST_S))
     found: dict[str, list[Series]] = {}
@@ -62,37 +58,18 @@ def accelerometer_series(data: ImuData, spans_ns: list[tuple[int, int]]) -> Seri
     return Series.of(names, FORCE, data.t_ns, columns, spans_ns)
 
 
-def known_rests(reference: Reference) -> list[tuple[int, int]]:
-    """Return the spans (first, last) in ns of five seconds or more in which a reference says that the body rests."""
-    if isinstance(reference, TableReadings | RateReadings):
-        return rest_spans(reference)
-    if isinstance(reference, Poses):
-        pairs = zip(reference.t_start_ns.tolist(), reference.t_end_ns.tolist(), strict=True)
-        return [(first, last) for first, last in pairs if last - first >= REST_S * 1e9]
-    assert isinstance(reference, AttitudeReadings | Turns)
-    return []
-
-
-def rest_spans(reference: TableReadings | RateReadings) -> list[tuple[int, int]]:
-    """Return the spans (first, last) in ns of five seconds and more in which no axis of the table moves."""
-    rate_rps = reference.centred_rps if isinstance(reference, TableReadings) else reference.rate_rps
-    still = np.asarray((np.abs(rate_rps) < REST_RPS).all(axis=1))
-    found = [(int(reference.t_ns[a]), int(reference.t_ns[b - 1])) for a, b in runs_of(still)]
-    return [(a, b) for a, b in found if b - a >= REST_S * 1e9]
-
-
 def motion_notes(recording: Recording) -> list[str]:
     """Return sentences on what the motion of the table leaves unobserved; empty for other references."""
-    reference = recording.reference
-    if not isinstance(reference, TableReadings):
+    table = recording.table
+    if table is None:
         return []
-    fastest_rps = np.abs(reference.rate_rps).max(axis=0, initial=0.0).tolist()
-    moving = sorted(axis for axis, most in zip(reference.gimbals, fastest_rps, strict=True) if most > 10 * REST_RPS)
+    fastest_rps = np.abs(table.rate_rps).max(axis=0, initial=0.0).tolist()
+    moving = sorted(axis for axis, most in zip(table.gimbals, fastest_rps, strict=True) if most > 10 * REST_RPS)
     notes = []
     if not moving:
         notes.append(sentence("observations.table_rests"))
     elif len(moving) < 3:
         notes.append(sentence("observations.table_one_axis", axes=" and ".join(moving)))
-    if moving and not rest_spans(reference):
+    if moving and not table.rests_ns:
         notes.append(sentence("observations.no_rest", length_s=REST_S))
     return notes

@@ -5,12 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimator.observations.attitude import rates_from_attitude
 from estimator.observations.blocks import Blocks, BlockSums
-from estimator.observations.turned import Turned, by_turns
+from estimator.observations.turned import Turned
 from estimator.recordings.motion.body_rates import BodyRates
 from estimator.recordings.recording import ImuData, Recording
-from estimator.recordings.reference import AttitudeReadings, RateReadings, Reference, TableReadings, Turns
+from estimator.recordings.reference import RateReadings, Reference, TableReadings, Turns
 from estimator.types import Floats, Stamps, least_steps
 
 BLOCK_S = 0.2
@@ -50,15 +49,19 @@ def observations(recording: Recording, data: ImuData) -> Iterator[Observations]:
 
     None for poses, between which no rate is known (``poses``).
     """
-    reference = recording.reference
-    if isinstance(reference, TableReadings):
+    if recording.table is not None:
         yield from table_rows(recording, data)
-    elif isinstance(reference, RateReadings):
-        yield from _rate_rows(reference, data)
-    elif isinstance(reference, AttitudeReadings):
-        yield from _means(data, rates_from_attitude(reference), MEAN_S)
-    elif isinstance(reference, Turns):
-        yield turn_rows(data, reference)[0]
+        return
+    if recording.turns is not None:
+        yield turn_rows(data, recording.turns)[0]
+        return
+    rates = recording.reference.external_rates()
+    if rates is None:
+        return
+    if recording.reference.attitude is not None:
+        yield from _means(data, rates, MEAN_S)
+    else:
+        yield from _rate_rows(rates, data)
 
 
 def table_rows(recording: Recording, data: ImuData) -> Iterator[Observations]:
@@ -66,9 +69,9 @@ def table_rows(recording: Recording, data: ImuData) -> Iterator[Observations]:
 
     Where the table tells only how far it turned, its rates are means over short intervals.
     """
-    reference = recording.reference
-    assert isinstance(reference, TableReadings), "rows against a table need one"
-    if by_turns(reference):
+    reference = recording.table
+    assert reference is not None, "rows against a table need one"
+    if reference.by_turns:
         turned = Turned.of_reference(reference, recording.site)
         first_ns, last_ns = int(reference.t_ns[0]), int(reference.t_ns[-1])
         yield from _sampled(
@@ -148,7 +151,7 @@ def row_length_s(recording: Recording, data: ImuData) -> float:
     ``MEAN_S`` for an attitude; for rates the length of the means if their steps are coarse. Otherwise the median
     sampling period of ``data``, or ``BLOCK_S`` with fewer than two samples.
     """
-    if isinstance(recording.reference, AttitudeReadings):
+    if recording.reference.attitude is not None:
         return MEAN_S
     length_s = mean_length_s(recording.reference) if isinstance(recording.reference, RateReadings) else 0.0
     if length_s or len(data.t_ns) < 2:
@@ -160,7 +163,7 @@ def coarser(reference: Reference, data: ImuData) -> bool:
     """Return whether an external reference is read too seldom to give the rate at each sample; False for a table with
     rates.
     """
-    if not by_turns(reference):
+    if not reference.by_turns:
         return False
     if not isinstance(reference, RateReadings):
         return True

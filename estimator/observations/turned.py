@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.geometry.kinematics import AXES, Site, into_body
-from estimator.observations.attitude import rates_from_attitude
-from estimator.recordings.reference import AttitudeReadings, RateReadings, Reference, TableReadings
+from estimator.recordings.reference import Reference
 from estimator.types import Floats
 
 REST_RPS = 2e-3
@@ -71,21 +70,23 @@ class Turned:
         """Return the turn (k, 3) in body axes of an attitude, a rate, or a table with a single axis, Earth rate
         included by site.
         """
-        if isinstance(reference, AttitudeReadings):
-            rates = rates_from_attitude(reference)
-            t_s = np.asarray(reference.t_ns * 1e-9, dtype=np.float64)
+        attitude = reference.attitude
+        rates = reference.external_rates()
+        table = reference.table
+        if attitude is not None and rates is not None:
+            t_s = np.asarray(attitude.t_ns * 1e-9, dtype=np.float64)
             return cls.of_increments(t_s, rates.rate_rps * np.diff(t_s)[:, None])
-        if isinstance(reference, RateReadings):
-            still = np.nan_to_num(np.abs(reference.rate_rps)).max(initial=0.0) < REST_RPS
-            return cls.of_rates(reference.t_ns, reference.rate_rps, np.inf if still else None)  # rests are stated whole
-        assert isinstance(reference, TableReadings)
-        t_s = np.asarray(reference.t_ns * 1e-9, dtype=np.float64)
-        angle = np.unwrap(reference.angle_rad[:, 0])
+        if rates is not None:
+            still = np.nan_to_num(np.abs(rates.rate_rps)).max(initial=0.0) < REST_RPS
+            return cls.of_rates(rates.t_ns, rates.rate_rps, np.inf if still else None)  # rests are stated whole
+        assert table is not None, "turns and poses give no motion at all instants"
+        t_s = np.asarray(table.t_ns * 1e-9, dtype=np.float64)
+        angle = np.unwrap(table.angle_rad[:, 0])
         turn = np.zeros((len(t_s) - 1, 3))
-        turn[:, AXES.index(reference.gimbals[0])] = np.diff(angle)
+        turn[:, AXES.index(table.gimbals[0])] = np.diff(angle)
         if site is not None:
             middle = 0.5 * (angle[1:] + angle[:-1])
-            turn += into_body(site.earth_rate_rps(), middle[:, None], reference.gimbals) * np.diff(t_s)[:, None]
+            turn += into_body(site.earth_rate_rps(), middle[:, None], table.gimbals) * np.diff(t_s)[:, None]
         return cls.of_increments(t_s, turn)
 
     def smoothed(self, period_s: float) -> Self:
@@ -160,10 +161,3 @@ class Turned:
         """Return how many unknown intervals are over (or, ``side`` 1, have begun) at instants."""
         after = np.searchsorted(self.t_s, at_s, side="left" if side > 0 else "right")
         return np.asarray(self.gaps[np.clip(after if side > 0 else after - 1, 0, len(self.gaps) - 1)])
-
-
-def by_turns(reference: Reference) -> bool:
-    """Return whether readings are compared by angles turned: those of instruments without a table's rates."""
-    return isinstance(reference, (AttitudeReadings, RateReadings)) or (
-        isinstance(reference, TableReadings) and len(reference.gimbals) == 1
-    )

@@ -6,7 +6,8 @@ from pathlib import Path
 import psutil
 
 from estimator.errors import RecordingError
-from estimator.recordings.recording import Recording
+from estimator.recordings.recording import ImuData, Recording
+from estimator.recordings.reference import Reference
 from estimator.recordings.writing import columns_of
 
 READING, ESTIMATING = 3, 13
@@ -31,7 +32,9 @@ def check_memory(name: object, columns_bytes: int, times: int) -> None:
 
 def check_estimating(*recordings: Recording) -> None:
     """Raise RecordingError, with the memory needed, if it does not suffice to estimate from all of these at once."""
-    held = [part for r in recordings for part in (r.reference, *r.sources.values())]
+    held: list[ImuData | Reference] = []
+    for recording in recordings:
+        held += [recording.reference, *recording.sources.values()]
     columns_bytes = sum(column.nbytes for part in held for column in columns_of(part).values())
     check_memory(", ".join(recording.name for recording in recordings), columns_bytes, ESTIMATING)
 

@@ -13,7 +13,7 @@ from estimator.geometry.kinematics import Site
 from estimator.geometry.model import Prior
 from estimator.geometry.noise import NoiseModel
 from estimator.packaged import packaged_toml
-from estimator.recordings.reference import Reference
+from estimator.recordings.reference import Reference, TableReadings, Turns
 from estimator.types import Floats, Stamps
 
 FORMAT = "turntable-recording"
@@ -128,6 +128,16 @@ class Recording:
     path: Path | None = None
     kept_innovations: KeptInnovations | None = None
     series: Mapping[str, Series] = field(default_factory=dict)
+
+    @property
+    def table(self) -> TableReadings | None:
+        """The readings of the table; None if another reference says how the body moved."""
+        return self.reference.table
+
+    @property
+    def turns(self) -> Turns | None:
+        """The turns by stated angles, if these are the reference."""
+        return self.reference.turns
 
     @property
     def several_files(self) -> bool:

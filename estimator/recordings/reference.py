@@ -23,13 +23,12 @@ class TableUncertainty:
     timing_s: float = 0.0
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class Reference:
     """What says how the body moved: the base of all kinds of reference.
 
     A kind overrides what it can give. Code that needs something asks for it here, and never for the kind.
     """
-
-    __slots__ = ()
 
     @property
     def table(self) -> "TableReadings | None":
@@ -51,10 +50,14 @@ class Reference:
         """The readings themselves if another instrument measured attitudes."""
         return None
 
-    @property
     def external_rates(self) -> "RateReadings | None":
-        """The body rates (k, 3) that another instrument measured, from its attitudes if it measured those."""
+        """Return the body rates (k, 3) of another instrument, measured or from its attitudes; else None."""
         return None
+
+    @property
+    def by_turns(self) -> bool:
+        """Whether readings are compared by angles turned: those of instruments without a table's rates."""
+        return False
 
     @property
     def at_rest(self) -> bool:
@@ -62,9 +65,14 @@ class Reference:
         return False
 
     @property
+    def instants_ns(self) -> Stamps | None:
+        """The instants (k,) of the readings; None for turns and poses, which are spans."""
+        return None
+
+    @property
     def step_s(self) -> float:
-        """The usual time between readings; 0 for turns and poses, which are spans."""
-        return 0.0
+        """The usual time between readings; 0 for turns and poses."""
+        return 0.0 if self.instants_ns is None else float(np.median(np.diff(self.instants_ns))) * 1e-9
 
     @property
     def rests_ns(self) -> list[tuple[int, int]]:
@@ -100,9 +108,14 @@ class TableReadings(Reference):
         return self
 
     @property
-    def step_s(self) -> float:
-        """The usual time between readings."""
-        return _usual_step_s(self.t_ns)
+    def by_turns(self) -> bool:
+        """Whether the table has a single axis."""
+        return len(self.gimbals) == 1
+
+    @property
+    def instants_ns(self) -> Stamps:
+        """The instants of the readings."""
+        return self.t_ns
 
     @property
     def rests_ns(self) -> list[tuple[int, int]]:
@@ -117,10 +130,14 @@ class RateReadings(Reference):
     t_ns: Stamps
     rate_rps: Floats
 
-    @property
     def external_rates(self) -> "RateReadings":
-        """The readings themselves."""
+        """Return the readings themselves."""
         return self
+
+    @property
+    def by_turns(self) -> bool:
+        """True: another instrument."""
+        return True
 
     @property
     def at_rest(self) -> bool:
@@ -129,9 +146,9 @@ class RateReadings(Reference):
         return bool(len(rate) and (np.abs(rate) < REST_RPS).all())
 
     @property
-    def step_s(self) -> float:
-        """The usual time between readings."""
-        return _usual_step_s(self.t_ns)
+    def instants_ns(self) -> Stamps:
+        """The instants of the readings."""
+        return self.t_ns
 
     @property
     def rests_ns(self) -> list[tuple[int, int]]:
@@ -152,8 +169,12 @@ class AttitudeReadings(Reference):
         return self
 
     @property
+    def by_turns(self) -> bool:
+        """True: another instrument."""
+        return True
+
     def external_rates(self) -> RateReadings:
-        """Mean body rates (k - 1, 3) between successive attitudes, stamped in the middle.
+        """Return mean body rates (k - 1, 3) between successive attitudes, stamped in the middle.
 
         NaN beside a lost attitude, and over gaps of more than three usual steps.
         """
@@ -170,9 +191,9 @@ class AttitudeReadings(Reference):
         return RateReadings((self.t_ns[:-1] + np.diff(self.t_ns) // 2), turn / step_s)
 
     @property
-    def step_s(self) -> float:
-        """The usual time between readings."""
-        return _usual_step_s(self.t_ns)
+    def instants_ns(self) -> Stamps:
+        """The instants of the readings."""
+        return self.t_ns
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -219,10 +240,6 @@ class Poses(Reference):
         """The poses that last long enough."""
         pairs = zip(self.t_start_ns.tolist(), self.t_end_ns.tolist(), strict=True)
         return [(first, last) for first, last in pairs if last - first >= REST_S * 1e9]
-
-
-def _usual_step_s(t_ns: Stamps) -> float:
-    return float(np.median(np.diff(t_ns))) * 1e-9
 
 
 def _rests_ns(t_ns: Stamps, rate_rps: Floats) -> list[tuple[int, int]]:

@@ -26,7 +26,7 @@ from estimator.geometry.model import Prior
 from estimator.packaged import sentence
 from estimator.recordings.journal import ARRIVED, ATTRIBUTES, ROWS, Entry, Journal, is_sound, journal_of, sync
 from estimator.recordings.recording import DEVICES, FORMAT, FORMAT_VERSION, IDENTITY, LAYOUT, ImuData, Recording
-from estimator.recordings.reference import Reference, TableReadings, TableUncertainty
+from estimator.recordings.reference import Reference, TableUncertainty
 from estimator.recordings.reserved_space import Ballast
 from estimator.types import Floats
 from estimator.untrusted import harmless
@@ -306,9 +306,10 @@ def write_recording(path: Path | str, recording: Recording) -> None:
         if recording.site is not None:
             writer.set_attributes({f"site_{key}": value for key, value in asdict(recording.site).items()})
         reference = recording.reference
-        if isinstance(reference, TableReadings):
-            writer.add_table(reference.gimbals, reference.uncertainty, reference.rate_window_ns)
-        root = "table" if isinstance(reference, TableReadings) else "reference"
+        table = recording.table
+        if table is not None:
+            writer.add_table(table.gimbals, table.uncertainty, table.rate_window_ns)
+        root = "reference" if table is None else "table"
         writer.append_rows(root, columns_of(reference))
         for source, data in recording.sources.items():
             attributes: dict[str, Any] = {"lost": data.lost} | ({"device": data.device} if data.device else {})

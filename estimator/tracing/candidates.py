@@ -21,7 +21,6 @@ from estimator.effects.site import EARTH_RATE, EARTH_RATE_UPWARD
 from estimator.effects.table import TABLE_HARMONIC
 from estimator.estimation.runs.run import Run, with_gyro
 from estimator.observations.alignment import following
-from estimator.observations.turned import by_turns
 from estimator.types import Floats
 
 _OTHER_ORDERS = (3, 5, 6)
@@ -127,7 +126,7 @@ def candidates_of(runs: Sequence[Run]) -> tuple[list[Candidate], dict[str, str]]
     left_out: dict[str, str] = {}
     if not gimbals:
         left_out[TABLE_HARMONIC.name] = "the recordings hold no gimbals"
-    foreign = any(by_turns(run.recording.reference) for run in runs)
+    foreign = any(run.recording.reference.by_turns for run in runs)
     if foreign:
         why = "another instrument has its own lag, so a delay relative to it is the sum of all lags"
         left_out[BANDWIDTH.name] = why

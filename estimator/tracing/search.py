@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from estimator.effects.disturbances import TONE
 from estimator.estimation.evidence import SCALES, Base, Evidence, Term
 from estimator.estimation.runs.run import with_gyro
-from estimator.observations.turned import by_turns
 from estimator.tracing.augmented import Part
 from estimator.tracing.candidates import Candidate
 from estimator.tracing.investigation import Suspect
@@ -216,7 +215,7 @@ class Search:
         another instrument can hide.
         """
         candidate = self.known[name][0]
-        steps_s = [run.step_s for run in self.runs if by_turns(run.recording.reference)]
+        steps_s = [run.step_s for run in self.runs if run.recording.reference.by_turns]
         if candidate.by_size and steps_s and abs(candidate.theta or 0.0) < _RESOLVED * max(steps_s):
             return False  # the motion between two readings of another instrument is not known well enough
         sizes = self.evidence.posterior([*model, term]).of(term)

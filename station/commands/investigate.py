@@ -15,7 +15,6 @@ from estimator.effects.catalogue import records
 from estimator.estimation.runs.making import runs_of
 from estimator.recordings.reading import read_recording
 from estimator.recordings.recording import Recording
-from estimator.recordings.reference import TableReadings
 from estimator.tracing.investigate import investigate
 from estimator.tracing.investigation import Finding, Investigation
 from station.atomic_write import check_new_file, check_picture, free_path, write_whole
@@ -114,10 +113,10 @@ def limits_of(recordings: Sequence[Recording], bench: Path | None) -> Limits | N
         return Limits(load_bench(bench).table.limits, str(bench))
     for recording in recordings:
         text = recording.attributes.get("bench")
-        if text and isinstance(recording.reference, TableReadings):
+        if text and recording.table is not None:
             table = Table.parse(str(text), f"bench in {recording.name}", UsageError).table("table")
             axes = {
-                axis: AxisLimits(**table.table(axis).read("bench.axis", each=2)) for axis in recording.reference.gimbals
+                axis: AxisLimits(**table.table(axis).read("bench.axis", each=2)) for axis in recording.table.gimbals
             }
             return Limits(axes, f"the bench in {recording.name}")
     return None
@@ -134,12 +133,12 @@ def following_script(
 
     UsageError if the limits are those of another table.
     """
-    fitted, judging = ([r for r in own if isinstance(r.reference, TableReadings)] for own in (recordings, verification))
+    fitted, judging = ([r for r in own if r.table is not None] for own in (recordings, verification))
     if limits is None or not fitted or found.finding in (Finding.NOTHING, Finding.ADDED):
         return None
-    reference = fitted[0].reference
-    assert isinstance(reference, TableReadings)
-    missing = [axis for axis in reference.gimbals if axis not in limits.axes]
+    table = fitted[0].table
+    assert table is not None
+    missing = [axis for axis in table.gimbals if axis not in limits.axes]
     if missing:
         raise UsageError(f"{limits.stated_in} has no axis {', '.join(missing)}, about which the recordings turn")
     rivals = found.rivals or (_suspects(found),)
@@ -151,7 +150,7 @@ def following_script(
         {name: max(known.get(name, 0.0), seen_since) for own in rivals for name in own},
         past,
         limits.axes,
-        reference.gimbals,
+        table.gimbals,
         fitted[0].site,
         judging=since,
         most_s=most_s,
@@ -159,7 +158,7 @@ def following_script(
 
 
 def _why_none(recordings: Sequence[Recording], limits: Limits | None) -> str:
-    if not any(isinstance(recording.reference, TableReadings) for recording in recordings):
+    if not any(recording.table is not None for recording in recordings):
         return "these recordings were not made on a table"
     if limits is None:
         return "the limits of the table are unknown. Give its bench file with --bench"

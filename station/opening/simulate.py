@@ -137,8 +137,8 @@ def simulate_bench(bench: Bench, script: Script, seed: int) -> Recording:
         )
     except HiddenError as error:
         raise BenchError(f"{bench.twin.hidden}: {error}") from None
-    if isinstance(recording.reference, TableReadings):
-        reference = replace(recording.reference, uncertainty=bench.table.uncertainty)
+    if recording.table is not None:
+        reference = replace(recording.table, uncertainty=bench.table.uncertainty)
         recording = replace(recording, reference=reference)
     return replace(recording, attributes={"bench": bench.text, "seed": seed, "script": script.name})
 

@@ -9,7 +9,6 @@ from typing import Any
 
 from drivers.packaged import packaged_toml
 from estimator.calibration.budget import TYPE_A
-from estimator.recordings.reference import TableReadings
 from estimator.untrusted import harmless
 from station.bench.units import Units
 from station.errors import UsageError
@@ -76,7 +75,7 @@ def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Re
     not_seen = unobserved_effects.unseen_of(recorded)
     values: dict[str, Any] = {
         "recorded": recorded,
-        "on_table": isinstance(recorded.recording.reference, TableReadings),
+        "on_table": recorded.recording.table is not None,
         "formal": formal,
         "logo": logo_of(formal.laboratory_logo) if formal.laboratory_logo else "",
         "before": before,

@@ -9,7 +9,6 @@ import pytest
 
 from estimator.estimation.calibrate import calibrate
 from estimator.geometry.array import triad
-from estimator.observations.attitude import rates_from_attitude
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import AttitudeReadings
 
@@ -26,12 +25,12 @@ AXIS = np.array([2.0, -3.0, 6.0]) / 7
 
 @pytest.mark.parametrize("rate_rps", [0.0, 1e-4, 1.0, -1.0, 300.0])
 def test_a_constant_rate_comes_back_about_its_body_axis(rate_rps: float) -> None:
-    rates = rates_from_attitude(attitudes(AXIS, rate_rps))
+    rates = attitudes(AXIS, rate_rps).external_rates()
     np.testing.assert_allclose(rates.rate_rps, np.tile(rate_rps * AXIS, (199, 1)), atol=1e-9 * max(abs(rate_rps), 1))
 
 
 def test_rates_are_stamped_between_the_attitudes() -> None:
-    rates = rates_from_attitude(attitudes(AXIS, 1.0))
+    rates = attitudes(AXIS, 1.0).external_rates()
     np.testing.assert_array_equal(rates.t_ns, np.arange(199) * 5_000_000 + 2_500_000)
 
 
@@ -39,7 +38,7 @@ def test_a_quaternion_and_its_negative_are_one_attitude() -> None:
     plain = attitudes(AXIS, 2.0)
     flips = np.where(np.arange(200) % 3 == 0, -1.0, 1.0)[:, None]
     flipped = AttitudeReadings(plain.t_ns, plain.attitude_wxyz * flips)
-    np.testing.assert_allclose(rates_from_attitude(flipped).rate_rps, rates_from_attitude(plain).rate_rps, atol=1e-12)
+    np.testing.assert_allclose(flipped.external_rates().rate_rps, plain.external_rates().rate_rps, atol=1e-12)
 
 
 def test_the_rate_is_in_body_axes_however_the_reference_frame_lies() -> None:
@@ -47,7 +46,7 @@ def test_the_rate_is_in_body_axes_however_the_reference_frame_lies() -> None:
     w, v = plain.attitude_wxyz[:, :1], plain.attitude_wxyz[:, 1:]
     a, b = 0.6, np.array([0.0, 0.8, 0.0])  # a fixed turn of the reference frame, applied from the left
     turned = np.hstack([a * w - v @ b[:, None], a * v + w * b + np.cross(b, v)])
-    rates = rates_from_attitude(AttitudeReadings(plain.t_ns, turned))
+    rates = AttitudeReadings(plain.t_ns, turned).external_rates()
     np.testing.assert_allclose(rates.rate_rps, np.tile(2.0 * AXIS, (199, 1)), atol=1e-9)
 
 
@@ -55,14 +54,14 @@ def test_nothing_is_said_beside_lost_attitudes() -> None:
     plain = attitudes(AXIS, 2.0)
     q = plain.attitude_wxyz.copy()
     q[100:110] = np.nan
-    lost = np.isnan(rates_from_attitude(AttitudeReadings(plain.t_ns, q)).rate_rps).all(axis=1)
+    lost = np.isnan(AttitudeReadings(plain.t_ns, q).external_rates().rate_rps).all(axis=1)
     np.testing.assert_array_equal(np.flatnonzero(lost), np.arange(99, 110))
 
 
 def test_nothing_is_said_over_a_gap_in_the_stamps() -> None:
     plain = attitudes(AXIS, 2.0)
     keep = (np.arange(200) < 100) | (np.arange(200) >= 140)
-    rates = rates_from_attitude(AttitudeReadings(plain.t_ns[keep], plain.attitude_wxyz[keep]))
+    rates = AttitudeReadings(plain.t_ns[keep], plain.attitude_wxyz[keep]).external_rates()
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(rates.rate_rps).all(axis=1)), [99])
 
 

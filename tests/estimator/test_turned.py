@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from estimator.observations.turned import Turned, by_turns
+from estimator.observations.turned import Turned
 from estimator.recordings.reference import AttitudeReadings, RateReadings, TableReadings
 
 
@@ -16,7 +16,7 @@ def test_means_are_differences_of_angles_whatever_lies_between() -> None:
     t_s = np.sort(np.random.default_rng(0).uniform(0, 10, 900))
     angle = np.sin(t_s)
     table = TableReadings(t_ns=ns(t_s), angle_rad=angle[:, None], rate_rps=np.zeros((900, 1)), gimbals=("y",))
-    assert by_turns(table)
+    assert table.by_turns
     body = Turned.of_reference(table, None)
     first, last = t_s[100:110], t_s[400:410]
     expected = (np.sin(last) - np.sin(first)) / (last - first)

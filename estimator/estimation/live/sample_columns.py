@@ -15,7 +15,6 @@ from estimator.geometry.kinematics import Site
 from estimator.geometry.model import Prior, regressor_maps
 from estimator.recordings.motion.body_rates import BodyRates
 from estimator.recordings.recording import ImuData, Recording
-from estimator.recordings.reference import TableReadings
 from estimator.types import Floats, Stamps
 
 _ON_A_TABLE = frozenset({"gimbals", "specific force", "temperature"})
@@ -95,9 +94,9 @@ def white_solution(
     instants in ns and the offset in s up to each of them, as ``LiveFilter`` used them. Samples outside the readings or
     without known rates are left out.
     """
-    reference = recording.reference
-    assert isinstance(reference, TableReadings), "samples are compared with the readings of a table"
-    rates = BodyRates.of(reference, recording.site)
+    table = recording.table
+    assert table is not None, "samples are compared with the readings of a table"
+    rates = BodyRates.of(table, recording.site)
     m, count = len(data.array), columns.count if columns is not None else 0
     width = 4 + count
     maps = regressor_maps(data.array)

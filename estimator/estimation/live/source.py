@@ -22,7 +22,6 @@ from estimator.observations.timing import expected_sd_s
 from estimator.recordings.motion.body_rates import BodyRates
 from estimator.recordings.motion.growing_rows import GrowingRows
 from estimator.recordings.recording import ImuData, Recording, possible
-from estimator.recordings.reference import TableReadings
 from estimator.types import Floats, Stamps
 
 RECENT_S = 30.0
@@ -280,17 +279,17 @@ def filter_nis(recording: Recording, model: ErrorModel | None = None) -> float |
     kept = recording.kept_innovations
     if kept is not None and kept.model_sha256 == model_sha256(model):
         return kept.nis_sum / kept.dof if kept.dof else float("nan")
-    reference = recording.reference
-    if not isinstance(reference, TableReadings):
+    table = recording.table
+    if table is None:
         return None
     if not all(data.noise is not None and data.noise.arw > 0 for data in recording.sources.values()):
         return None
-    rates = BodyRates.of(reference, recording.site)
-    timing_s = reference.uncertainty.timing_s if reference.uncertainty else 0.0
+    rates = BodyRates.of(table, recording.site)
+    timing_s = table.uncertainty.timing_s if table.uncertainty else 0.0
     total, dof = 0.0, 0
     for data in recording.sources.values():
         assert data.noise is not None
-        effects = SampleColumns(model, reference.gimbals, recording.site, data.array) if model is not None else None
+        effects = SampleColumns(model, table.gimbals, recording.site, data.array) if model is not None else None
         rate_hz = _rate_hz(data)
         noise_rps = float(data.noise.arw * np.sqrt(rate_hz))
         source = LiveSource(

@@ -20,13 +20,12 @@ from estimator.estimation.runs.surroundings import GRID_S, conditions_of, force_
 from estimator.geometry.kinematics import EARTH_RATE_RPS, GRAVITY_MPS2
 from estimator.observations.defects.examined import examined
 from estimator.observations.defects.faults import Fault, held_samples, split_faulty
-from estimator.observations.foreign import at_rest
 from estimator.observations.rows import in_order, sample_noise, turn_rows
-from estimator.observations.turned import Turned, by_turns
+from estimator.observations.turned import Turned
 from estimator.packaged import sentence
 from estimator.recordings.memory import check_estimating
 from estimator.recordings.recording import ImuData, Recording
-from estimator.recordings.reference import Poses, TableReadings, Turns
+from estimator.recordings.reference import Poses, Turns
 from estimator.types import Floats
 
 _FEWEST_BLOCKS = 40
@@ -66,9 +65,9 @@ def runs_of(recording: Recording, block_s: float = BLOCK_S, order: int = 0) -> t
             run = _run(seen.recording, label, part, block_s, order, its.held)
             if run is not None:
                 runs.append(run)
-    if not runs and isinstance(recording.reference, Turns):
+    if not runs and recording.turns is not None:
         raise InvestigationError(
-            f"{recording.name}: {len(recording.reference.sd_rad)} turns and rests of known angle are too few to trace "
+            f"{recording.name}: {len(recording.turns.sd_rad)} turns and rests of known angle are too few to trace "
             f"an effect: at least {FEWEST_TURNS} are needed, with turns in both directions at several rates"
         )
     if not runs:
@@ -101,7 +100,7 @@ def runs_of_all(
 
 def run_of(recording: Recording, source: str, data: ImuData) -> Run | None:
     """Return one cleaned source as a run; None if it has too few blocks."""
-    fine = isinstance(recording.reference, TableReadings)
+    fine = recording.table is not None
     return _run(recording, source, data, BLOCK_S, 0, held_samples(data) if fine else 1)
 
 
@@ -111,9 +110,9 @@ def _run(recording: Recording, source: str, data: ImuData, block_s: float, order
     ``held`` is the number of samples for which each value is held. At rest the output errors are means over the
     samples.
     """
-    if isinstance(recording.reference, Turns):
-        return _run_of_turns(recording, recording.reference, source, data, order)
-    means = means_by_turns if by_turns(recording.reference) else means_by_samples
+    if recording.turns is not None:
+        return _run_of_turns(recording, recording.turns, source, data, order)
+    means = means_by_turns if recording.reference.by_turns else means_by_samples
     measured = means(recording, data, block_s)
     if measured is None or len(measured.index) < _FEWEST_BLOCKS:
         return None
@@ -123,7 +122,7 @@ def _run(recording: Recording, source: str, data: ImuData, block_s: float, order
     w[where], z[where], weight[where] = measured.w_rps, measured.z_rps, measured.full
     stretch = np.cumsum(np.diff(index, prepend=index[:1]) > 1).astype(np.intp)
     growth_s = 0.0
-    if not by_turns(recording.reference):  # otherwise errors that grow with the motion are the other instrument's
+    if not recording.reference.by_turns:  # otherwise errors that grow with the motion are the other instrument's
         weight, growth_s = weighed(w, z, weight, stretch)
     t_s = np.asarray(measured.origin_s + (index + 0.5) * length_s, dtype=np.float64)
     steps = max(round(length_s / GRID_S), 1)
@@ -155,7 +154,7 @@ def _run(recording: Recording, source: str, data: ImuData, block_s: float, order
         held=held,
         growth_s=growth_s,
     )
-    if at_rest(recording.reference):
+    if recording.reference.at_rest:
         run = replace(run, z_rps=_sample_means(run))
     return run if run.turns or grid.gimbals else replace(run, **_unknown_earth(run))
 

@@ -17,7 +17,6 @@ from estimator.observations.rows import table_rows
 from estimator.observations.turned import Turned
 from estimator.recordings.motion.body_rates import BodyRates
 from estimator.recordings.recording import ImuData, Recording
-from estimator.recordings.reference import TableReadings
 from estimator.types import Floats
 
 _FINE_S = 0.005  # samples closer than this share one lookup of the earlier rate
@@ -56,11 +55,11 @@ def means_by_samples(recording: Recording, data: ImuData, block_s: float) -> _Me
 
     ``past_rps`` averages the rate over groups of neighbouring samples, which is faster.
     """
-    reference = recording.reference
-    assert isinstance(reference, TableReadings)
+    table = recording.table
+    assert table is not None, "samples are compared with the readings of a table"
     period_s = float(np.median(np.diff(data.t_ns))) * 1e-9
     length_s = _length_s(recording, data, block_s, period_s)
-    origin_ns = int(reference.t_ns[0])
+    origin_ns = int(table.t_ns[0])
     sums = BlockSums(len(data.array), origin_ns, length_s, period_s)
     known = []
     for part in table_rows(recording, data):
@@ -79,7 +78,7 @@ def means_by_samples(recording: Recording, data: ImuData, block_s: float) -> _Me
     count = np.diff(np.append(group, len(t_ns)))
     instants = t_ns[0] + np.round(np.add.reduceat(t_ns - t_ns[0], group) / count).astype(np.int64)
     start = np.searchsorted(group, first)
-    rates = BodyRates.of(reference, recording.site)
+    rates = BodyRates.of(table, recording.site)
 
     def past_rps(delay_s: float) -> Floats:
         at = np.maximum(instants - round(delay_s * 1e9), origin_ns)

@@ -12,10 +12,9 @@ from estimator.effects.conditions import Conditions
 from estimator.effects.effect import Effect
 from estimator.geometry.array import SensorArray
 from estimator.geometry.model import Prior, regressor_maps
-from estimator.observations.turned import REST_RPS, by_turns
+from estimator.observations.turned import REST_RPS
 from estimator.packaged import sentence
 from estimator.recordings.recording import ImuData, Recording
-from estimator.recordings.reference import Poses, Turns
 from estimator.types import Floats
 
 BLOCK_S = 0.2
@@ -105,8 +104,7 @@ class Run:
     @property
     def step_s(self) -> float:
         """Return the usual time between readings of the reference."""
-        reference = self.recording.reference
-        return 0.0 if isinstance(reference, (Turns, Poses)) else float(np.median(np.diff(reference.t_ns))) * 1e-9
+        return self.recording.reference.step_s
 
     @property
     def turns(self) -> bool:
@@ -116,7 +114,7 @@ class Run:
     @property
     def by_another(self) -> bool:
         """Whether the body turns and another instrument measures it, whose errors are then in the residual."""
-        return self.turns and by_turns(self.recording.reference)
+        return self.turns and self.recording.reference.by_turns
 
     def coarse(self) -> Self:
         """Return the run with a fifth of its grid: a few instants in each block do where many functions are tried."""

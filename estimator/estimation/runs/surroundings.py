@@ -4,10 +4,9 @@ import numpy as np
 
 from estimator.effects.conditions import Conditions
 from estimator.geometry.kinematics import AXES, GRAVITY_MPS2, specific_force
-from estimator.observations.turned import Turned, by_turns
+from estimator.observations.turned import Turned
 from estimator.recordings.motion.body_rates import BodyRates
 from estimator.recordings.recording import ImuData, Recording
-from estimator.recordings.reference import AttitudeReadings, TableReadings
 from estimator.types import Floats
 
 GRID_S = 0.02  # spacing of the instants for conditions, within blocks
@@ -23,12 +22,13 @@ def conditions_of(recording: Recording, data: ImuData, grid_s: Floats, w_rps: Fl
     """
     temperature = temperature_at(data, grid_s)
     reference = recording.reference
-    if by_turns(reference):
+    if reference.by_turns:
         return conditions_by_turns(recording, data, grid_s, w_rps, steps, temperature)
-    assert isinstance(reference, TableReadings)
-    rates, grid_ns = BodyRates.of(reference, recording.site), np.round(grid_s * 1e9).astype(np.int64)
+    table = recording.table
+    assert table is not None, "a run is compared with a table or with another instrument"
+    rates, grid_ns = BodyRates.of(table, recording.site), np.round(grid_s * 1e9).astype(np.int64)
     motion = *rates.gimbals_at(grid_ns), rates.accelerations_at(grid_ns)
-    return Conditions.on_table(grid_s, *motion, reference.gimbals, temperature_c=temperature, site=recording.site)
+    return Conditions.on_table(grid_s, *motion, table.gimbals, temperature_c=temperature, site=recording.site)
 
 
 def conditions_by_turns(
@@ -47,10 +47,11 @@ def conditions_by_turns(
     change = body.rates(first_s + length_s) - body.rates(first_s)
     wdot = np.repeat(np.where(np.isfinite(change), change, 0.0) / length_s, steps, axis=0)
     w = np.repeat(w_rps, steps, axis=0)
-    if isinstance(reference, TableReadings):
-        column = AXES.index(reference.gimbals[0])
-        angle = np.interp(grid_s, reference.t_ns * 1e-9, np.unwrap(reference.angle_rad[:, 0]))[:, None]
-        rate, slope, gimbals = w[:, [column]], wdot[:, [column]], reference.gimbals
+    table = reference.table
+    if table is not None:
+        column = AXES.index(table.gimbals[0])
+        angle = np.interp(grid_s, table.t_ns * 1e-9, np.unwrap(table.angle_rad[:, 0]))[:, None]
+        rate, slope, gimbals = w[:, [column]], wdot[:, [column]], table.gimbals
         force = specific_force(angle, gimbals) if data.accel_mps2 is None else force_at(recording, data, grid_s)
     else:
         angle = rate = slope = np.empty((len(grid_s), 0))
@@ -114,11 +115,11 @@ def force_at(recording: Recording, data: ImuData, grid_s: Floats) -> Floats:
 
     The accelerometer's is smoothed. NaN where there is neither.
     """
-    reference = recording.reference
-    if isinstance(reference, AttitudeReadings):
-        good = np.isfinite(reference.attitude_wxyz).all(axis=1)
-        at = reference.t_ns[good] * 1e-9
-        w, x, y, z = reference.attitude_wxyz[good].T
+    attitude = recording.reference.attitude
+    if attitude is not None:
+        good = np.isfinite(attitude.attitude_wxyz).all(axis=1)
+        at = attitude.t_ns[good] * 1e-9
+        w, x, y, z = attitude.attitude_wxyz[good].T
         up = np.column_stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]) * GRAVITY_MPS2
         return np.column_stack([np.interp(grid_s, at, column) for column in up.T])
     force_mps2 = data.specific_force_mps2

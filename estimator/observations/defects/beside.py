@@ -12,7 +12,7 @@ from estimator.observations.defects.limits import Limit, limits_of
 from estimator.observations.defects.turned_limits import limits_by_turns
 from estimator.observations.defects.zones import dead_zone_rps
 from estimator.recordings.recording import ImuData
-from estimator.recordings.reference import Poses, Reference, TableReadings, Turns
+from estimator.recordings.reference import Reference
 from estimator.types import Floats, Stamps
 
 _MOST = 60000  # means of neighbouring samples, at most, for a long recording
@@ -52,7 +52,7 @@ class Beside:
             expected = np.full(outputs.shape, np.nan)
             scatter = slopes = np.full(m, np.inf)
             turned_rps = _turned(data, reference)
-            limits = limits_by_turns(data, reference) if isinstance(reference, Turns) else [[] for _ in range(m)]
+            limits = [[] for _ in range(m)] if reference.turns is None else limits_by_turns(data, reference.turns)
         else:
             expected = line.expected_rps(t_s)
             left = np.abs(outputs - expected)
@@ -71,7 +71,7 @@ class Beside:
             slopes=slopes,
             line=line,
             limits=limits,
-            table=isinstance(reference, TableReadings),
+            table=reference.table is not None,
         )
 
     def turns(self, gyro: int) -> bool:
@@ -145,10 +145,9 @@ def _turned(data: ImuData, reference: Reference) -> Floats:
     """Return the rms (m,) of the rate about each sense axis, for turns and for rests with turns by hand; 0 if
     unknown.
     """
-    if isinstance(reference, Turns):
-        seconds = np.maximum((reference.t_end_ns - reference.t_start_ns) * 1e-9, 1e-9)[:, None]
-        return np.asarray(np.sqrt(np.mean((reference.turn_rad / seconds @ data.array.p.T) ** 2, axis=0)))
-    if isinstance(reference, Poses):  # hands turn about all axes
+    if reference.turns is not None:
+        return np.asarray(np.sqrt(np.mean((reference.turns.mean_rates_rps @ data.array.p.T) ** 2, axis=0)))
+    if reference.poses is not None:  # hands turn about all axes
         spread = np.nanstd(data.rate_rps, axis=0)
         return np.full(len(spread), float(np.nanmax(spread, initial=0.0)))
     return np.zeros(len(data.array))

@@ -11,7 +11,6 @@ from estimator.observations.defects.faults import Fault, held_samples, saturatio
 from estimator.observations.defects.glitches import without_glitches
 from estimator.observations.health import Usable, in_order, usable
 from estimator.recordings.recording import ImuData, Recording
-from estimator.recordings.reference import TableReadings
 
 Ordered = tuple[ImuData, Sequence[str]]
 """Samples in order, and what is to be told of them."""
@@ -67,7 +66,7 @@ def _together(source: Source, data: ImuData) -> ImuData:
 
 def _source(recording: Recording, data: ImuData, notes: Sequence[str], line: Following | None) -> Source:
     """Return the usable data of one source, with its faults and notes."""
-    fine = isinstance(recording.reference, TableReadings)
+    fine = recording.table is not None
     held = held_samples(data) if fine else 1
     beside = Beside.of(data, recording.reference, recording.site, line)
     faults: list[Fault] = []

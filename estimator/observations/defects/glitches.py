@@ -10,10 +10,10 @@ import numpy as np
 
 from estimator.geometry.kinematics import AXES
 from estimator.observations.alignment import Following
-from estimator.observations.turned import Turned, by_turns
+from estimator.observations.turned import Turned
 from estimator.recordings.reading import slopes_of
 from estimator.recordings.recording import ImuData, Recording
-from estimator.recordings.reference import AttitudeReadings, RateReadings, TableReadings
+from estimator.recordings.reference import AttitudeReadings, RateReadings
 from estimator.types import Flags, Floats, runs_of
 
 _FAR = 12.0  # times the usual difference
@@ -30,7 +30,7 @@ def without_glitches(recording: Recording, data: ImuData, line: Following) -> tu
     The recording is unchanged if the reference does not allow this, if there are none, or if too many differ.
     """
     reference = recording.reference
-    if not by_turns(reference) or len(line.turned.t_s) < 3 or not np.isfinite(data.rate_rps).any():
+    if not reference.by_turns or len(line.turned.t_s) < 3 or not np.isfinite(data.rate_rps).any():
         return recording, []
     t_s = line.turned.t_s
     off_rad, speed_rps = _differences(data, line)
@@ -48,10 +48,11 @@ def without_glitches(recording: Recording, data: ImuData, line: Following) -> tu
         f"the reference jumps, or is wrong for a moment, {_times(len(places))}, the first at {first_s:.6g} s, by up to "
         f"{worst_deg:.3g} deg between readings compared with the gyros: "
     )
-    if isinstance(reference, TableReadings):
-        steps = np.where(far, off_rad[:, AXES.index(reference.gimbals[0])], 0.0)
-        angle = reference.angle_rad - np.concatenate([[0.0], np.cumsum(steps)])[:, None]
-        right = replace(reference, angle_rad=angle, rate_rps=slopes_of(reference.t_ns, angle))
+    table = reference.table
+    if table is not None:
+        steps = np.where(far, off_rad[:, AXES.index(table.gimbals[0])], 0.0)
+        angle = table.angle_rad - np.concatenate([[0.0], np.cumsum(steps)])[:, None]
+        right = replace(table, angle_rad=angle, rate_rps=slopes_of(table.t_ns, angle))
         return replace(recording, reference=right), [told + "these steps were removed from its angles"]
     wrong = np.zeros(len(t_s), dtype=np.bool_)
     for start, stop in places:  # intervals, of which both readings may be wrong

@@ -4,7 +4,6 @@ import numpy as np
 
 from estimator.recordings.motion.body_rates import BodyRates
 from estimator.recordings.recording import ImuData, Recording
-from estimator.recordings.reference import TableReadings
 from estimator.types import Flags, runs_of
 
 _LONG_S, _AWRY_NS = 1.0, 400_000_000  # stamps may be off the table's by the second, so that a rest is not "stuck"
@@ -18,17 +17,18 @@ def stuck_doubts(recording: Recording) -> list[str]:
 
     Empty without a table.
     """
-    if not isinstance(recording.reference, TableReadings):
+    table = recording.table
+    if table is None:
         return []
     doubts, rates = [], None
     for source, data in recording.sources.items():
         spans_ns = [data.t_ns[[max(start - 1, 0), stop - 1]] for start, stop in runs_of(_seen_before(data))]
         for first_ns, last_ns in (span for span in spans_ns if np.ptp(span) > _LONG_S * 1e9):
-            rates = rates or BodyRates.of(recording.reference, recording.site)
+            rates = rates or BodyRates.of(table, recording.site)
             within_ns = np.clip([first_ns + _AWRY_NS, last_ns - _AWRY_NS], rates.starts_ns, rates.final_until_ns - 1)
             turned = rates.at(np.linspace(within_ns[0], within_ns[1], 200).astype(np.int64)) @ data.array.p.T
             if np.ptp(turned, axis=0).max() > _OTHERWISE_RPS:
-                after_s = (first_ns - recording.reference.t_ns[0]) * 1e-9
+                after_s = (first_ns - table.t_ns[0]) * 1e-9
                 doubts.append(
                     f"{data.device or source}: the same samples were repeated from {after_s:.1f} s on for "
                     f"{(last_ns - first_ns) * 1e-9:.1f} s in which it was turned otherwise: it is stuck"

@@ -8,7 +8,7 @@ import numpy as np
 from drivers.types import Floats
 from estimator.observations.rows import observations
 from estimator.recordings.recording import ImuData
-from estimator.recordings.reference import AttitudeReadings, RateReadings, TableReadings, Turns
+from estimator.recordings.reference import AttitudeReadings, RateReadings, Turns
 from station.opening.links import ends_here
 from station.report.chapters.unobserved_effects import driven_step
 from station.report.pictures import Picture, rates_picture
@@ -39,23 +39,23 @@ def rate_hz(data: ImuData) -> float:
 
 def turns(recorded: Recorded) -> int:
     """Return the number of turns of known angle, if these were the reference."""
-    reference = recorded.recording.reference
-    return len(reference.sd_rad) if isinstance(reference, Turns) else 0
+    stated = recorded.recording.turns
+    return 0 if stated is None else len(stated.sd_rad)
 
 
 def motion_picture(recorded: Recorded) -> Picture | None:
     """Return a picture of the rates of the table axes, or of the body if there was no table; None if they are not
     known.
     """
-    reference = recorded.recording.reference
-    if isinstance(reference, TableReadings):
-        order = sorted(range(len(reference.gimbals)), key=lambda column: reference.gimbals[column])
-        names = [reference.gimbals[column] for column in order]
-        t_s: Floats = np.asarray((reference.t_ns - recorded.start_ns) * 1e-9, dtype=np.float64)
-        return rates_picture(names, t_s, reference.rate_rps[:, order], "rates of the axes of the table")
+    table = recorded.recording.table
+    if table is not None:
+        order = sorted(range(len(table.gimbals)), key=lambda column: table.gimbals[column])
+        names = [table.gimbals[column] for column in order]
+        t_s: Floats = np.asarray((table.t_ns - recorded.start_ns) * 1e-9, dtype=np.float64)
+        return rates_picture(names, t_s, table.rate_rps[:, order], "rates of the axes of the table")
     data = next(iter(recorded.recording.sources.values()))
     rows = [part for part in observations(recorded.recording, data) if part.t_ns is not None]
-    if isinstance(reference, Turns) or not rows:
+    if recorded.recording.turns is not None or not rows:
         return None
     t_s = np.concatenate([part.t_ns for part in rows if part.t_ns is not None]) * 1e-9
     return rates_picture("xyz", t_s - t_s[0], np.vstack([part.w_rps for part in rows]), "rates of the body")
@@ -63,7 +63,7 @@ def motion_picture(recorded: Recorded) -> Picture | None:
 
 def driven_steps(recorded: Recorded) -> list[tuple[Step, Rotate | None]]:
     """Return the steps as they were driven on a table, each with its turn if it had one."""
-    table = recorded.recording.reference
-    if not isinstance(table, TableReadings):
+    table = recorded.recording.table
+    if table is None:
         return []
     return [(step, driven_step(table, step).turn) for step in recorded.steps]

@@ -13,10 +13,9 @@ from estimator.effects.constructed import readable as words
 from estimator.effects.effect import Effect
 from estimator.effects.site import EARTH_RATE
 from estimator.geometry.noise import NoiseModel
-from estimator.observations.rests import REST_RPS
 from estimator.planning.planning import EffectForecast, Forecast, PlannedDevice, forecast
 from estimator.recordings.recording import ImuData
-from estimator.recordings.reference import TableReadings
+from estimator.recordings.reference import REST_RPS, TableReadings
 from station.render.plan_printed import MARKED, unnoticed
 from station.report.figures import Unit, figure, significant, typographic
 from station.report.recorded import Recorded, Step
@@ -60,15 +59,15 @@ class Unseen:
 
 def unseen_of(recorded: Recorded) -> Unseen | None:
     """Return what a run on a table could not see; None without table readings, steps, a calibration, or any turn."""
-    reference, found = recorded.recording.reference, recorded.calibration
-    if not isinstance(reference, TableReadings) or not recorded.steps or found is None:
+    table, found = recorded.recording.table, recorded.calibration
+    if table is None or not recorded.steps or found is None:
         return None
-    driven = [driven_step(reference, step) for step in recorded.steps]
+    driven = [driven_step(table, step) for step in recorded.steps]
     if not any(step.turn for step in driven):
         return None
     script = Script(recorded.text("script") or "script", tuple(part for step in driven for part in step.parts))
     period_s = max(_PERIOD_S, script.least_s / _MOST_ROWS)
-    motion = planned_motion(script, reference.gimbals, period_s)
+    motion = planned_motion(script, table.gimbals, period_s)
     conditions = motion.conditions(_temperature(recorded, motion.t_s), recorded.recording.site)
     devices = [
         PlannedDevice(source, data.array, _noise(found, source, data), data.prior)
@@ -77,7 +76,7 @@ def unseen_of(recorded: Recorded) -> Unseen | None:
     known = {value.effect.split()[0] for gyro in found.gyros for value in gyro.effects}
     effects = [e for e in catalogue(motion.gimbals, script.least_s) if e.name not in known]
     of_table = frozenset(record.name for record in records() if record.of_table)
-    budgeted = of_table if reference.uncertainty is not None else frozenset[str]()
+    budgeted = of_table if table.uncertainty is not None else frozenset[str]()
     return Unseen(forecast(conditions, devices, effects), budgeted, recorded.recording.site is not None)
 
 
