@@ -11,6 +11,7 @@ SIDEREAL_DAY_S = 86164.0905
 _HALF_STEP_S = 1e-4
 _AHEAD_S = 0.1
 _SAME_INSTANT_S = 1e-6
+_FORCE_STEP_S = 1e-3
 
 
 # q @ _RIGHT[axis] is the quaternion product q e, with e the unit quaternion along x, y or z.
@@ -79,33 +80,54 @@ class Body:
         w, x, y, z = self._turned(np.tile([1.0, 0.0, 0.0, 0.0], (len(t_s), 1)), t_s).T
         return np.column_stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
 
+    def specific_force_mps2(self, t_s: Floats, places_m: Floats, gravity_mps2: float) -> Floats:
+        """Return the specific force (n, places, 3) at places fixed to the body, in body axes, at each instant (n,).
+
+        ``places_m`` (places, 3) are from the point in which the axes of the table meet, in body axes. The acceleration
+        of each is the second difference of where it is in the base frame, over 1 ms.
+        """
+        n = len(t_s)
+        instants = np.concatenate([t_s - _FORCE_STEP_S, t_s, t_s + _FORCE_STEP_S])
+        level = np.tile([1.0, 0.0, 0.0, 0.0], (len(instants), 1))
+        into_base = _rotations(self._turned(level, instants))
+        there_m = np.einsum("nij,pj->npi", into_base, places_m)
+        change_m = there_m[:n] - 2 * there_m[n : 2 * n] + there_m[2 * n :]
+        felt = change_m / _FORCE_STEP_S**2
+        felt[:, :, 2] += gravity_mps2
+        return np.asarray(np.einsum("nij,npi->npj", into_base[n : 2 * n], felt))
+
     def up_in_turn(self, period_s: float) -> Callable[[Floats], Floats]:
-        """Return a function like ``up`` for successive instants ``period_s`` apart, computed ahead until the motion
+        """Return a function like ``up`` for successive instants ``period_s`` apart, computed ahead."""
+        return self.in_turn(self.up, period_s)
+
+    def in_turn(self, at: Callable[[Floats], Floats], period_s: float) -> Callable[[Floats], Floats]:
+        """Return a function like ``at`` for successive instants ``period_s`` apart, computed ahead until the motion
         changes.
 
-        Instants that are not ``period_s`` apart are computed individually.
+        ``at`` gives a row for each instant (n,). Instants that are not ``period_s`` apart are computed individually.
         """
         count = max(round(_AHEAD_S / period_s), 1)
-        first_s, ahead, revision = math.inf, np.empty((0, 3)), -1
+        first_s, revision = math.inf, -1
+        ahead: Floats = np.empty((0, 3))
 
-        def up(t_s: Floats) -> Floats:
-            """Return the directions up at evenly spaced instants, from values computed ahead; else compute them now.
+        def rows(t_s: Floats) -> Floats:
+            """Return the rows at evenly spaced instants, from values computed ahead; else compute them now.
 
             Values are computed ahead anew at another start, at the end, and after the motion has changed.
             """
             nonlocal first_s, ahead, revision
             n, now_s = len(t_s), float(t_s[0])
             if abs(float(t_s[-1]) - now_s - (n - 1) * period_s) > _SAME_INSTANT_S:
-                return self.up(t_s)
+                return at(t_s)
             place = (now_s - first_s) / period_s
             row = round(place) if 0 <= place < len(ahead) - n + 0.5 else 0
             if revision != self.revision or abs(place - row) * period_s > _SAME_INSTANT_S:
                 first_s, row = now_s, 0
                 coming = np.arange(max(count, n), dtype=np.float64)
-                ahead, revision = self.up(first_s + period_s * coming), self.revision
+                ahead, revision = at(first_s + period_s * coming), self.revision
             return ahead[row : row + n]
 
-        return up
+        return rows
 
     def _attitude(self, t_s: Floats, origin_s: float) -> Floats:
         earth = 0.5 * self._spin * (t_s - origin_s)
@@ -121,3 +143,14 @@ class Body:
         for i, axis in enumerate(self.gimbals):
             q = cos[i] * q + sin[i] * (q @ self._right[axis])
         return q
+
+
+def _rotations(q: Floats) -> Floats:
+    """Return the matrices (n, 3, 3) that turn body vectors into the base frame, of unit quaternions w x y z (n, 4)."""
+    w, x, y, z = q.T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.asarray(np.moveaxis(np.array(rows), 2, 0))

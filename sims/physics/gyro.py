@@ -12,13 +12,10 @@ from sims.physics.hidden.chain import GyroChain
 from sims.physics.hidden.effects import Hidden
 from sims.physics.hidden.scene import World
 from sims.physics.hidden.temperature import Temperature
+from sims.physics.wander import Wander
 
 _AHEAD_S = 0.1  # bias instability moves in steps of this, a tenth of its shortest time
 _ROWS_AT_ONCE = 1 << 16
-_CORRELATION_TIMES_S = np.array([1.0, 10.0, 100.0, 1000.0])
-# A decade-spaced sum of Gauss-Markov processes of equal variance s^2 has a flat Allan deviation of 0.775 s;
-# bias instability B is the one whose floor is 0.664 B (IEEE Std 952, Annex C).
-_SHARE = 0.664 / 0.775
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,10 +60,14 @@ class GyroArray:
         self._white_rps = truth.arw_rps_rthz * math.sqrt(rate_hz)
         self._random = np.random.default_rng(seed)
         m = len(mounting.p)
-        self._wander_rps = _SHARE * truth.bias_instability_rps
-        self._wander = self._random.standard_normal((len(_CORRELATION_TIMES_S), m))
-        self._walk_rps = np.zeros(m)
         self._period_s = 1 / rate_hz
+        self._wander_rps = Wander(
+            count=m,
+            bias_instability=truth.bias_instability_rps,
+            random_walk=truth.rate_random_walk_rps_rts,
+            period_s=self._period_s,
+            random=self._random,
+        )
         self._started_s = started_s
         self.thermometer = True
         """Whether it has one that works."""
@@ -78,7 +79,6 @@ class GyroArray:
             world = World(body, mounting, tilted, self._temperature, started_s)
             self._chain = GyroChain(hidden.of_gyros, world, 1 - truth.k, self._period_s, seed)
         self._been_t = np.empty(0)
-        self._decays: dict[int, tuple[Floats, Floats]] = {}
         self._per_call = 0
         self._revision = -1
         self._ahead_t, self._ahead, self._ahead_noise = np.empty(0), np.empty((0, m)), np.empty((0, m))
@@ -104,7 +104,7 @@ class GyroArray:
     def sample_all(self, t_s: Floats) -> Floats:
         """Return the outputs (n, m) in rad/s at all instants of a run whose motion is known from the start."""
         steps = max(round(_AHEAD_S / self._period_s), 1)
-        wander = np.repeat([self._step_wander(steps) for _ in range(-(-len(t_s) // steps))], steps, axis=0)
+        wander = np.repeat([self._wander_rps.step(steps) for _ in range(-(-len(t_s) // steps))], steps, axis=0)
         out = np.empty((len(t_s), len(self._truth.k)))
         for start in range(0, len(t_s), _ROWS_AT_ONCE):  # attitudes take many times the room of outputs
             stop = min(start + _ROWS_AT_ONCE, len(t_s))
@@ -118,7 +118,7 @@ class GyroArray:
         calls = max(round(_AHEAD_S / (n * self._period_s)), 1)
         self._ahead_t = (t_s + n * self._period_s * np.arange(calls)[:, None]).ravel()
         rows, m = len(self._ahead_t), len(self._truth.k)
-        wander = self._step_wander(rows)
+        wander = self._wander_rps.step(rows)
         self._ahead_noise = wander + self._white_rps * self._random.standard_normal((rows, m))
         self._work_out(self._ahead_t)
 
@@ -133,22 +133,6 @@ class GyroArray:
         if self._chain is not None:
             return self._chain.output(t_s, keep=keep) - self._truth.b_rps
         return np.asarray(self._body.rate_rps(t_s) @ self._sensitivity.T - self._truth.b_rps)
-
-    def _step_wander(self, samples: int) -> Floats:
-        """Return the bias (m,) in rad/s after ``samples`` more samples: bias instability and rate random walk."""
-        keep, push = self._decay(samples)
-        self._wander = keep * self._wander + push * self._random.standard_normal(self._wander.shape)
-        if self._truth.rate_random_walk_rps_rts:
-            step_rps = self._truth.rate_random_walk_rps_rts * math.sqrt(samples * self._period_s)
-            self._walk_rps = self._walk_rps + step_rps * self._random.standard_normal(len(self._walk_rps))
-        return np.asarray(self._wander_rps * self._wander.sum(axis=0) + self._walk_rps)
-
-    def _decay(self, samples: int) -> tuple[Floats, Floats]:
-        """Return the factors of the old wander and of new noise over this many samples."""
-        if samples not in self._decays:
-            keep = np.exp(-samples * self._period_s / _CORRELATION_TIMES_S)[:, None]
-            self._decays[samples] = keep, np.sqrt(1 - keep**2)
-        return self._decays[samples]
 
     def temperature_c(self, t_s: float) -> float:
         """Return the temperature of the gyros."""
