@@ -14,6 +14,7 @@ from estimator.geometry.model import STATES, Prior
 from estimator.observations.coverage import AxisCoverage
 from estimator.observations.health import Excluded
 from estimator.observations.timing import TimeOffset
+from estimator.sensors.gyros import GYRO
 from estimator.types import Floats
 
 _UNSEEN = 0.5  # a posterior sigma above this share of the prior's: the run did not show the state
@@ -124,7 +125,7 @@ class Calibration:
                 "device": ("gyro", [gyro.device for gyro in self.gyros]),
                 "state": list(STATES),
                 "other_state": list(STATES),
-                "unit": ("state", ["1", "rad/s", "rad", "rad"]),
+                "unit": ("state", list(GYRO.units)),
             },
             {"nis_mean": self.nis_mean, "samples": self.samples, "lost": self.lost, "holds_for": self.holds_for},
         )
@@ -142,9 +143,8 @@ class Calibration:
 def unseen_notes(name: str, covariance: Floats, prior: Prior) -> list[str]:
     """Return a sentence for each state of a gyro whose sigma, by its covariance (4, 4), is nearly that of the prior."""
     ratio = np.sqrt(np.diag(covariance) / prior.variances())
-    labels = ("scale factor error k", "bias b", "misalignment sigma_j", "misalignment sigma_k")
     return [
-        f"{name}: {label} is not determined by this run (its sigma is {r:.0%} of the data sheet value)"
-        for label, r in zip(labels, ratio, strict=True)
+        f"{name}: {state.text} is not determined by this run (its sigma is {r:.0%} of the data sheet value)"
+        for state, r in zip(GYRO.states, ratio, strict=True)
         if r > _UNSEEN
     ]

@@ -20,6 +20,7 @@ from estimator.effects.table import TABLE_RATE
 from estimator.estimation.noise_evidence import Joint, settled
 from estimator.estimation.runs.run import Run
 from estimator.estimation.spectra import Z
+from estimator.sensors.gyros import GYRO
 from estimator.types import Floats
 
 Key = tuple[str, float, str]
@@ -34,7 +35,8 @@ _WORTH = 0.75  # of the limit for a report: finer parts, and noise estimated wit
 _ALIKE = 9.2  # twice the logarithm of the odds, 100, below which two causes are not distinguished
 _WAY = "the gyros and the {} encoder disagreed"
 _DEG = float(np.degrees(1.0))
-_STATES: tuple[Key, ...] = (("k", 1e6, "ppm"), ("b", _DEG, "deg/s"), ("sigma_j", _DEG, "deg"), ("sigma_k", _DEG, "deg"))
+_SHOWN = {"1": (1e6, "ppm"), "rad/s": (_DEG, "deg/s"), "rad": (_DEG, "deg")}
+_STATES: tuple[Key, ...] = tuple((state.symbol, *_SHOWN[state.unit]) for state in GYRO.states)
 
 
 class _Change(NamedTuple):

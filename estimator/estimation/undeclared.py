@@ -29,6 +29,7 @@ from estimator.estimation.runs.run import Run
 from estimator.geometry.kinematics import GRAVITY_MPS2
 from estimator.geometry.model import STATES, Prior
 from estimator.packaged import sentence
+from estimator.sensors.gyros import GYRO
 from estimator.types import Floats
 
 _SHARE = 1 / 3  # of the largest plausible size of a parameter is its expected standard deviation
@@ -36,6 +37,7 @@ _SPOKEN_OF_RPS = float(np.radians(30.0))  # rate at which these are as large as 
 _WARMS_K, _WARMS_S = 10.0, 600.0  # after power-on, where no temperature was recorded
 _LEAST_COLUMN = 1e-12
 _MOST_NAMED, _NAMED = 3, 0.1  # effects that are named of a state, and the share of its variance that they make
+_SHOWN = {"1": (1e6, "ppm"), "rad/s": (float(np.degrees(3600)), "deg/h"), "rad": (1e6, "urad")}
 _TILTED = 0.05  # of gravity: a component that changes by less does so by vibration and drift
 _OF_TIME = frozenset(record.name for record in drift.RECORDS)
 _ASSUMED = frozenset({"temperature", "specific force"})  # assumed where it was not recorded
@@ -189,10 +191,12 @@ def undeclared_notes(found: Sequence[UndeclaredEffect], gyros: Sequence[GyroCali
     for one in found:
         most[one.effect] = max(most.get(one.effect, 0.0), one.share)
     worst = sorted(most, key=lambda effect: -most[effect])[:_MOST_NAMED]
-    sizes = np.sqrt(np.mean([gyro.sd_declared**2 for gyro in gyros], axis=0)) * [1e6, np.degrees(3600), 1e6, 1e6]
-    units = ("ppm", "deg/h", "urad", "urad")
-    labels = [name.removesuffix("_rps").removesuffix("_rad") for name in STATES]
-    without = ", ".join(f"{n} {v:.2g} {u}" for n, v, u in zip(labels, sizes.tolist(), units, strict=True))
+    sizes = np.sqrt(np.mean([gyro.sd_declared**2 for gyro in gyros], axis=0))
+    texts = []
+    for state, size in zip(GYRO.states, sizes.tolist(), strict=True):
+        factor, unit = _SHOWN[state.unit]
+        texts.append(f"{state.symbol} {size * factor:.2g} {unit}")
+    without = ", ".join(texts)
     return [sentence("estimation.undeclared", effects=", ".join(worst), without=without)]
 
 

@@ -14,10 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimator.geometry.array import SensorArray
+from estimator.sensors.gyros import GYRO
 from estimator.types import Floats
 
-STATES = ("k", "b_rps", "sigma_j_rad", "sigma_k_rad")
-"""Names of the decoded states, in the order of every vector and matrix of states."""
+STATES = GYRO.keys
+"""Names of the decoded states of a gyro, in the order of every vector and matrix of states."""
 
 
 @dataclass(frozen=True, slots=True)

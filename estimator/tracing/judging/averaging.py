@@ -7,7 +7,8 @@ import numpy as np
 
 from estimator.estimation.evidence import Term
 from estimator.estimation.repeatability import between_runs
-from estimator.geometry.model import STATES, decode
+from estimator.geometry.model import decode
+from estimator.sensors.gyros import GYRO
 from estimator.tracing.augmented import Augmented, Part
 from estimator.tracing.investigation import GyroErrors
 from estimator.tracing.judging.cross_validation import by_run
@@ -17,6 +18,8 @@ from estimator.types import Floats
 
 _MOST_SETS = 40
 _MATTERS = 1e-2  # share of the probability below which an alternative is not averaged over
+
+_SHOWN = {"1": (1e6, "ppm"), "rad/s": (float(np.degrees(3600)), "deg/h"), "rad": (1e3, "mrad")}
 
 
 def between_recordings(search: Search, terms: Sequence[Term]) -> Floats:
@@ -37,9 +40,11 @@ def between_recordings(search: Search, terms: Sequence[Term]) -> Floats:
 
 def between_notes(between: Floats) -> list[str]:
     """Return, in words, which states differ from run to run."""
-    sizes = between * [1e6, np.degrees(3600), 1e3, 1e3]
-    words = zip(STATES, sizes.tolist(), ("ppm", "deg/h", "mrad", "mrad"), strict=True)
-    told = [f"{name.split('_r')[0]} differs by {size:.2g} {unit}" for name, size, unit in words if size]
+    told = []
+    for state, size in zip(GYRO.states, between.tolist(), strict=True):
+        factor, unit = _SHOWN[state.unit]
+        if size:
+            told.append(f"{state.symbol} differs by {size * factor:.2g} {unit}")
     return [f"{', '.join(told)} from run to run. The sigmas include this variation"] if told else []
 
 

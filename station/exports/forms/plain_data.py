@@ -12,6 +12,7 @@ from scipy.io import savemat
 from estimator.calibration.compensation import CompensationError
 from estimator.calibration.gyro import GyroCalibration
 from estimator.geometry.model import STATES
+from estimator.sensors.gyros import GYRO
 from station.exports.exported import Exported
 from station.exports.written import Written, json_text, lines_of, number, yaml_text
 from station.views.json_values import budget_and_noise, by_state, json_object, named
@@ -68,7 +69,7 @@ def _line(exported: Exported, i: int, gyro: GyroCalibration) -> dict[str, str]:
     """Return one gyro's values as texts by heading."""
     array, gain = exported.compensation.array, exported.compensation.sensitivity
     values = {f"{a}_{part}": x for a in "pjk" for part, x in zip("xyz", getattr(array, a)[i], strict=True)}
-    for key, unit, state, sd in zip(STATES, ("1", "rad/s", "rad", "rad"), gyro.states, gyro.sd, strict=True):
+    for key, unit, state, sd in zip(STATES, GYRO.units, gyro.states, gyro.sd, strict=True):
         values |= {f"{key} ({unit})": state, f"sd {key} ({unit})": sd}
     values |= {f"g_{part}": x for part, x in zip("xyz", gain[i], strict=True)}
     values["noise of a sample (rad/s)"] = gyro.noise_rps

@@ -1,0 +1,1 @@
+"""The kinds of sensor that the station calibrates, one module each."""
