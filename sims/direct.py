@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.types import Floats, Stamps
+from sims.physics.accelerometer import Accelerometers, AccelerometerTruth
 from sims.physics.body import Body
 from sims.physics.geometry import Mounting
 from sims.physics.gyro import GyroArray, GyroTruth
@@ -16,7 +17,7 @@ from sims.physics.motion import AxisMotion
 
 _NO_LIMIT = 1e3
 _READ_EVERY_S, _TEMPERATURE_COUNT_C, _TEMPERATURE_NOISE_C = 1.0, 0.01, 0.005
-_OF_TEMPERATURE = 84  # a seed of its own, so that the gyros' noise does not depend on it
+_OF_TEMPERATURE, _OF_FORCE = 84, 85  # seeds of their own, so that the gyros' noise does not depend on them
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +33,10 @@ class TimedMove:
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class DirectRun:
-    """Readings of the table (k, gimbals), and outputs (n, m) and temperature readings (n,) of the gyros."""
+    """Readings of the table (k, gimbals), and outputs (n, m) and temperature readings (n,) of the gyros.
+
+    ``force_mps2`` (n, a) are the outputs of the accelerometers, None without any.
+    """
 
     table_t_ns: Stamps
     angle_rad: Floats
@@ -40,6 +44,7 @@ class DirectRun:
     t_ns: Stamps
     output_rps: Floats
     temperature_c: Floats
+    force_mps2: Floats | None = None
 
 
 def direct_run(
@@ -58,12 +63,15 @@ def direct_run(
     earth_turns: bool = True,
     hidden: Hidden | None = None,
     started_s: float = 0.0,
+    accelerometers: tuple[Mounting, AccelerometerTruth] | None = None,
+    gravity_mps2: float = 9.80665,
 ) -> DirectRun:
     """Return the readings of a table that carries out ``moves``, and of the gyros on it, computed without wires or
     drivers.
 
     Angles are rounded to encoder counts; rates are exact, as a drive's set point is. The bench clock, which temperature
-    and ``hidden`` effects follow, is at ``started_s`` when the run begins.
+    and ``hidden`` effects follow, is at ``started_s`` when the run begins. ``accelerometers`` are the axes and truth
+    of those that sample with the gyros, in a field of ``gravity_mps2``.
     """
     table = hidden.table if hidden is not None else TableFaults()
     motions = {axis: AxisMotion(0.0, _NO_LIMIT, _NO_LIMIT) for axis in gimbals}
@@ -86,6 +94,19 @@ def direct_run(
     )
     t_s = np.arange(1, round(duration_s * rate_hz) + 1) / rate_hz
     output = gyros.sample_all(t_s)
+    force = None
+    if accelerometers is not None:
+        axes, errors = accelerometers
+        felt = Accelerometers(
+            mounting=axes,
+            truth=errors,
+            body=body,
+            rate_hz=rate_hz,
+            seed=(*seed, _OF_FORCE),
+            gravity_mps2=gravity_mps2,
+            warmth_c=lambda t: gyros.temperatures_c(t) - truth.temperature_c,
+        )
+        force = felt.sample_all(t_s)
     table_s = np.arange(round(duration_s * table_rate_hz) + 2) / table_rate_hz
     count = 2 * math.pi / counts_per_turn
     read = [_read(motions[g], table.read(g, motions[g].at, started_s), table_s) for g in gimbals]
@@ -99,6 +120,7 @@ def direct_run(
         t_ns=_ns(t_s),
         output_rps=output,
         temperature_c=temperature,
+        force_mps2=force,
     )
 
 

@@ -98,7 +98,7 @@ def undeclared(runs: Sequence[Run], excluded: frozenset[str]) -> Undeclared:
             continue
         if "specific force" in effect.needs and one_pose:
             continue
-        size = 1.0 if held else _of_type(effect, runs[0].prior)
+        size = 1.0 if held else _of_type(effect, runs[0].data.prior)
         sd = _SHARE * share * size * effect.largest
         if name in _OF_TIME and "temperature" not in offers:
             effect = _about_its_mean(effect)

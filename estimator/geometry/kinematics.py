@@ -15,12 +15,35 @@ GRAVITY_MPS2 = 9.80665
 AXES = "xyz"
 
 
+UNMEASURED_GRAVITY = 5e-5
+"""Standard uncertainty of a gravity that is computed from the latitude, relative: anomalies of 50 to 100 mGal."""
+
+
+def normal_gravity_mps2(latitude_rad: float, height_m: float = 0.0) -> float:
+    """Return normal gravity on and above the ellipsoid of WGS 84: Somigliana's formula, and the free-air gradient."""
+    square = np.sin(latitude_rad) ** 2
+    at_sea_level = 9.7803253359 * (1 + 0.00193185265241 * square) / np.sqrt(1 - 0.00669437999013 * square)
+    return float(at_sea_level - 3.086e-6 * height_m)
+
+
 @dataclass(frozen=True, slots=True)
 class Site:
-    """Site of the table: geographic latitude and the azimuth of the base x axis, clockwise from north."""
+    """Site of the table: geographic latitude, azimuth of the base x axis clockwise from north, height above sea level.
+
+    ``gravity_mps2`` is the local gravity if it was measured or stated; None: normal gravity.
+    """
 
     latitude_rad: float
     heading_rad: float
+    height_m: float = 0.0
+    gravity_mps2: float | None = None
+
+    @property
+    def local_gravity_mps2(self) -> float:
+        """The stated local gravity, else normal gravity."""
+        if self.gravity_mps2 is not None:
+            return self.gravity_mps2
+        return normal_gravity_mps2(self.latitude_rad, self.height_m)
 
     def earth_rate_rps(self) -> Floats:
         """Return Earth rate in the base frame, shape (3,)."""

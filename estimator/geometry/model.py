@@ -1,4 +1,7 @@
-"""The error model of a gyro: four constant states, and the data-sheet prior on them.
+"""The error model of a sensor: four constant states, and the data-sheet prior on them.
+
+It is written for a gyro, whose input w is the body rate. That of an accelerometer has the same form with the specific
+force at its place as input, in m/s2.
 
 The filter and the batch estimate work in ``x = [k, b, s_j, s_k]`` with ``s = (1 - k) sigma``. In these the
 output error is linear without any approximation, with the paper's own regressors (eq. 13):
@@ -10,6 +13,7 @@ the product of scale factor error and misalignment that the paper drops (0.5 % o
 """
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -19,6 +23,13 @@ from estimator.types import Floats
 
 STATES = GYRO.keys
 """Names of the decoded states of a gyro, in the order of every vector and matrix of states."""
+
+
+class StatePrior(Protocol):
+    """What a data sheet expects of the states of a sensor."""
+
+    def variances(self) -> Floats:
+        """Return the variances of [k, b, s_j, s_k]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +45,25 @@ class Prior:
         return np.array([self.k, self.b_rps, self.sigma_rad, self.sigma_rad]) ** 2
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ForcePrior:
+    """Standard deviations about zero of the states of an accelerometer, and of where it sits.
+
+    ``arm_m`` is that of each component of the lever arm from the point in which the axes of the table meet, ``apart_m``
+    that of the places of the single accelerometers about it.
+    """
+
+    k: float = 0.05
+    b_mps2: float = 1.0
+    sigma_rad: float = 0.05
+    arm_m: float = 0.3
+    apart_m: float = 0.005
+
+    def variances(self) -> Floats:
+        """Return the prior variances of [k, b, s_j, s_k]."""
+        return np.array([self.k, self.b_mps2, self.sigma_rad, self.sigma_rad]) ** 2
+
+
 def regressor_maps(array: SensorArray) -> Floats:
     """Return A (n, 4, 4) such that the regressors of gyro i on its states are ``A[i] @ [1, wx, wy, wz]``."""
     maps = np.zeros((len(array), 4, 4))
@@ -46,12 +76,18 @@ def regressor_maps(array: SensorArray) -> Floats:
 
 def decode(x: Floats, covariance: Floats) -> tuple[Floats, Floats]:
     """Return the states [k, b, sigma_j, sigma_k] and their covariance (4, 4) from the estimated x (4,) of one gyro."""
-    k = x[0]
-    gain = 1.0 - k
+    gain = 1.0 - x[0]
+    states = np.array([x[0], x[1], x[2] / gain, x[3] / gain])
+    jacobian = decoding(x)
+    return states, jacobian @ covariance @ jacobian.T
+
+
+def decoding(x: Floats) -> Floats:
+    """Return the derivatives (4, 4) of the states that ``decode`` returns, by x (4,)."""
+    gain = 1.0 - x[0]
     jacobian = np.diag([1.0, 1.0, 1 / gain, 1 / gain])
     jacobian[2:, 0] = x[2:] / gain**2
-    states = np.array([k, x[1], x[2] / gain, x[3] / gain])
-    return states, jacobian @ covariance @ jacobian.T
+    return jacobian
 
 
 def predicted_output(array: SensorArray, states: Floats, w_rps: Floats) -> Floats:

@@ -115,7 +115,13 @@ def _read(path: Path, file: Any) -> Recording:
     check_memory(path, sum(8 * int(column.size or 0) for column in columns), READING)
     site = None
     if "site_latitude_rad" in attributes:
-        site = Site(float(attributes["site_latitude_rad"]), float(attributes.get("site_heading_rad", 0.0)))
+        stated = attributes.get("site_gravity_mps2")
+        site = Site(
+            latitude_rad=float(attributes["site_latitude_rad"]),
+            heading_rad=float(attributes.get("site_heading_rad", 0.0)),
+            height_m=float(attributes.get("site_height_m", 0.0)),
+            gravity_mps2=None if stated is None else float(stated),
+        )
     sources = {name: _read_source(path, name, group) for name, group in file.get("imu", {}).items()}
     if not sources:
         raise RecordingError(f"{path} holds no IMU samples (group /imu is missing or empty)")

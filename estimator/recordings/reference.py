@@ -15,12 +15,16 @@ REST_S = 5.0
 
 @dataclass(frozen=True, slots=True)
 class TableUncertainty:
-    """Standard uncertainties of a table: rate (relative), wobble and orthogonality of its axes, time of readings."""
+    """Standard uncertainties of a table: rate (relative), wobble and orthogonality of its axes, time of readings.
+
+    ``level_rad`` is that of its base from level about a horizontal axis, 0 if nobody states it.
+    """
 
     rate: float = 0.0
     wobble_rad: float = 0.0
     orthogonality_rad: float = 0.0
     timing_s: float = 0.0
+    level_rad: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

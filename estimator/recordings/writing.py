@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from estimator.errors import RecordingError, first_line
 from estimator.geometry.array import SensorArray
+from estimator.geometry.kinematics import Site
 from estimator.geometry.model import Prior
 from estimator.packaged import sentence
 from estimator.recordings.journal import ARRIVED, ATTRIBUTES, ROWS, Entry, Journal, is_sound, journal_of, sync
@@ -99,6 +100,8 @@ class RecordingWriter:
     ) -> None:
         """Declare the table: gimbals outermost first, uncertainty, and the window over which its rates are means."""
         stated = asdict(uncertainty) if uncertainty is not None else {}
+        if not stated.get("level_rad"):
+            stated.pop("level_rad", None)  # nobody stated it
         attributes = {f"u_{key}": value for key, value in stated.items()}
         named = {"axes": gimbals, "gimbals": gimbals, "rate_window_ns": rate_window_ns}
         self.set_attributes({**attributes, **named}, "table")
@@ -304,7 +307,7 @@ def write_recording(path: Path | str, recording: Recording) -> None:
     writer = RecordingWriter(Path(path), recording.attributes)
     try:
         if recording.site is not None:
-            writer.set_attributes({f"site_{key}": value for key, value in asdict(recording.site).items()})
+            writer.set_attributes(site_attributes(recording.site))
         reference = recording.reference
         table = recording.table
         if table is not None:
@@ -324,6 +327,16 @@ def write_recording(path: Path | str, recording: Recording) -> None:
             writer.append_rows(f"{DEVICES}/{device}", {"t_ns": series.t_ns, **series.columns})
     finally:
         writer.close()
+
+
+def site_attributes(site: Site) -> dict[str, float]:
+    """Return the attributes of a recording that state a site; height and gravity only if they were stated."""
+    attributes = {"site_latitude_rad": site.latitude_rad, "site_heading_rad": site.heading_rad}
+    if site.height_m:
+        attributes["site_height_m"] = site.height_m
+    if site.gravity_mps2 is not None:
+        attributes["site_gravity_mps2"] = site.gravity_mps2
+    return attributes
 
 
 def columns_of(readings: ImuData | Reference) -> dict[str, Any]:

@@ -106,7 +106,7 @@ class EarlyEnd:
             arw = found.arw[gyros.start : gyros.stop]
             known = replace(readings.uncertainty or TableUncertainty(), timing_s=own[number][2])
             timed = replace(readings, uncertainty=known)
-            tables = table_budget(timed, self._bench.site, run.array, run.prior, arw)
+            tables = table_budget(timed, self._bench.site, run.array, run.data.prior, arw)
             for g, table in zip(gyros, tables, strict=True):
                 whole = found.covariances[g] + sum(line.covariance for line in table)
                 sd = np.sqrt(np.diag(decode(found.means[g], whole)[1]))

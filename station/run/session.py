@@ -21,7 +21,7 @@ from estimator.calibration.values import Calibration
 from estimator.errors import EstimatorError, RecordingError
 from estimator.estimation.live.source import model_sha256
 from estimator.recordings.recording import IDENTITY
-from estimator.recordings.writing import TEXT_BYTES, RecordingWriter, write_attributes
+from estimator.recordings.writing import TEXT_BYTES, RecordingWriter, site_attributes, write_attributes
 from station.errors import UsageError, sentence
 from station.opening import OpenBench
 from station.opening.reopening import Reopening
@@ -462,8 +462,7 @@ def _attributes(bench: OpenBench, script: Script, options: RunOptions) -> dict[s
         "reason": _UNFINISHED,
     }
     if config.site is not None:
-        attributes["site_latitude_rad"] = config.site.latitude_rad
-        attributes["site_heading_rad"] = config.site.heading_rad
+        attributes |= site_attributes(config.site)
     found: dict[str, Any] = {"operator": options.operator, "device_serial": options.device_serial}
     found |= {"plugins": sorted({*config.plugins, *script.plugins}), "model_sha256": model_sha256(options.model)}
     attributes |= {key: value for key, value in found.items() if value}

@@ -79,7 +79,7 @@ class Past:
             conditions=run.grid.rows(slice(None, None, every)),
             array=run.array,
             noise=noise,
-            prior=run.prior,
+            prior=run.data.prior,
         )
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from estimator.effects.conditions import Conditions
 from estimator.effects.effect import Effect
 from estimator.geometry.array import SensorArray
-from estimator.geometry.model import Prior, regressor_maps
+from estimator.geometry.model import StatePrior, regressor_maps
 from estimator.observations.turned import REST_RPS
 from estimator.packaged import sentence
 from estimator.recordings.recording import ImuData, Recording
@@ -68,7 +68,7 @@ class Run:
         return self.data.array
 
     @property
-    def prior(self) -> Prior:
+    def prior(self) -> StatePrior:
         """Their data sheet."""
         return self.data.prior
 

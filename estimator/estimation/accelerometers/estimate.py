@@ -1,0 +1,210 @@
+"""The states of the accelerometers of a source, their lever arm and their delay, from a run on a table.
+
+All are estimated jointly, under noise that is found from the data (``estimator.estimation.noise_evidence``). The force
+depends on the lever arm and the states on the force: the estimate is repeated with the arm and the delay found, until
+neither changes.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.calibration.accelerometer import AccelerometerCalibration, ForceCalibration
+from estimator.calibration.budget import Contribution
+from estimator.estimation.accelerometers.force_runs import ForceRun, ForceSamples, force_run
+from estimator.estimation.accelerometers.laws import (
+    APART,
+    ARM,
+    DELAY,
+    GRAVITY,
+    LEVEL,
+    ORTHOGONALITY,
+    UNSTATED_LEVEL_RAD,
+    apart_law,
+    arm_law,
+    delay_law,
+    gravity_law,
+    laws_of_table,
+)
+from estimator.estimation.noise_evidence import Joint, Law, TooShort, joint_estimate
+from estimator.geometry.kinematics import GRAVITY_MPS2, UNMEASURED_GRAVITY
+from estimator.geometry.model import decode, decoding
+from estimator.geometry.noise import NoiseModel
+from estimator.observations.timing import TimeOffset, expected_sd_s
+from estimator.packaged import sentence
+from estimator.recordings.recording import Recording
+from estimator.types import Floats
+
+_MOST_STEPS = 8
+_SETTLED = 0.01  # of a standard deviation
+_SETTLED_ARM_M, _SETTLED_DELAY_S = 1e-7, 1e-8
+_LINES = (LEVEL, ORTHOGONALITY, GRAVITY)
+
+
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
+class _Settled:
+    """The joint estimate at the end, and the arm (3,) and the delay that were subtracted before it."""
+
+    joint: Joint
+    arm_m: Floats
+    delay_s: float
+
+
+def estimate_forces(
+    recording: Recording, source: str, samples: ForceSamples, noise: NoiseModel | None = None
+) -> ForceCalibration:
+    """Return the calibration of the accelerometers of a source on a table; ``noise`` is that of their data sheet.
+
+    Raises TooShort for too few samples beside readings of the table.
+    """
+    gravity_mps2 = GRAVITY_MPS2 if recording.site is None else recording.site.local_gravity_mps2
+    settled = _settled(recording, source, samples, gravity_mps2, noise)
+    joint = settled.joint
+    laws = {law.called: number for number, law in enumerate(joint.laws)}
+    arm, arm_covariance = _parameters(joint, laws[ARM], 0)
+    delay, delay_variance = _parameters(joint, laws[DELAY], 0)
+    device = recording.sources[source].device
+    found = []
+    for number, name in enumerate(samples.array.names):
+        states, covariance = decode(joint.means[number][:4], joint.covariances[number][:4, :4])
+        place, place_covariance = _place(joint, laws, number)
+        found.append(
+            AccelerometerCalibration(
+                name=name,
+                source=source,
+                device=device,
+                p=samples.array.p[number],
+                j=samples.array.j[number],
+                k_axis=samples.array.k[number],
+                states=states,
+                covariance=covariance,
+                noise_mps2=_sample_noise(joint, samples, number),
+                place_m=settled.arm_m + place,
+                place_covariance_m2=place_covariance,
+                budget=_budget(joint, number),
+                noise=joint.noise[number],
+            )
+        )
+    return ForceCalibration(
+        source=source,
+        device=device,
+        accelerometers=tuple(found),
+        covariance=_covariance(joint),
+        arm_m=settled.arm_m + arm,
+        arm_covariance_m2=arm_covariance,
+        gravity_mps2=gravity_mps2,
+        offset=TimeOffset(settled.delay_s + float(delay[0]), float(np.sqrt(delay_variance[0, 0]))),
+    )
+
+
+def _settled(
+    recording: Recording, source: str, samples: ForceSamples, gravity_mps2: float, noise: NoiseModel | None
+) -> _Settled:
+    """Return the joint estimate about the lever arm and the delay that it finds itself."""
+    arm_m = np.zeros(3)
+    delay_s = 0.0
+    for step in range(_MOST_STEPS):
+        run = force_run(recording, source, samples, arm_m=arm_m, delay_s=delay_s, gravity_mps2=gravity_mps2)
+        if run is None:
+            raise TooShort(sentence("estimation.short_for_effects", recording=recording.name, source=source))
+        joint = joint_estimate([run], _laws(run, samples, arm_m, delay_s), noise)
+        laws = {law.called: number for number, law in enumerate(joint.laws)}
+        arm_step, arm_covariance = _parameters(joint, laws[ARM], 0)
+        delay_step, delay_variance = _parameters(joint, laws[DELAY], 0)
+        arm_moves = np.abs(arm_step) > _SETTLED * np.sqrt(np.diag(arm_covariance)) + _SETTLED_ARM_M
+        delay_moves = abs(delay_step[0]) > _SETTLED * np.sqrt(delay_variance[0, 0]) + _SETTLED_DELAY_S
+        if step == _MOST_STEPS - 1 or not (arm_moves.any() or delay_moves):
+            break
+        arm_m = arm_m + arm_step
+        delay_s += float(delay_step[0])
+    return _Settled(joint=joint, arm_m=arm_m, delay_s=delay_s)
+
+
+def _laws(run: ForceRun, samples: ForceSamples, arm_m: Floats, delay_s: float) -> list[Law]:
+    """Return all laws beside the states, about the lever arm and the delay that were subtracted."""
+    recording = run.recording
+    table = recording.table
+    assert table is not None
+    stated = table.uncertainty
+    measured = recording.site is not None and recording.site.gravity_mps2 is not None
+    timing_s = stated.timing_s if stated is not None else 0.0
+    level_rad = stated.level_rad if stated is not None and stated.level_rad else UNSTATED_LEVEL_RAD
+    return [
+        arm_law(np.full(3, samples.prior.arm_m), arm_m),
+        apart_law(np.full(3, samples.prior.apart_m)),
+        delay_law(expected_sd_s(timing_s, table.half_width_ns), delay_s),
+        *laws_of_table(
+            table.gimbals,
+            level_rad=level_rad,
+            orthogonality_rad=stated.orthogonality_rad if stated is not None else 0.0,
+        ),
+        *([] if measured else [gravity_law(UNMEASURED_GRAVITY)]),
+    ]
+
+
+def _parameters(joint: Joint, law: int, accelerometer: int) -> tuple[Floats, Floats]:
+    """Return the parameters (p,) of a law as an accelerometer has them, and their covariance (p, p)."""
+    where = joint.slice_of(law)
+    sd = joint.laws[law].sd
+    values = joint.means[accelerometer][where] * sd + joint.laws[law].mean
+    covariance = joint.covariances[accelerometer][where, where] * np.outer(sd, sd)
+    return values, covariance
+
+
+def _place(joint: Joint, laws: dict[str, int], accelerometer: int) -> tuple[Floats, Floats]:
+    """Return where an accelerometer sits relative to the subtracted arm (3,), and the covariance (3, 3)."""
+    arm, apart = joint.slice_of(laws[ARM]), joint.slice_of(laws[APART])
+    to_arm = np.diag(joint.laws[laws[ARM]].sd)
+    to_apart = np.diag(joint.laws[laws[APART]].sd)
+    covariance = joint.covariances[accelerometer]
+    shown = np.r_[arm.start : arm.stop, apart.start : apart.stop]
+    jacobian = np.hstack([to_arm, to_apart])
+    mean = _parameters(joint, laws[ARM], accelerometer)[0] + _parameters(joint, laws[APART], accelerometer)[0]
+    return mean, np.asarray(jacobian @ covariance[np.ix_(shown, shown)] @ jacobian.T)
+
+
+def _budget(joint: Joint, accelerometer: int) -> tuple[Contribution, ...]:
+    """Return the contributions to the covariance of the states: noise, and what each error of the table adds."""
+    covariance = joint.covariances[accelerometer]
+    lines: list[Contribution] = []
+    known: list[int] = []
+    before = np.zeros((4, 4))
+    for line in _LINES:
+        own = [number for number, law in enumerate(joint.laws) if law.line == line]
+        if not own:
+            continue
+        known += own
+        through = joint.through(covariance, known)
+        lines.append(Contribution(line, through - before))
+        before = through
+    lines.insert(0, Contribution("noise", covariance[:4, :4] - before))
+    x = joint.means[accelerometer][:4]
+    return tuple(Contribution(line.name, decode(x, line.covariance)[1]) for line in lines)
+
+
+def _covariance(joint: Joint) -> Floats:
+    """Return the covariance (4 a, 4 a) of the decoded states of all accelerometers.
+
+    Two accelerometers have in common what the shared laws leave open, and nothing else.
+    """
+    count = len(joint.means)
+    shared = [number for number, law in enumerate(joint.laws) if law.effect.shared]
+    whole = np.zeros((4 * count, 4 * count))
+    jacobians = [decoding(mean[:4]) for mean in joint.means]
+    places = np.concatenate([np.arange(len(joint.means[0]))[joint.slice_of(number)] for number in shared])
+    for i, own in enumerate(joint.covariances):
+        block = slice(4 * i, 4 * i + 4)
+        whole[block, block] = jacobians[i] @ own[:4, :4] @ jacobians[i].T
+        for j in range(i):
+            across = joint.covariances[j][:4, places]
+            common = own[:4, places] @ np.linalg.solve(own[np.ix_(places, places)], across.T)
+            other = slice(4 * j, 4 * j + 4)
+            whole[block, other] = jacobians[i] @ common @ jacobians[j].T
+            whole[other, block] = whole[block, other].T
+    return whole
+
+
+def _sample_noise(joint: Joint, samples: ForceSamples, accelerometer: int) -> float:
+    """Return the noise of one sample, from the white noise that was found."""
+    period_s = float(np.median(np.diff(samples.t_ns))) * 1e-9
+    return float(joint.white[accelerometer] / np.sqrt(period_s))

@@ -1,0 +1,173 @@
+"""Runs of specific force: block means of the force at the accelerometers of a source, and of their output errors."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimator.effects.conditions import Conditions, body_acceleration
+from estimator.estimation.runs.measured import even_grid
+from estimator.estimation.runs.run import BLOCK_S, Run, block_means
+from estimator.estimation.runs.surroundings import GRID_S, temperature_at
+from estimator.geometry.array import SensorArray
+from estimator.geometry.kinematics import body_rate, into_body
+from estimator.geometry.model import ForcePrior
+from estimator.observations.blocks import BlockSums
+from estimator.recordings.motion.body_rates import BodyRates
+from estimator.recordings.recording import ImuData, Recording
+from estimator.recordings.reference import TableReadings
+from estimator.types import Floats, Stamps
+
+_GROUP_S = 0.005  # samples closer than this are averaged before the force at them is computed
+_FULL = 0.5  # share of the usual number of samples below which a block does not count
+_FEWEST_BLOCKS = 40
+
+
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
+class ForceSamples:
+    """Outputs (n, a) of the accelerometers of a source at instants (n,), in order of time, NaN where one is unusable.
+
+    ``array`` has their nominal axes in the body.
+    """
+
+    array: SensorArray
+    t_ns: Stamps
+    output_mps2: Floats
+    prior: ForcePrior
+
+
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
+class ForceRun(Run):
+    """A run of accelerometers: ``w_rps`` (b, 3) is the specific force, ``z_rps`` (b, a) are output errors, in m/s2."""
+
+    samples: ForceSamples
+
+    @property
+    def array(self) -> SensorArray:
+        """The accelerometers."""
+        return self.samples.array
+
+    @property
+    def prior(self) -> ForcePrior:
+        """Their data sheet."""
+        return self.samples.prior
+
+
+def force_run(
+    recording: Recording,
+    source: str,
+    samples: ForceSamples,
+    *,
+    arm_m: Floats,
+    delay_s: float,
+    gravity_mps2: float,
+    block_s: float = BLOCK_S,
+) -> ForceRun | None:
+    """Return the accelerometers of a source on a table as a run; None with fewer than ``_FEWEST_BLOCKS`` blocks.
+
+    The input is the specific force at a place ``arm_m`` (3,) from the point in which the axes meet, ``delay_s`` before
+    the stamps of the samples.
+    """
+    table, data = recording.table, recording.sources[source]
+    assert table is not None, "specific force is computed from the readings of a table"
+    rates = BodyRates.of(table, None)
+    t_ns, outputs = _grouped(samples)
+    t_ns = t_ns - round(delay_s * 1e9)
+    inside = (t_ns >= rates.starts_ns) & (t_ns <= rates.final_until_ns) & np.isfinite(outputs).all(axis=1)
+    t_ns, outputs = t_ns[inside], outputs[inside]
+    if len(t_ns) < 2:
+        return None
+    known = np.isfinite(rates.at(t_ns)).all(axis=1)
+    t_ns, outputs = t_ns[known], outputs[known]
+    if len(t_ns) < 2:
+        return None
+    force = force_at_place(rates, table, t_ns, arm_m, gravity_mps2)
+    period_s = float(np.median(np.diff(t_ns))) * 1e-9
+    length_s = max(block_s, 2 * period_s)
+    origin_ns = int(table.t_ns[0])
+    sums = BlockSums(len(samples.array), origin_ns, length_s, period_s)
+    sums.add(t_ns, force, outputs - force @ samples.array.p.T)
+    blocks = sums.blocks()
+    if len(blocks.index) < _FEWEST_BLOCKS:
+        return None
+    index, where = even_grid(blocks.index, length_s)
+    count = len(index)
+    w = np.zeros((count, 3))
+    z = np.zeros((count, len(samples.array)))
+    weight = np.zeros(count)
+    w[where] = blocks.w_rps
+    z[where] = blocks.z_rps
+    weight[where] = blocks.rows >= _FULL * np.median(blocks.rows)
+    t_s = np.asarray(origin_ns * 1e-9 + (index + 0.5) * length_s, dtype=np.float64)
+    return ForceRun(
+        name=recording.name,
+        source=source,
+        data=data,
+        length_s=length_s,
+        t_s=t_s,
+        w_rps=w,
+        z_rps=z,
+        weight=weight,
+        stretch=np.cumsum(np.diff(index, prepend=index[:1]) > 1).astype(np.intp),
+        grid=_conditions(recording, data, table, rates, t_s, length_s, arm_m, gravity_mps2),
+        fold=lambda columns: block_means(columns, count),
+        recording=recording,
+        samples=samples,
+    )
+
+
+def force_at_place(rates: BodyRates, table: TableReadings, t_ns: Stamps, arm_m: Floats, gravity_mps2: float) -> Floats:
+    """Return the specific force (n, 3) at instants (n,), in body axes: g + a x r + w x (w x r).
+
+    ``arm_m`` (3,) is the place r from the point in which the axes of the table meet.
+    """
+    angle, rate = rates.gimbals_at(t_ns)
+    force = into_body(np.array([0.0, 0.0, gravity_mps2]), angle, table.gimbals)
+    if not np.any(arm_m):
+        return force
+    w = body_rate(angle, rate, table.gimbals)
+    wdot = body_acceleration(angle, rate, rates.accelerations_at(t_ns), table.gimbals)
+    return np.asarray(force + np.cross(wdot, arm_m) + np.cross(w, np.cross(w, arm_m)))
+
+
+def _grouped(samples: ForceSamples) -> tuple[Stamps, Floats]:
+    """Return instants (q,) and outputs (q, a) as means over samples within ``_GROUP_S``; NaN with any that is NaN."""
+    t_ns, outputs = samples.t_ns, samples.output_mps2
+    if len(t_ns) < 2:
+        return t_ns, outputs
+    each = round(_GROUP_S / (float(np.median(np.diff(t_ns))) * 1e-9))
+    if each < 2:
+        return t_ns, outputs
+    count = len(t_ns) // each
+    since_ns = t_ns[: count * each].reshape(count, each) - t_ns[0]
+    together = np.ptp(since_ns, axis=1) < 2 * _GROUP_S * 1e9
+    means = outputs[: count * each].reshape(count, each, -1).mean(axis=1)
+    instants = t_ns[0] + np.round(since_ns.mean(axis=1)).astype(np.int64)
+    return instants[together], means[together]
+
+
+def _conditions(
+    recording: Recording,
+    data: ImuData,
+    table: TableReadings,
+    rates: BodyRates,
+    t_s: Floats,
+    length_s: float,
+    arm_m: Floats,
+    gravity_mps2: float,
+) -> Conditions:
+    """Return the conditions on an even grid within the blocks whose middles are ``t_s`` (b,)."""
+    steps = max(round(length_s / GRID_S), 1)
+    offsets = (np.arange(steps) + 0.5) / steps * length_s
+    grid_s = (t_s[:, None] - 0.5 * length_s + offsets).ravel()
+    grid_ns = np.round(grid_s * 1e9).astype(np.int64)
+    angle, rate = rates.gimbals_at(grid_ns)
+    conditions = Conditions.on_table(
+        grid_s,
+        angle,
+        rate,
+        rates.accelerations_at(grid_ns),
+        table.gimbals,
+        temperature_c=temperature_at(data, grid_s),
+        site=None,
+    )
+    return replace(conditions, specific_force_mps2=force_at_place(rates, table, grid_ns, arm_m, gravity_mps2))

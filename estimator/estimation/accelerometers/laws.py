@@ -1,0 +1,130 @@
+"""Laws of the output of accelerometers on a table, beside the four states.
+
+Columns are in m/s2 per unit of a parameter, for the sense axis p of one accelerometer.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from estimator.effects.conditions import Axes, Conditions
+from estimator.effects.effect import Effect, Parameter, Record, Regressors
+from estimator.estimation.noise_evidence import Law
+from estimator.geometry.kinematics import AXES, GRAVITY_MPS2, into_body
+from estimator.types import Floats
+
+ARM, APART, DELAY = "lever arm", "size effect", "delay"
+LEVEL, ORTHOGONALITY, GRAVITY = "level", "orthogonality", "gravity"
+UNSTATED_LEVEL_RAD = float(np.radians(0.05))
+"""Tilt of the base from level that is expected where none is stated: the data show it."""
+
+
+def arm_columns(conditions: Conditions, axes: Axes) -> Floats:
+    """Return the columns (N, 3) of the components of a lever arm: p . (a x r + w x (w x r)) for unit r.
+
+    ``a`` is the angular acceleration. (Nieminen, Kangas, Kettunen, Meas. Sci. Technol. 2010.)
+    """
+    along = conditions.w_rps @ axes.p
+    square = np.sum(conditions.w_rps**2, axis=1)
+    tangential = np.cross(axes.p, conditions.wdot_rps2)
+    return np.asarray(tangential + along[:, None] * conditions.w_rps - square[:, None] * axes.p)
+
+
+def arm_law(expected: Floats, arm_m: Floats) -> Law:
+    """Return the law of what is left of the lever arm, common to all accelerometers.
+
+    ``expected`` (3,) is the standard deviation of its components about zero; ``arm_m`` (3,) was subtracted.
+    """
+    return _law(ARM, arm_columns, expected, mean=-arm_m, names="xyz", shared=True)
+
+
+def apart_law(expected: Floats) -> Law:
+    """Return the law of where each accelerometer sits about the common lever arm, of standard deviation (3,)."""
+    return _law(APART, arm_columns, expected, names="xyz", shared=False)
+
+
+def delay_law(expected_s: float, taken_off_s: float) -> Law:
+    """Return the law of the delay of the outputs, of which ``taken_off_s`` was subtracted from the stamps."""
+
+    def columns(conditions: Conditions, axes: Axes) -> Floats:
+        """Return the change of the output per second of delay; gravity is at rest in the base."""
+        return np.asarray(np.cross(conditions.w_rps, conditions.specific_force_mps2) @ axes.p)[:, None]
+
+    return _law(DELAY, columns, np.array([expected_s]), mean=np.array([-taken_off_s]), names=("delay",), shared=True)
+
+
+def gravity_law(relative: float) -> Law:
+    """Return the law of an error of the assumed gravity, which no run on a table tells from the scale factors."""
+
+    def columns(conditions: Conditions, axes: Axes) -> Floats:
+        """Return the output itself."""
+        return np.asarray(conditions.specific_force_mps2 @ axes.p)[:, None]
+
+    return _law(GRAVITY, columns, np.array([relative]), names=("gravity",), shared=True, line=GRAVITY)
+
+
+def level_law(expected_rad: float) -> Law:
+    """Return the law of a base that is not level: rotations about its x and y axes."""
+
+    def columns(conditions: Conditions, axes: Axes) -> Floats:
+        """Return the components along p of gravity turned with the base."""
+        tilts = (np.array([0.0, -GRAVITY_MPS2, 0.0]), np.array([GRAVITY_MPS2, 0.0, 0.0]))
+        turned = [into_body(tilt, conditions.angle_rad, conditions.gimbals) @ axes.p for tilt in tilts]
+        return np.column_stack(turned)
+
+    return _law(LEVEL, columns, np.full(2, expected_rad), names=("about x", "about y"), shared=True, line=LEVEL)
+
+
+def orthogonality_law(gimbals: Sequence[str], expected_rad: float) -> Law:
+    """Return the law of small rotations between each axis of a table and the next: of its directions and its zero."""
+    names = [f"{about} before {axis}" for axis in gimbals[1:] for about in AXES]
+
+    def columns(conditions: Conditions, axes: Axes) -> Floats:
+        """Return the components along p of gravity turned before each axis but the outermost."""
+        up = np.array([0.0, 0.0, GRAVITY_MPS2])
+        found = []
+        for place in range(1, len(conditions.gimbals)):
+            outer, inner = conditions.gimbals[:place], conditions.gimbals[place:]
+            before = into_body(up, conditions.angle_rad[:, :place], outer)
+            for about in range(3):
+                moved = -np.cross(np.eye(3)[about], before)
+                found.append(_into_each(moved, conditions.angle_rad[:, place:], inner) @ axes.p)
+        return np.column_stack(found)
+
+    return _law(ORTHOGONALITY, columns, np.full(len(names), expected_rad), names=names, shared=True, line=ORTHOGONALITY)
+
+
+def laws_of_table(gimbals: Sequence[str], *, level_rad: float, orthogonality_rad: float) -> list[Law]:
+    """Return the laws of the errors of a table that tilt gravity."""
+    laws = [level_law(level_rad)]
+    if orthogonality_rad > 0 and len(gimbals) > 1:
+        laws.append(orthogonality_law(gimbals, orthogonality_rad))
+    return laws
+
+
+def _into_each(vectors: Floats, angles_rad: Floats, gimbals: Sequence[str]) -> Floats:
+    """Return vectors (N, 3), each turned by the angles (N, g) of its own row."""
+    columns = [into_body(unit, angles_rad, gimbals) for unit in np.eye(3)]
+    return np.asarray(sum(column * vectors[:, [place]] for place, column in enumerate(columns)))
+
+
+def _law(
+    called: str,
+    columns: Callable[[Conditions, Axes], Floats],
+    expected: Floats,
+    *,
+    names: Sequence[str],
+    shared: bool,
+    mean: Floats | None = None,
+    line: str = "",
+) -> Law:
+    """Return a law with ``columns``, its parameters called ``names``, with their expected standard deviations."""
+    parameters = tuple(Parameter(name, "", float(sd)) for name, sd in zip(names, expected, strict=True))
+    record = Record(name=called.replace(" ", "_"), parameters=parameters, shared=shared)
+    regressors: Regressors = columns
+    effect = Effect(
+        name=called, parameters=parameters, regressors=regressors, needs=frozenset({"gimbals"}), record=record
+    )
+    return Law(
+        called=called, effect=effect, mean=np.zeros(len(expected)) if mean is None else mean, sd=expected, line=line
+    )
