@@ -195,7 +195,7 @@ def settled(
     runs: Sequence[Run], spectra: Sequence[GyroSpectra], shapes: NoiseShapes, laws: Sequence[Law]
 ) -> tuple[Evidence, list[Term]]:
     """Return the evidence of runs beside ordered laws, its noise taken from all that they leave, and their terms."""
-    evidence, terms = Evidence(spectra, shapes), _terms(laws)
+    evidence, terms = Evidence(spectra, shapes), terms_of(laws)
     evidence.settle(terms, np.concatenate([np.full(len(r.array), r.stated_rps * np.sqrt(r.length_s)) for r in runs]))
     return evidence, terms
 
@@ -302,7 +302,7 @@ def _spectra(runs: Sequence[Run], columns: Sequence[Floats]) -> list[GyroSpectra
     return spectra
 
 
-def _terms(laws: Sequence[Law]) -> list[Term]:
+def terms_of(laws: Sequence[Law]) -> list[Term]:
     """Return ordered laws as terms, with columns scaled by the expected sigmas."""
     count = [sum(len(law.sd) for law in laws if law.effect.shared == shared) for shared in (False, True)]
     own, shared = range(Z + 1, Z + 1 + count[0]), range(Z + 1 + count[0], Z + 1 + sum(count))

@@ -5,7 +5,7 @@ depends on the lever arm and the states on the force: the estimate is repeated w
 neither changes.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,14 +19,16 @@ from estimator.estimation.accelerometers.laws import (
     GRAVITY,
     LEVEL,
     ORTHOGONALITY,
+    REST_ANGLES,
     UNSTATED_LEVEL_RAD,
     apart_law,
     arm_law,
     delay_law,
     gravity_law,
     laws_of_table,
+    rest_angle_law,
 )
-from estimator.estimation.noise_evidence import Joint, Law, TooShort, joint_estimate
+from estimator.estimation.noise_evidence import Joint, Law, TooShort, joint_estimate, terms_of
 from estimator.geometry.kinematics import GRAVITY_MPS2, UNMEASURED_GRAVITY
 from estimator.geometry.model import decode, decoding
 from estimator.geometry.noise import NoiseModel
@@ -38,7 +40,7 @@ from estimator.types import Floats
 _MOST_STEPS = 8
 _SETTLED = 0.01  # of a standard deviation
 _SETTLED_ARM_M, _SETTLED_DELAY_S = 1e-7, 1e-8
-_LINES = (LEVEL, ORTHOGONALITY, GRAVITY)
+_LINES = (LEVEL, ORTHOGONALITY, GRAVITY, REST_ANGLES)
 
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
@@ -46,6 +48,7 @@ class _Settled:
     """The joint estimate at the end, and the arm (3,) and the delay that were subtracted before it."""
 
     joint: Joint
+    run: ForceRun
     arm_m: Floats
     delay_s: float
 
@@ -59,7 +62,7 @@ def estimate_forces(
     """
     gravity_mps2 = GRAVITY_MPS2 if recording.site is None else recording.site.local_gravity_mps2
     settled = _settled(recording, source, samples, gravity_mps2, noise)
-    joint = settled.joint
+    joint = _with_rest_angles(settled, noise)
     laws = {law.called: number for number, law in enumerate(joint.laws)}
     arm, arm_covariance = _parameters(joint, laws[ARM], 0)
     delay, delay_variance = _parameters(joint, laws[DELAY], 0)
@@ -117,7 +120,24 @@ def _settled(
             break
         arm_m = arm_m + arm_step
         delay_s += float(delay_step[0])
-    return _Settled(joint=joint, arm_m=arm_m, delay_s=delay_s)
+    return _Settled(joint=joint, run=run, arm_m=arm_m, delay_s=delay_s)
+
+
+def _with_rest_angles(settled: _Settled, noise: NoiseModel | None) -> Joint:
+    """Return the joint estimate with errors of the angles at rest, if these make the data more probable; else that of
+    ``settled``.
+    """
+    before = settled.joint
+    table = before.runs[0].recording.table
+    law = rest_angle_law(table) if table is not None else None
+    if law is None:
+        return before
+    joint = joint_estimate([settled.run], [*before.laws, law], noise)
+    terms = terms_of(joint.laws)
+    own, shared = terms[0], terms[-1]
+    without = replace(shared, columns=shared.columns[: -len(law.sd)])
+    gain = joint.evidence.of(terms) - joint.evidence.of([own, without])
+    return joint if gain > 0 else before
 
 
 def _laws(run: ForceRun, samples: ForceSamples, arm_m: Floats, delay_s: float) -> list[Law]:

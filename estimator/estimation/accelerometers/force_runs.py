@@ -120,7 +120,7 @@ def force_at_place(rates: BodyRates, table: TableReadings, t_ns: Stamps, arm_m: 
 
     ``arm_m`` (3,) is the place r from the point in which the axes of the table meet.
     """
-    angle, rate = rates.gimbals_at(t_ns)
+    angle, rate = rates.angles_at(t_ns), rates.gimbals_at(t_ns)[1]
     force = into_body(np.array([0.0, 0.0, gravity_mps2]), angle, table.gimbals)
     if not np.any(arm_m):
         return force
@@ -160,7 +160,7 @@ def _conditions(
     offsets = (np.arange(steps) + 0.5) / steps * length_s
     grid_s = (t_s[:, None] - 0.5 * length_s + offsets).ravel()
     grid_ns = np.round(grid_s * 1e9).astype(np.int64)
-    angle, rate = rates.gimbals_at(grid_ns)
+    angle, rate = rates.angles_at(grid_ns), rates.gimbals_at(grid_ns)[1]
     conditions = Conditions.on_table(
         grid_s,
         angle,

@@ -11,10 +11,11 @@ from estimator.effects.conditions import Axes, Conditions
 from estimator.effects.effect import Effect, Parameter, Record, Regressors
 from estimator.estimation.noise_evidence import Law
 from estimator.geometry.kinematics import AXES, GRAVITY_MPS2, into_body
-from estimator.types import Floats
+from estimator.recordings.reference import TableReadings
+from estimator.types import Floats, least_steps
 
 ARM, APART, DELAY = "lever arm", "size effect", "delay"
-LEVEL, ORTHOGONALITY, GRAVITY = "level", "orthogonality", "gravity"
+LEVEL, ORTHOGONALITY, GRAVITY, REST_ANGLES = "level", "orthogonality", "gravity", "angles at rest"
 UNSTATED_LEVEL_RAD = float(np.radians(0.05))
 """Tilt of the base from level that is expected where none is stated: the data show it."""
 
@@ -100,6 +101,33 @@ def laws_of_table(gimbals: Sequence[str], *, level_rad: float, orthogonality_rad
     if orthogonality_rad > 0 and len(gimbals) > 1:
         laws.append(orthogonality_law(gimbals, orthogonality_rad))
     return laws
+
+
+def rest_angle_law(table: TableReadings) -> Law | None:
+    """Return the law of the angles at rest: each axis stands off its reading by up to half a count of its encoder.
+
+    A count of 2 pi / 65536 is 1 mm/s2 of gravity. It is the same error for all samples of a rest, so that no averaging
+    reduces it. None without rests, or with readings that are not rounded.
+    """
+    counts_rad = least_steps(np.abs(np.diff(table.angle_rad, axis=0)))
+    spans_s = [(first * 1e-9, last * 1e-9) for first, last in table.rests_ns]
+    rounded = [place for place, count in enumerate(counts_rad.tolist()) if np.isfinite(count)]
+    if not spans_s or not rounded:
+        return None
+    names = [f"{table.gimbals[place]} at rest {number + 1}" for place in rounded for number in range(len(spans_s))]
+
+    def columns(conditions: Conditions, axes: Axes) -> Floats:
+        """Return the change of the output by the angle of each axis, within each rest alone."""
+        found = []
+        for place in rounded:
+            unit = np.eye(3)[AXES.index(conditions.gimbals[place])]
+            about = into_body(unit, conditions.angle_rad[:, place + 1 :], conditions.gimbals[place + 1 :])
+            change = np.cross(conditions.specific_force_mps2, about) @ axes.p
+            found += [change * ((conditions.t_s >= first) & (conditions.t_s <= last)) for first, last in spans_s]
+        return np.column_stack(found)
+
+    expected = np.repeat(counts_rad[rounded] / np.sqrt(12), len(spans_s))
+    return _law(REST_ANGLES, columns, expected, names=names, shared=True, line=REST_ANGLES)
 
 
 def _into_each(vectors: Floats, angles_rad: Floats, gimbals: Sequence[str]) -> Floats:

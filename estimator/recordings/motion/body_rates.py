@@ -297,6 +297,22 @@ class BodyRates:
         angle, rate = (np.column_stack([np.interp(at_s, known_s, own) for own in part]) for part in parts)
         return angle, rate
 
+    def angles_at(self, t_ns: Stamps) -> Floats:
+        """Return angles (rows, gimbals) at ordered instants, bent between readings as their rates say.
+
+        On a ramp of 50 deg/s2 a straight line between readings 50 ms apart is wrong by up to 0.3 mrad, which is 3 mm/s2
+        of gravity. Beyond the readings the angles are those of the nearest.
+        """
+        straight, _ = self.gimbals_at(t_ns)
+        times = self._final["t_ns"]
+        before = np.clip(np.searchsorted(times, t_ns, side="right") - 1, 0, max(len(times) - 2, 0))
+        if len(times) < 2:
+            return straight
+        step_s = (times[before + 1] - times[before]) * 1e-9
+        since_s = np.clip((t_ns - times[before]) * 1e-9, 0.0, step_s)
+        slope = (self._final["rate"][before + 1] - self._final["rate"][before]) / step_s[:, None]
+        return np.asarray(straight - 0.5 * slope * (since_s * (step_s - since_s))[:, None])
+
     def accelerations_at(self, t_ns: Stamps) -> Floats:
         """Return the mean accelerations (rows, gimbals) over 20 ms about instants as for ``at``, rad/s2."""
         # A reading and a corner may lie so close together that the slope between them is nothing but rounding.
