@@ -6,15 +6,17 @@ from typing import Any
 
 import numpy as np
 
+from estimator.calibration.accelerometer import ForceCalibration
 from estimator.calibration.applied import applied
 from estimator.calibration.compensation import Compensation, CompensationError
 from estimator.calibration.gyro import GyroCalibration
 from estimator.geometry.array import SensorArray
-from estimator.geometry.model import STATES, Prior
+from estimator.geometry.model import STATES, StatePrior
 from estimator.observations.coverage import AxisCoverage
 from estimator.observations.health import Excluded
 from estimator.observations.timing import TimeOffset
 from estimator.sensors.gyros import GYRO
+from estimator.sensors.kind import State
 from estimator.types import Floats
 
 _UNSEEN = 0.5  # a posterior sigma above this share of the prior's: the run did not show the state
@@ -73,6 +75,8 @@ class Calibration:
     constancy: tuple[AxisCoverage, ...] = ()
     arrays: Mapping[str, SensorArray] = field(default_factory=dict)
     """Nominal axes of the gyros by source."""
+    forces: tuple[ForceCalibration, ...] = ()
+    """The accelerometers of each source that states a data sheet for them."""
     undeclared: tuple[UndeclaredEffect, ...] = ()
     """Effects of the catalogue that make most of the sigmas, by state, the largest first."""
 
@@ -140,11 +144,16 @@ class Calibration:
         return frame
 
 
-def unseen_notes(name: str, covariance: Floats, prior: Prior) -> list[str]:
-    """Return a sentence for each state of a gyro whose sigma, by its covariance (4, 4), is nearly that of the prior."""
+def unseen_notes(
+    name: str, covariance: Floats, prior: StatePrior, states: tuple[State, ...] = GYRO.states
+) -> list[str]:
+    """Return a sentence for each state of a sensor whose sigma is nearly that of the prior.
+
+    ``covariance`` (4, 4) is that of its ``states``, by default those of a gyro.
+    """
     ratio = np.sqrt(np.diag(covariance) / prior.variances())
     return [
         f"{name}: {state.text} is not determined by this run (its sigma is {r:.0%} of the data sheet value)"
-        for state, r in zip(GYRO.states, ratio, strict=True)
+        for state, r in zip(states, ratio, strict=True)
         if r > _UNSEEN
     ]

@@ -9,6 +9,7 @@ from estimator.calibration.error_model import ErrorModel
 from estimator.calibration.gyro import GyroCalibration
 from estimator.calibration.values import Calibration, GyroParity, unseen_notes
 from estimator.errors import RecordingError
+from estimator.estimation.accelerometers.calibrate_forces import calibrate_forces
 from estimator.estimation.joint import check_model, effect_notes, estimate_device
 from estimator.estimation.live.source import filter_nis
 from estimator.estimation.noise_evidence import TooShort
@@ -72,6 +73,9 @@ def calibrate(
     if recording.table is not None:
         seen = [*reading_doubts(recording.table), *stuck_doubts(recording)]
         spoilt, doubts = [*seen, *spoilt], [*seen, *doubts]
+    forces, force_notes = calibrate_forces(recording)
+    notes += force_notes
+    doubts += [doubt for one in forces for doubt in one.doubts]
     constancy = coverage(recording, [data for _, data in sources])
     notes += [*undeclared_notes(effects, gyros), *coverage_notes(constancy), *_parity_notes(checks)]
     notes += [*effect_notes(gyros), *doubts]
@@ -91,6 +95,7 @@ def calibrate(
         spoilt=tuple(spoilt),
         arrays={name: data.array for name, data in recording.sources.items()},
         constancy=constancy,
+        forces=forces,
         undeclared=effects,
     )
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from estimator.errors import MISSHAPEN, GeometryError, RecordingError, first_line
 from estimator.geometry.array import SensorArray, sensor_array
 from estimator.geometry.kinematics import Site, check_gimbals
-from estimator.geometry.model import Prior
+from estimator.geometry.model import ForcePrior, Prior
 from estimator.geometry.noise import NoiseModel
 from estimator.packaged import sentence
 from estimator.recordings.memory import READING, check_memory
@@ -22,6 +22,7 @@ from estimator.recordings.recording import (
     FORMAT,
     FORMAT_VERSION,
     LAYOUT,
+    ForceSheet,
     ImuData,
     KeptInnovations,
     Recording,
@@ -198,8 +199,19 @@ def _read_source(path: Path, name: str, group: Any) -> ImuData:
         device=device,
         rate_hz=rate_hz if 0 < rate_hz < math.inf else None,
         accel_axes=accel_axes,
+        accel_sheet=_read_sheet(group),
         **cast(Any, columns),
     )
+
+
+def _read_sheet(group: Any) -> ForceSheet | None:
+    """Return the data sheet of the accelerometers of a source; None if it states none."""
+    if "accel_prior" not in group.attrs or "accel_noise" not in group.attrs:
+        return None
+    names = [field.name for field in fields(ForcePrior)]
+    values = [float(value) for value in group.attrs["accel_prior"]]
+    prior = ForcePrior(**dict(zip(names, values, strict=True)))
+    return ForceSheet(prior=prior, noise=NoiseModel(*(float(value) for value in group.attrs["accel_noise"])))
 
 
 def read_array(where: str, name: str, group: Any) -> SensorArray:

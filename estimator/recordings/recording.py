@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from estimator.geometry.array import SensorArray
 from estimator.geometry.kinematics import Site
-from estimator.geometry.model import Prior
+from estimator.geometry.model import ForcePrior, Prior
 from estimator.geometry.noise import NoiseModel
 from estimator.packaged import packaged_toml
 from estimator.recordings.reference import Reference, TableReadings, Turns
@@ -25,6 +25,17 @@ DEVICES = "device"
 """The group of devices that are neither the table nor under test, and of what any device appends as a series."""
 LAYOUT = packaged_toml("estimator.recordings", "layout.toml")
 """What each column of a recording is, in memory as in its file."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ForceSheet:
+    """The data sheet of the accelerometers of a source: what is expected of their states and places, and their noise.
+
+    The noise is in m/s2/rtHz, m/s2 and m/s2/rts.
+    """
+
+    prior: ForcePrior
+    noise: NoiseModel
 
 
 _IMPOSSIBLE_RPS = 1e8  # nor is it the count of a converter of 32 bits that was taken for deg/s
@@ -45,7 +56,8 @@ class ImuData:
 
     ``prior`` and ``noise`` are those of the data sheet; ``device`` is the device it belongs to. ``rate_hz`` is the
     nominal rate, None if not stated. ``accel_mps2`` (n, c) are the outputs of its accelerometers, ``accel_axes`` (c, 3)
-    their axes in the body, None for the body axes.
+    their axes in the body, None for the body axes. ``accel_sheet`` is their data sheet; None: they are
+    not calibrated.
     """
 
     array: SensorArray
@@ -60,6 +72,7 @@ class ImuData:
     device: str = ""
     rate_hz: float | None = None
     accel_axes: Floats | None = None
+    accel_sheet: ForceSheet | None = None
 
     @property
     def specific_force_mps2(self) -> Floats | None:

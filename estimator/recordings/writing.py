@@ -26,7 +26,16 @@ from estimator.geometry.kinematics import Site
 from estimator.geometry.model import Prior
 from estimator.packaged import sentence
 from estimator.recordings.journal import ARRIVED, ATTRIBUTES, ROWS, Entry, Journal, is_sound, journal_of, sync
-from estimator.recordings.recording import DEVICES, FORMAT, FORMAT_VERSION, IDENTITY, LAYOUT, ImuData, Recording
+from estimator.recordings.recording import (
+    DEVICES,
+    FORMAT,
+    FORMAT_VERSION,
+    IDENTITY,
+    LAYOUT,
+    ForceSheet,
+    ImuData,
+    Recording,
+)
 from estimator.recordings.reference import Reference, TableUncertainty
 from estimator.recordings.reserved_space import Ballast
 from estimator.types import Floats
@@ -111,10 +120,13 @@ class RecordingWriter:
         axes = {"p": array.p, "j": array.j, "k": array.k}
         self.set_source(name, {"prior": astuple(prior), "names": list(array.names), **axes, **attributes})
 
-    def add_accelerometers(self, name: str, axes: Floats) -> None:
-        """Declare the axes (c, 3) in the body of the accelerometers of a source, whose outputs are ``accel_mps2``."""
+    def add_accelerometers(self, name: str, axes: Floats, sheet: ForceSheet | None = None) -> None:
+        """Declare the axes (c, 3) in the body of the accelerometers of a source, whose outputs are ``accel_mps2``, and
+        their data sheet if they are to be calibrated.
+        """
         self.set_attributes({"format_version": FORMAT_VERSION})
-        self.set_source(name, {"accel_axes": axes})
+        stated = {} if sheet is None else {"accel_prior": astuple(sheet.prior), "accel_noise": astuple(sheet.noise)}
+        self.set_source(name, {"accel_axes": axes, **stated})
 
     def add_device(self, name: str, columns: Mapping[str, str], attributes: Mapping[str, Any]) -> None:
         """Declare the group ``device/NAME``: its attributes, and the columns of its series with their units.
@@ -320,7 +332,7 @@ def write_recording(path: Path | str, recording: Recording) -> None:
                 attributes["noise"] = astuple(data.noise)
             writer.add_source(source, data.array, data.prior, attributes)
             if data.accel_axes is not None:
-                writer.add_accelerometers(source, data.accel_axes)
+                writer.add_accelerometers(source, data.accel_axes, data.accel_sheet)
             writer.append_rows(f"imu/{source}", columns_of(data))
         for device, series in recording.series.items():
             writer.add_device(device, series.units, {})

@@ -16,8 +16,9 @@ from drivers.plugins import Registry
 from drivers.specs import ImuSpec
 from estimator.errors import GeometryError
 from estimator.geometry.array import SensorArray, cone, dodecahedron, sensor_array, tetrahedron, triad
-from estimator.geometry.model import Prior
+from estimator.geometry.model import ForcePrior, Prior
 from estimator.geometry.noise import NoiseModel
+from estimator.recordings.recording import ForceSheet
 from station.bench.can_mappings import channels_of, load_mapping
 from station.bench.descriptions import load_description
 from station.schema.tables import Table, keys_of, known_in
@@ -32,7 +33,7 @@ class ImuConfig:
     """A device under test: its link, its array, its data sheet.
 
     ``can`` has the signals where a DBC or a description defines them; ``options`` are the values of the protocol's
-    keys.
+    keys. ``force_sheet`` is the data sheet of its accelerometers, None if they are not calibrated.
     """
 
     name: str
@@ -45,6 +46,7 @@ class ImuConfig:
     noise: NoiseModel
     prior: Prior
     used: bool
+    force_sheet: ForceSheet | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -88,6 +90,7 @@ def read_imu(table: Table, folder: Path, known: Registry[ImuSpec] = IMUS) -> Imu
     """
     own = table.read("bench.imu", folder, protocol=known_in(known))
     name, spec, sheet = own["name"], own["spec"], own.pop("datasheet")
+    forces = own.pop("accelerometers")
     if name in NOT_NAMES:
         raise table.fail("name", f"{name!r} is reserved on a bench. Use another name")
     array_name, array = _array(table, name)
@@ -103,7 +106,22 @@ def read_imu(table: Table, folder: Path, known: Registry[ImuSpec] = IMUS) -> Imu
         raise table.fail("rate", refused)
     prior, noise = Prior(**sheet.read("bench.prior")), NoiseModel(**sheet.read_all("bench.noise"))
     table.done(also={key.name for section in _VARIANTS for key in keys_of(section)}.intersection(table.remaining()))
-    return ImuConfig(array_name=array_name, array=array, can=can, noise=noise, prior=prior, options=options, **own)
+    return ImuConfig(
+        array_name=array_name,
+        array=array,
+        can=can,
+        noise=noise,
+        prior=prior,
+        options=options,
+        force_sheet=_force_sheet(forces) if forces else None,
+        **own,
+    )
+
+
+def _force_sheet(table: Table) -> ForceSheet:
+    """Return the data sheet of a section [imu.accelerometers]; the table's error if it is invalid."""
+    prior = ForcePrior(**table.read("bench.force_prior"))
+    return ForceSheet(prior=prior, noise=NoiseModel(**table.read_all("bench.force_noise")))
 
 
 def _described(table: Table, folder: Path, device: str, array: SensorArray) -> Description:

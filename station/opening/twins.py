@@ -20,8 +20,10 @@ from drivers.plugins import PluginError
 from drivers.protocols import ByteLink, FrameLink
 from drivers.specs import DeviceSetup
 from drivers.types import Floats
+from estimator.geometry.kinematics import Site
 from estimator.strict_toml import not_one_of
 from sims.imus.registry import ImuTwinSetup, twin_of
+from sims.physics.accelerometer import Accelerometers, AccelerometerTruth
 from sims.physics.body import Body
 from sims.physics.geometry import MOUNTS_DEG, Mounting, along, mounted
 from sims.physics.gyro import GyroArray, GyroTruth
@@ -31,7 +33,7 @@ from sims.physics.table import AxisData, TableModel
 from sims.tables.modbus import FaultyModbus, modbus_server, pull_plug
 from sims.tables.registry import TableTwinSetup, twin_of as twin_of_table
 from sims.wires.faults import Exchanged, FaultyFrames, faulty_device
-from sims.wires.frames import FrameSink, NodeFaults
+from sims.wires.frames import STANDARD_GRAVITY_MPS2, FrameSink, NodeFaults
 from sims.wires.wires import ByteDevice, Plug, Write, in_memory
 from station.bench.bench import Bench
 from station.bench.device import DeviceConfig
@@ -44,6 +46,7 @@ _log = logging.getLogger(__name__)
 _wires = itertools.count(1)
 Bus = TypeVar("Bus", bound=FrameSink)
 _APART = 0.005  # scale factors of two devices of a kind
+_OF_FORCE = 85  # a seed of their own
 
 
 class Twins:
@@ -80,6 +83,7 @@ class Twins:
         self._wires = self._read_wires(settings["wires"])
         self._faults = read_faults(settings["fault"], truths, bench)
         self._truths = {imu.name: truth_of(truths, imu) for imu in bench.imus}
+        self._forces = {imu.name: force_truth_of(truths, imu, site) for imu in bench.imus}
         truths.done()
         if (fault := self._faults.table) is not None:
             self._later(fault.at_s, partial(fault.strike, self.table, limits_trip=bench.table.spec.limits_trip))
@@ -258,9 +262,28 @@ class Twins:
 
     def _up(self, imu: ImuConfig) -> Callable[[Floats], Floats]:
         """Return the direction up along the axes of a device (n, 3), which are those of its first three gyros."""
-        p = mounting_of(imu).p[:3]
+        mounting = mounting_of(imu)
+        p = mounting.p[:3]
+        stated = self._forces[imu.name]
+        if stated is not None:
+            return self._felt(imu, *stated)
         up = self._body.up_in_turn(1 / imu.rate_hz)
         return lambda t_s: up(t_s) @ p.T
+
+    def _felt(self, imu: ImuConfig, truth: AccelerometerTruth, gravity_mps2: float) -> Callable[[Floats], Floats]:
+        """Return the outputs in g (n, 3) of the accelerometers of a device, which lie along its first three gyros."""
+        mounting = mounting_of(imu)
+        twin = self.bench.twin
+        index = [other.name for other in self.bench.imus].index(imu.name)
+        accelerometers = Accelerometers(
+            mounting=Mounting(mounting.p[:3], mounting.j[:3], mounting.k[:3]),
+            truth=truth,
+            body=self._body,
+            rate_hz=imu.rate_hz,
+            seed=(twin.seed, index, _OF_FORCE),
+            gravity_mps2=gravity_mps2,
+        )
+        return lambda t_s: accelerometers.sample(t_s) / STANDARD_GRAVITY_MPS2
 
     def faulty(self, device: str, make: Callable[[Write], ByteDevice], plug: Plug) -> Callable[[Write], ByteDevice]:
         """Return ``make`` with the wire faults of this device in the bench file."""
@@ -300,8 +323,25 @@ def truth_of(truths: Table, imu: ImuConfig) -> GyroTruth:
     table = truths.table(imu.name, optional=True)
     own = table.read_all("bench.truth", each=len(imu.array))
     del own["fault"]  # read by read_faults
+    del own["accelerometers"]  # read by force_truth_of
     own = {key: np.array(value) if isinstance(value, tuple) else value for key, value in own.items()}
     return GyroTruth(**{**own, "arw_rps_rthz": imu.noise.arw if own["arw_rps_rthz"] is None else own["arw_rps_rthz"]})
+
+
+def force_truth_of(truths: Table, imu: ImuConfig, site: Site | None) -> tuple[AccelerometerTruth, float] | None:
+    """Return the true errors of the accelerometers of a device and its true gravity; None if the bench states none."""
+    section = truths.again().table(imu.name, optional=True).value("accelerometers", None)
+    if section is None:
+        return None
+    table = truths.again().table(imu.name, optional=True).table("accelerometers")
+    own = table.read_all("bench.force_truth", each=3)
+    stated_mps2 = own.pop("gravity_mps2")
+    values: dict[str, Any] = {key: np.array(v) if isinstance(v, tuple) else v for key, v in own.items()}
+    middle, apart = values.pop("arm_m"), values.pop("apart_m")
+    places = middle + apart[:, None] * mounting_of(imu).p[:3]
+    if stated_mps2 is None:
+        stated_mps2 = STANDARD_GRAVITY_MPS2 if site is None else site.local_gravity_mps2
+    return AccelerometerTruth(places_m=places, **values), stated_mps2
 
 
 def mounting_of(imu: ImuConfig) -> Mounting:

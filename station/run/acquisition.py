@@ -19,7 +19,7 @@ from estimator.estimation.live.sample_columns import SampleColumns
 from estimator.estimation.live.source import LiveSource
 from estimator.geometry.array import SensorArray
 from estimator.observations.timing import TimeOffset
-from estimator.recordings.recording import DEVICES
+from estimator.recordings.recording import DEVICES, ForceSheet
 from estimator.recordings.writing import RecordingWriter
 from station.errors import sentence
 from station.opening import OpenBench, OpenDevice, OpenImu
@@ -114,6 +114,7 @@ class Acquisition:
         self.closed = False
         self._last_seen_s: dict[str, float] = {}
         self._accelerometers: set[str] = set()  # sources whose accelerometers the recording has the axes of
+        self._force_sheets: dict[str, ForceSheet] = {}  # of sources whose accelerometers are calibrated
         self._noted: dict[str, dict[str, float | int]] = {}
         self._half_width_ns, self._rate_window_ns = 0, 0
         self.host = HostWatch(time_scale)
@@ -133,6 +134,8 @@ class Acquisition:
             noise = [config.noise.arw, config.noise.instability, config.noise.walk]
             about = {"device": config.name, "rate_hz": config.rate_hz, "lost": 0, "noise": noise}
             self.writer.add_source(name, array, config.prior, about)
+            if config.force_sheet is not None:
+                self._force_sheets[name] = config.force_sheet
             effects = SampleColumns(self._model, table.gimbals, self._bench.site, array) if self._model else None
             self.live.sources[name] = LiveSource(
                 array=array,
@@ -243,7 +246,9 @@ class Acquisition:
         columns = {key: values for key in keys if (values := getattr(block, key)) is not None}
         if block.accel_mps2 is not None and name not in self._accelerometers:
             self._accelerometers.add(name)
-            self.writer.add_accelerometers(name, _accelerometer_axes(self.live.sources[name].array))
+            self.writer.add_accelerometers(
+                name, _accelerometer_axes(self.live.sources[name].array), self._force_sheets.get(name)
+            )
         self.writer.append_rows(f"imu/{name}", columns)
         self.live.sources[name].add(block)
 

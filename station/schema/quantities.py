@@ -5,8 +5,10 @@ import math
 from drivers.packaged import packaged_toml
 from drivers.units import split_quantity, unit_size
 
-UNITS = {kind: tuple(units) for kind, units in packaged_toml("station.schema", "quantities.toml").items()}
+_KINDS = packaged_toml("station.schema", "quantities.toml")
+UNITS = {kind: tuple(units) for kind, units in _KINDS.items()}
 """Units that files may have, by what they measure."""
+_SIZES = {kind: units for kind, units in _KINDS.items() if isinstance(units, dict)}
 
 
 class QuantityError(ValueError):
@@ -29,7 +31,7 @@ def parse(text: object, kind: str) -> float:
     if unit not in units:
         problem = f"unit {unit!r} does not measure {kind}" if unit else "a unit is missing"
         raise QuantityError(f"{text!r}: {problem}; use one of {known}")
-    value = number * unit_size(unit)[0]
+    value = number * (_SIZES[kind][unit] if kind in _SIZES else unit_size(unit)[0])
     if not math.isfinite(value):
         raise QuantityError(f"{text!r} is too large a number")
     return value

@@ -28,12 +28,11 @@ from estimator.estimation.accelerometers.laws import (
     laws_of_table,
     rest_angle_law,
 )
-from estimator.estimation.noise_evidence import Joint, Law, TooShort, joint_estimate, terms_of
+from estimator.estimation.noise_evidence import Joint, Law, joint_estimate, terms_of
 from estimator.geometry.kinematics import GRAVITY_MPS2, UNMEASURED_GRAVITY
 from estimator.geometry.model import decode, decoding
 from estimator.geometry.noise import NoiseModel
 from estimator.observations.timing import TimeOffset, expected_sd_s
-from estimator.packaged import sentence
 from estimator.recordings.recording import Recording
 from estimator.types import Floats
 
@@ -108,8 +107,6 @@ def _settled(
     delay_s = 0.0
     for step in range(_MOST_STEPS):
         run = force_run(recording, source, samples, arm_m=arm_m, delay_s=delay_s, gravity_mps2=gravity_mps2)
-        if run is None:
-            raise TooShort(sentence("estimation.short_for_effects", recording=recording.name, source=source))
         joint = joint_estimate([run], _laws(run, samples, arm_m, delay_s), noise)
         laws = {law.called: number for number, law in enumerate(joint.laws)}
         arm_step, arm_covariance = _parameters(joint, laws[ARM], 0)

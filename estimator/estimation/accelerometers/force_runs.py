@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimator.effects.conditions import Conditions, body_acceleration
+from estimator.estimation.noise_evidence import TooShort
 from estimator.estimation.runs.measured import even_grid
 from estimator.estimation.runs.run import BLOCK_S, Run, block_means
 from estimator.estimation.runs.surroundings import GRID_S, temperature_at
@@ -12,6 +13,7 @@ from estimator.geometry.array import SensorArray
 from estimator.geometry.kinematics import body_rate, into_body
 from estimator.geometry.model import ForcePrior
 from estimator.observations.blocks import BlockSums
+from estimator.packaged import sentence
 from estimator.recordings.motion.body_rates import BodyRates
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import TableReadings
@@ -61,11 +63,11 @@ def force_run(
     delay_s: float,
     gravity_mps2: float,
     block_s: float = BLOCK_S,
-) -> ForceRun | None:
-    """Return the accelerometers of a source on a table as a run; None with fewer than ``_FEWEST_BLOCKS`` blocks.
+) -> ForceRun:
+    """Return the accelerometers of a source on a table as a run.
 
     The input is the specific force at a place ``arm_m`` (3,) from the point in which the axes meet, ``delay_s`` before
-    the stamps of the samples.
+    the stamps of the samples. TooShort with fewer than ``_FEWEST_BLOCKS`` blocks.
     """
     table, data = recording.table, recording.sources[source]
     assert table is not None, "specific force is computed from the readings of a table"
@@ -74,12 +76,11 @@ def force_run(
     t_ns = t_ns - round(delay_s * 1e9)
     inside = (t_ns >= rates.starts_ns) & (t_ns <= rates.final_until_ns) & np.isfinite(outputs).all(axis=1)
     t_ns, outputs = t_ns[inside], outputs[inside]
-    if len(t_ns) < 2:
-        return None
-    known = np.isfinite(rates.at(t_ns)).all(axis=1)
-    t_ns, outputs = t_ns[known], outputs[known]
-    if len(t_ns) < 2:
-        return None
+    if len(t_ns):
+        known = np.isfinite(rates.at(t_ns)).all(axis=1)
+        t_ns, outputs = t_ns[known], outputs[known]
+    if len(t_ns) < _FEWEST_BLOCKS:
+        raise TooShort(sentence("estimation.short_for_effects", recording=recording.name, source=source))
     force = force_at_place(rates, table, t_ns, arm_m, gravity_mps2)
     period_s = float(np.median(np.diff(t_ns))) * 1e-9
     length_s = max(block_s, 2 * period_s)
@@ -88,7 +89,7 @@ def force_run(
     sums.add(t_ns, force, outputs - force @ samples.array.p.T)
     blocks = sums.blocks()
     if len(blocks.index) < _FEWEST_BLOCKS:
-        return None
+        raise TooShort(sentence("estimation.short_for_effects", recording=recording.name, source=source))
     index, where = even_grid(blocks.index, length_s)
     count = len(index)
     w = np.zeros((count, 3))

@@ -1,0 +1,125 @@
+"""The outputs of accelerometers that can be used, and those that no calibration must hide."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimator.estimation.accelerometers.force_runs import ForceSamples, force_at_place
+from estimator.geometry.array import SensorArray, sensor_array
+from estimator.geometry.kinematics import AXES, GRAVITY_MPS2
+from estimator.geometry.noise import SD_OF_MEDIAN
+from estimator.observations.defects.limits import limits_of
+from estimator.observations.defects.odd_samples import without_odd
+from estimator.observations.health import Excluded
+from estimator.packaged import sentence
+from estimator.recordings.motion.body_rates import BodyRates
+from estimator.recordings.recording import ImuData
+from estimator.recordings.reference import TableReadings
+from estimator.types import Floats
+
+_MOST_ROWS = 20000
+_FAR_OFF = 0.2  # of 1: a scale this far from it is a wrong unit or range, not a scale factor error
+_UNIT = 0.05  # of itself: how near a wrong scale is to that of a unit to be called by its name
+_DEAD = 0.1
+_ALONG = 0.8  # cosine above which an accelerometer lies along a body axis
+
+
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
+class Checked:
+    """The accelerometers of a source that can be calibrated (None if none can), those that cannot, and notes."""
+
+    samples: ForceSamples | None
+    excluded: tuple[Excluded, ...]
+    notes: tuple[str, ...]
+
+
+def accelerometer_names(count: int) -> tuple[str, ...]:
+    """Return the names of the accelerometers of a source: by axis if there are three."""
+    return tuple(f"accel {axis}" for axis in (AXES if count == 3 else range(1, count + 1)))
+
+
+def checked(data: ImuData, table: TableReadings) -> Checked:
+    """Return the accelerometers of a source, each compared with gravity on the table before anything is estimated.
+
+    Excluded, with the reason, are those that are dead or stuck, along another axis than stated, of the wrong sign or in
+    the wrong unit. Samples at a limit are left out.
+    """
+    assert data.accel_mps2 is not None
+    assert data.accel_sheet is not None
+    names = accelerometer_names(data.accel_mps2.shape[1])
+    axes = np.eye(3) if data.accel_axes is None else data.accel_axes
+    array = sensor_array(axes, names=names, part_of_array=True)
+    order = np.argsort(data.t_ns, kind="stable")
+    t_ns, outputs = data.t_ns[order], data.accel_mps2[order]
+    kept, notes = without_odd("accelerometer", np.asarray(t_ns * 1e-9, dtype=np.float64), outputs, names)
+    t_ns, outputs = t_ns[kept], outputs[kept]
+    samples = ForceSamples(array=array, t_ns=t_ns, output_mps2=outputs, prior=data.accel_sheet.prior)
+    excluded, limited = _compared(samples, table)
+    notes += [sentence("estimation.accelerometer_limit", name=name) for name in limited]
+    wrong = {one.name for one in excluded}
+    good = [number for number, name in enumerate(names) if name not in wrong]
+    if not good:
+        return Checked(samples=None, excluded=tuple(excluded), notes=tuple(notes))
+    within = outputs[:, good].copy()
+    for name, flags in limited.items():
+        if name not in wrong:
+            within[flags, good.index(names.index(name))] = np.nan
+    samples = replace(samples, array=array.select(good), output_mps2=within)
+    return Checked(samples=samples, excluded=tuple(excluded), notes=tuple(notes))
+
+
+def _compared(samples: ForceSamples, table: TableReadings) -> tuple[list[Excluded], dict[str, np.ndarray]]:
+    """Return the accelerometers that are not what is stated, and flags (n,) of the samples of others at a limit."""
+    rates = BodyRates.of(table, None)
+    t_ns, outputs = samples.t_ns, samples.output_mps2
+    inside = (t_ns >= rates.starts_ns) & (t_ns <= rates.final_until_ns)
+    if not inside.any():
+        return [], {}
+    force = np.full((len(t_ns), 3), np.nan)
+    force[inside] = force_at_place(rates, table, t_ns[inside], np.zeros(3), GRAVITY_MPS2)
+    rows = np.flatnonzero(inside)[:: max(int(inside.sum()) // _MOST_ROWS, 1)]
+    excluded: list[Excluded] = []
+    limited: dict[str, np.ndarray] = {}
+    for number, name in enumerate(samples.array.names):
+        output = outputs[:, number]
+        finite = rows[np.isfinite(output[rows])]
+        if not len(finite) or np.ptp(output[finite]) == 0:
+            excluded.append(Excluded(name, "its output is constant or no number: disconnected or stuck"))
+            continue
+        # Where the table does not tilt, nothing speaks against the stated axis.
+        columns = np.column_stack([np.ones(len(finite)), force[finite]])
+        beyond = output[finite] - force[finite] @ samples.array.p[number]
+        gain = samples.array.p[number] + np.linalg.lstsq(columns, beyond, rcond=1e-2)[0][1:]
+        reason = _unlike(gain, samples.array, number)
+        if reason:
+            excluded.append(Excluded(name, reason))
+            continue
+        expected = force @ samples.array.p[number]
+        scatter = SD_OF_MEDIAN * float(np.median(np.abs(output[finite] - expected[finite])))
+        flags = np.zeros(len(t_ns), dtype=np.bool_)
+        for limit in limits_of(output[rows], expected[rows], max(scatter, 1e-6)):
+            flags |= limit.reached(output, expected)
+        if flags.any():
+            limited[name] = flags
+    return excluded, limited
+
+
+def _unlike(gain: Floats, array: SensorArray, number: int) -> str:
+    """Return why the sensitivity (3,) of an accelerometer is not that of one along its stated axis; "" if it may be."""
+    size = float(np.linalg.norm(gain))
+    if size < _DEAD / GRAVITY_MPS2:
+        return "its output does not follow gravity while the table tilts: dead or disconnected"
+    direction = gain / size
+    along = float(direction @ array.p[number])
+    if along < -_ALONG:
+        return sentence("estimation.accelerometer_reversed")
+    if along < _ALONG:
+        axis = int(np.argmax(np.abs(direction)))
+        name = f"{'-' if direction[axis] < 0 else ''}{AXES[axis]}"
+        return sentence("estimation.accelerometer_along", axis=name, share=float(np.abs(direction[axis])))
+    for factor, unit in ((1 / GRAVITY_MPS2, "g"), (1e3 / GRAVITY_MPS2, "mg")):
+        if abs(size / factor - 1) < _UNIT:
+            return sentence("estimation.accelerometer_unit", unit=unit)
+    if abs(size - 1) > _FAR_OFF:
+        return sentence("estimation.accelerometer_scale", factor=size)
+    return ""
