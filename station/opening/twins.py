@@ -82,8 +82,8 @@ class Twins:
         )
         self._wires = self._read_wires(settings["wires"])
         self._faults = read_faults(settings["fault"], truths, bench)
-        self._truths = {imu.name: truth_of(truths, imu) for imu in bench.imus}
         self._forces = {imu.name: force_truth_of(truths, imu, site) for imu in bench.imus}
+        self._truths = {imu.name: truth_of(truths, imu) for imu in bench.imus}
         truths.done()
         if (fault := self._faults.table) is not None:
             self._later(fault.at_s, partial(fault.strike, self.table, limits_trip=bench.table.spec.limits_trip))
