@@ -8,18 +8,19 @@ import numpy as np
 
 from drivers.types import Floats
 from estimator.geometry.array import SensorArray
-from estimator.geometry.kinematics import Site
+from estimator.geometry.kinematics import GRAVITY_MPS2, Site
 from estimator.geometry.model import Prior
 from estimator.geometry.noise import NoiseModel
-from estimator.recordings.recording import ImuData, Recording
+from estimator.recordings.recording import ForceSheet, ImuData, Recording
 from estimator.recordings.reference import TableReadings
 from sims.direct import TimedMove, direct_run
+from sims.physics.accelerometer import AccelerometerTruth
 from sims.physics.geometry import MOUNTS_DEG, Mounting, mounted
 from sims.physics.gyro import GyroTruth
 from sims.physics.hidden import Hidden as Hidden, HiddenError
 from station.bench.bench import Bench
 from station.errors import BenchError
-from station.opening.twins import hidden_of, mounting_of, truth_of
+from station.opening.twins import force_truth_of, hidden_of, mounting_of, truth_of
 from station.scripts.script import Script
 
 GIMBALS = ("z", "y", "x")
@@ -44,6 +45,15 @@ class DeviceTruth:
     stated: NoiseModel | None = None
 
 
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SimulatedForces:
+    """The accelerometers of a simulated device along its first three gyros: truth, true gravity, data sheet."""
+
+    truth: AccelerometerTruth
+    gravity_mps2: float
+    sheet: ForceSheet | None = None
+
+
 def simulate(
     script: Script,
     devices: Mapping[str, DeviceTruth],
@@ -55,13 +65,15 @@ def simulate(
     hidden: Hidden | None = None,
     started_s: float = 0.0,
     mounts: Mapping[str, tuple[Mounting, GyroTruth]] | None = None,
+    forces: Mapping[str, SimulatedForces] | None = None,
 ) -> Recording:
     """Return the recording of a script on a simulated table with these devices, one source each.
 
     Steps of open duration take their least. Without ``earth_turns`` there is no Earth rate in the data. ``hidden`` has
     the errors of devices and table; the recording does not mention them. Stamps begin at 0, when the bench clock, which
     temperature and hidden effects follow, is at ``started_s``: runs of one session follow each other. ``mounts``
-    replaces the mounting and truth of each device. ValueError without devices.
+    replaces the mounting and truth of each device; ``forces`` states the accelerometers of those that have some.
+    ValueError without devices.
     """
     moves = [
         TimedMove(start_s, turn.axis, turn.to_rad, abs(turn.rate_rps), turn.acceleration_rps2)
@@ -73,6 +85,8 @@ def simulate(
     reference: TableReadings | None = None
     for index, (name, device) in enumerate(devices.items()):
         mounting, truth = mounts[name] if mounts is not None else _own(device)
+        felt = forces.get(name) if forces is not None else None
+        first = Mounting(mounting.p[:3], mounting.j[:3], mounting.k[:3])
         run = direct_run(
             moves,
             script.least_s,
@@ -86,6 +100,8 @@ def simulate(
             earth_turns=earth_turns,
             hidden=hidden.of_device(name) if hidden is not None else None,
             started_s=started_s,
+            accelerometers=(first, felt.truth) if felt is not None else None,
+            gravity_mps2=felt.gravity_mps2 if felt is not None else GRAVITY_MPS2,
         )
         sources[name] = ImuData(
             device.array,
@@ -95,6 +111,9 @@ def simulate(
             prior=device.prior,
             noise=device.stated,
             device=name,
+            accel_mps2=run.force_mps2,
+            accel_axes=device.array.p[:3] if felt is not None else None,
+            accel_sheet=felt.sheet if felt is not None else None,
         )
         reference = TableReadings(
             t_ns=run.table_t_ns, angle_rad=run.angle_rad, rate_rps=run.rate_rps, gimbals=tuple(gimbals)
@@ -123,6 +142,11 @@ def simulate_bench(bench: Bench, script: Script, seed: int) -> Recording:
         )
         for imu in used
     }
+    forces: dict[str, SimulatedForces] = {}
+    for imu in used:
+        felt = force_truth_of(truths, imu, bench.site)
+        if felt is not None:
+            forces[imu.name] = SimulatedForces(truth=felt[0], gravity_mps2=felt[1], sheet=imu.force_sheet)
     mounts = {imu.name: (mounting_of(imu), truth_of(truths, imu)) for imu in used}
     try:
         recording = simulate(
@@ -134,6 +158,7 @@ def simulate_bench(bench: Bench, script: Script, seed: int) -> Recording:
             hidden=hidden_of(bench),
             started_s=bench.twin.started_s,
             mounts=mounts,
+            forces=forces,
         )
     except HiddenError as error:
         raise BenchError(f"{bench.twin.hidden}: {error}") from None

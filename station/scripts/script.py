@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
 
+from drivers.packaged import packaged_text
 from drivers.plugins import PluginError, Registry
 from drivers.types import AxisLimits
 from station.errors import ScriptError, sentence
@@ -18,6 +19,8 @@ from station.scripts.steps.rotate import Rotate as Rotate
 
 S = TypeVar("S", bound=Step)
 
+SHIPPED = ("full-imu", "full-imu-two-axes")
+"""Scripts that come with the station, by name: of a whole IMU on a table of three or of two axes."""
 _DEG = math.pi / 180
 _ROUNDING_RAD = 1e-9
 
@@ -91,11 +94,15 @@ def paper_script() -> Script:
 
 
 def load_script(path: Path, plugins: Iterable[Path] = ()) -> Script:
-    """Return the script of a TOML file; ScriptError with the line if it is invalid.
+    """Return the script of a TOML file, or the shipped one of this name; ScriptError with the line if it is invalid.
 
     ``plugins`` are Python files of a bench that may define kinds of steps.
     """
-    own = Table.load(path, ScriptError, "a script. Give a .toml file").read_all("script.script")
+    if path.name in SHIPPED and not path.exists():
+        top = Table.parse(packaged_text("station.scripts.shipped", f"{path.name}.toml"), path.name, ScriptError)
+    else:
+        top = Table.load(path, ScriptError, f"a script. Give a .toml file, or one of {', '.join(SHIPPED)}")
+    own = top.read_all("script.script")
     try:
         known = known_steps(plugins)
     except PluginError as error:
