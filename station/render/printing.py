@@ -21,11 +21,13 @@ from estimator.observations.allan.sensor import SensorNoise
 from estimator.observations.coverage import coverage_object, not_proved
 from station.bench.units import Units
 from station.errors import EXIT_USAGE
+from station.render.forces_printed import print_forces
 from station.render.lines import tell
 from station.render.noise_printed import noise_table
 from station.render.terminal import print_rendered, stdout
 from station.run.outcome import Outcome, Verdict
 from station.views.figures import OUTCOME_STYLES, StateUnit, state_figures
+from station.views.forces import force_object
 from station.views.json_values import budget_and_noise, by_state, json_object, named
 from station.views.limits import worst_first
 
@@ -52,6 +54,7 @@ def print_result(
     print_verdict(verdict, details=details)
     if calibration is not None:
         print_calibration(calibration, verdict, units, details=details)
+        print_forces(calibration.forces, details=details)
     if details:
         print_rendered(stdout(), "station.render", "sources.rich", {"sources": sources})
     more = not details and (calibration is not None or bool(sources))
@@ -236,7 +239,7 @@ def result_object(verdict: Verdict, recording: str, calibration: Calibration | N
         "constancy": [coverage_object(axis) for axis in found.constancy],
         "excluded": {e.name: e.reason for e in found.excluded},
         "parity": _parity_object(found.parity),
-    }
+    } | ({"accelerometers": [force_object(one) for one in found.forces]} if found.forces else {})
 
 
 def _parity_object(checks: Sequence[GyroParity]) -> dict[str, Any]:

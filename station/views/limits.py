@@ -132,7 +132,7 @@ def limit_lines(found: Calibration, limits: Limits, labels: Sequence[str] | None
     """
     lines = [
         LimitLine(gyro=e.name, what="estimate", value=math.nan, low=0.0, high=1.0, note=e.reason)
-        for e in found.excluded
+        for e in [*found.excluded, *(e for one in found.forces for e in one.excluded)]
     ]
     for row, gyro in enumerate(found.gyros):
         label = labels[row] if labels else gyro.name

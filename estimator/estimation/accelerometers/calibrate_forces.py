@@ -1,12 +1,16 @@
 """From a recording on a table to the calibration of its accelerometers."""
 
+from collections.abc import Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from estimator.calibration.accelerometer import ForceCalibration
 from estimator.calibration.values import unseen_notes
 from estimator.errors import RecordingError
 from estimator.estimation.accelerometers.estimate import estimate_forces
 from estimator.estimation.accelerometers.samples import checked
+from estimator.observations.health import Excluded
 from estimator.recordings.recording import Recording
 from estimator.sensors.accelerometers import ACCELEROMETER
 
@@ -28,7 +32,7 @@ def calibrate_forces(recording: Recording) -> tuple[tuple[ForceCalibration, ...]
         notes += seen.notes
         doubts = [f"{one.name} is not calibrated: {one.reason}" for one in seen.excluded]
         if seen.samples is None:
-            notes += doubts
+            found.append(_none(source, data.device, seen.excluded, doubts))
             continue
         try:
             own = estimate_forces(recording, source, seen.samples, data.accel_sheet.noise)
@@ -40,3 +44,19 @@ def calibrate_forces(recording: Recording) -> tuple[tuple[ForceCalibration, ...]
             notes += unseen_notes(one.name, one.covariance, seen.samples.prior, ACCELEROMETER.states)
         found.append(replace(own, excluded=seen.excluded, doubts=tuple(doubts)))
     return tuple(found), notes
+
+
+def _none(source: str, device: str, excluded: Sequence[Excluded], doubts: Sequence[str]) -> ForceCalibration:
+    """Return the calibration of a source none of whose accelerometers can be calibrated."""
+    nothing = np.zeros((0, 0))
+    return ForceCalibration(
+        source=source,
+        device=device,
+        accelerometers=(),
+        covariance=nothing,
+        arm_m=np.full(3, np.nan),
+        arm_covariance_m2=np.full((3, 3), np.nan),
+        gravity_mps2=np.nan,
+        excluded=tuple(excluded),
+        doubts=tuple(doubts),
+    )

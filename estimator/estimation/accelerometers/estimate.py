@@ -63,7 +63,6 @@ def estimate_forces(
     settled = _settled(recording, source, samples, gravity_mps2, noise)
     joint = _with_rest_angles(settled, noise)
     laws = {law.called: number for number, law in enumerate(joint.laws)}
-    arm, arm_covariance = _parameters(joint, laws[ARM], 0)
     delay, delay_variance = _parameters(joint, laws[DELAY], 0)
     device = recording.sources[source].device
     found = []
@@ -92,8 +91,8 @@ def estimate_forces(
         device=device,
         accelerometers=tuple(found),
         covariance=_covariance(joint),
-        arm_m=settled.arm_m + arm,
-        arm_covariance_m2=arm_covariance,
+        arm_m=np.mean([one.place_m for one in found], axis=0),
+        arm_covariance_m2=_middle_covariance(joint, laws),
         gravity_mps2=gravity_mps2,
         offset=TimeOffset(settled.delay_s + float(delay[0]), float(np.sqrt(delay_variance[0, 0]))),
     )
@@ -170,14 +169,39 @@ def _parameters(joint: Joint, law: int, accelerometer: int) -> tuple[Floats, Flo
 
 def _place(joint: Joint, laws: dict[str, int], accelerometer: int) -> tuple[Floats, Floats]:
     """Return where an accelerometer sits relative to the subtracted arm (3,), and the covariance (3, 3)."""
-    arm, apart = joint.slice_of(laws[ARM]), joint.slice_of(laws[APART])
-    to_arm = np.diag(joint.laws[laws[ARM]].sd)
-    to_apart = np.diag(joint.laws[laws[APART]].sd)
-    covariance = joint.covariances[accelerometer]
-    shown = np.r_[arm.start : arm.stop, apart.start : apart.stop]
-    jacobian = np.hstack([to_arm, to_apart])
+    weights = _place_weights(joint, laws)
     mean = _parameters(joint, laws[ARM], accelerometer)[0] + _parameters(joint, laws[APART], accelerometer)[0]
-    return mean, np.asarray(jacobian @ covariance[np.ix_(shown, shown)] @ jacobian.T)
+    return mean, np.asarray(weights @ joint.covariances[accelerometer] @ weights.T)
+
+
+def _place_weights(joint: Joint, laws: dict[str, int]) -> Floats:
+    """Return the weights (3, c) of the parameters of an accelerometer in where it sits: common arm plus own part."""
+    weights = np.zeros((3, len(joint.means[0])))
+    for law in (laws[ARM], laws[APART]):
+        weights[:, joint.slice_of(law)] += np.diag(joint.laws[law].sd)
+    return weights
+
+
+def _middle_covariance(joint: Joint, laws: dict[str, int]) -> Floats:
+    """Return the covariance (3, 3) of the mean place of all accelerometers."""
+    weights = _place_weights(joint, laws)
+    count = len(joint.means)
+    pairs = [(i, j) for i in range(count) for j in range(count)]
+    return np.asarray(sum(weights @ _across(joint, i, j) @ weights.T for i, j in pairs) / count**2)
+
+
+def _across(joint: Joint, first: int, second: int) -> Floats:
+    """Return the covariance (c, c) between the parameters of two accelerometers, or of one with itself.
+
+    Two accelerometers have in common what the shared laws leave open, and nothing else.
+    """
+    own = joint.covariances[first]
+    if first == second:
+        return own
+    shared = [number for number, law in enumerate(joint.laws) if law.effect.shared]
+    places = np.concatenate([np.arange(len(own))[joint.slice_of(number)] for number in shared])
+    other = joint.covariances[second]
+    return np.asarray(own[:, places] @ np.linalg.solve(own[np.ix_(places, places)], other[places]))
 
 
 def _budget(joint: Joint, accelerometer: int) -> tuple[Contribution, ...]:
@@ -200,25 +224,13 @@ def _budget(joint: Joint, accelerometer: int) -> tuple[Contribution, ...]:
 
 
 def _covariance(joint: Joint) -> Floats:
-    """Return the covariance (4 a, 4 a) of the decoded states of all accelerometers.
-
-    Two accelerometers have in common what the shared laws leave open, and nothing else.
-    """
-    count = len(joint.means)
-    shared = [number for number, law in enumerate(joint.laws) if law.effect.shared]
-    whole = np.zeros((4 * count, 4 * count))
+    """Return the covariance (4 a, 4 a) of the decoded states of all accelerometers."""
     jacobians = [decoding(mean[:4]) for mean in joint.means]
-    places = np.concatenate([np.arange(len(joint.means[0]))[joint.slice_of(number)] for number in shared])
-    for i, own in enumerate(joint.covariances):
-        block = slice(4 * i, 4 * i + 4)
-        whole[block, block] = jacobians[i] @ own[:4, :4] @ jacobians[i].T
-        for j in range(i):
-            across = joint.covariances[j][:4, places]
-            common = own[:4, places] @ np.linalg.solve(own[np.ix_(places, places)], across.T)
-            other = slice(4 * j, 4 * j + 4)
-            whole[block, other] = jacobians[i] @ common @ jacobians[j].T
-            whole[other, block] = whole[block, other].T
-    return whole
+    count = len(joint.means)
+    blocks = [
+        [jacobians[i] @ _across(joint, i, j)[:4, :4] @ jacobians[j].T for j in range(count)] for i in range(count)
+    ]
+    return np.block(blocks)
 
 
 def _sample_noise(joint: Joint, samples: ForceSamples, accelerometer: int) -> float:

@@ -1,0 +1,124 @@
+"""The calibration of accelerometers as a person reads it: states, places, and what another laboratory compares."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from rich.markup import escape
+from rich.table import Table
+
+from estimator.calibration.accelerometer import AccelerometerCalibration, ForceCalibration
+from station.render.terminal import Shown, print_all, rich_table, stdout
+from station.views.figures import StateUnit, number
+from station.views.forces import FORCE_FIGURES, OFFSET, PLACE, fitted_forces, place_figure
+
+_LINES = {
+    "noise": "noise",
+    "level": "level of the table",
+    "orthogonality": "axes of the table",
+    "gravity": "local gravity",
+    "angles at rest": "resolution of the encoders",
+}
+
+
+def print_forces(forces: Sequence[ForceCalibration], *, details: bool) -> None:
+    """Print the accelerometers of each source; with ``details`` also the sources of uncertainty and what does not
+    depend on the mounting.
+    """
+    for one in forces:
+        shown: list[Shown] = []
+        if one.accelerometers:
+            shown.append((_states_table(one), {}))
+            shown.append((_places_table(one), {}))
+            shown += [(line, {"highlight": False}) for line in _lines(one)]
+        shown += [
+            (f"[red]{escape(excluded.name)} is not calibrated:[/red] {escape(excluded.reason)}", {"highlight": False})
+            for excluded in one.excluded
+        ]
+        if details and one.accelerometers:
+            shown.append((_intrinsic_table(one), {}))
+            shown.append((_budget_table(one), {}))
+        print_all(stdout(), shown)
+
+
+def _states_table(one: ForceCalibration) -> Table:
+    """Return the states of the accelerometers with their standard deviations."""
+    figures = fitted_forces(one)
+    heads = ["\nsensor"]
+    for figure in figures:
+        heads += [f"{figure.name}\n{figure.unit}", "±"]
+    rows = []
+    for accelerometer in one.accelerometers:
+        cells = [escape(accelerometer.name)]
+        for figure, value, sd in zip(figures, accelerometer.states.tolist(), accelerometer.sd.tolist(), strict=True):
+            cells += [figure.text(value), figure.text(sd)]
+        rows.append(cells)
+    return rich_table(f"Accelerometers of {one.device or one.source} and their standard deviations", heads, "lr", rows)
+
+
+def _places_table(one: ForceCalibration) -> Table:
+    """Return where each accelerometer sits, and their middle."""
+    figure = place_figure(one)
+    rows = [_place_row(a.name, a.place_m.tolist(), a.place_sd_m.tolist(), figure) for a in one.accelerometers]
+    rows.append(_place_row("middle", one.arm_m.tolist(), one.arm_sd_m.tolist(), figure))
+    heads = ["\nlever arm"]
+    for axis in "xyz":
+        heads += [f"{axis}\n{PLACE.unit}", "±"]
+    return rich_table("Places from where the axes of the table meet", heads, "lr", rows)
+
+
+def _place_row(name: str, place_m: Sequence[float], sd_m: Sequence[float], figure: StateUnit) -> list[str]:
+    """Return the cells of a row: a name, and each component with its standard deviation."""
+    cells = [escape(name)]
+    for value, sd in zip(place_m, sd_m, strict=True):
+        cells += [figure.text(value), figure.text(sd)]
+    return cells
+
+
+def _lines(one: ForceCalibration) -> list[str]:
+    """Return sentences on the delay and the gravity."""
+    lines = [f"gravity: {one.gravity_mps2:.5f} m/s2 (from the site, unless it was stated)"]
+    if one.offset is not None:
+        late_ms = 1e3 * one.offset.offset_s
+        lines.insert(0, f"delay: {late_ms:.3f} ± {1e3 * one.offset.sd_s:.3f} ms after the readings of the table")
+    return lines
+
+
+def _intrinsic_table(one: ForceCalibration) -> Table:
+    """Return sensitivities, offsets and angles, which do not depend on how the device is mounted."""
+    found = one.intrinsic
+    rows = []
+    for place, name in enumerate(found.names):
+        sensitivity = (found.sensitivity[place], found.sensitivity_sd[place])
+        offset = (found.offset_mps2[place] * OFFSET.factor, found.offset_sd_mps2[place] * OFFSET.factor)
+        rows.append([f"sensitivity of {escape(name)}", f"{sensitivity[0]:.6f}", f"{sensitivity[1]:.6f}", "1"])
+        rows.append([f"offset of {escape(name)}", f"{offset[0]:.4f}", f"{offset[1]:.4f}", OFFSET.unit])
+    for (first, second), angle, sd in zip(found.pairs, found.angle_rad, found.angle_sd_rad, strict=True):
+        name = f"angle of {escape(first)} to {escape(second)}"
+        rows.append([name, f"{np.degrees(angle):.5f}", f"{np.degrees(sd):.5f}", "deg"])
+    return rich_table("Intrinsic parameters (Geist et al. 2017)", ["parameter", "value", "±", "unit"], "lrrl", rows)
+
+
+def _budget_table(one: ForceCalibration) -> Table:
+    """Return the standard uncertainties by source, rms over the accelerometers."""
+    figures = fitted_forces(one)
+    names = [line.name for line in one.accelerometers[0].budget]
+    rows = []
+    for name in names:
+        u = np.sqrt(np.mean([_line_of(a, name) ** 2 for a in one.accelerometers], axis=0)).tolist()
+        rows.append(
+            [_LINES.get(name, name), *(number(v * f.factor, f.digits) for v, f in zip(u, figures, strict=True))]
+        )
+    combined = np.sqrt(np.mean([a.sd**2 for a in one.accelerometers], axis=0)).tolist()
+    rows.append(["combined", *(number(v * f.factor, f.digits) for v, f in zip(combined, figures, strict=True))])
+    heads = ["\nsource of uncertainty", *(f"{f.name}\n{f.unit}" for f in FORCE_FIGURES)]
+    return rich_table("Sources of the standard deviations, rms over the accelerometers", heads, "lr", rows)
+
+
+def _cells(values: Sequence[float], figures: Sequence[StateUnit]) -> list[str]:
+    """Return values of the states, in SI, as digits in their units."""
+    return [number(value * figure.factor, figure.digits) for value, figure in zip(values, figures, strict=True)]
+
+
+def _line_of(accelerometer: AccelerometerCalibration, name: str) -> np.ndarray:
+    """Return the standard uncertainties (4,) of a line of the budget, zero where it is missing."""
+    return next((line.u for line in accelerometer.budget if line.name == name), np.zeros(4))

@@ -1,0 +1,87 @@
+"""The calibration of accelerometers for tables and for JSON: units of the states, objects with named values."""
+
+from typing import Any
+
+import numpy as np
+
+from estimator.calibration.accelerometer import AccelerometerCalibration, ForceCalibration
+from estimator.geometry.kinematics import GRAVITY_MPS2
+from estimator.sensors.accelerometers import ACCELEROMETER
+from station.views.figures import StateUnit
+from station.views.json_values import json_object
+
+_MG = 1e3 / GRAVITY_MPS2
+OFFSET = StateUnit("offset", "mg", _MG, 3, 9)
+"""How offsets are shown."""
+PLACE = StateUnit("place", "mm", 1e3, 1, 7)
+"""How components of a lever arm are shown."""
+FORCE_FIGURES = (
+    StateUnit("k", "ppm", 1e6, 0, 6),
+    StateUnit("b", "mg", _MG, 2, 8),
+    StateUnit("sigma_j", "urad", 1e6, 0, 6),
+    StateUnit("sigma_k", "urad", 1e6, 0, 6),
+)
+"""How the states of accelerometers are shown, in order."""
+
+
+def fitted_forces(one: ForceCalibration) -> tuple[StateUnit, ...]:
+    """Return the states with the digits that their standard deviations deserve."""
+    sds = zip(*(a.sd.tolist() for a in one.accelerometers), strict=True)
+    return tuple(figure.fitted(own) for figure, own in zip(FORCE_FIGURES, sds, strict=True))
+
+
+def place_figure(one: ForceCalibration) -> StateUnit:
+    """Return the unit of places with the digits that their standard deviations deserve."""
+    return PLACE.fitted([sd for a in one.accelerometers for sd in a.place_sd_m.tolist()])
+
+
+def force_object(one: ForceCalibration) -> dict[str, Any]:
+    """Return the accelerometers of a source for JSON, in SI."""
+    found: dict[str, Any] = {
+        "source": one.source,
+        "device": one.device,
+        "gravity_mps2": one.gravity_mps2,
+        "accelerometers": [_accelerometer_object(a) for a in one.accelerometers],
+        "excluded": {e.name: e.reason for e in one.excluded},
+    }
+    if one.offset is not None:
+        found["delay"] = {"value_s": one.offset.offset_s, "sd_s": one.offset.sd_s}
+    if one.accelerometers:
+        intrinsic = one.intrinsic
+        found["lever_arm"] = {"value_m": one.arm_m, "sd_m": one.arm_sd_m}
+        found["covariance"] = one.covariance
+        found["intrinsic"] = {
+            "sensitivity": intrinsic.sensitivity,
+            "sensitivity_sd": intrinsic.sensitivity_sd,
+            "offset_mps2": intrinsic.offset_mps2,
+            "offset_sd_mps2": intrinsic.offset_sd_mps2,
+            "pairs": intrinsic.pairs,
+            "angle_rad": intrinsic.angle_rad,
+            "angle_sd_rad": intrinsic.angle_sd_rad,
+        }
+    checked: dict[str, Any] = json_object(found)
+    return checked
+
+
+def _accelerometer_object(one: AccelerometerCalibration) -> dict[str, Any]:
+    """Return one accelerometer: states, sigmas, place, budget, noise."""
+    noise = one.noise and {
+        "vrw_mps2_rthz": one.noise.mean.arw,
+        "instability_mps2": one.noise.mean.instability,
+        "instability_below_mps2": one.noise.instability_below,
+    }
+    return {
+        "name": one.name,
+        **_by_state(one.states),
+        "sd": _by_state(one.sd),
+        "noise_of_a_sample_mps2": one.noise_mps2,
+        "noise": noise,
+        "place_m": one.place_m,
+        "place_sd_m": one.place_sd_m,
+        "budget": {line.name: _by_state(line.u) for line in one.budget},
+    }
+
+
+def _by_state(values: np.ndarray) -> dict[str, float]:
+    """Return values of the states (4,) by the state's key."""
+    return dict(zip(ACCELEROMETER.keys, values.tolist(), strict=True))
