@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from estimator.calibration.budget import Contribution
 from estimator.calibration.error_model import ErrorModel
+from estimator.calibration.force_text import forces_of, forces_text
 from estimator.calibration.gyro import EffectValue, GyroCalibration
 from estimator.calibration.values import Calibration
 from estimator.errors import MISSHAPEN, RecordingError
@@ -37,7 +38,8 @@ def write_calibration(path: Path, calibration: Calibration, attributes: dict[str
     ``allan_low_rps`` to ``allan_high_rps``, and N, B and K in ``rest_noise`` (n, 3) with their intervals from
     ``rest_noise_low`` to ``rest_noise_high``, the lower end 0 if not seen. With an error model its effects, ``effects``
     (n, e) and ``effects_sd`` (n, e) in SI units, named by the attributes ``effect_names`` and ``effect_units``;
-    ``model`` is the text of that model. ``attributes`` are added to the group.
+    ``model`` is the text of that model. ``accelerometers`` is their calibration as JSON (``force_text``), if there is
+    any. ``attributes`` are added to the group.
     """
     gyros = calibration.gyros
     found = [g.noise for g in gyros if g.noise is not None]
@@ -51,6 +53,9 @@ def write_calibration(path: Path, calibration: Calibration, attributes: dict[str
     names = [c.name for c in gyros[0].budget] if gyros else []
     if names and all([c.name for c in g.budget] == names for g in gyros):
         more["budget"] = np.array([[c.u for c in g.budget] for g in gyros])
+    texts: dict[str, NDArray[Any]] = {}
+    if calibration.forces:
+        texts["accelerometers"] = np.array([forces_text(calibration.forces).encode()])
     effects = gyros[0].effects if gyros else ()
     named: dict[str, object] = {}
     if effects:
@@ -67,6 +72,7 @@ def write_calibration(path: Path, calibration: Calibration, attributes: dict[str
             "source": np.array([g.source.encode() for g in gyros]),
             **{key: np.array([getattr(g, key) for g in gyros]) for key in ("states", "sd", "covariance", "noise_rps")},
             **more,
+            **texts,
         },
         {
             "budget_names": names,
@@ -160,6 +166,7 @@ def _read(path: Path, file: Any, group: Any) -> Calibration:
         doubts=tuple(_texts(group.attrs.get("doubts", ()))),
         holds_for=str(plain(group.attrs.get("holds_for", ""))),
         arrays=arrays,
+        forces=forces_of(_texts(group["accelerometers"][()])[0]) if "accelerometers" in group else (),
         constancy=tuple(map(coverage_of, json.loads(str(plain(group.attrs.get("constancy", "[]")))))),
     )
 
