@@ -9,15 +9,7 @@ from rich.table import Table
 from estimator.calibration.accelerometer import AccelerometerCalibration, ForceCalibration
 from station.render.terminal import Shown, print_all, rich_table, stdout
 from station.views.figures import StateUnit, number
-from station.views.forces import FORCE_FIGURES, OFFSET, PLACE, fitted_forces, place_figure
-
-_LINES = {
-    "noise": "noise",
-    "level": "level of the table",
-    "orthogonality": "axes of the table",
-    "gravity": "local gravity",
-    "angles at rest": "resolution of the encoders",
-}
+from station.views.forces import FORCE_FIGURES, LINE_WORDS, OFFSET, PLACE, fitted_forces, place_figure
 
 
 def print_forces(forces: Sequence[ForceCalibration], *, details: bool) -> None:
@@ -106,7 +98,7 @@ def _budget_table(one: ForceCalibration) -> Table:
     for name in names:
         u = np.sqrt(np.mean([_line_of(a, name) ** 2 for a in one.accelerometers], axis=0)).tolist()
         rows.append(
-            [_LINES.get(name, name), *(number(v * f.factor, f.digits) for v, f in zip(u, figures, strict=True))]
+            [LINE_WORDS.get(name, name), *(number(v * f.factor, f.digits) for v, f in zip(u, figures, strict=True))]
         )
     combined = np.sqrt(np.mean([a.sd**2 for a in one.accelerometers], axis=0)).tolist()
     rows.append(["combined", *(number(v * f.factor, f.digits) for v, f in zip(combined, figures, strict=True))])

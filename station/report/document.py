@@ -17,7 +17,7 @@ from station.render.investigation_printed import verdict_lines
 from station.render.plan_printed import combination
 from station.render.template import rendered
 from station.report import figures, investigation_chapter as residual, pictures
-from station.report.chapters import correction, front, results, unobserved_effects
+from station.report.chapters import correction, forces, front, results, unobserved_effects
 from station.report.document_status import Standing, limits_of, number_of, standing_of
 from station.report.formal import Formal, logo_of
 from station.report.investigation_chapter import Traced
@@ -32,6 +32,7 @@ _MADE_OF = {
     "combination": combination,
     "correction": correction,
     "figures": figures,
+    "forces": forces,
     "front": front,
     "pictures": pictures,
     "raw_rule": RAW_RULE,

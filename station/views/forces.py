@@ -24,6 +24,16 @@ FORCE_FIGURES = (
 """How the states of accelerometers are shown, in order."""
 
 
+LINE_WORDS = {
+    "noise": "noise",
+    "level": "level of the table",
+    "orthogonality": "axes of the table",
+    "gravity": "local gravity",
+    "angles at rest": "resolution of the encoders",
+}
+"""What the lines of the budget are called."""
+
+
 def fitted_forces(one: ForceCalibration) -> tuple[StateUnit, ...]:
     """Return the states with the digits that their standard deviations deserve."""
     sds = zip(*(a.sd.tolist() for a in one.accelerometers), strict=True)

@@ -1,0 +1,131 @@
+"""The chapter on accelerometers: states, places, intrinsic parameters and sources of uncertainty as finished tables."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from markupsafe import Markup
+
+from estimator.calibration.accelerometer import ForceCalibration
+from station.report.figures import COVERAGE, SYMBOLS, typographic
+from station.report.recorded import Recorded
+from station.views.figures import StateUnit
+from station.views.forces import FORCE_FIGURES, LINE_WORDS, OFFSET, PLACE, fitted_forces, place_figure
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ForceTable:
+    """A table with finished cells; ``align`` has l or r for each column."""
+
+    caption: str
+    heads: Sequence[str]
+    align: str
+    rows: Sequence[Sequence[str]]
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ForceChapter:
+    """What is said of the accelerometers of one source."""
+
+    device: str
+    tables: Sequence[ForceTable]
+    lines: Sequence[str]
+    excluded: Sequence[str]
+
+
+def chapters(recorded: Recorded) -> list[ForceChapter]:
+    """Return what is said of the accelerometers of each source; none without any."""
+    found = recorded.calibration
+    return [_chapter(one) for one in found.forces] if found is not None else []
+
+
+def _chapter(one: ForceCalibration) -> ForceChapter:
+    """Return what is said of one source."""
+    tables = [_states(one), _places(one), _intrinsic(one), _budget(one)] if one.accelerometers else []
+    lines = []
+    if one.offset is not None:
+        late_ms = 1e3 * one.offset.offset_s
+        wide_ms = COVERAGE * 1e3 * one.offset.sd_s
+        lines.append(f"Delay after the readings of the table: {late_ms:.3f} ms, U {wide_ms:.3f} ms.")
+    if one.accelerometers:
+        lines.append(f"Assumed gravity: {one.gravity_mps2:.5f} m/s².")
+    return ForceChapter(
+        device=one.device or one.source,
+        tables=tables,
+        lines=[typographic(line) for line in lines],
+        excluded=[f"{e.name} is not calibrated: {e.reason}" for e in one.excluded],
+    )
+
+
+def _cells(values: Sequence[float], sds: Sequence[float], figures: Sequence[StateUnit]) -> list[str]:
+    """Return each value with its expanded uncertainty, as digits in its unit."""
+    cells = []
+    for value, sd, figure in zip(values, sds, figures, strict=True):
+        cells += [typographic(figure.text(value)), figure.text(COVERAGE * sd)]
+    return cells
+
+
+def _headed(symbol: Markup, figure: StateUnit) -> Markup:
+    """Return the head of a column: the symbol of a state and its unit."""
+    return Markup("{}, {}").format(symbol, typographic(figure.unit))
+
+
+def _states(one: ForceCalibration) -> ForceTable:
+    """Return the states with expanded uncertainties."""
+    figures = fitted_forces(one)
+    heads = ["accelerometer"]
+    for symbol, figure in zip(SYMBOLS, figures, strict=True):
+        heads += [_headed(symbol, figure), "U"]
+    rows = [[a.name, *_cells(a.states.tolist(), a.sd.tolist(), figures)] for a in one.accelerometers]
+    note = "The model is that of the gyros, with the specific force at the place of each as input."
+    return ForceTable(caption="States", heads=heads, align="l" + 8 * "r", rows=rows, note=note)
+
+
+def _places(one: ForceCalibration) -> ForceTable:
+    """Return where each accelerometer sits, with expanded uncertainties."""
+    figures = [place_figure(one)] * 3
+    heads = ["lever arm"]
+    for axis in "xyz":
+        heads += [f"{axis}, {PLACE.unit}", "U"]
+    rows = [[a.name, *_cells(a.place_m.tolist(), a.place_sd_m.tolist(), figures)] for a in one.accelerometers]
+    rows.append(["middle", *_cells(one.arm_m.tolist(), one.arm_sd_m.tolist(), figures)])
+    caption = "Lever arm, from the point in which the axes of the table meet"
+    return ForceTable(caption=caption, heads=heads, align="l" + 6 * "r", rows=rows)
+
+
+def _intrinsic(one: ForceCalibration) -> ForceTable:
+    """Return the nine parameters that another laboratory can reproduce."""
+    found = one.intrinsic
+    rows = []
+    for place, name in enumerate(found.names):
+        value, sd = float(found.sensitivity[place]), float(found.sensitivity_sd[place])
+        rows.append([f"sensitivity of {name}", f"{value:.6f}", f"{COVERAGE * sd:.6f}", "1"])
+    for place, name in enumerate(found.names):
+        figure = OFFSET.fitted([float(found.offset_sd_mps2[place])])
+        own = _cells([float(found.offset_mps2[place])], [float(found.offset_sd_mps2[place])], [figure])
+        rows.append([f"offset of {name}", *own, OFFSET.unit])
+    for (first, second), angle, sd in zip(found.pairs, found.angle_rad, found.angle_sd_rad, strict=True):
+        wide = COVERAGE * float(np.degrees(sd))
+        rows.append([f"angle of {first} to {second}", f"{np.degrees(angle):.5f}", f"{wide:.5f}", "°"])
+    note = "These do not depend on the mounting. Definitions: Geist et al., J. Res. NIST 122.032 (2017)."
+    heads = ["parameter", "value", "U", "unit"]
+    return ForceTable(caption="Intrinsic parameters", heads=heads, align="lrrl", rows=rows, note=note)
+
+
+def _budget(one: ForceCalibration) -> ForceTable:
+    """Return the standard uncertainties by source, rms over the accelerometers."""
+    figures = fitted_forces(one)
+    names = [line.name for line in one.accelerometers[0].budget]
+    rows = []
+    for name in names:
+        own = [line.u**2 for a in one.accelerometers for line in a.budget if line.name == name]
+        u = np.sqrt(np.mean(own, axis=0)).tolist()
+        rows.append([LINE_WORDS.get(name, name), *(f.text(v) for v, f in zip(u, figures, strict=True))])
+    combined = np.sqrt(np.mean([a.sd**2 for a in one.accelerometers], axis=0)).tolist()
+    rows.append(["combined", *(f.text(v) for v, f in zip(combined, figures, strict=True))])
+    heads = [
+        "standard uncertainty",
+        *(f"{s}, {typographic(f.unit)}" for s, f in zip(SYMBOLS, FORCE_FIGURES, strict=True)),
+    ]
+    return ForceTable(caption="Sources of uncertainty, rms", heads=heads, align="lrrrr", rows=rows)
