@@ -10,7 +10,7 @@ from estimator.observations.defects.odd_samples import without_odd
 from estimator.packaged import sentence
 from estimator.recordings.recording import ImuData
 from estimator.recordings.writing import columns_of
-from estimator.types import Flags, Floats, runs_of
+from estimator.types import Flags, Floats, Stamps, runs_of
 
 _RUN_S = 0.25  # equal extreme values for longer than this are a limit, not a coincidence
 _UNUSUAL = 5  # a limit repeats a value so many times longer than chance does
@@ -95,22 +95,22 @@ def _limited(data: ImuData, gyro: int, *, fine: bool, beside: Beside | None) -> 
     """Return as flags (n,) which samples of a gyro are at or beside a limit, and its levels in words."""
     column = data.rate_rps[:, gyro]
     low, high = float(np.nanmin(column)), float(np.nanmax(column))
-    limited = _at_limits(data, column, low, high) if fine else np.zeros(len(column), dtype=bool)
+    limited = at_limits(data.t_ns, column, low, high) if fine else np.zeros(len(column), dtype=bool)
     levels = [level for level in (low, high) if (limited & (column == level)).any()]
     for limit in beside.limits[gyro] if beside is not None else ():
         assert beside is not None
         reached = limit.reached(column, beside.expected_at(data.t_ns, gyro))
         if not (reached & ~limited).any():
             continue
-        limited |= _widened(reached, data)
+        limited |= widened(reached, data.t_ns)
         if not any(abs(level - limit.level_rps) <= limit.width_rps for level in levels):
             levels.append(limit.level_rps)
     return limited, " and ".join(f"{level * _DEG:.4g} deg/s" for level in sorted(levels))
 
 
-def _widened(flags: Flags, data: ImuData) -> Flags:
-    """Return flags (n,) extended by some samples on each side."""
-    period_s = float(np.median(np.diff(data.t_ns[:10000]))) * 1e-9
+def widened(flags: Flags, t_ns: Stamps) -> Flags:
+    """Return flags (n,) of samples at a limit, at instants (n,), extended to those that a filter mixes with them."""
+    period_s = float(np.median(np.diff(t_ns[:10000]))) * 1e-9
     margin = max(round(_FILTER_S / period_s), 3)
     wide = flags.copy()
     for start, stop in runs_of(flags):
@@ -132,12 +132,12 @@ def _only(data: ImuData, channels: list[int], cut: Flags | None) -> ImuData:
     return replace(data, array=data.array.select(channels), rate_rps=rate)
 
 
-def _at_limits(data: ImuData, column: Floats, low: float, high: float) -> Flags:
-    """Return as flags (n,) which samples are in or beside a run of an extreme value (low, high)."""
+def at_limits(t_ns: Stamps, column: Floats, low: float, high: float) -> Flags:
+    """Return as flags (n,) which samples at instants (n,) are in or beside a run of an extreme value (low, high)."""
     limited = np.zeros(len(column), dtype=bool)
     if len(column) < 3 or not (_repeats(column, low) or _repeats(column, high)):
         return limited
-    period_s = float(np.median(np.diff(data.t_ns[:10000]))) * 1e-9
+    period_s = float(np.median(np.diff(t_ns[:10000]))) * 1e-9
     # Coarse outputs repeat any value: at a limit they do so for much longer than elsewhere.
     usual = float(np.quantile(np.diff(np.flatnonzero(np.diff(column, prepend=np.nan, append=np.nan) != 0)), 0.99))
     least, margin = max(round(_RUN_S / period_s), 5, round(_UNUSUAL * usual)), max(round(_MARGIN_S / period_s), 1)

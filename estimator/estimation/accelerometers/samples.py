@@ -10,7 +10,7 @@ from estimator.geometry.kinematics import AXES, GRAVITY_MPS2
 from estimator.geometry.noise import SD_OF_MEDIAN
 from estimator.observations.defects.limits import limits_of
 from estimator.observations.defects.odd_samples import without_odd
-from estimator.observations.health import Excluded
+from estimator.observations.health import Excluded, at_limits, widened
 from estimator.packaged import sentence
 from estimator.recordings.motion.body_rates import BodyRates
 from estimator.recordings.recording import ImuData
@@ -96,9 +96,9 @@ def _compared(samples: ForceSamples, table: TableReadings) -> tuple[list[Exclude
             continue
         expected = force @ samples.array.p[number]
         scatter = SD_OF_MEDIAN * float(np.median(np.abs(output[finite] - expected[finite])))
-        flags = np.zeros(len(t_ns), dtype=np.bool_)
+        flags = at_limits(t_ns, output, float(np.nanmin(output)), float(np.nanmax(output)))
         for limit in limits_of(output[rows], expected[rows], max(scatter, 1e-6)):
-            flags |= limit.reached(output, expected)
+            flags |= widened(limit.reached(output, expected), t_ns)
         if flags.any():
             limited[name] = flags
     return excluded, limited
