@@ -29,7 +29,7 @@ LINE_WORDS = {
     "level": "level of the table",
     "orthogonality": "axes of the table",
     "gravity": "local gravity",
-    "angles at rest": "resolution of the encoders",
+    "resolution": "resolution of the encoders",
 }
 """What the lines of the budget are called."""
 

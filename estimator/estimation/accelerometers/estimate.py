@@ -5,7 +5,7 @@ depends on the lever arm and the states on the force: the estimate is repeated w
 neither changes.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from estimator.estimation.accelerometers.laws import (
     GRAVITY,
     LEVEL,
     ORTHOGONALITY,
-    REST_ANGLES,
+    RESOLUTION,
     UNSTATED_LEVEL_RAD,
     apart_law,
     arm_law,
@@ -28,7 +28,8 @@ from estimator.estimation.accelerometers.laws import (
     laws_of_table,
     rest_angle_law,
 )
-from estimator.estimation.noise_evidence import Joint, Law, joint_estimate, terms_of
+from estimator.estimation.accelerometers.resolution import resolution_covariance
+from estimator.estimation.noise_evidence import Joint, Law, joint_estimate
 from estimator.geometry.kinematics import GRAVITY_MPS2, UNMEASURED_GRAVITY
 from estimator.geometry.model import decode, decoding
 from estimator.geometry.noise import NoiseModel
@@ -39,7 +40,7 @@ from estimator.types import Floats
 _MOST_STEPS = 8
 _SETTLED = 0.01  # of a standard deviation
 _SETTLED_ARM_M, _SETTLED_DELAY_S = 1e-7, 1e-8
-_LINES = (LEVEL, ORTHOGONALITY, GRAVITY, REST_ANGLES)
+_LINES = (LEVEL, ORTHOGONALITY, GRAVITY)
 
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
@@ -61,13 +62,15 @@ def estimate_forces(
     """
     gravity_mps2 = GRAVITY_MPS2 if recording.site is None else recording.site.local_gravity_mps2
     settled = _settled(recording, source, samples, gravity_mps2, noise)
-    joint = _with_rest_angles(settled, noise)
+    joint = settled.joint
     laws = {law.called: number for number, law in enumerate(joint.laws)}
     delay, delay_variance = _parameters(joint, laws[DELAY], 0)
     device = recording.sources[source].device
+    rounded = _rounded(settled, noise)
     found = []
     for number, name in enumerate(samples.array.names):
-        states, covariance = decode(joint.means[number][:4], joint.covariances[number][:4, :4])
+        own = slice(4 * number, 4 * number + 4)
+        states, covariance = decode(joint.means[number][:4], joint.covariances[number][:4, :4] + rounded[own, own])
         place, place_covariance = _place(joint, laws, number)
         found.append(
             AccelerometerCalibration(
@@ -82,7 +85,7 @@ def estimate_forces(
                 noise_mps2=_sample_noise(joint, samples, number),
                 place_m=settled.arm_m + place,
                 place_covariance_m2=place_covariance,
-                budget=_budget(joint, number),
+                budget=_budget(joint, number, rounded[own, own]),
                 noise=joint.noise[number],
             )
         )
@@ -90,7 +93,7 @@ def estimate_forces(
         source=source,
         device=device,
         accelerometers=tuple(found),
-        covariance=_covariance(joint),
+        covariance=_covariance(joint, rounded),
         arm_m=np.mean([one.place_m for one in found], axis=0),
         arm_covariance_m2=_middle_covariance(joint, laws),
         gravity_mps2=gravity_mps2,
@@ -119,21 +122,14 @@ def _settled(
     return _Settled(joint=joint, run=run, arm_m=arm_m, delay_s=delay_s)
 
 
-def _with_rest_angles(settled: _Settled, noise: NoiseModel | None) -> Joint:
-    """Return the joint estimate with errors of the angles at rest, if these make the data more probable; else that of
-    ``settled``.
-    """
-    before = settled.joint
-    table = before.runs[0].recording.table
+def _rounded(settled: _Settled, noise: NoiseModel | None) -> Floats:
+    """Return the covariance (4 a, 4 a) of the states x of all accelerometers that comes from rounded angles."""
+    table = settled.run.recording.table
     law = rest_angle_law(table) if table is not None else None
     if law is None:
-        return before
-    joint = joint_estimate([settled.run], [*before.laws, law], noise)
-    terms = terms_of(joint.laws)
-    own, shared = terms[0], terms[-1]
-    without = replace(shared, columns=shared.columns[: -len(law.sd)])
-    gain = joint.evidence.of(terms) - joint.evidence.of([own, without])
-    return joint if gain > 0 else before
+        count = 4 * len(settled.run.array)
+        return np.zeros((count, count))
+    return resolution_covariance(settled.joint, settled.run, law, noise)
 
 
 def _laws(run: ForceRun, samples: ForceSamples, arm_m: Floats, delay_s: float) -> list[Law]:
@@ -204,8 +200,11 @@ def _across(joint: Joint, first: int, second: int) -> Floats:
     return np.asarray(own[:, places] @ np.linalg.solve(own[np.ix_(places, places)], other[places]))
 
 
-def _budget(joint: Joint, accelerometer: int) -> tuple[Contribution, ...]:
-    """Return the contributions to the covariance of the states: noise, and what each error of the table adds."""
+def _budget(joint: Joint, accelerometer: int, rounded: Floats) -> tuple[Contribution, ...]:
+    """Return the contributions to the covariance of the states: noise, errors of the table, ``rounded`` angles (4, 4).
+
+    The errors of the table count one after the other, each with what those before it leave.
+    """
     covariance = joint.covariances[accelerometer]
     lines: list[Contribution] = []
     known: list[int] = []
@@ -219,18 +218,21 @@ def _budget(joint: Joint, accelerometer: int) -> tuple[Contribution, ...]:
         lines.append(Contribution(line, through - before))
         before = through
     lines.insert(0, Contribution("noise", covariance[:4, :4] - before))
+    if rounded.any():
+        lines.append(Contribution(RESOLUTION, rounded))
     x = joint.means[accelerometer][:4]
     return tuple(Contribution(line.name, decode(x, line.covariance)[1]) for line in lines)
 
 
-def _covariance(joint: Joint) -> Floats:
-    """Return the covariance (4 a, 4 a) of the decoded states of all accelerometers."""
-    jacobians = [decoding(mean[:4]) for mean in joint.means]
+def _covariance(joint: Joint, rounded: Floats) -> Floats:
+    """Return the covariance (4 a, 4 a) of the decoded states of all accelerometers, with that of ``rounded`` angles."""
     count = len(joint.means)
-    blocks = [
-        [jacobians[i] @ _across(joint, i, j)[:4, :4] @ jacobians[j].T for j in range(count)] for i in range(count)
-    ]
-    return np.block(blocks)
+    rows = [[_across(joint, i, j)[:4, :4] for j in range(count)] for i in range(count)]
+    jacobian = np.zeros_like(rounded)
+    for number, mean in enumerate(joint.means):
+        own = slice(4 * number, 4 * number + 4)
+        jacobian[own, own] = decoding(mean[:4])
+    return np.asarray(jacobian @ (np.block(rows) + rounded) @ jacobian.T)
 
 
 def _sample_noise(joint: Joint, samples: ForceSamples, accelerometer: int) -> float:

@@ -53,6 +53,18 @@ class ForceRun(Run):
         """Their data sheet."""
         return self.samples.prior
 
+    def weighed(self, columns: Floats, gyro: int) -> Floats:
+        """Return columns (b, c) times the weights of the blocks, both interpolated over blocks without samples.
+
+        A hole would let the large part of a bias that wanders slowly show at all frequencies, where the noise models
+        have only white noise: a bias would seem to be known from the edges of holes.
+        """
+        known = np.flatnonzero(self.weight > 0)
+        blocks = np.arange(len(self.weight))
+        weight = np.interp(blocks, known, self.weight[known])
+        filled = np.column_stack([np.interp(blocks, known, column[known]) for column in columns.T])
+        return np.asarray(filled * weight[:, None])
+
 
 def force_run(
     recording: Recording,

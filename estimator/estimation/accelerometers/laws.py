@@ -15,7 +15,7 @@ from estimator.recordings.reference import TableReadings
 from estimator.types import Floats, least_steps
 
 ARM, APART, DELAY = "lever arm", "size effect", "delay"
-LEVEL, ORTHOGONALITY, GRAVITY, REST_ANGLES = "level", "orthogonality", "gravity", "angles at rest"
+LEVEL, ORTHOGONALITY, GRAVITY, RESOLUTION = "level", "orthogonality", "gravity", "resolution"
 UNSTATED_LEVEL_RAD = float(np.radians(0.05))
 """Tilt of the base from level that is expected where none is stated: the data show it."""
 
@@ -127,7 +127,7 @@ def rest_angle_law(table: TableReadings) -> Law | None:
         return np.column_stack(found)
 
     expected = np.repeat(counts_rad[rounded] / np.sqrt(12), len(spans_s))
-    return _law(REST_ANGLES, columns, expected, names=names, shared=True, line=REST_ANGLES)
+    return _law(RESOLUTION, columns, expected, names=names, shared=True, line=RESOLUTION)
 
 
 def _into_each(vectors: Floats, angles_rad: Floats, gimbals: Sequence[str]) -> Floats:
