@@ -74,11 +74,7 @@ def direct_run(
     of those that sample with the gyros, in a field of ``gravity_mps2``.
     """
     table = hidden.table if hidden is not None else TableFaults()
-    motions = {axis: AxisMotion(0.0, _NO_LIMIT, _NO_LIMIT) for axis in gimbals}
-    for motion in motions.values():
-        motion.keep_all()
-    for move in moves:
-        motions[move.axis].move(move.start_s, move.angle_rad, move.rate_rps, move.acceleration_rps2)
+    motions = _motions(moves, gimbals)
     true = {axis: table.true_angles(axis, motion.angles, started_s) for axis, motion in motions.items()}
     body = Body(
         gimbals=gimbals,
@@ -96,32 +92,52 @@ def direct_run(
     output = gyros.sample_all(t_s)
     force = None
     if accelerometers is not None:
-        axes, errors = accelerometers
-        felt = Accelerometers(
-            mounting=axes,
-            truth=errors,
-            body=body,
-            rate_hz=rate_hz,
-            seed=(*seed, _OF_FORCE),
-            gravity_mps2=gravity_mps2,
-            warmth_c=lambda t: gyros.temperatures_c(t) - truth.temperature_c,
-        )
-        force = felt.sample_all(t_s)
+        force = _felt(body, gyros, t_s, accelerometers, gravity_mps2=gravity_mps2, seed=(*seed, _OF_FORCE))
     table_s = np.arange(round(duration_s * table_rate_hz) + 2) / table_rate_hz
     count = 2 * math.pi / counts_per_turn
     read = [_read(motions[g], table.read(g, motions[g].at, started_s), table_s) for g in gimbals]
-    angle = np.column_stack([np.round(angle / count) * count for angle, _ in read])
-    rate = np.column_stack([rate for _, rate in read])
-    temperature = _read_temperature(gyros, t_s, (*seed, _OF_TEMPERATURE))
     return DirectRun(
         table_t_ns=_ns(table_s),
-        angle_rad=angle,
-        rate_rps=rate,
+        angle_rad=np.column_stack([np.round(angle / count) * count for angle, _ in read]),
+        rate_rps=np.column_stack([rate for _, rate in read]),
         t_ns=_ns(t_s),
         output_rps=output,
-        temperature_c=temperature,
+        temperature_c=_read_temperature(gyros, t_s, (*seed, _OF_TEMPERATURE)),
         force_mps2=force,
     )
+
+
+def _motions(moves: Sequence[TimedMove], gimbals: Sequence[str]) -> dict[str, AxisMotion]:
+    """Return the motion of each axis, which begins at home and carries out its moves."""
+    motions = {axis: AxisMotion(0.0, _NO_LIMIT, _NO_LIMIT) for axis in gimbals}
+    for motion in motions.values():
+        motion.keep_all()
+    for move in moves:
+        motions[move.axis].move(move.start_s, move.angle_rad, move.rate_rps, move.acceleration_rps2)
+    return motions
+
+
+def _felt(
+    body: Body,
+    gyros: GyroArray,
+    t_s: Floats,
+    accelerometers: tuple[Mounting, AccelerometerTruth],
+    *,
+    gravity_mps2: float,
+    seed: tuple[int, ...],
+) -> Floats:
+    """Return the outputs (n, a) of accelerometers that sample with the gyros and have their temperature."""
+    axes, errors = accelerometers
+    felt = Accelerometers(
+        mounting=axes,
+        truth=errors,
+        body=body,
+        rate_hz=1 / float(t_s[1] - t_s[0]),
+        seed=seed,
+        gravity_mps2=gravity_mps2,
+        warmth_c=lambda t: gyros.temperatures_c(t) - gyros.stated_c,
+    )
+    return felt.sample_all(t_s)
 
 
 def _read(motion: AxisMotion, read: Motion, t_s: Floats) -> tuple[Floats, Floats]:

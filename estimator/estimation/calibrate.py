@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from estimator.calibration.accelerometer import ForceCalibration
 from estimator.calibration.budget import Contribution, table_budget
 from estimator.calibration.error_model import ErrorModel
 from estimator.calibration.gyro import GyroCalibration
@@ -56,27 +57,15 @@ def calibrate(
         check_model(model, recording)
         model = model if model.effects else None
     recording, sources, notes, defective = _usable(recording)
-    doubts = sparse_doubts(recording)
     devices = _devices(recording, sources, model, excluded, defective)
     estimates = [one for device in devices for one in device.sources]
-    gyros, checks = [], []
-    for device in devices:
-        its_gyros = [(one, gyro) for one in device.sources for gyro in _gyros(recording, one)]
-        gyros += [gyro for _, gyro in its_gyros]
-        checks += _parity(device.sources, [gyro for _, gyro in its_gyros])
-        notes += [*device.notes, *_gyro_notes(recording, its_gyros)]
-        doubts += [*device.doubts, *device.spoilt]
-    spoilt = [one for device in devices for one in device.spoilt]
-    effects = tuple(one for device in devices for one in device.undeclared)
-    nis = _mean_nis(recording, model, estimates) if innovations else float("nan")
-    doubts += _scatter_doubts(estimates)
-    if recording.table is not None:
-        seen = [*reading_doubts(recording.table), *stuck_doubts(recording)]
-        spoilt, doubts = [*seen, *spoilt], [*seen, *doubts]
+    gyros, checks, gyro_notes = _gyros_of(recording, devices)
     forces, force_notes = calibrate_forces(recording)
-    notes += force_notes
-    doubts += [doubt for one in forces for doubt in one.doubts]
+    nis = _mean_nis(recording, model, estimates) if innovations else float("nan")
+    spoilt, doubts = _doubts(recording, devices, forces)
+    effects = tuple(one for device in devices for one in device.undeclared)
     constancy = coverage(recording, [data for _, data in sources])
+    notes += [*gyro_notes, *force_notes]
     notes += [*undeclared_notes(effects, gyros), *coverage_notes(constancy), *_parity_notes(checks)]
     notes += [*effect_notes(gyros), *doubts]
     order = [name for data in recording.sources.values() for name in data.array.names]
@@ -98,6 +87,40 @@ def calibrate(
         forces=forces,
         undeclared=effects,
     )
+
+
+def _gyros_of(
+    recording: Recording, devices: Sequence[DeviceEstimate]
+) -> tuple[list[GyroCalibration], list[GyroParity], list[str]]:
+    """Return the calibrations of the gyros of all devices, their parity checks, and notes on both, device by device."""
+    gyros: list[GyroCalibration] = []
+    checks: list[GyroParity] = []
+    notes: list[str] = []
+    for device in devices:
+        own = [(one, gyro) for one in device.sources for gyro in _gyros(recording, one)]
+        gyros += [gyro for _, gyro in own]
+        checks += _parity(device.sources, [gyro for _, gyro in own])
+        notes += [*device.notes, *_gyro_notes(recording, own)]
+    return gyros, checks, notes
+
+
+def _doubts(
+    recording: Recording, devices: Sequence[DeviceEstimate], forces: Sequence[ForceCalibration]
+) -> tuple[list[str], list[str]]:
+    """Return what no sigma can cover, and all notes that question the sigmas, these included: those of the table first.
+
+    A table is doubted where its readings contradict each other, or where samples repeat while it turns.
+    """
+    of_table: list[str] = []
+    if recording.table is not None:
+        of_table = [*reading_doubts(recording.table), *stuck_doubts(recording)]
+    spoilt = [one for device in devices for one in device.spoilt]
+    doubts = sparse_doubts(recording)
+    for device in devices:
+        doubts += [*device.doubts, *device.spoilt]
+    doubts += _scatter_doubts([one for device in devices for one in device.sources])
+    doubts += [doubt for one in forces for doubt in one.doubts]
+    return [*of_table, *spoilt], [*of_table, *doubts]
 
 
 def _gyro_notes(recording: Recording, gyros: Sequence[tuple[SourceEstimate, GyroCalibration]]) -> list[str]:

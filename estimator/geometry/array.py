@@ -101,6 +101,13 @@ def cone(n: int, half_angle_rad: float) -> SensorArray:
     return sensor_array(_cone_axes(n, half_angle_rad))
 
 
+def accelerometer_axes(array: SensorArray) -> Floats:
+    """Return the nominal axes (3, 3) of a device's accelerometers: those of its gyros if it has three, else the
+    body's.
+    """
+    return array.p if array.p.shape == (3, 3) else np.eye(3)
+
+
 def _cone_axes(n: int, half_angle_rad: float) -> Floats:
     azimuth = 2 * np.pi * np.arange(n) / max(n, 1)
     s, c = np.sin(half_angle_rad), np.cos(half_angle_rad)

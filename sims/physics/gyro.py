@@ -134,6 +134,11 @@ class GyroArray:
             return self._chain.output(t_s, keep=keep) - self._truth.b_rps
         return np.asarray(self._body.rate_rps(t_s) @ self._sensitivity.T - self._truth.b_rps)
 
+    @property
+    def stated_c(self) -> float:
+        """The temperature at which the errors are stated."""
+        return self._truth.temperature_c
+
     def temperature_c(self, t_s: float) -> float:
         """Return the temperature of the gyros."""
         return float(self.temperatures_c(np.array([t_s]))[0])

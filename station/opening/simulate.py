@@ -13,7 +13,7 @@ from estimator.geometry.model import Prior
 from estimator.geometry.noise import NoiseModel
 from estimator.recordings.recording import ForceSheet, ImuData, Recording
 from estimator.recordings.reference import TableReadings
-from sims.direct import TimedMove, direct_run
+from sims.direct import DirectRun, TimedMove, direct_run
 from sims.physics.accelerometer import AccelerometerTruth
 from sims.physics.geometry import MOUNTS_DEG, Mounting, mounted
 from sims.physics.gyro import GyroTruth
@@ -103,18 +103,7 @@ def simulate(
             accelerometers=(first, felt.truth) if felt is not None else None,
             gravity_mps2=felt.gravity_mps2 if felt is not None else GRAVITY_MPS2,
         )
-        sources[name] = ImuData(
-            device.array,
-            run.t_ns,
-            run.output_rps,
-            temperature_c=run.temperature_c,
-            prior=device.prior,
-            noise=device.stated,
-            device=name,
-            accel_mps2=run.force_mps2,
-            accel_axes=device.array.p[:3] if felt is not None else None,
-            accel_sheet=felt.sheet if felt is not None else None,
-        )
+        sources[name] = _samples(name, device, run, felt)
         reference = TableReadings(
             t_ns=run.table_t_ns, angle_rad=run.angle_rad, rate_rps=run.rate_rps, gimbals=tuple(gimbals)
         )
@@ -122,6 +111,22 @@ def simulate(
         raise ValueError("a simulation needs one device or more")
     # An empty bench, not none: stamps of gyros and table are those of one clock, as of every run of the station.
     return Recording(sources, reference, site, {"bench": ""})
+
+
+def _samples(name: str, device: DeviceTruth, run: DirectRun, felt: SimulatedForces | None) -> ImuData:
+    """Return the samples of a device, with those of its accelerometers if it has some."""
+    data = ImuData(
+        device.array,
+        run.t_ns,
+        run.output_rps,
+        temperature_c=run.temperature_c,
+        prior=device.prior,
+        noise=device.stated,
+        device=name,
+    )
+    if felt is None:
+        return data
+    return replace(data, accel_mps2=run.force_mps2, accel_axes=device.array.p[:3], accel_sheet=felt.sheet)
 
 
 def simulate_bench(bench: Bench, script: Script, seed: int) -> Recording:

@@ -12,12 +12,12 @@ import numpy as np
 from drivers.clocks.sampling import Alignment
 from drivers.errors import DeviceError, DeviceFault, DeviceRefused, LinkLost
 from drivers.protocols import AppendsSeries, EarlySource
-from drivers.types import Floats, Identity, ImuBlock, LinkCounts, SourceCounts
+from drivers.types import Identity, ImuBlock, LinkCounts, SourceCounts
 from estimator.calibration.error_model import ErrorModel
 from estimator.errors import EstimatorError
 from estimator.estimation.live.sample_columns import SampleColumns
 from estimator.estimation.live.source import LiveSource
-from estimator.geometry.array import SensorArray
+from estimator.geometry.array import accelerometer_axes
 from estimator.observations.timing import TimeOffset
 from estimator.recordings.recording import DEVICES, ForceSheet
 from estimator.recordings.writing import RecordingWriter
@@ -247,7 +247,7 @@ class Acquisition:
         if block.accel_mps2 is not None and name not in self._accelerometers:
             self._accelerometers.add(name)
             self.writer.add_accelerometers(
-                name, _accelerometer_axes(self.live.sources[name].array), self._force_sheets.get(name)
+                name, accelerometer_axes(self.live.sources[name].array), self._force_sheets.get(name)
             )
         self.writer.append_rows(f"imu/{name}", columns)
         self.live.sources[name].add(block)
@@ -437,13 +437,6 @@ class Acquisition:
         late = f"this computer fell behind by up to {behind_ms}. Close other programs or lower --scale"
         found += [slow] * (took_s > _SLOW_S) + [late] * (self.host.worst_s > 0.0)
         return [cause for cause in found if cause]
-
-
-def _accelerometer_axes(array: SensorArray) -> Floats:
-    """Return the nominal axes (3, 3) of a device's accelerometers: those of its gyros if it has three, else the
-    body's.
-    """
-    return array.p if array.p.shape == (3, 3) else np.eye(3)
 
 
 def _link_attributes(prefix: str, counts: LinkCounts) -> dict[str, Any]:
