@@ -23,7 +23,7 @@ class Check:
     xorout: int = 0
 
     def of(self, data: bytes) -> int:
-        """Return the checksum of ``data``."""
+        """Return the checksum of ``data``, as a number of ``bits`` bits."""
         if self.kind == "crc":
             return self._crc(data)
         if self.kind == "xor":
