@@ -113,10 +113,10 @@ class Exchange:
         await self.get_in_step()
 
     async def tell_all(self, lines: Iterable[str]) -> None:
-        """Send lines at once without waiting for any answer, as for stopping; LinkLost if the link cannot be opened.
+        """Send lines at once without waiting for any answer, as for stopping; LinkLost if they cannot be sent.
 
-        After a failed request or write the link is opened anew first. An empty line goes ahead, which ends a line that
-        was cut off on its way.
+        If the last request or write failed, or this write fails, the link is closed and opened anew first. An empty
+        line goes ahead, which ends a line that was cut off on its way.
         """
         data = b"".join(map(self._framing.request, ("", *lines)))
         async with self._turn:
@@ -136,10 +136,10 @@ class Exchange:
     async def ask(self, line: str, pattern: re.Pattern[str], *, repeat: bool = True) -> Answer:
         """Send a request and return its answer, which matches ``pattern`` in full or is a refusal.
 
-        ``repeat`` false: the request is sent at most once. Before a new attempt, and after a malformed answer, the
-        exchange is resynchronised. LinkLost if no answer comes in two attempts; Unanswered if a request sent once has
-        none although the controller is there; UnexpectedReply after several malformed answers, or one where it must not
-        be repeated.
+        Before a new attempt, and after a malformed answer, the exchange is resynchronised. With ``repeat`` false the
+        request is sent at most once. LinkLost if no answer comes in two attempts, or if the link is gone. Unanswered, a
+        LinkLost, if a request that must not be repeated has no answer although the controller is there. UnexpectedReply
+        after three malformed answers, or after one if it must not be repeated.
         """
         arrived = asyncio.get_running_loop().time()
         async with self._turn:
@@ -215,7 +215,8 @@ class Exchange:
         """Send the request once and return its answer; _MalformedError if the bytes do not fit, or more follow the
         answer.
 
-        Waits without limit: the caller sets a time-out. After a refusal the next request is asked in step again.
+        ``repeated`` is noted in the answer: the request was sent before. Waits without limit: the caller sets a
+        time-out. After a refusal the next request is preceded by a resynchronisation.
         """
         sent_s = asyncio.get_running_loop().time()
         self._write(self._framing.request(line))
@@ -243,8 +244,8 @@ class Exchange:
     async def _resync(self) -> bytes:
         """Send a token, again after each answer that no silence follows; return the last bytes before the last answer.
 
-        At most 512 bytes are kept. Nothing is sent again while no answer comes, without limit: the caller sets a time-
-        out. Afterwards requests and answers are in step. All bytes passed over are counted as discarded.
+        At most 512 bytes are kept. Nothing is sent again while no answer comes, without limit: the caller sets a
+        time-out. Afterwards requests and answers are in step. All bytes passed over are counted as discarded.
         """
         before = b""
         while True:
