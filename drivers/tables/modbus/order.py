@@ -126,7 +126,9 @@ class RtuGate:
     def __call__(self, sending: bool, data: bytes) -> bytes:
         """Return the bytes the client may send, or the awaited frame if it has come, else nothing.
 
-        Other frames count as late; bytes outside frames as corrupt, once the next request is sent.
+        ``data`` are bytes to send if ``sending``, else all bytes received since. Frames that are not awaited count as
+        late; bytes outside frames count as one corrupt frame, once the next request is sent. The code of a refusal is
+        kept.
         """
         if sending:
             self._counts.corrupt += self._damaged
@@ -169,8 +171,10 @@ class TcpGate:
         """What was wrong with what came last in its place."""
 
     def __call__(self, sending: bool, data: bytes) -> bytes:
-        """Return the bytes the client may send, or the complete answer if it has come, else nothing; count other
-        frames.
+        """Return the bytes the client may send, or the complete answer if it has come, else nothing.
+
+        ``data`` are bytes to send if ``sending``, else all bytes received since. Other frames are counted; after the
+        answer nothing passes until the next request.
         """
         if sending:
             if not self.answered:
@@ -194,7 +198,9 @@ class TcpGate:
     def _count(self, data: bytes) -> None:
         """Count complete frames that are not the answer, as late, foreign or corrupt; describe the last in ``wrong``.
 
-        A header that is not Modbus makes all bytes received so far corrupt; an incomplete frame is left for later.
+        Late is an answer to an earlier request, which is not described; foreign one that nobody asked for; corrupt one
+        with the number of the request. A header that is not Modbus makes all bytes received so far corrupt. An
+        incomplete frame is left for later.
         """
         while self._seen + _TCP_HEADER + 1 < len(data):
             frame = data[self._seen :]
