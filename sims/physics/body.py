@@ -60,9 +60,7 @@ class Body:
         return self._revision_of_angles()
 
     def rate_rps(self, t_s: Floats) -> Floats:
-        """Return the inertial rate in body axes (n, 3) at each instant, from attitudes half a small step before and
-        after.
-        """
+        """Return the inertial rate in body axes (n, 3) in rad/s at instants (n,), by differences of the attitude."""
         n = len(t_s)
         attitude = self._attitude(np.concatenate([t_s - _HALF_STEP_S, t_s + _HALF_STEP_S]), float(t_s[0]))
         before, after = attitude[:n], attitude[n:]
@@ -80,10 +78,10 @@ class Body:
         return np.column_stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
 
     def up_in_turn(self, period_s: float) -> Callable[[Floats], Floats]:
-        """Return a function like ``up`` for successive instants ``period_s`` apart, computed ahead until the motion
-        changes.
+        """Return a function like ``up`` for successive instants ``period_s`` apart, which computes 0.1 s ahead.
 
-        Instants that are not ``period_s`` apart are computed individually.
+        It computes anew when the motion has changed. Instants that are not ``period_s`` apart are computed
+        individually.
         """
         count = max(round(_AHEAD_S / period_s), 1)
         first_s, ahead, revision = math.inf, np.empty((0, 3)), -1
