@@ -49,7 +49,10 @@ class AerosmithController(LineController):
             self._write(f"{text}\r\n>".encode() if text else b">")
 
     def _carry_out(self, word: str, value: float) -> str | None:
-        """Carry out a command and return the answer, "?" for a refusal; None if its prompt is held back."""
+        """Carry out a command and return the answer: a value, "" without one, "?" for a refusal or an unknown command.
+
+        None for a jog, whose prompt is held back.
+        """
         if word == "PPO":
             return f"{self._table.encoder_turns(self._axis) * 360.0:.4f}"
         if word == "PVE":

@@ -52,7 +52,7 @@ class Drive:
         self._watchdog.heard(self._state is DriveState.OPERATION_ENABLED)
 
     def read(self, register: str) -> float:
-        """Return the present value of a register."""
+        """Return the present value of a register; KeyError for one that the profile does not have."""
         self._update()
         readers: dict[str, Callable[[], float]] = {
             "statusword": self._statusword,
@@ -112,7 +112,7 @@ class Drive:
     def _control(self, word: int) -> None:
         """Act on a controlword: reset a fault on the rise of bit 7, else change state, then operate if enabled.
 
-        A drive in fault ignores everything but the reset.
+        A drive in fault ignores everything but the reset, and that too while the interlock is open.
         """
         before, self._controlword = self._controlword, word
         rising = word & ~before
@@ -157,7 +157,11 @@ class Drive:
         self.heard()
 
     def _operate(self, word: int, rising: int, halt_changed: int) -> None:
-        """Start or change the motion of the present mode: follow the rate, start homing, or start or halt a move."""
+        """Start or change the motion of the present mode: follow the rate, start homing, or start or halt a move.
+
+        ``rising`` are the bits of the controlword that have risen: homing and moves start with bit 4. ``halt_changed``
+        is not 0 if bit 8 has changed. Other modes do nothing.
+        """
         mode = self.values["mode"]
         if mode == cia402.MODE_PROFILE_VELOCITY:
             self._follow_rate()
@@ -213,7 +217,11 @@ class Drive:
             self._table.zero_encoder(self._axis)
 
     def _statusword(self) -> int:
-        """Return the statusword: state, target reached, limit, and bits 12 and 13 by the mode."""
+        """Return the statusword: state, voltage, target reached, internal limit after a limit switch, and bits 12 and
+        13.
+
+        Bit 12 says homed, set point taken or at rest, by the mode; bit 13 a following error in position mode.
+        """
         word = self._state.value[1] | cia402.VOLTAGE_ENABLED
         mode = self.values["mode"]
         tripped = self._table.tripped.get(self._axis, "")

@@ -44,7 +44,10 @@ class FaultyModbus(FaultyWay[bytes]):
         self.server: ModbusTcpServer | None = None
 
     def trace(self, sending: bool, data: bytes) -> bytes:
-        """Return what arrives of a frame at once, possibly damaged; empty if it is lost, or a reply that is delayed."""
+        """Return what arrives of a frame at once, possibly damaged; empty if it is lost.
+
+        A reply (``sending``) on a wire with delays is empty too, and delivered later.
+        """
         if self.silent or self._random.random() < self._faults.loss:
             return b""
         data = damaged(data, self._faults, self._random)
@@ -110,7 +113,11 @@ class DriveRegisters:
         return data[:4]
 
     def _write(self, address: int, words: Sequence[int]) -> None:
-        """Write words to the registers from ``address`` on; Refused for one that the drive does not accept."""
+        """Write words to the registers from ``address`` on, in their order.
+
+        Refused for a missing or divided register, for one that the drive does not accept from this master, or for a
+        value that it does not accept; registers before that one have been written.
+        """
         for register in self._at(address, len(words)):
             value = register.decode(words[: register.words], self._counts)
             words = words[register.words :]
