@@ -38,8 +38,10 @@ class SlcanAdapter(LineDevice):
         version: str = "1013",
         serial: str = "A123",
     ) -> None:
-        """Start with the channel closed. ``clock`` (s) stamps frames once the host asks for stamps; without one they
-        carry 0.
+        """Start with the channel closed; ``write`` sends to the host, ``on_message`` gets the frames of the host.
+
+        ``clock`` (s) stamps frames once the host asks for stamps; without one they carry 0. ``version`` and ``serial``
+        are reported when asked for.
         """
         super().__init__(write)
         self._on_message, self._clock = on_message, clock
@@ -72,7 +74,9 @@ class SlcanAdapter(LineDevice):
             self.flag(1)
 
     def _obey(self, line: bytes) -> bytes:
-        """Carry out one command and return its answer, BELL for a refusal."""
+        """Carry out one command line and return its answer, BELL for a refusal or an unknown command; CR for an empty
+        line.
+        """
         if not line:
             return CR
         try:
@@ -130,8 +134,9 @@ class SlcanAdapter(LineDevice):
         return waiting + b"A\r"
 
     def _transmit(self, text: str) -> bytes:
-        """Pass a frame of the host to the bus and return the answer; BELL for an invalid frame or a channel not open
-        for it.
+        """Pass a frame of the host, written as in ``text``, to the bus and return the answer.
+
+        BELL for an invalid frame, and while the channel is closed or only listens.
         """
         message = decode_frame(text)
         if message is None or not self.is_open or self._listens_only:
@@ -160,7 +165,10 @@ def encode_frame(msg: can.Message) -> str:
 
 
 def decode_frame(text: str) -> can.Message | None:
-    """Return the frame of a line, with or without a stamp of four digits; None if it is not a valid frame."""
+    """Return the frame of a line, with or without a stamp of four digits; None if it is not a valid frame.
+
+    Classic and FD frames, data and remote ones, with identifiers of 11 or 29 bits.
+    """
     kind, digits = text[:1], 8 if text[:1].isupper() else 3
     if not kind or kind not in _FRAMES or not _is_hex(text[1 : 1 + digits], digits):
         return None

@@ -19,7 +19,7 @@ class SocketcandSession:
     def __init__(
         self, write: Callable[[bytes], None], channel: str, on_message: Callable[[can.Message], None] | None = None
     ) -> None:
-        """Greet the client, which may open the bus ``channel`` only."""
+        """Greet the client, which may open the bus ``channel`` only; ``on_message`` gets its frames."""
         self._write, self._channel, self._on_message = write, channel, on_message
         self._rest = b""
         self._opened = False
@@ -120,7 +120,9 @@ class SocketcandServer:
         task.add_done_callback(self._tasks.discard)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Pass the bytes of one client to its session until it leaves."""
+        """Pass the bytes of one client to its session until it leaves or its connection breaks; forget the session
+        then.
+        """
         try:
             with suppress(OSError):
                 while data := await reader.read(4096):
