@@ -37,7 +37,10 @@ def error_model_of(found: Augmented) -> ErrorModel:
 
 
 def _known(found: Augmented, part: Part) -> KnownEffect:
-    """Return one effect with its expected sizes, its settings and the values found by gyro."""
+    """Return an effect of the estimate ``found`` with its expected sizes, its settings and the values found by gyro.
+
+    If all gyros share it, it is expected as estimated; else with mean zero and the rms over gyros.
+    """
     effect, p = part.candidate.effect, len(part.candidate.effect.parameters)
     where = found.slice_of(part.candidate.name)
     largest = part.candidate.effect.largest
@@ -65,8 +68,10 @@ def _pairs(values: Floats, sigmas: Floats) -> tuple[tuple[float, float], ...]:
 
 
 def _settings_of(part: Part) -> Settings:
-    """Return the settings of an effect in a model: fixed ones, else the law, else the value of the nonlinear
-    parameter.
+    """Return the settings that fix an effect in a model file.
+
+    They are those of its candidate, else its law, else its nonlinear parameter where the effect keeps that; may be
+    empty.
     """
     candidate = part.candidate
     if candidate.settings:

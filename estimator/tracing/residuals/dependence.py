@@ -71,11 +71,11 @@ class Regressors:
 def dependences(
     gram: Floats, rest: int, groups: Mapping[str, Group], count: float, doubt: float
 ) -> tuple[float, tuple[Dependence, ...]]:
-    """Return the share of a whitened residual's power beyond the noise, and what that depends on.
+    """Return the share of a whitened residual's power beyond the noise, and what that depends on, by variable.
 
-    ``gram`` holds the products of all columns, of which ``rest`` is the residual with ``count`` degrees of freedom; its
-    squares may exceed that by ``doubt`` as noise. Dependences that are certain count even within that. ``groups`` holds
-    the columns of each variable.
+    ``gram`` holds the products of all columns, of which ``rest`` is the residual with ``count`` degrees of freedom.
+    What its squares exceed ``count`` by is taken for noise up to ``doubt``, but dependences that are no chance count
+    even within that. ``groups`` holds the columns of each variable. A dependence that may be chance has share 0.
     """
     from scipy.special import fdtrc  # of the F distribution; scipy.stats takes a second to import
 
@@ -99,7 +99,8 @@ def dependences(
 def _taken(gram: Floats, columns: Columns, beside: Columns, rest: int) -> tuple[float, int]:
     """Return the squares of the residual that columns explain beside others, and the number of independent columns.
 
-    Columns of zeros do not count; (0.0, 0) if there are no others.
+    ``gram`` holds the products of all columns, of which ``rest`` is the residual. Columns of zeros do not count; (0.0,
+    0) if there are no others.
     """
     size = np.sqrt(np.diag(gram)[columns])
     columns, size = columns[size > 0], size[size > 0]

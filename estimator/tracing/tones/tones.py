@@ -44,11 +44,11 @@ class ToneFound:
 
 
 def find_tone(runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequence[Floats]) -> ToneFound | None:
-    """Return the strongest line beside a model, None if there is none; ``predicted`` (b, m) is what the model gives for
-    each run's blocks.
+    """Return the strongest line in the samples of all runs beside a model, None if there is none.
 
-    None as well beside a reference of another instrument, with too few samples, with sources of different rates, if
-    chance may give such a line, or if it does not last through the runs.
+    ``predicted`` (b, m) is what the model gives for the blocks of each run. None as well beside a reference of another
+    instrument, with too few samples, with sources of different rates, if chance may give such a line, or if it does not
+    last through the runs. Slow lines, of less than some cycles, are not looked for.
     """
     if any(run.by_another for run in runs):
         return None  # the reference moves with the body: a line in their difference may be of either
@@ -106,8 +106,9 @@ def find_tone(runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequen
 def _coherent(
     found: ToneFound, samples: Sequence[Samples], rests: Sequence[Floats], variances: Sequence[Floats]
 ) -> bool:
-    """Return whether a line lasts through each run: a line that comes and goes shows more in parts than in the
-    whole.
+    """Return whether a line lasts through each run: one that comes and goes explains more in parts than in the whole.
+
+    ``rests`` (n, m) are the samples beside the model, ``variances`` (m,) their noise, each for a run.
     """
     parts, part_rests, part_variances = [], [], []
     for s, rest, variance in zip(samples, rests, variances, strict=True):
@@ -142,10 +143,10 @@ class ToneFit:
 
 
 def fit_tone(found: ToneFound, runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequence[Floats]) -> ToneFit:
-    """Return the tone with the amplitudes that fit samples best beside a model; ``predicted`` (b, m) as in
-    ``find_tone``.
+    """Return the tone with the amplitudes that fit samples best beside a model.
 
-    Its standard deviations assume white noise.
+    ``predicted`` (b, m) is what the model gives for the blocks of each run. A locked tone has one amplitude for all
+    runs, another one for each. The standard deviations assume white noise.
     """
     names = list(dict.fromkeys(name for s in samples for name in s.names))
     width = 1 if found.locked else len(samples)
@@ -182,7 +183,10 @@ def without_tone(fit: ToneFit, samples: Sequence[Samples]) -> list[Samples]:
 
 
 def _steady(run: Run, samples: Samples) -> Samples:
-    """Return the samples of a run in full blocks outside ramps, where block means say enough of each sample."""
+    """Return the samples of a run in full blocks outside ramps, where block means say enough of each sample.
+
+    Blocks beside a ramp are left out, too. Without a table nothing is a ramp.
+    """
     keep = run.weight > 0
     if run.grid.gimbals:
         steep = run.fold(np.abs(run.grid.acceleration_rps2).max(axis=1, keepdims=True))[:, 0]
@@ -196,8 +200,9 @@ def _steady(run: Run, samples: Samples) -> Samples:
 
 
 def _left(run: Run, samples: Samples, predicted: Floats) -> Floats:
-    """Return samples (n, m) less a model's blocks (b, m), interpolated, and less the mean of each piece without a
-    gap.
+    """Return the samples (n, m) less what a model gives, and less the mean of each piece without a gap.
+
+    ``predicted`` (b, m) is what it gives for blocks, interpolated between those that are full.
     """
     known = run.weight > 0
     rest = samples.z_rps - np.column_stack([np.interp(samples.t_s, run.t_s[known], c) for c in predicted[known].T])
@@ -229,7 +234,9 @@ def _evened(t_s: Floats, values: Floats) -> tuple[Floats, float]:
 
 
 def _floor(power: Floats) -> Floats:
-    """Return the noise power at each frequency (f, m): the running median, scaled to a mean of exponential noise."""
+    """Return the noise power (f, m) about each of f frequencies: the running median of ``power``, scaled to the
+    mean.
+    """
     from scipy.ndimage import median_filter
 
     floor = np.empty_like(power)
@@ -265,6 +272,7 @@ def _gain(
 ) -> tuple[float, list[float], list[float]]:
     """Return half the sum of the squares that a tone explains, and by amplitude the squares and the information.
 
+    ``turning`` are the products (m,) of each run's samples with the wave, ``variances`` (m,) the noise of each.
     Amplitudes are one for each gyro, or one for each gyro and run if not ``locked``.
     """
     sums: dict[tuple[str, int], tuple[complex, float]] = {}
@@ -285,7 +293,10 @@ def _peak(gain: Callable[[float], tuple[float, list[float], list[float]]], low: 
 
 
 def _log_evidence(squares: Floats, information: Floats) -> float:
-    """Return the log evidence of amplitudes (cosine and sine each), averaged over the scales of their prior."""
+    """Return the log evidence of amplitudes (cosine and sine each), averaged over the scales of their prior.
+
+    ``squares`` and ``information`` (n,) are as ``_gain`` returns them.
+    """
     largest = TONE.effect(frequency_hz=1.0).largest[0]
     values = []
     for scale in SCALES:
