@@ -12,10 +12,9 @@ _LAGUERRE = np.polynomial.laguerre.laggauss(4)
 
 
 def _late(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
-    """Return the columns of a delay: p . (w that long before - w), per second of the delay.
+    """Return the column (N,) of a delay: p . (w that long before - w), per second of the delay.
 
-    They are exact for the setting ``delay_s``. If that is 0, or the rate before is unknown, they are the limit -p .
-    wdot.
+    It is exact for the setting ``delay_s`` (s). If that is 0, or the rate before is unknown, it is the limit -p . wdot.
     """
     delay_s = float(settings.get("delay_s", 0.0))
     if not delay_s or conditions.delayed_rps is None:
@@ -24,7 +23,7 @@ def _late(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
 
 
 def _lagging(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
-    """Return the column of a first-order lag per second of its time constant; exact for the setting ``tau_s``.
+    """Return the column (N,) of a first-order lag per second of its time constant; exact for the setting ``tau_s`` (s).
 
     A lag of time constant T is the mean of all delays, weighted by exp(-delay / T) / T (four points of Gauss and
     Laguerre). If the rate before is unknown, it is -u' + tau u'', u = p . w. Only the second derivative differs from a

@@ -51,7 +51,10 @@ class LawError(ValueError):
 
 
 def columns_of(law: str, conditions: Conditions, axes: Axes) -> Floats:
-    """Return the terms (N, terms) of a law for a gyro; LawError for an invalid text."""
+    """Return the terms (N, terms) of a law under conditions at N instants, for a gyro with these axes.
+
+    LawError for an invalid text.
+    """
     variables = Variables(conditions, axes)
     terms = compiled(law)
     columns = np.empty((len(conditions.t_s), len(terms)))
@@ -69,10 +72,11 @@ def needs_of(law: str) -> frozenset[str]:
 
 
 def settled(law: str, above_k: float) -> tuple[Floats, Floats] | None:
-    """Return the values of a law at a steady temperature, long after the start, as biases and gains (terms,).
+    """Return the values of a law long after the start, ``above_k`` above the reference temperature, as biases and
+    gains.
 
-    Gains are relative to the rate about the sense axis. None if the law depends on anything else, or not linearly on
-    it.
+    Both are (terms,); gains are relative to the rate about the sense axis. None if the law depends on anything but
+    temperature, time and that rate, or not linearly on the rate.
     """
     if not set(variables_of(law)) <= {"T", "t", "u"} or functions_of(law) & {"lag", "play", "last"}:
         return None
@@ -118,7 +122,7 @@ def of_each_gyro(law: str) -> bool:
 def in_words(law: str) -> str:
     """Return a law in words: "bias proportional to temperature lagged by 58 s".
 
-    A law of many terms is described by its variables and functions only.
+    A law of more than four terms is described by its variables and a function only.
     """
     if len(parsed(law)) > _MOST_TERMS_TOLD:
         about = " and ".join(VARIABLES[name][2] for name in variables_of(law))
@@ -130,7 +134,9 @@ def in_words(law: str) -> str:
 
 @lru_cache(4096)
 def parsed(law: str) -> tuple[ast.expr, ...]:
-    """Return the terms of a law as syntax trees; LawError for anything outside the grammar."""
+    """Return the terms of a law, separated by semicolons, as syntax trees; LawError for anything outside the
+    grammar.
+    """
     if not isinstance(law, str) or not law.strip() or len(law) > _MOST_CHARACTERS:
         raise LawError(f"{law!r}: a law is a text of 1 to {_MOST_CHARACTERS} characters")
     if not _CHARACTERS.fullmatch(law):
@@ -276,7 +282,7 @@ def _compiled(node: ast.expr) -> Compiled:
 
 
 def _call(name: str, inner: Compiled, numbers: Sequence[float]) -> Compiled:
-    """Return a law's function applied to a compiled argument."""
+    """Return a law's function ``name``, with its constants ``numbers``, applied to a compiled argument."""
     match name, numbers:
         case "lag", [lag_s]:
             return lambda known: follow(inner(known), np.exp(-known.steps_s / float(lag_s)))
@@ -312,9 +318,9 @@ def _steps_s(t_s: Floats) -> Floats:
 
 
 def played(values: Floats, width: float) -> Floats:
-    """Return values (N,) after a play of total ``width``, starting in its middle.
+    """Return values (N,) after a play of total ``width``, starting in its middle at the first finite value.
 
-    It starts at the first finite value. Values that are not finite are skipped, and returned unchanged.
+    Values that are not finite are skipped, and returned unchanged.
     """
     out = np.array(values, dtype=np.float64)
     finite = np.flatnonzero(np.isfinite(out))
@@ -381,7 +387,7 @@ _MANY = {"play": "plays", "expm1": "decays", "abs": "bends", "lag": "lags"}
 
 
 def _words(node: ast.expr) -> str:
-    """Return a syntax tree in words."""
+    """Return a syntax tree in words; parts without words of their own as they are written."""
     match node:
         case ast.BinOp(
             left=ast.Call(func=ast.Name(id="abs"), args=[inner]), op=ast.Add() | ast.Sub() as op, right=right

@@ -25,7 +25,7 @@ def _waves_of(gimbals: Sequence[str], settings: Settings) -> tuple[Parameter, ..
 
 
 def _tilting(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
-    """Return the columns of each inner axis tilted towards the two others; none for a single axis.
+    """Return the columns (N, 2 for each inner axis) of axes tilted towards the two others; (N, 0) for a single axis.
 
     The outermost axis defines the base. With a small rotation d that tilts an axis, R' becomes (1 + d x) R' (1 - d x),
     and the error of the body rate w becomes R' error + d x w - R' (d x (w before)).
