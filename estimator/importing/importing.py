@@ -73,8 +73,8 @@ class _Part:
 def import_recording(mapping: Mapping, data_paths: Sequence[Path]) -> Imported:
     """Return one recording of all files, in the order given, and what was refused.
 
-    A file that cannot be used is refused and the others are imported. RecordingError, with every reason, if nothing is
-    left.
+    A file that cannot be used is refused and the others are imported; reference files among ``data_paths`` are skipped.
+    RecordingError, with every reason, if nothing is left.
     """
     if not data_paths:
         raise RecordingError("no data file is given. Name at least one after the mapping")
@@ -99,7 +99,7 @@ def import_recording(mapping: Mapping, data_paths: Sequence[Path]) -> Imported:
 
 
 def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused]]:
-    """Return the data of one file, None if no section is left, and its refused sections; RecordingError if unusable."""
+    """Return the data of one file (None if no section is left) and its refused sections; RecordingError if unusable."""
     reference, beside, array = mapping.reference, mapping.reference_file, mapping.gyro.array
     measured = reference if isinstance(reference, Measured) and not beside else None
     label = None if isinstance(reference, Measured) else reference.cuts.column
@@ -160,8 +160,10 @@ def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused
 
 
 def _new(what: str, t_s: Floats, values: Floats, notes: list[str]) -> NDArray[np.intp]:
-    """Return the rows at which values (rows, c) are new: all, or with a note those that are not repetitions of held
-    ones.
+    """Return the numbers of the rows at which values (rows, c) are new.
+
+    All, unless values are held for several rows: then those that are not repetitions, with a note on ``what`` in
+    ``notes``.
     """
     if (fresh := updates(values)) is None:
         return np.arange(len(values))
@@ -172,7 +174,10 @@ def _new(what: str, t_s: Floats, values: Floats, notes: list[str]) -> NDArray[np
 
 
 def _readings(reference: Measured, t_s: Floats, values: Floats, notes: list[str]) -> ForeignRows:
-    """Return instants and rows of a reference without held values, spikes and repetitions, with notes."""
+    """Return instants (k,) in s and rows (k, c) of a reference without held values, spikes and repetitions.
+
+    What was left out is appended to ``notes``.
+    """
     fresh = _new("the reference", t_s, values, notes)
     t_s, values = t_s[fresh], values[fresh]
     turned = reference.kind == "angle"  # 359 deg after 0 is no spike
@@ -184,10 +189,11 @@ def _readings(reference: Measured, t_s: Floats, values: Floats, notes: list[str]
 def _rows_beside(
     mapping: Mapping, reference: Measured, other: ReferenceFile, log: Log, gyros: ForeignRows, notes: list[str]
 ) -> ForeignRows:
-    """Return instants and rows of a reference in its own file, on the time of the data file.
+    """Return instants (k,) in s and rows (k, c) of a reference in its own file, on the time of the data file ``log``.
 
-    Stamps of two clocks are corrected if they drift apart; without stamps on one side both files begin together.
-    RecordingError if the files do not overlap.
+    ``gyros`` are instants and rates of the data file. The offset between the files is stated, by stamps of one clock,
+    or by the motion. Stamps of two clocks are corrected if they drift apart; where stamps scatter, the motion decides
+    between them and an even grid. Notes are appended to ``notes``. RecordingError if the files do not overlap.
     """
     path, time, name = other.beside(log.path), log.time, other.beside(log.path).name
     table = read_table(path, other.format, wanted(other.timing, reference.columns.names))
@@ -265,10 +271,10 @@ def _settled(
 def _samples_settled(
     mapping: Mapping, reference: Measured, log: Log, gyros: ForeignRows, known: ForeignRows
 ) -> tuple[tuple[Floats, ForeignRows], str]:
-    """Return the instants of samples with scattering stamps, and the reference: as stamped or even, as the motion
-    shows.
+    """Return the instants of samples with scattering stamps, and the rows of the reference, as the motion shows.
 
-    A reference in the same file has the same stamps.
+    ``gyros`` and ``known`` are instants and rows of both; the instants are as fitted or the alternative. A reference in
+    the same file has the same stamps and changes with them. Also returns a sentence on it, "" if nothing changes.
     """
     time, (t_s, rate), (told_s, values) = log.time, gyros, known
     other_s = time.other_s
@@ -284,9 +290,10 @@ def _samples_settled(
 
 
 def _felt_beside(other: ReferenceFile, accelerometer: Columns, log: Log, rows: int, notes: list[str]) -> Floats:
-    """Return specific forces (rows, 3) from a separate file at the instants of the gyro's rows, NaN beyond its ends.
+    """Return specific forces (rows, 3) from a separate file at the instants of the gyro's rows.
 
-    RecordingError if the files do not overlap.
+    NaN beyond its ends, and in rows of the data file that are not kept. Notes are appended to ``notes``. RecordingError
+    if the files do not overlap.
     """
     path = other.beside(log.path)
     table = read_table(path, other.format, wanted(other.timing, accelerometer.names))
@@ -333,7 +340,10 @@ def _coarse_notes(names: Sequence[str], rate: Floats) -> list[str]:
 
 
 def _missing_notes(t_s: Floats) -> list[str]:
-    """Return a note on samples missing between others; empty if there are none, or gaps are the rule."""
+    """Return a note on samples missing between instants ``t_s``, by the usual step.
+
+    Empty if there are none, or if gaps are the rule, at a tenth of the rows and more.
+    """
     steps = np.diff(t_s)
     short = np.round(steps / np.median(steps)) - 1
     if not 0 < (gaps := int(np.count_nonzero(short > 0))) < _GAPS_SHARE * len(t_s):
@@ -346,9 +356,10 @@ def _missing_notes(t_s: Floats) -> list[str]:
 
 
 def _filled(log: Log, own: NDArray[np.intp], values: Floats | None, what: str) -> Floats | None:
-    """Return values (rows, m) at the gyro's rows, with blanks interpolated in time; None for None.
+    """Return values (rows, m) at the gyro's rows ``own``, with blanks interpolated in time; None for None.
 
-    RecordingError if no row is complete.
+    If one of these rows is blank, all are interpolated between complete rows. ``what`` names the values. RecordingError
+    if no row is complete.
     """
     if values is None:
         return None
@@ -363,7 +374,11 @@ def _filled(log: Log, own: NDArray[np.intp], values: Floats | None, what: str) -
 
 
 def _joined(mapping: Mapping, parts: list[_Part], refused: list[Refused]) -> tuple[Recording, list[str]]:
-    """Return the recording of all files, one after the other with gaps, and its notes."""
+    """Return the recording of all files, one after the other with gaps of 10 s, and its notes.
+
+    Signs and scales are taken from the data where the mapping says so. ``refused`` is noted in the attributes.
+    RecordingError if gyros are mixed up.
+    """
     starts_s = [-float(parts[0].log.time.t_s[0])]
     for before, part in pairwise(parts):
         starts_s.append(starts_s[-1] + float(before.log.time.t_s[-1]) + _GAP_S - float(part.log.time.t_s[0]))
@@ -430,7 +445,7 @@ def _told_once(parts: Sequence[_Part]) -> list[str]:
 
 
 def _reference(stated: ForeignReference, placed: list[tuple[_Part, float]]) -> Reference:
-    """Return the reference of all files: rows, or stated turns."""
+    """Return the reference of all files: their rows, each file at its start in s, or without rows the stated turns."""
     rows = [(part.reference, start) for part, start in placed if part.reference]
     if rows:
         t_ns = np.concatenate([_ns(t_s + start) for (t_s, _), start in rows])
@@ -446,7 +461,9 @@ def _reference(stated: ForeignReference, placed: list[tuple[_Part, float]]) -> R
 
 
 def _poses(gravity: Gravity, placed: list[tuple[_Part, float]]) -> Poses:
-    """Return the rests of all files with the directions up measured by the accelerometer."""
+    """Return the rests of all files, each file at its start in s, with the directions up measured by the
+    accelerometer.
+    """
     rests = [(part.accel_mps2, rest, start) for part, start in placed for rest in part.rests]
     force = [np.nanmean(accel[rest.first : rest.stop], axis=0) for accel, rest, _ in rests if accel is not None]
     limits = np.array([(rest.start_s + start, rest.end_s + start) for _, rest, start in rests])

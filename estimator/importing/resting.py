@@ -56,8 +56,9 @@ def rests_of(
 ) -> tuple[list[Rest], list[Refused], list[str]]:
     """Return the rests of a file, refused sections, and notes.
 
-    ``own`` (rows,) are the kept rows of the gyro's ``rate`` (rows, m). RecordingError if there is no rest, or the
-    direction up is needed and not known.
+    They are those of sections, the whole file, or quiet stretches, as stated. ``own`` (rows,) are the numbers of the
+    kept rows of the gyro's ``rate`` and the accelerometer's ``accel`` (rows, m). RecordingError if there is no rest, or
+    the direction up is needed and not known.
     """
     name, t_s = log.path.name, log.time.t_s[own]
     samples, refused, notes = _Samples(t_s, rate, accel), list[Refused](), list[str]()
@@ -103,7 +104,10 @@ def rest_rates(rests: Sequence[Rest], rows: int, site: Site | None) -> Floats:
 
 
 def earth_note(mapping: Mapping, rests: Sequence[Rest]) -> list[str]:
-    """Return a note on the part of Earth rate that is unknown at these rests; empty if that is small."""
+    """Return a note on the part of Earth rate that is unknown at these rests: of gyros that are not upright.
+
+    Empty if it is small, or all rests have a stated north.
+    """
     assert mapping.site is not None
     p = mapping.gyro.array.p
     ups = [rest.up for rest in rests if rest.north is None and rest.up is not None]
@@ -121,7 +125,10 @@ def rest_text(rest: Rest, file_s: float) -> str:
 
 
 def _stated(samples: _Samples, first: int, stop: int, pose: Pose, stated: Rests) -> Rest:
-    """Return the rest of these rows as stated; RecordingError if the samples turn or move."""
+    """Return the rest of the rows from ``first`` to before ``stop``, with its ``pose``.
+
+    RecordingError if they are fewer than two, turn on average, or move in between by more than the limit of ``stated``.
+    """
     t_s, part = samples.t_s, samples.rate[first:stop]
     if len(part) < 2:
         raise RecordingError(f"it has {len(part)} usable rows, too few for a rest")
@@ -183,8 +190,10 @@ def _gravity_notes(accel: Floats) -> list[str]:
 
 
 def _posed(samples: _Samples, first: int, stop: int, pose: Pose) -> Rest:
-    """Return the rest of these rows with its directions, stated or measured; RecordingError if they contradict each
-    other.
+    """Return the rest of the rows from ``first`` to before ``stop`` with its directions.
+
+    Up is as stated in ``pose``, else as measured, else None; north is stated or None. RecordingError if up as stated
+    and measured are more than 30 deg apart.
     """
     up = None if pose.up is None else np.array(pose.up)
     north, found = None, None
@@ -222,8 +231,9 @@ def _quiet_scatter(scatter: Floats, channels: Floats) -> Floats:
 
 
 def _level(mean: Floats, first: int, stop: int, tilt_rad: float) -> list[tuple[int, int]]:
-    """Return the parts (first, stop) of a quiet run of windows over which specific force (windows, 3) keeps its
-    direction.
+    """Return the parts (first, stop) of a quiet run of windows over which specific force keeps its direction.
+
+    ``mean`` (windows, 3) is that of each window; a change by more than ``tilt_rad`` begins a new part.
     """
     parts, start = [], first
     for at in range(first + 1, stop):
