@@ -99,9 +99,10 @@ def ends(changes: Flags) -> tuple[int, bool]:
 
 
 def piece_of(t_s: Floats, angle_rad: Floats) -> int:
-    """Return after how many of these readings (n,) to cut a change of rate: within its longest straight part.
+    """Return after how many of these readings (n,), in s and rad, to cut a change of rate: within its longest straight
+    part.
 
-    Only the second half is searched, so that pieces do not become ever shorter.
+    Only the second half is searched, so that pieces do not become ever shorter; at least 1.
     """
     found = list(corners_of(*between_readings(t_s, angle_rad), MOST_CORNERS))
     corners = np.array(found[-1][0] if found else [0, len(t_s) - 1])
@@ -119,9 +120,11 @@ def is_ramp(rate_rps: Floats) -> bool:
 def fitted(readings: Readings, first: int, last: int) -> Ramp | None:
     """Fit a ramp between the readings ``first`` and ``last``; return None if the change is not a ramp.
 
-    Beyond them the rate is constant. With fewer than three readings beyond, the change is cut off there; that is fitted
-    only if rates are means, since other rates are interpolated well enough. Readings are weighted by their half widths
-    and by their deviation. If even the best fit is bad, the instants of its corners count as unknown (large ``sd_s``).
+    ``readings`` are instants (n,) in s, angles, rates and half widths (n,), and the length of the means that rates are
+    (0: none). Beyond the two the rate is constant. With fewer than three readings beyond, the change is cut off there;
+    that is fitted only if rates are means, since other rates are interpolated well enough. Readings are weighted by
+    their half widths and by their deviation. If even the best fit is bad, the instants of its corners count as unknown
+    (large ``sd_s``).
     """
     t_s, angle_rad, rate_rps, _, window_s = readings
     cut = first + 1 < _FEWEST, len(t_s) - last < _FEWEST
@@ -152,9 +155,10 @@ def fitted(readings: Readings, first: int, last: int) -> Ramp | None:
 
 
 def _scatter_sd(t_s: Floats, angle_rad: Floats) -> Floats:
-    """Return the standard deviations (2,) of angles and rates; that of angles from their scatter about short parabolas.
+    """Return the standard deviations (2,) of angles and rates (rad, rad/s).
 
-    Most of these contain no corner. Values are limited to the prior ones.
+    That of angles is from their scatter about short parabolas, most of which contain no corner; limited to the prior
+    one, which also holds for too few readings or an axis that stands. That of rates is the prior one.
     """
     most = np.array([_ANGLE_SD_RAD, _RATE_SD_RPS])
     if len(t_s) < _SHORT:
@@ -206,10 +210,11 @@ def with_corners(
 
 
 def corners_of(t_s: Floats, rate_rps: Floats, most: int) -> Iterator[tuple[list[int], float]]:
-    """Yield growing selections of readings that are connected by straight lines, and the largest deviation of the
+    """Yield ever larger selections of readings (n,) that straight lines connect, and the largest deviation of the
     others.
 
-    The first and the last reading are always selected; the selection ends at ``most``, or when nothing deviates.
+    The first and the last reading are always selected; each time the one that deviates most is added. It ends at
+    ``most`` or half of the readings, or when nothing deviates.
     """
     corners = [0, len(t_s) - 1]
     while len(corners) < min(most, len(t_s) // 2):
@@ -228,8 +233,9 @@ def between_readings(t_s: Floats, angle_rad: Floats) -> tuple[Floats, Floats]:
 def _through_rest(readings: Readings, first: int, last: int) -> Iterator[tuple[Floats, Flags]]:
     """Yield at most one start, with four corners, for an axis that brakes, stands, and accelerates again.
 
-    The rate in the middle is held at zero. The lines of both ramps are fitted well between rest and the steady rate,
-    where there is no corner.
+    ``readings`` as for ``fitted``, start and flags of held parameters as for ``_polylines``: the rate in the middle is
+    held at zero. The lines of both ramps are fitted well between rest and the steady rate, where there is no corner.
+    None if the axis does not turn before and after, or a ramp has too few readings.
     """
     t_s, angle_rad, rate_rps, _, _ = readings
     at_s, rates = between_readings(t_s[max(first - 1, 0) : last + 2], angle_rad[max(first - 1, 0) : last + 2])
@@ -262,7 +268,8 @@ def _polylines(
 ) -> Iterator[tuple[Floats, Flags]]:
     """Yield starts for a change of rate with more than ``least`` corners, those with the fewest first; none for noise.
 
-    With each come flags of parameters to hold: the ends of a change that is ``cut`` off, and the rates of corners that
+    ``readings`` as for ``fitted``. A start has k instants, k rates, an angle and a scale. With each come flags of
+    parameters to hold: the ends of a change that is ``cut`` off at its beginning or end, and the rates of corners that
     may be zero, for an axis that stands in between.
     """
     t_s, angle_rad, rate_rps, _, window_s = readings
@@ -305,7 +312,7 @@ def _polylines(
 def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, last: int) -> Ramp | None:
     """Return the ramp fitted from ``start``, with its number of corners; None if it does not fit or is not determined.
 
-    ``held`` flags the parameters that are known.
+    ``held`` flags the parameters that are known; the others are as for ``fitted`` and ``_polylines``.
     """
     t_s, _, _, _, window_s = readings
     k = len(start) // 2 - 1
@@ -365,10 +372,12 @@ def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, las
 
 
 def _weighed(p: Floats, readings: Readings, sd: Floats, tail: float) -> tuple[Floats, Floats, Floats]:
-    """Return the deviations of readings from a ramp in sigmas (2 n,), their derivatives, and the sigmas (2 n,).
+    """Return the deviations of readings from a ramp in sigmas (2 n,), their derivatives (2 n, parameters), the sigmas
+    (2 n,).
 
-    A sigma includes the half width of the reading, as far as readings deviate by theirs. ``sd`` (2,) is that of angles
-    and rates with known instants; ``tail`` are the degrees of freedom of their distribution (Student's t), infinite for
+    The angles come first, then the rates. A sigma includes the half width of the reading, as far as readings deviate by
+    theirs. ``p`` are the parameters of the ramp, ``readings`` as for ``fitted``. ``sd`` (2,) is that of angles and
+    rates with known instants; ``tail`` are the degrees of freedom of their distribution (Student's t), infinite for
     normal.
     """
     t_s, angle_rad, rate_rps, half_width_s, window_s = readings

@@ -49,9 +49,10 @@ _REFERENCES: dict[str, Any] = {"turn_rad": Turns, "up": Poses, "rate_rps": RateR
 
 
 def read_recording(path: Path | str, *, trusted: bool = False) -> Recording:
-    """Return a recording, completed from its journal if its run died; ``trusted``: this process has just closed it.
+    """Return a recording, completed from its journal if its run died.
 
-    RecordingError, with what is missing or wrong, for a file that is not of the format.
+    ``trusted``: this process has just closed it, so it is neither completed nor first tried in another process.
+    RecordingError, with what is missing or wrong, for a file that is not of the format or too large for the memory.
     """
     path = Path(path)
     if path.is_dir():
@@ -63,7 +64,8 @@ def read_recording(path: Path | str, *, trusted: bool = False) -> Recording:
 
 
 def read_attributes(path: Path | str) -> dict[str, Any]:
-    """Return the attributes of a recording, also of one that is too incomplete to be read.
+    """Return the attributes of a recording, also of one that is too incomplete to be read; it is completed from its
+    journal.
 
     RecordingError for a file that is not of the format.
     """
@@ -106,7 +108,9 @@ def _attributes(path: Path, file: Any) -> dict[str, Any]:
 
 
 def _read(path: Path, file: Any) -> Recording:
-    """Return the recording in an open file; RecordingError if it has no samples, no reference, or needs too much
+    """Return the recording in an open file, whose ``path`` is for messages.
+
+    RecordingError if it is of another format, has no samples or no reference, holds invalid columns or needs too much
     memory.
     """
     attributes = _attributes(path, file)
@@ -138,10 +142,9 @@ def _read_innovations(file: Any, model_sha256: str) -> KeptInnovations | None:
 
 
 def _read_series(path: Path, file: Any) -> dict[str, Series]:
-    """Return the series of devices by name; columns are cut to the shortest. RecordingError if declared ones are
-    missing.
+    """Return the series of devices by name; columns are cut to the shortest. Devices without a series are left out.
 
-    Devices without a series are left out.
+    RecordingError if declared columns or units are missing, or a column has several numbers a row.
     """
     found = {}
     for name, group in file.get(DEVICES, {}).items():
@@ -163,9 +166,9 @@ def _read_series(path: Path, file: Any) -> dict[str, Series]:
 
 
 def _read_source(path: Path, name: str, group: Any) -> ImuData:
-    """Return the samples of one source; columns are cut to the shortest. RecordingError if they do not fit its axes.
+    """Return the samples of one source in its group; columns are cut to the shortest.
 
-    Impossible rates become NaN and count as lost.
+    Impossible rates become NaN and count as lost. RecordingError if columns are missing or do not fit the axes.
     """
     where = f"{path}: /imu/{name}"
     present = ["t_ns", "rate_rps", *(key for key in ("temperature_c", "accel_mps2", "counter") if key in group)]
@@ -290,7 +293,7 @@ def _read_reference(path: Path, file: Any) -> Reference:
 
 
 def _means_of(t_ns: Stamps, angle_rad: Floats) -> tuple[Floats, int]:
-    """Return mean rates (k, axes) derived from the angles (k, axes), and the length in ns of the means.
+    """Return mean rates (k, axes) derived from the angles (k, axes), and the length in ns of the means, about 50 ms.
 
     A single axis gets slopes at instants instead, and length 0: it is compared by its angles, and its rates only show
     the motion.
@@ -308,8 +311,9 @@ def _means_of(t_ns: Stamps, angle_rad: Floats) -> tuple[Floats, int]:
 
 
 def slopes_of(t_ns: Stamps, angle_rad: Floats) -> Floats:
-    """Return rates (k, axes) as slopes of angles (k, axes) over 50 ms to each side, or 1.5 readings if that is
-    longer.
+    """Return rates (k, axes) as slopes of angles (k, axes) over 50 ms to each side, or 1.5 readings if that is longer.
+
+    At the ends the side that is missing is left out. Angles must not jump by turns.
     """
     t_s = np.asarray((t_ns - t_ns[0]) * 1e-9, dtype=np.float64)
     half_s = max(_SLOPE_S, 1.5 * float(np.median(np.diff(t_s))) if len(t_s) > 1 else 0.0)

@@ -43,7 +43,7 @@ def recover(path: Path) -> None:
     to another run or user, is unusable, or is damaged and has no more samples. The journal is removed once all its
     samples are in the recording.
 
-    RecordingError if the run has not ended, or nothing can be written there.
+    RecordingError if the run has not ended, another process recovers in the folder for long, or nothing can be written.
     """
     journal = journal_of(path)
     if not journal.is_file():
@@ -124,9 +124,9 @@ def _is_readable(path: Path) -> bool:
 
 
 def _holds(path: Path, other: Path, *, names_only: bool = False) -> bool:
-    """Return whether a recording begins with all rows of another, and has all of its attributes.
+    """Return whether a recording begins with all rows of another, and has all of its groups and attributes.
 
-    ``names_only``: values of attributes may differ.
+    ``names_only``: values of attributes may differ. The attribute of a recovery does not count.
     """
     with h5py.File(path, "r") as file, h5py.File(other, "r") as part:
         names = ["/"]
@@ -146,7 +146,7 @@ def _holds(path: Path, other: Path, *, names_only: bool = False) -> bool:
 
 
 def _begins_with(rows: h5py.Dataset, others: h5py.Dataset) -> bool:
-    """Return whether the first rows of a dataset are those of another, bit by bit."""
+    """Return whether the first rows of a dataset are all those of another, bit by bit."""
     if not others.shape or not rows.shape:
         return bool(rows.shape == others.shape and np.array_equal(rows[()], others[()]))
     if rows.dtype != others.dtype or rows.shape[1:] != others.shape[1:] or len(rows) < len(others):
@@ -226,7 +226,7 @@ class _Found:
             raise ValueError("it is damaged, or not a journal: it holds no samples")
 
     def _take(self, entry: Entry) -> bool:
-        """Store attributes and count samples; return whether the entry fits those before it."""
+        """Store the attributes of an entry, or count its samples; return whether it fits the entries before it."""
         kind, group, values = entry
         if kind == ATTRIBUTES:
             if group in self._shapes:
@@ -241,7 +241,10 @@ class _Found:
         return True
 
     def _fits(self, group: str, values: Mapping[str, Any]) -> bool:
-        """Return whether rows have the types and shapes of those before them, and belong to a declared source."""
+        """Return whether rows have the types and shapes of those before them, and note them for the next.
+
+        Also false for samples of a source that is not declared, and for a group where there is a dataset.
+        """
         if group.startswith("imu/") and group not in self._attributes:
             return False
         parts = group.split("/")
@@ -274,7 +277,10 @@ class _Found:
         return all(_same(about[name], value) or not _same(root[name], value) for name, value in begun.items())
 
     def write(self, part: Path, file: BinaryIO) -> str:
-        """Write a complete recording to ``part`` and sync it; return a sentence about it. OSError if that fails."""
+        """Write a complete recording to ``part`` from the journal ``file`` and sync it; return a sentence about it.
+
+        OSError or RecordingError if that fails.
+        """
         root = self._attributes["/"]
         writer = RecordingWriter(part, {})
         try:
@@ -295,7 +301,8 @@ class _Found:
         return told
 
     def add_to_copy(self, path: Path, part: Path, told: str) -> None:
-        """Make ``part`` a copy of the recording with the attributes of its sources that only the journal has.
+        """Make ``part`` a copy of the recording with the attributes of its sources that only the journal has, and sync
+        it.
 
         These are counts of an unfinished run. ``told`` is stored as the description of the recovery.
         """
@@ -376,9 +383,10 @@ def _by_arrival(blocks: Sequence[Mapping[str, Any]], timed: Mapping[str, Any] | 
 
 @contextmanager
 def _alone_in(folder: Path) -> Iterator[None]:
-    """Context in which no other process recovers in the folder; RecordingError if waiting takes too long.
+    """Hold a lock on the folder while this context lasts, so that no other process recovers there.
 
-    Anybody who can read a folder can lock it, in a shared folder also a stranger.
+    RecordingError after a minute: anybody who can read a folder can lock it, in a shared folder also a stranger.
+    Without locks of folders (Windows) nothing is held.
     """
     try:
         descriptor = os.open(folder, os.O_RDONLY)
