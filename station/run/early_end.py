@@ -42,7 +42,11 @@ class EarlyEnd:
         live.keep_blocks()
 
     async def wait(self) -> str:
-        """Wait until all required sigmas are confirmed several times in a row; return a sentence about it."""
+        """Wait until all required sigmas are confirmed twice in a row; return a sentence about it.
+
+        The live filters are looked at every second; only what they find sufficient is confirmed, in a thread, every 5
+        s.
+        """
         loop = asyncio.get_running_loop()
         confirmed = 0
         while True:
@@ -88,8 +92,8 @@ class EarlyEnd:
         """Return the largest sigma of a device as a share of its limit, computed as by
         ``estimator.estimation.calibrate``.
 
-        ``own`` are its sources with their blocks and the time offset's sigma known by the live filter. Infinite if the
-        data do not suffice.
+        ``own`` are its sources with their blocks and the time offset's sigma known by the live filter; ``readings`` are
+        those of the table. Infinite if the data do not suffice.
         """
         runs = []
         for number, (source, blocks, _) in enumerate(own):

@@ -44,7 +44,9 @@ class LiveEstimate:
             source.keep_blocks()
 
     def readings(self, uncertainty: TableUncertainty | None) -> TableReadings:
-        """Return the readings of the table kept so far; ``keep_blocks`` must have been called before."""
+        """Return the readings of the table kept so far, with this ``uncertainty``; none are kept before
+        ``keep_blocks``.
+        """
         assert self._kept_rows is not None
         with self._keeping:
             kept = [self._kept_rows[name] for name in ("t_ns", "angle", "rate", "half_ns")]

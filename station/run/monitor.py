@@ -68,7 +68,7 @@ class Beside:
             return otherwise
 
     def failed(self, what: str, error: Exception) -> None:
-        """Log a failure and report it to the operator; only the first one of each ``what``."""
+        """Log the failure of ``what`` and report it to the operator; further ones of the same name are ignored."""
         if what in self._failed:
             return
         self._failed.add(what)
@@ -84,7 +84,7 @@ class Monitor:
     def __init__(
         self, opened: OpenBench, live: LiveEstimate, reopening: Reopening, time_scale: float, beside: Beside
     ) -> None:
-        """Start without data; progress comes from the sequencer once it is set."""
+        """Start without data; progress comes from the sequencer once it is set. Failures go to ``beside``."""
         self._beside = beside
         self._counts: dict[str, SourceCounts] = {}
         self._open, self._live, self._reopening, self._scale = opened, live, reopening, time_scale
@@ -241,7 +241,7 @@ class Monitor:
         """Return the samples per second of a source since its oldest mark, by sample times; until ``now_s`` if it is
         silent.
 
-        NaN while there is no mark.
+        NaN while there is no mark, or no time has passed; ``link`` is the state of its link, "ok" unless silent.
         """
         marks = self._marks[name]
         if not marks:

@@ -306,10 +306,9 @@ class Session:
                 service.cancel()
 
     def _check_serial(self, device: str, told: str) -> None:
-        """Record the serial number told by the only device under test; DeviceError if another one was stated without a
-        reason.
+        """Record the serial number ``told`` by the only device under test, unless it is the stated one.
 
-        Ignored if there are several devices or it tells none.
+        DeviceError if another one was stated without a reason. Ignored if there are several devices or it tells none.
         """
         options, attributes = self._options, {}
         if not told or len(self._open.imus) != 1:
@@ -327,7 +326,10 @@ class Session:
         self._acquisition.beside.attempt("progress", lambda: self._on_progress(self._monitor.brief), None)
 
     async def _run_until_enough(self, group: asyncio.TaskGroup, sequencer: Sequencer, early_end: EarlyEnd) -> None:
-        """Run the script to its end, or until enough has been seen; the table may then still turn."""
+        """Run the script to its end, or until enough has been seen; the table may then still turn.
+
+        The end of the script counts, also one by an error; an error of ``early_end`` does not end the script.
+        """
 
         async def enough_seen() -> str:
             reason = await early_end.wait()
@@ -365,8 +367,10 @@ class Session:
         self._event(EventKind.NOTE, text)
 
     async def _conclude(self) -> Result:
-        """Close table and recording, calibrate a run that has no verdict yet, judge it, and store the outcome; return
-        the result.
+        """Close table and recording, calibrate a run that has no verdict yet, judge it, and store the outcome.
+
+        Returns the result. A run by hand is not calibrated. That the outcome cannot be stored becomes a part of the
+        reason.
         """
         acquisition = self._acquisition
         if not acquisition.closed:

@@ -162,7 +162,7 @@ def _named(devices: Sequence[_Device]) -> str:
 
 
 async def _act(order: Order, devices: Sequence[_Device], say: "_Log") -> None:
-    """Make devices safe: the table first, then all others at once; each is tried repeatedly for a minute."""
+    """Make devices safe: the table first, then, once it was tried, all others at once; each is tried for a minute."""
     say(f"{order.who} died while it controlled {_named(devices)}: the guard stops {'them' if devices[1:] else 'it'}")
     first_tried = asyncio.Event()
     async with asyncio.TaskGroup() as tasks:
@@ -175,8 +175,8 @@ async def _act(order: Order, devices: Sequence[_Device], say: "_Log") -> None:
 async def _until_safe(order: Order, kind: DeviceKind, device: Any, say: "_Log", tried: Callable[[], None]) -> None:
     """Make one device safe, trying again for a minute, then give up; progress and outcome go to ``say``.
 
-    ``tried`` is called after every attempt. Before a new attempt the device is closed. A driver without ``make_safe``
-    leaves its device as it is.
+    ``tried`` is called after every attempt. Before a new attempt the device is closed, as a new connection is made
+    then. A driver without ``make_safe`` leaves its device as it is.
     """
     loop = asyncio.get_running_loop()
     began_s = loop.time()
