@@ -202,6 +202,8 @@ async def open_bench(bench: Bench, *, time_scale: float = 1.0) -> AsyncIterator[
 async def _table(bench: Bench, twins: Twins, time_scale: float) -> tuple[Turntable, bytes]:
     """Return the driver of the table, and the pickle that rebuilds it in another process; empty for a twin and on
     Windows.
+
+    The twin is started. BenchError for an invalid link.
     """
     config = bench.table
     spec = config.spec
@@ -217,7 +219,10 @@ async def _table(bench: Bench, twins: Twins, time_scale: float) -> tuple[Turntab
 
 
 def _other(config: DeviceConfig, twins: Twins, time_scale: float) -> OpenDevice:
-    """Return the driver of a device of another kind, with the pickle that rebuilds it if it has to be made safe."""
+    """Return the driver of a device of another kind, with the pickle that rebuilds it in another process.
+
+    The pickle is empty unless it has to be made safe, and for a twin and on Windows. The twin is started.
+    """
     spec = config.spec
     setup = DeviceSetup(
         name=config.name, timeout_s=config.timeout_s * time_scale, options=config.options, settings=config.settings

@@ -98,11 +98,10 @@ class OtherCheck(DeviceCheck):
 async def check_bench(
     opened: OpenBench, *, time_scale: float = 1.0, tell: Callable[[str], None] = lambda device: None
 ) -> list[DeviceCheck]:
-    """Return the answers of each device of an open bench, the table first. Nothing moves; every driver is closed at the
-    end.
+    """Return the answers of each device of an open bench, the table first; nothing moves.
 
-    ``tell`` gets the name of each device before it is asked. If several send nothing intelligible, swapped links are
-    suggested.
+    ``tell`` gets the name of each device before it is asked. What is wrong with a device is noted in its answers, not
+    raised. Every driver is closed at the end. If several send nothing intelligible, swapped links are suggested.
     """
     found = []
     for device in opened.devices.values():
@@ -124,8 +123,9 @@ async def check_bench(
 
 @contextmanager
 def _errors_noted(check: DeviceCheck, look_at: str) -> Iterator[None]:
-    """Context that turns the errors of a device into entries of ``check.wrong``; ``look_at`` is what to check for a
-    dead one.
+    """Turn errors of a device within this context into entries of ``check.wrong``.
+
+    ``look_at`` is what to check for one that does not answer or whose answers make no sense.
     """
     try:
         yield
@@ -142,7 +142,8 @@ def _errors_noted(check: DeviceCheck, look_at: str) -> Iterator[None]:
 async def _check_table(opened: OpenBench, device: OpenDevice, time_scale: float) -> DeviceCheck:
     """Ask the table for identity, status and readings of each axis, and whether another master commands it.
 
-    Also notes if reading all axes takes longer than the poll rate allows.
+    Returns the answers; faults, axes that turn and errors are noted as wrong, and also if reading all axes takes longer
+    than the poll rate allows.
     """
     bench, table = opened.bench, opened.table
     check = DeviceCheck(device.name, bench.table.protocol, ", ".join(bench.table.links))
@@ -195,8 +196,9 @@ async def _check_table(opened: OpenBench, device: OpenDevice, time_scale: float)
 
 
 async def _check_other(opened: OpenBench, device: OpenDevice, time_scale: float) -> DeviceCheck:
-    """Ask a device for its identity, one row of its series, and whether it would accept its set point; it is not
-    commanded.
+    """Ask a device for its identity, one row of its series, and whether it would accept its set point.
+
+    Returns the answers; a refusal and errors are noted as wrong. The device is not commanded.
     """
     config, driver = device.config, device.driver
     check = OtherCheck(device.name, config.spec.name, ", ".join(config.links))
@@ -223,9 +225,10 @@ async def _orders(table: Turntable, axes: Sequence[str]) -> dict[str, Mapping[st
 async def _others(
     table: Turntable, axes: Sequence[str], told: Mapping[str, Mapping[str, float]], time_scale: float
 ) -> list[str]:
-    """Return sentences about commands that drives got from another master; empty if there were none.
+    """Return sentences about commands that drives got from another master within a second; empty if there were none.
 
-    The drives are looked at several times, at uneven intervals: a master that moves to and fro may repeat a command.
+    ``told`` are the commands by axis at the beginning. The drives are looked at several times, at uneven intervals: a
+    master that moves to and fro may repeat a command.
     """
     for part in _LOOKS:
         await asyncio.sleep(part * _OTHERS_S * max(time_scale, 1.0))
@@ -247,7 +250,10 @@ def _commanded_by_others(
 
 
 async def _check_imu(opened: OpenBench, device: OpenDevice, time_scale: float) -> DeviceCheck:
-    """Listen to a device for two seconds; return its identity, its sources, and what is wrong with them."""
+    """Listen to a device for two seconds; return its identity, its sources, and what is wrong with them.
+
+    Without sources if opening it, its identity or its samples raise an error.
+    """
     imu = next(imu for imu in opened.imus if imu.config.name == device.name)
     config, source = imu.config, imu.source
     check = DeviceCheck(config.name, config.protocol, config.link, experimental=not config.spec.checked_against)
@@ -321,10 +327,10 @@ def _counted(blocks: Sequence[ImuBlock]) -> bool:
 
 
 def _sent_hz(t_ns: Stamps, arrival_ns: Stamps, counts: SourceCounts, counted: bool) -> float:
-    """Return the number of samples per second that a device sends; 0 for fewer than two.
+    """Return the number of samples per second that a device sends, lost ones included; 0 for fewer than two.
 
-    Times from the device's own count or clock show it once they have settled, in their second half. Without a count,
-    times follow the rate of the bench file: only arrivals can contradict it.
+    ``counted``: the times are from the device's own count or clock. They show it once they have settled, in their
+    second half. Without a count, times follow the rate of the bench file: only arrivals can contradict it.
     """
     n = len(t_ns)
     if n < 2:
@@ -341,6 +347,8 @@ def _sent_hz(t_ns: Stamps, arrival_ns: Stamps, counts: SourceCounts, counted: bo
 def _complaints(config: ImuConfig, check: SourceCheck, counted: bool) -> Iterator[str]:
     """Yield what is wrong with a source that sends: its rate, losses, invalid rates, or rates that are too large at
     rest.
+
+    ``counted``: its samples carry a count or clock; without, losses may explain a wrong rate.
     """
     who, prefix = ("it", "") if check.name == config.name else (check.name, f"{check.name}: ")
     whole = check.samples + check.lost

@@ -23,7 +23,8 @@ _LEAST_GATHER_S = 0.002  # less saves nothing; more, in scaled time, would excee
 def driver_link(spec: DeviceSpec, link: str, device: str, time_scale: float = 1.0, *, gather_s: float = 0.0) -> Any:
     """Return the link for the driver of a device: CAN frames, serial or TCP bytes, not yet open; BenchError if invalid.
 
-    A driver that opens links itself gets the Address. Bytes of a serial stream may be handed over every ``gather_s``.
+    A driver that opens links itself gets the address. Time limits are stretched by ``time_scale``, how fast the loop's
+    clock runs. Bytes of a serial stream may be handed over every ``gather_s``, in s of that clock.
     """
     if spec.on_can:
         return CanLink(device, *can_address(link, device))
@@ -50,8 +51,9 @@ def ends_here(link: str) -> bool:
 
 
 def can_address(link: str, device: str) -> tuple[str, str, dict[str, Any]]:
-    """Split can:INTERFACE:CHANNEL?option=value; numbers among the options are converted. BenchError for any other
-    link.
+    """Split can:INTERFACE:CHANNEL?option=value into interface, channel and options; BenchError for any other link.
+
+    Options that are numbers are converted.
     """
     address, _, query = link.partition("?")
     parts = address.split(":", 2)
