@@ -28,9 +28,9 @@ def planned_constancy(script: Script, gimbals: Sequence[str]) -> tuple[AxisCover
 def early_and_late(script: Script, limits: Mapping[str, AxisLimits], gimbals: Sequence[str]) -> Script | None:
     """Return a script of the same length that goes through the steps twice, each time in half of their time.
 
-    In the second pass every turn has the opposite direction, so that it ends where it began. Where axes would then turn
-    at different angles of the others, all axes go home in between and turn the same way again. What exceeds 10 s of the
-    rests at both ends is spent between the passes.
+    In the second pass every turn has the opposite direction, so that it ends where it began. If that does not help, the
+    axes go home in between and turn the same way again. What exceeds 10 s of the rests at both ends is spent between
+    the passes.
 
     None if there is no such script: turns would be shorter than their ramps, moves take too long to be made twice, an
     axis would still not be turned far apart in time, or a step cannot be changed or has an open duration.
@@ -55,8 +55,8 @@ def _twice(script: Script, limits: Mapping[str, AxisLimits], sign: int) -> Scrip
     """Return a script with the steps in half of their time, a rest, and the same steps with their angles times
     ``sign``.
 
-    Moves cannot be faster; their extra time is taken from the rests. None if that is too much, if a turn would be too
-    short for its ramps, or if nothing moves.
+    With ``sign`` 1 the axes go home before the rest. Moves cannot be faster; their extra time is taken from the rests.
+    None if that is too much, if a turn would be too short for its ramps, or if nothing moves.
     """
     before, between, after = _parts(script.steps)
     halves = [step.halved(limits) for step in between]
@@ -103,10 +103,9 @@ def _moves_home(steps: Sequence[Step]) -> list[Move]:
 
 
 def _parts(steps: Sequence[Step]) -> tuple[tuple[Rest, ...], tuple[Step, ...], tuple[Rest, ...]]:
-    """Return the rest before the first motion, at most 10 s, the steps from the first to the last motion, and the rest
-    after.
+    """Return the rest before the first motion, the steps from the first to the last motion, and the rest after.
 
-    All are empty if nothing moves.
+    Each rest is a single one of at most 10 s, or none. All are empty if nothing moves.
     """
     moving = [number for number, step in enumerate(steps) if step.turns]
     if not moving:

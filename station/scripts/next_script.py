@@ -44,7 +44,7 @@ class NextScript:
     rivals: tuple[tuple[str, ...], ...]
 
     def words(self) -> str:
-        """Return the script's name, length, aim and probability in one line; a low probability is said first."""
+        """Return the script's name, length, aim and probability in one line; a probability below 20 % is said first."""
         aims = [" and ".join(own) if len(own) > 1 else f"{own[0]} from noise" for own in self.rivals]
         aim = ", ".join(aims).replace("_", " ")
         text = f"{self.script.name}, {self.script.least_s:.0f} s: separates {aim} with probability "
@@ -98,7 +98,8 @@ def next_script(
 
     ``rivals`` are sets of effects that explain the same; an effect alone in its set is compared with nothing. ``past``
     was fitted, ``judging`` only verified; ``evidence`` is the log evidence of each effect in both, which gives its
-    likely size. A script must end within ``most_s``.
+    likely size. The script is one that a table with these ``limits``, ``gimbals`` and ``site`` can do, and must end
+    within ``most_s``.
 
     Two rivals are decided when the log of their odds exceeds that of 0.95. Its mean is half the squared misfit, in
     sigmas, that one leaves of the other's effect, plus what the former's greater freedom costs it. The shortest script
@@ -159,9 +160,10 @@ class _Grams:
 
     @classmethod
     def of(cls, runs: Sequence[Past], effects: Mapping[str, Sequence[Effect]], origin_s: float | None) -> Self:
-        """Return the information that ``runs`` give on the states and on each effect.
+        """Return the information that ``runs`` give on the states and on each effect; runs of a gyro are added up.
 
-        ``origin_s`` is the instant at which laws of time begin; None: each run's own beginning.
+        ``origin_s`` is the instant at which laws of time begin; None: each run's own beginning. A bias may differ a
+        little from run to run.
         """
         matrices: dict[tuple[str, str], Floats] = {}
         counts = [sum(len(e.parameters) for e in group) for group in effects.values()]
@@ -189,10 +191,9 @@ class _Grams:
         return replace(self, matrices=matrices)
 
     def beside_states(self, names: Sequence[str]) -> tuple[Floats, list[Floats]]:
-        """Return the information on the parameters of these effects with the states eliminated, and which rows belong
-        to each.
+        """Return the information (k, k) on the parameters of these effects, and which rows belong to each effect.
 
-        An effect that is not shared has parameters for every gyro.
+        The states are eliminated. An effect that is not shared has parameters for every gyro.
         """
         gyros = len(self.matrices)
         spread = [1 if name in self.shared else gyros for name in names]
@@ -222,7 +223,9 @@ def _size(shown: _Grams, name: str, evidence: float) -> float:
 def _settled(names: Sequence[str], before: _Grams, after: _Grams, sizes: Mapping[str, float]) -> float:
     """Return the probability that the true effect among ``names`` is separated from all others, each equally likely.
 
-    "Nothing" is not one of the true ones: an effect that a script fails to show is settled, too.
+    ``before`` is the information so far, ``after`` that with a further run; ``sizes`` are the squares of likely sizes
+    over the largest plausible ones. "Nothing" is not one of the true ones: an effect that a script fails to show is
+    settled, too.
     """
     chances = dict.fromkeys((name for name in names if name != _NOTHING), 1.0)
     for true, other in permutations(names, 2):
@@ -254,8 +257,9 @@ def _decision_probability(gained: float, spared: float) -> float:
 
 
 def _origin_s(past: Sequence[Past]) -> float | None:
-    """Return the beginning of the first recording (s), or None if recordings of a source overlap, so have no common
-    clock.
+    """Return the beginning of the first recording (s).
+
+    None if recordings of a source overlap, so that they have no common clock.
     """
     spans: dict[str, list[tuple[float, float]]] = {}
     for p in past:
@@ -268,7 +272,10 @@ def _origin_s(past: Sequence[Past]) -> float | None:
 
 
 def _foreseen(script: Script, past: Sequence[Past], gimbals: Sequence[str], site: Site | None) -> list[Past]:
-    """Return the predicted conditions of each source during ``script``, after its last recording."""
+    """Return the predicted conditions of each source during ``script``, 15 s after its last recording.
+
+    The temperature goes on as it was; the noise and prior are those of that recording.
+    """
     planned = planned_motion(script, gimbals, _PERIOD_S)
     runs = []
     for source in dict.fromkeys(p.source for p in past):
@@ -281,7 +288,10 @@ def _foreseen(script: Script, past: Sequence[Past], gimbals: Sequence[str], site
 
 
 def _temperature(last: Conditions, t_s: Floats) -> Floats | None:
-    """Return the predicted temperature (n,): the best-fitting exponential continued; None if none was recorded."""
+    """Return the predicted temperature (n,) at ``t_s`` (n,): the exponential that fits best, continued.
+
+    None if none was recorded.
+    """
     if last.temperature_c is None:
         return None
     since, target = last.t_s - last.t_s[-1], last.temperature_c
@@ -303,6 +313,8 @@ def _with_own_bias(gram: Floats, share: float) -> Floats:
 def _since(conditions: Conditions, origin_s: float) -> tuple[Conditions, slice]:
     """Return conditions that begin at ``origin_s``, for laws of time, and the slice of their rows that are the given
     ones.
+
+    Two rows at the origin are put before them, unless it is not before their beginning.
     """
     if origin_s >= float(conditions.t_s[0]) - conditions.period_s:
         return conditions, slice(None)
