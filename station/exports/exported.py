@@ -83,8 +83,9 @@ class Exported:
 def exported_of(path: Path, devices: Sequence[str] = (), instance: int = 0) -> Exported:
     """Return what is exported from a recording: the gyros of ``devices``, or of all devices under test.
 
-    RecordingError if there is no calibration, ModelError or CompensationError for effects of another version,
-    UsageError for a device that the recording does not have, or for the file of an error model.
+    ``instance`` is the number of the gyro in an autopilot. RecordingError if there is no calibration, ModelError or
+    CompensationError for effects of another version, UsageError for a device that the recording does not have, or for
+    the file of an error model.
     """
     recording = _read(path)
     calibration = read_calibration(path, trusted=True)

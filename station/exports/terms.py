@@ -119,7 +119,8 @@ def terms_of(compensation: Compensation) -> Terms:
 def _of_law(law: str, places: int) -> tuple[str, int]:
     """Return the expression of a law's contribution to gyro ``i``, and the count of state variables used up to now.
 
-    Functions with memory (lag, play, decays) take state variables, counted from ``places``.
+    Functions with memory (lag, play, last) take state variables, counted from ``places``. Placeholders in braces stand
+    for what differs between languages.
     """
 
     def call(name: str, inner: str, constant: str) -> str:
