@@ -15,8 +15,9 @@ _VIRTUAL = ("vcan", "vxcan")
 
 
 def ask_kernel(interface: str) -> dict[str, Any] | None:
-    """Return the description of a network interface by `ip`; {} if there is none of that name, None if `ip` does not
-    run.
+    """Return the description of a network interface by `ip`; {} if there is none of that name.
+
+    None if `ip` is missing or takes more than 5 s.
     """
     try:
         done = subprocess.run([*_COMMAND, "dev", interface], capture_output=True, text=True, timeout=_LIMIT_S)
