@@ -61,10 +61,11 @@ def run_in_processes(work: Callable[[T], R], items: Sequence[T], count: int) -> 
 def with_second_try(
     first: Generator[Ended[R]], again: Callable[[Sequence[int]], Generator[Ended[R]]]
 ) -> Generator[Ended[R]]:
-    """Yield the result of each item; those whose process died are tried once more when the others are done.
+    """Yield the results of ``first``; items whose process died are tried once more, by ``again``, when the others are
+    done.
 
-    ``again`` does these one at a time: an item that was killed for lack of memory, or because of another, then has the
-    whole machine, and one that kills its process every time is identified.
+    ``again`` gets their numbers and does these one at a time: an item that was killed for lack of memory, or because of
+    another, then has the whole machine, and one that kills its process every time is identified.
     """
     suspects: list[int] = []
     with closing(first):
@@ -78,8 +79,9 @@ def with_second_try(
 
 
 def _round(work: Callable[[T], R], items: Sequence[T], indices: Sequence[int], count: int) -> Generator[Ended[R]]:
-    """Yield the results of the items at ``indices`` from ``count`` new processes, as they end; stop the processes at
-    the end.
+    """Yield the results of the items at ``indices`` from ``count`` new processes, as they end.
+
+    The processes are stopped at the end, also if it is ended early.
     """
     # Pickled once, and unpickled where a failure can be reported: an error in a starting process is only a traceback.
     do = partial(_done, pickle.dumps(work))
@@ -98,7 +100,10 @@ def _round(work: Callable[[T], R], items: Sequence[T], indices: Sequence[int], c
 
 
 def _taken(index: int, future: Future[Ended[bytes]]) -> Ended[Any]:
-    """Return the result of a finished future; a failure if its process died or the result cannot be unpickled."""
+    """Return the result of the finished ``future`` of item number ``index``.
+
+    A failure with the reason if its process died, or the result could not be pickled or unpickled.
+    """
     try:
         ended = future.result()
     except ProcessExpired as error:
@@ -117,7 +122,7 @@ def _done(packed: bytes, index: int, item: object) -> Ended[bytes]:
 
 
 def _begin() -> None:
-    """Prepare a process of the pool: own process group, no Ctrl-C, orderly end on SIGTERM or with the parent,
+    """Prepare a process of the pool: own process group, no Ctrl-C, an orderly end on SIGTERM and with its parent,
     plug-ins.
     """
     # A group of its own: the parent passes on the terminal's Ctrl-C, and child processes can be ended with it.
