@@ -158,7 +158,10 @@ class RegularClock:
         return self._searched(excess, own, equal)
 
     def _searched(self, excess: Floats, own: Flags, equal: Flags) -> "_Search":
-        """Search once with the present lateness; ``equal`` marks samples that repeat the one before."""
+        """Search once among ``excess`` (n,) in s, with the present lateness.
+
+        ``own`` (n,) marks samples that waited for no other, ``equal`` (n,) those that repeat the one before.
+        """
         return _Search(
             lateness=self._lateness,
             period_s=self._period_s,

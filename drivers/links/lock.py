@@ -152,7 +152,10 @@ def _check_is_own(path: str, found: os.stat_result) -> None:
 
 
 def _other_files(folder: str, stem: str) -> Iterator[str]:
-    """Yield the paths of other users' lock files for a link: regular files that belong to the user in their name."""
+    """Yield the paths of other users' lock files for a link, of which ``stem`` is the beginning of the name.
+
+    Only regular files count that belong to the user in their name.
+    """
     named = re.compile(rf"{re.escape(stem)}\.(\d{{1,10}})\.lock")
     for entry in sorted(os.listdir(folder)):
         match = named.fullmatch(entry)

@@ -106,7 +106,11 @@ class _Reader:
     def __init__(
         self, url: str, settings: dict[str, Any], gather_s: float, loop: asyncio.AbstractEventLoop, inbox: Inbox
     ) -> None:
-        """Start the thread; ``opened`` completes when the port is open or has failed to open."""
+        """Start the thread that opens the port and puts what it reads into ``inbox``, gathered for ``gather_s``.
+
+        ``settings`` are those of pyserial. ``opened``, a future of ``loop``, completes when the port is open or has
+        failed to open.
+        """
         self._url, self._settings, self._gather_s, self._loop = url, settings, gather_s, loop
         self._inbox = inbox
         self._port: Any = None
@@ -138,7 +142,10 @@ class _Reader:
                 select.select([], [descriptor], [], max(ends_s - time.monotonic(), 0.0))
 
     def end(self) -> None:
-        """Let the thread close the port; wait for that for a port of this machine, not for one behind a URL."""
+        """Let the thread close the port; wait half a second for that, but not for a port behind a URL.
+
+        An error of opening that nobody waits for any more is dropped.
+        """
         self._closing.set()
         with suppress(OSError):
             self._wakes.send(b"x")

@@ -97,7 +97,10 @@ class Exchange:
     """Requests and answers on a link; a controller counts as silent after two time-outs."""
 
     def __init__(self, device: str, link: ByteLink, framing: Framing, timeout_s: float) -> None:
-        """Prepare for requests of two attempts of ``timeout_s`` each, resynchronisation included."""
+        """Prepare for requests of two attempts of ``timeout_s`` each, resynchronisation included.
+
+        ``framing`` is the language of the controller: how requests, answers and tokens look. ``device`` is for errors.
+        """
         self._device, self._link, self._framing, self._timeout_s = device, link, framing, timeout_s
         self._turn = Turn()
         self._in_doubt = True  # a serial line may hold answers to an earlier program
@@ -171,9 +174,10 @@ class Exchange:
             raise self._silent(f"to {line!r}")
 
     async def get_in_step(self, line: str | None = None) -> bytes:
-        """Send ``line`` if given, then a token; return the bytes received before the token's answer.
+        """Send ``line`` if given, then a token; return the bytes received before the token's answer, the last 512 at
+        most.
 
-        LinkLost if no answer to the token comes in two attempts.
+        LinkLost if no answer to the token comes in two attempts, or if the link is gone.
         """
         arrived = asyncio.get_running_loop().time()
         async with self._turn:
@@ -266,7 +270,11 @@ class Exchange:
             before += after
 
     async def _waiting(self, for_s: float = 0.0) -> bytes:
-        """Return bytes received without a request within ``for_s`` seconds, by default those that are already here."""
+        """Return the bytes that arrive within ``for_s`` seconds without a request, by default those that are already
+        here.
+
+        It ends earlier once more than 4096 have come; LinkLost if the link is gone.
+        """
         received = b""
         await asyncio.sleep(0)  # lets a socket deliver bytes that it already has
         try:

@@ -84,8 +84,9 @@ class _Axis:
         )
 
     def text(self, now_s: float) -> str:
-        """Return in words the last reading of the axis and its age, or that its rate and angle contradict each
-        other.
+        """Return in words the last reading of the axis and its age at ``now_s`` (loop time).
+
+        Or that its rate and angle contradict each other, or that there was none.
         """
         if self._last is None:
             return f"axis {self.name} no longer reports its state"

@@ -249,7 +249,10 @@ class CanImu(OneSource[FrameLink]):
                 inlet.take(Piece(self._order, frame.t_ns, frame.data))
 
     def _inlets(self, frame: Frame) -> "Sequence[_Inlet]":
-        """Return the inlets for a frame, by its identifier or its J1939 parameter group; none for other senders."""
+        """Return the inlets for a frame, by its identifier or its J1939 parameter group.
+
+        Empty for messages that no channel uses, and for J1939 messages of other senders if a source address is given.
+        """
         if exact := self._exact.get((frame.identifier, frame.extended)):
             return exact
         if not self._groups or not frame.extended:

@@ -158,9 +158,9 @@ class Stim300Decoder:
     def _run(self, view: bytes, reversed_view: bytes, start: int, layout: Layout) -> tuple[Datagrams, int]:
         """Return the intact datagrams of one kind that follow one another from ``start``, and where the last one ends.
 
-        The first is known to be intact. The run ends at another kind, a wrong CRC, another line termination or an
-        unfinished datagram. The end is without CR LF. ``reversed_view`` is ``view`` with the bits of each byte
-        reversed.
+        The first is known to be intact and of this ``layout``. The run ends at another kind, a wrong CRC, another line
+        termination or an unfinished datagram. The end is without CR LF. ``reversed_view`` is ``view`` with the bits of
+        each byte reversed.
         """
         size, identifier, padding = layout.size, view[start], _padding(layout.size)
         step = size + 2 if view[start + size : start + size + 2] == _LINE_END else size

@@ -116,7 +116,10 @@ class Stim300Imu(OneSource[ByteLink]):
         return [(self._device, block) for block in self._blocks()]
 
     async def _ask(self, question: bytes, kind: type) -> None:
-        """Send a question until an answer of type ``kind`` has come, twice at most; no error if none comes."""
+        """Send a question until an answer of type ``kind`` has come, twice at most; no error if none comes.
+
+        Nothing is sent if there is one already. Samples that arrive meanwhile are kept; LinkLost if the link is gone.
+        """
         for _ in range(_TRIES):
             if kind in self._said:
                 return
@@ -155,7 +158,10 @@ class Stim300Imu(OneSource[ByteLink]):
                 self._arrived.append(found)
 
     def _blocks(self) -> list[ImuBlock]:
-        """Return blocks of all decoded datagrams; a configuration among them is checked as by ``identify``."""
+        """Return blocks of the new samples of all decoded datagrams, and forget these.
+
+        A configuration among them is checked as by ``identify``: DeviceRefused if it contradicts the bench file.
+        """
         blocks = []
         while self._arrived:
             item = self._arrived.popleft()

@@ -122,7 +122,9 @@ class XbusDecoder:
 
 
 def _header(view: bytes, position: int) -> tuple[int, int]:
-    """Return the length of a header and the length of its data; (0, 0) while more bytes are needed to tell."""
+    """Return the length of the header at ``position`` and the length of its data; (0, 0) while more bytes are needed to
+    tell.
+    """
     if len(view) < position + 4:
         return 0, 0
     if view[position + 3] != _EXTENDED:
@@ -153,7 +155,10 @@ def encode(mid: int, data: bytes = b"") -> bytes:
 
 
 def frame(mid: int, data: Bytes) -> bytes:
-    """Return messages around their data (n, length), header and checksum added; ValueError if the data are too long."""
+    """Return n messages of type ``mid`` around their data (n, length), with header and checksum.
+
+    ValueError if the data are too long.
+    """
     count, length = data.shape
     if length > LONGEST_DATA:
         raise ValueError(f"a message carries at most {LONGEST_DATA} bytes, not {length}")

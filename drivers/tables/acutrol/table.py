@@ -199,7 +199,10 @@ class AcutrolTable(LineTable):
         await self._tell(f":interlock:reset {self._axes[axis].own.address}")
 
     async def disable(self) -> None:
-        """Switch every axis off and open its interlock; the first failure is raised after all have been tried."""
+        """Switch every axis off and open its interlock; moves and jogs in progress are given up.
+
+        The first DeviceError is raised after all have been tried.
+        """
         failures: list[DeviceError] = []
         for axis in self._axes.values():
             axis.task = None

@@ -123,7 +123,10 @@ class AerosmithTable(LineTable):
         self._target_deg, self._jog_dps = None, float(rate)
 
     async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
-        """Start a move to an angle from home, at a whole number of deg/s; DeviceRefused for other rates."""
+        """Set acceleration and rate, and start a move to an angle from home.
+
+        ``rate_rps`` is a speed, of which the sign is ignored; DeviceRefused if it is no whole number of deg/s.
+        """
         rate = abs(self._whole_rate(rate_rps))
         await self._set_acceleration(acceleration_rps2)
         await self._tell(f"VEL{rate}")

@@ -65,8 +65,9 @@ class GalilTable(LineTable):
         return Identity(model, serial, firmware)
 
     async def enable(self) -> None:
-        """Switch on every motor that is off, where it stands; DeviceFault if an axis is in fault or its motor stays
-        off.
+        """Switch on every motor that is off, where it stands, with its error limit if that is stated.
+
+        DeviceFault if an axis is in fault or its motor stays off.
         """
         for axis, own in self._axes.items():
             if (await self._sound(axis)).enabled:
@@ -106,8 +107,9 @@ class GalilTable(LineTable):
         await self.stop()
 
     async def _at_home(self, axis: str) -> bool:
-        """Return whether an axis has ended its homing; DeviceFault for a fault, DeviceRefused if it ended without
-        finding home.
+        """Return whether an axis has ended its homing at home.
+
+        DeviceFault for a fault, DeviceRefused if it ended without finding home.
         """
         switches, stop, fault = await self._condition(axis)
         if fault:

@@ -295,10 +295,10 @@ class ModbusLine:
                 raise
 
     async def _exchange(self, request: Request, limit_s: float, line: SerialPort) -> Reply:
-        """Send a request once on RTU and return the first reply that fits, before ``limit_s`` (loop time).
+        """Send a request once on the serial line and return the first reply that fits, before ``limit_s`` (loop time).
 
-        A reply or refusal shows that earlier requests will not be answered any more: they are removed from the pending
-        ones. _NoReply without a reply.
+        The line is kept quiet before and after. A reply or refusal shows that earlier requests will not be answered any
+        more: they are removed from the pending ones. _NoReply without a reply; DeviceRefused, or _Busy, for a refusal.
         """
         pending = self._pending[request.unit_id]
         # A refusal does not name its request; it counts as the answer only if nothing else may be refused.
