@@ -73,7 +73,10 @@ class AceinnaDevice:
             self._set(group, data[1:])
 
     async def serve(self) -> None:
-        """Send samples until cancelled; nothing while the rate divider is 0."""
+        """Send samples until cancelled, one every so many 10 ms as the rate divider says; nothing while that is 0.
+
+        Faults leave samples out, send them twice, change rates or the clock.
+        """
         loop = asyncio.get_running_loop()
         at = loop.time()
         while True:

@@ -39,9 +39,10 @@ class Body:
     ) -> None:
         """Prepare the body; ``gimbals`` are named outermost first.
 
-        ``angles(axis, t_s)`` gives the true angles of an axis, for future instants by its present command; ``revision``
-        changes with each new command. ``directions`` are unit vectors (3,) of axes that at home are not along the body
-        axis of their name. ``earth_turns`` false leaves the Earth's rate out.
+        ``angles(axis, t_s)`` gives the true angles of an axis, for future instants by its present command;
+        ``revision()`` changes with each new command. ``heading_rad`` is that of the table's x axis at home, clockwise
+        from north. ``directions`` are unit vectors (3,) of axes that at home are not along the body axis of their name.
+        ``earth_turns`` false leaves the Earth's rate out.
         """
         self.gimbals = tuple(gimbals)
         self._angles = angles

@@ -88,10 +88,10 @@ class AerosmithController(LineController):
         return ""
 
     def _move(self, word: str, value: float) -> str | None:
-        """Start a jog, move or homing; return "?" if refused, None for a jog (its prompt is held back), else "".
+        """Start a jog at ``value`` deg/s, a move to (MOV) or by (RMO) that many deg, or, with ``word`` HOM, homing.
 
-        Refused with the servo off, for a jog that is too fast or no whole number of deg/s, or towards a pressed limit
-        switch.
+        Returns "?" if refused, None for a jog, whose prompt is held back, else "". Refused with the servo off, for a
+        jog that is too fast or no whole number of deg/s, or towards a pressed limit switch.
         """
         if not self._servo_on or (word == "JOG" and (abs(value) > self._most_dps * 1.001 or value % 1.0)):
             return "?"

@@ -26,7 +26,7 @@ class Drive:
     def __init__(
         self, table: TableModel, axis: str, profile: DriveProfile, watchdog_s: float, *, cycle_s: float = 0.0
     ) -> None:
-        """Start in Switch-on disabled; ``watchdog_s`` of silence stops the axis (0: never).
+        """Start in Switch-on disabled, as a drive of this profile; ``watchdog_s`` of silence stops the axis (0: never).
 
         The controlword is sampled once per ``cycle_s``, counted from the zero of the table's clock: status and motion
         follow at the next sample, and only the last of several controlwords within a cycle acts. With 0 it acts at

@@ -135,8 +135,10 @@ class GalilController(LineController):
         return ""
 
     def _setting(self, word: str, operand: str) -> str:
-        """Set or return values of axes: ``JGA=1000``, ``JGA=?``, ``JG 1000,,500``, ``JG ?,?``; Refused if one is
-        invalid.
+        """Set or return values of axes: ``JGA=1000``, ``JGA=?``, ``JG 1000,,500``, ``JG ?,?``; "" after setting.
+
+        ``word`` is the command, ``operand`` the rest. Axes with an empty value are left. Refused if one is invalid;
+        those before it have been set.
         """
         one = _ONE_AXIS.fullmatch(operand)
         if one:

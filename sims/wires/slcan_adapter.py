@@ -99,8 +99,10 @@ class SlcanAdapter(LineDevice):
         return BELL if answer is None else answer.encode() + CR
 
     def _set_up(self, name: str, rest: str) -> bytes:
-        """Open or close the channel, or carry out a setting that is allowed only while closed; return CR, or BELL if
-        refused.
+        """Carry out the command ``name`` with its argument ``rest``: open or close the channel, or a setting; return
+        CR.
+
+        Settings are allowed only while the channel is closed. BELL if it is refused, or for closing a closed channel.
         """
         if name == "C":
             was_open, self.is_open = self.is_open, False
@@ -117,8 +119,10 @@ class SlcanAdapter(LineDevice):
         return CR
 
     def _poll(self, name: str, rest: str) -> bytes:
-        """Switch polling on or off (X), or return the queued frames: the next (P) or all (A); BELL if that is not
-        allowed.
+        """Carry out the command ``name`` with its argument ``rest``: switch polling on or off (X), or return queued
+        frames.
+
+        P returns the next, CR if there is none, A all. BELL for a wrong argument, while closed, or without polling.
         """
         if name == "X":
             if rest not in ("0", "1"):

@@ -151,8 +151,9 @@ class _PtyEnd:
     """
 
     def __init__(self, received: Write) -> None:
-        """Open the pseudo-terminal and start reading; close the far end again. Edge-triggered, as it hangs up without a
-        station.
+        """Open the pseudo-terminal and start reading; ``received`` gets the bytes that a station writes.
+
+        The far end is closed again. Reading is edge-triggered, as the terminal is hung up without a station.
         """
         self._descriptor, theirs = os.openpty()
         tty.setraw(self._descriptor)

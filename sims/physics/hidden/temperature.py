@@ -53,8 +53,9 @@ class Temperature:
         return np.asarray(np.where(t_s >= 0, self.rise_c * rising, 0.0))
 
     def lagged(self, t_s: Floats, lag_s: float) -> Floats:
-        """Return the temperature of a body that follows this one with a first-order lag and equals it at the
-        instant 0.
+        """Return the temperature in degC of a body that follows this one with a first-order lag of ``lag_s``.
+
+        At instants (n,) of the bench clock; it equals this one at the instant 0 and before.
         """
         t_s = np.maximum(t_s, 0.0)
         decay = np.exp(-t_s / lag_s)
