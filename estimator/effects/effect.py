@@ -185,8 +185,8 @@ class Record:
     def effect(self, gimbals: Sequence[str] = (), **settings: Value) -> "Effect":
         """Return the effect for a table with these axes and these values of its settings.
 
-        The settings are inserted into law, label and names of parameters. LawError if the law is invalid, KeyError if a
-        setting is missing.
+        The settings are inserted into law, label and names of parameters; an effect without a law has the record's
+        regressors. LawError if the law is invalid, KeyError if a setting is missing.
         """
         own = self.parameters if isinstance(self.parameters, tuple) else self.parameters(gimbals, settings)
         law = self.law.format(**settings) if settings else self.law

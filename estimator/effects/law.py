@@ -204,7 +204,11 @@ class Variables:
 
 
 def _variable(name: str, c: Conditions, axes: Axes) -> Floats:
-    """Return a variable (N,) under conditions ``c``, for a gyro with these axes."""
+    """Return a variable (N,) of laws under conditions ``c``, for a gyro with these axes.
+
+    The temperature counts from the reference, and is 0 if it is unknown; time counts from the first instant. ValueError
+    for an axis that the table does not have.
+    """
     match name:
         case "u" | "uj" | "uk":
             return np.asarray(c.w_rps @ getattr(axes, _OF_GYROS[name]))

@@ -64,7 +64,10 @@ def _tilts(axis: str) -> tuple[Floats, Floats]:
 
 
 def _tilted(conditions: Conditions, inner: int, d: Floats) -> Floats:
-    """Return the error (N, 3) of the body rate per radian of rotation of gimbal ``inner`` about d (3,)."""
+    """Return the error (N, 3) of the body rate per radian of a rotation that tilts gimbal number ``inner``.
+
+    ``d`` (3,) is the axis of that rotation, in the frame within which the gimbal turns.
+    """
     v = np.zeros_like(conditions.w_rps)
     if conditions.site is not None:
         v = v + conditions.site.earth_rate_rps()

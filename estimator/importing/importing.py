@@ -249,8 +249,9 @@ def _settled(
 ) -> tuple[tuple[Floats, ForeignRows], str]:
     """Return the instants of samples (n,) and the rows of a reference: those of ``tried`` that the motion supports.
 
-    ``tried`` has two: the times as they were fitted, and the alternative, since stamps that scatter are either of
-    samples or of arrivals. Also returns a sentence on it, "" if the fitted times on the grid are kept.
+    ``rate`` (n, m) are the samples. ``tried`` has two: the times as they were fitted in ``log``, and the alternative,
+    since stamps that scatter are either of samples or of arrivals. Also returns a sentence on it, "" if the fitted
+    times on the grid are kept.
     """
     instants = [(_ns(each_s), foreign_reference(reference, _ns(told_s), values)) for each_s, (told_s, values) in tried]
     other = by_motion(mapping.gyro.array, rate, instants) == 1
@@ -424,7 +425,10 @@ def _joined(mapping: Mapping, parts: list[_Part], refused: list[Refused]) -> tup
 
 
 def _told_once(parts: Sequence[_Part]) -> list[str]:
-    """Return the notes on all files; notes that differ only in numbers are combined with their count."""
+    """Return the notes on all files; of a single file as they are, else with the name of the file.
+
+    Notes of several files that differ only in numbers are combined with their count.
+    """
     if len(parts) == 1:
         return [*parts[0].notes]
     alike: dict[str, list[tuple[str, str]]] = {}

@@ -129,7 +129,10 @@ def _read(path: Path, file: Any) -> Recording:
 
 
 def _read_innovations(file: Any, model_sha256: str) -> KeptInnovations | None:
-    """Return the live filter's innovations, summed over all blocks and sources; None if none are stored."""
+    """Return the live filter's innovations, summed over all blocks and sources; None if none are stored.
+
+    ``model_sha256``, that of the error model of the run, is kept with them.
+    """
     groups = [group for group in file.get("innovation", {}).values() if "nis" in group and "dof" in group]
     if not groups:
         return None
@@ -324,7 +327,11 @@ def slopes_of(t_ns: Stamps, angle_rad: Floats) -> Floats:
 
 
 def _column(where: str, group: Any, key: str) -> NDArray[Any]:
-    """Return a column with the type and dimensions of ``LAYOUT``; RecordingError if it is missing or does not fit."""
+    """Return the column ``key`` of a group with the type and dimensions of ``LAYOUT``.
+
+    RecordingError, which begins with ``where``, if it is missing, not numeric or of other dimensions; a single
+    dimension will do for two.
+    """
     dimensions = LAYOUT[key]["dimensions"]
     if key not in group:
         raise RecordingError(f"{where} has no {key}")

@@ -208,7 +208,11 @@ class _Found:
     """The content of a journal; ``damaged`` if something before its end was skipped."""
 
     def __init__(self, file: BinaryIO) -> None:
-        """Read the journal once; ValueError if it is not a journal, or holds no samples."""
+        """Read the journal once; ValueError if it is not a journal, holds no samples, or has more names than a
+        recording.
+
+        What was skipped at its end is no damage.
+        """
         self.samples, self.damaged, self._last_ns = 0, False, 0
         self._attributes: dict[str, dict[str, Any]] = {}
         self._first: dict[str, Any] = {}
@@ -319,7 +323,9 @@ class _Found:
         sync(part)
 
     def _write_rows(self, writer: RecordingWriter, file: BinaryIO) -> None:
-        """Write all rows of the journal; samples that had no time yet get times by their arrival."""
+        """Write all rows of the journal that fit; samples that had no time yet get times by their arrival and are
+        counted.
+        """
         timed: dict[str, Mapping[str, Any]] = {}
         waiting: dict[str, list[Mapping[str, Any]]] = {}
         pending_bytes = 0
@@ -354,7 +360,8 @@ def _same(a: Any, b: Any) -> bool:
 def _by_arrival(blocks: Sequence[Mapping[str, Any]], timed: Mapping[str, Any] | None) -> dict[str, Any]:
     """Return rows for samples that had no time yet when the run died, evenly spaced after the last timed ones.
 
-    Without timed samples the arrivals are the times. Empty if all samples were timed. Unknown columns are NaN or -1.
+    ``blocks`` are the samples as they arrived, ``timed`` the last rows with times; without these the arrivals are the
+    times. Empty if all samples were timed. A temperature is held, other unknown columns are NaN or -1.
     """
     if not blocks:
         return {}

@@ -373,7 +373,7 @@ def _changing(path: Path, wanted_bytes: int) -> Iterator[Any]:
 
 @contextmanager
 def _told_of(path: Path) -> Iterator[None]:
-    """Context that turns write errors of HDF5 into RecordingError."""
+    """Turn write errors of HDF5 within this context into RecordingError."""
     try:
         yield
     except (OSError, RuntimeError) as error:  # HDF5 has both

@@ -119,11 +119,11 @@ class Search:
         return out
 
     def run(self, most: int, progress: Callable[[float], None] | None = None) -> Found:
-        """Return the most probable model of at most ``most`` effects.
+        """Return the most probable model of at most ``most`` effects; ``progress`` is called with the share done.
 
         In each round the most probable candidate is added and the model's effects are exchanged where that helps. The
-        search ends if nothing more is more probable than "no more effects", or if the model is full. An effect of a
-        size it cannot have is barred, and a tone is subtracted from the data.
+        search ends if nothing more is more probable than "no more effects", if the model is full, or after twelve
+        rounds. An effect of a size it cannot have is barred, and a tone is subtracted from the data.
         """
         chosen: list[str] = []
         terms: dict[str, Term] = {}

@@ -83,9 +83,11 @@ def averaged(
 
 
 def beside_suspect(gyros: Sequence[GyroErrors], with_it: Augmented) -> tuple[GyroErrors, ...]:
-    """Return errors whose states are the mean of the model's and those beside a suspect effect, both equally probable.
+    """Return the errors of ``gyros`` with states that are the mean of the model's and those of ``with_it``, with a
+    suspect.
 
-    It applies if the verification run shows an error that the other recordings cannot; the sigmas cover both.
+    Both are equally probable; the sigmas cover both. It applies if the verification run shows an error that the other
+    recordings cannot.
     """
     known = []
     for gyro in gyros:
