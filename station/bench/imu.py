@@ -108,7 +108,10 @@ def read_imu(table: Table, folder: Path, known: Registry[ImuSpec] = IMUS) -> Imu
 
 
 def _described(table: Table, folder: Path, device: str, array: SensorArray) -> Description:
-    """Return the description named by the section; the table's error unless it has as many gyros as the array."""
+    """Return the description named by the section; its source is named ``device``.
+
+    The table's error unless it has as many gyros as the array, and for a description that is missing or invalid.
+    """
     description: Description = table.read(
         "bench.described", folder, description=lambda name, folder: load_description(name, folder, device)
     )["description"]

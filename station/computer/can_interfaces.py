@@ -31,7 +31,7 @@ def ask_kernel(interface: str) -> dict[str, Any] | None:
 def look_at_can_interface(
     interface: str, ask: Callable[[str], dict[str, Any] | None] = ask_kernel
 ) -> Iterator[Finding]:
-    """Yield what prevents the use of a SocketCAN interface, such as can0; nothing if it is fine.
+    """Yield what prevents or disturbs the use of a SocketCAN interface, such as can0; nothing if it is fine.
 
     ``ask`` returns its description as `ip` does, see ``ask_kernel``.
     """

@@ -116,7 +116,9 @@ def _units_of(recording: Recording) -> Units:
 
 
 def _read(path: Path) -> Recording:
-    """Return the recording; UsageError if the file is an error model of a type instead."""
+    """Return the recording; UsageError if the file is an error model of a type instead, RecordingError for any
+    other.
+    """
     try:
         return read_recording(path)
     except RecordingError:

@@ -126,10 +126,11 @@ def in_safe_order(devices: Iterable[OpenDevice]) -> list[OpenDevice]:
 
 
 def with_links(bench: Bench, links: dict[str, str], devices: Sequence[str]) -> Bench:
-    """Return the bench with other links, by device name or "table", and with only ``devices`` used, if any is named.
+    """Return the bench with other ``links``, by the name of a device or "table".
 
-    The table's link replaces those of all its axes. Devices with a link here are used, too, unless devices under test
-    are named. BenchError for a name that the bench does not have.
+    The table's link replaces those of all its axes. If ``devices`` names devices under test, only these are used of
+    them; else those that were and those with a link here. Of other kinds, those named and those with a link here are
+    used in addition. BenchError for a name that the bench does not have.
     """
     table = bench.table.name
     for name in (*links, *devices):

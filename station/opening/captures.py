@@ -175,10 +175,11 @@ def _candump(section: StrictTable, folder: Path) -> Capture:
 
 
 def _read_candump(database: Any, dbc: Path, raw: bytes, names: Sequence[str]) -> _Decoded:
-    """Return signals named MESSAGE.Signal in units of the DBC, and ``time`` (s) of the message of the first name.
+    """Return signals named MESSAGE.Signal in units of the DBC, and ``time`` (s), from the bytes of a candump log.
 
-    Signals of other messages are those of the nearest frame, NaN if that belongs to another sample. RecordingError for
-    an unknown signal; nothing if the first message does not occur. Also notes on damaged frames.
+    The time is that of the message of the first of ``names``. Signals of other messages are those of the nearest frame,
+    NaN if that belongs to another sample. RecordingError for an unknown signal; nothing if the first message does not
+    occur. Also notes on damaged frames.
     """
     try:
         readers = {

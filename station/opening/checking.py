@@ -301,7 +301,10 @@ async def _listen(source: ImuSource, duration_s: float) -> dict[str, list[ImuBlo
 
 
 def _source(source: ImuSource, name: str, blocks: Sequence[ImuBlock], time_scale: float) -> SourceCheck:
-    """Return rate, losses, jitter, temperature and mean rates of one source; NaN for a gyro without a valid rate."""
+    """Return rate, losses, jitter, temperature and mean rates of one source; NaN for a gyro without a valid rate.
+
+    ``time_scale`` is how fast the loop's clock runs: the jitter is in real time.
+    """
     t_ns = np.concatenate([block.t_ns for block in blocks])
     arrival_ns = np.concatenate([block.arrival_ns for block in blocks])
     temperature = np.concatenate([block.temperature_c for block in blocks])

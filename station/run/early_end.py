@@ -64,8 +64,9 @@ class EarlyEnd:
             await asyncio.sleep(_CONFIRM_EVERY_S * self._time_scale)
 
     def _seems_enough(self) -> bool:
-        """Return whether the live filters, which assume white noise, have reached all sigmas, and NIS is within its
-        limits.
+        """Return whether the live filters have reached all sigmas, and NIS is within its limits.
+
+        They assume white noise. False while a source has no block yet.
         """
         sources = self._live.sources.values()
         if not all(source.history.blocks for source in sources):

@@ -26,7 +26,9 @@ class LiveEstimate:
     """
 
     def __init__(self, gimbals: tuple[str, ...], site: Site | None) -> None:
-        """Start without sources or readings."""
+        """Start without sources or readings; ``gimbals`` are named outermost first, without a ``site`` Earth rate is
+        left out.
+        """
         self.rates = BodyRates(gimbals, site)
         self.sources: dict[str, LiveSource] = {}
         self._rows: deque[TableRow] = deque()

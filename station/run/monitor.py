@@ -177,7 +177,7 @@ class Monitor:
         )
 
     def full(self) -> Snapshot:
-        """Return a complete snapshot; meant for ten calls a second, not for each row."""
+        """Return a complete snapshot, after the end as of then; meant for ten calls a second, not for each row."""
         now_s = asyncio.get_running_loop().time() if self._ended_s is None else self._ended_s
         return replace(
             self.brief(),

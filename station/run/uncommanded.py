@@ -214,7 +214,11 @@ class _Way:
     """What the readings of one time window show; there are at least two, oldest first."""
 
     def __init__(self, readings: tuple[AxisState, ...], resolution_rad: float) -> None:
-        """Compute times, angle turned, length of the path, and the rates averaged entirely within the window."""
+        """Compute times, angle turned and length of the path of the readings, and the rates of which the window has
+        all.
+
+        ``resolution_rad`` is that of the encoder. A rate that is a mean counts if it began after the first reading.
+        """
         first, last = readings[0], readings[-1]
         self._resolution_rad = resolution_rad
         self.from_s, self.until_s = first.angle_t_ns * 1e-9, last.angle_t_ns * 1e-9

@@ -66,7 +66,10 @@ class Past:
 
     @classmethod
     def of(cls, run: Run) -> Self:
-        """Return the source of a run; without a data sheet, white noise is estimated from the samples."""
+        """Return the source of a run, with its conditions about every 50 ms.
+
+        Without a data sheet, white noise is estimated from the differences of samples.
+        """
         data, noise = run.data, run.data.noise
         if noise is None:
             steps = np.diff(data.rate_rps, axis=0)

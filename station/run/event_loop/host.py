@@ -25,7 +25,7 @@ class HostWatch:
     """Records by how much the loop was late, and how busy the processors were."""
 
     def __init__(self, scale: float) -> None:
-        """``scale`` is how fast the loop's clock runs."""
+        """Start without delays; ``scale`` is how fast the loop's clock runs."""
         self._scale = scale
         self._latest: deque[tuple[float, float]] = deque()
         self._pressure: deque[tuple[float, float]] = deque()
