@@ -465,8 +465,10 @@ def _reference(stated: ForeignReference, placed: list[tuple[_Part, float]]) -> R
 
 
 def _poses(gravity: Gravity, placed: list[tuple[_Part, float]]) -> Poses:
-    """Return the rests of all files, each file at its start in s, with the directions up measured by the
-    accelerometer.
+    """Return the rests of all files with the directions up that the accelerometer measured.
+
+    ``placed`` are files with their starts in s. ``gravity`` states whether its errors are estimated from the rests, and
+    its uncertainty.
     """
     rests = [(part.accel_mps2, rest, start) for part, start in placed for rest in part.rests]
     force = [np.nanmean(accel[rest.first : rest.stop], axis=0) for accel, rest, _ in rests if accel is not None]

@@ -229,8 +229,8 @@ def _number(field: str) -> float:
 def _time(file: _File) -> tuple[str | None, list[str], float]:
     """Return the name of the time column, the keys of the table [time], and the usual step in s (0 if unknown).
 
-    Columns named like a time come first; dates have no step. Without such a column it is a variable with the rate;
-    without one (None) a placeholder. The guess is noted in the file.
+    Columns named like a time come first, then any that rise evenly or hold times of day; texts have no step. Without
+    such a column it is a variable with the rate; without one (None) a placeholder. The guess is noted in the file.
     """
     named = [name for name in file.names if _TIME.search(_base(name))]
     for name in [*named, *(n for n in file.names if n not in named)]:

@@ -202,7 +202,7 @@ class BodyRates:
             self._let_go()
 
     def _take(self, *, everything: bool) -> None:
-        """Turn readings into rows, up to a ramp whose end is still to come; ``everything`` leaves none."""
+        """Turn readings into rows, except the last few and a ramp without an end yet; ``everything`` leaves none."""
         times, changes = self._read["t_ns"], self._read["change"]
         hold_ns = round(HOLD_S * 1e9) + self._window_ns
         while (taken := self._taken) < len(times):
@@ -282,7 +282,9 @@ class BodyRates:
         return found
 
     def _append(self, start: int, stop: int, found: list[tuple[int, Stamps, Ramp | None]]) -> None:
-        """Append readings as rows, with averaged rates and unmeasured rows for the corners of ramps ``found``."""
+        """Append readings ``start`` to ``stop`` as rows, and unmeasured ones for the corners of ``found``: gimbal's
+        column, corners and ramp of each change of rate; one whose ramp is None leaves the steps unknown.
+        """
         self._taken = stop
         ramps = [(column, corners, ramp) for column, corners, ramp in found if ramp is not None]
         part = slice(start, stop)
@@ -311,9 +313,7 @@ class BodyRates:
         *,
         known: bool,
     ) -> None:
-        """Append rows with their integrated rates; ``known``, and a steady rate across a gap, mark a step as
-        understood.
-        """
+        """Append rows with integrated rates; ``known``, and a steady rate across a gap, mark a step as understood."""
         step_ns, rates, summed = integrated(self._rows, t_ns, rate_rps)
         drift = angle - summed
         unexplained = np.diff(np.vstack([drift_of(self._rows, drift), drift]), axis=0)

@@ -137,8 +137,8 @@ class Augmented:
     def _waves(self, part: Part, run: Run, number: int) -> Floats:
         """Return the columns (b, width) of a tone on a run, scaled to its largest size.
 
-        A tone that is not locked has two columns for each fitted run, of which only those of run ``number`` are not
-        zero.
+        A locked tone has two columns, for cosine and sine. Any other has two for each fitted run, of which only those
+        of run ``number`` are not zero; for a run that was not fitted all are.
         """
         assert part.tone is not None
         out = np.zeros((len(run.t_s), part.width))

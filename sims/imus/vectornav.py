@@ -115,7 +115,12 @@ class VectorNavDevice:
         self._wake_up()
 
     def _measured(self, at: Floats) -> Floats:
-        """Return all measured values (n, 17) at instants ``at`` (n,), with the faults of the gyros."""
+        """Return all measured values (n, 17) at instants ``at`` (n,) in s, in the columns named at the top of the
+        module.
+
+        Stuck, clipped and spoilt gyros show in the raw rates; the compensated ones are the raw ones with the register's
+        bias and matrix applied.
+        """
         rows = np.empty((len(at), len(_FORMATS)))
         up = self._up(at)
         rows[:, _YPR] = tilt_deg(-up)[:, ::-1]  # from north, east, down

@@ -96,10 +96,10 @@ class Acquisition:
         reopening: Reopening,
         on_event: Callable[[float, EventKind, str], None] | None,
     ) -> None:
-        """Describe table and devices under test in the recording; no device is opened.
+        """Describe table and devices under test in the file of ``writer``; no device is opened.
 
-        ``model`` is for the live estimate; ``time_scale`` is how fast the loop's clock runs. ``on_event(t_s, kind,
-        text)`` gets every event.
+        ``model`` is for the live estimate; ``time_scale`` is how fast the loop's clock runs; ``reopening`` opens lost
+        devices anew. ``on_event(t_s, kind, text)`` gets every event.
         """
         self._imus, self._others, self._bench = opened.imus, opened.others, opened.bench
         self._devices = tuple(opened.devices.values())

@@ -127,7 +127,11 @@ def read_reference(section: StrictTable, *, wide: bool = False) -> ForeignRefere
 
 
 def _attitude(section: StrictTable) -> Measured:
-    """Return the columns of an attitude: a quaternion reordered to w x y z, or a matrix, from body to reference."""
+    """Return the columns of an attitude: a quaternion reordered to w x y z, or a matrix by rows, from body to
+    reference.
+
+    If the section's sign says that it turns the other way, it is inverted.
+    """
     stated = section.stated(KEYS["attitude"])
     names = section.strings("columns")
     if not stated["order"]:

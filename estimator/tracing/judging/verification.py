@@ -352,9 +352,9 @@ def _phases(
     rests: Sequence[Floats],
     columns: Sequence[Floats],
 ) -> Iterator[_Phase]:
-    """Yield the errors of a gyro of a run in each phase; phases without full blocks are left out.
+    """Yield how gyro number ``i`` errs under two models in each phase with whole blocks, and what their sigmas cover.
 
-    ``rests`` are by model what it leaves of the blocks (b,), ``columns`` by model those of its states and effects.
+    ``rests`` (b,) are by model the outputs less all of it, ``columns`` (b, k) those of its states and parts.
     """
     after = models[-1]
     g = after.names.index(run.array.names[i])

@@ -129,10 +129,10 @@ def _whitened(
     left: Sequence[Sequence[Floats]],
     regressors: Regressors,
 ) -> _Gyro | None:
-    """Return the whitened columns and residuals of a gyro in all runs, None without a long enough stretch.
+    """Return the whitened columns and residuals of gyro ``name`` in all runs; None without a long enough stretch.
 
     What the states and effects of each model give is subtracted in place from ``left``, arrays (b, m) by model and run.
-    ``first`` is the number of the first run among all.
+    ``first`` is the number of the first run among all; shorter stretches and runs without the gyro are left out.
     """
     g = models[0].names.index(name)
     arw = float(models[0].arw[g])

@@ -46,9 +46,10 @@ class ToneFound:
 def find_tone(runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequence[Floats]) -> ToneFound | None:
     """Return the strongest line in the samples of all runs beside a model, None if there is none.
 
-    ``predicted`` (b, m) is what the model gives for the blocks of each run. None as well beside a reference of another
-    instrument, with too few samples, with sources of different rates, if chance may give such a line, or if it does not
-    last through the runs. Slow lines, of less than some cycles, are not looked for.
+    ``predicted`` (b, m) is what the model gives for the blocks of each run. Samples on ramps and slow lines, of less
+    than some cycles, are left out. The line is locked (one phase for all runs) or not, whichever is more probable. None
+    as well beside a reference of another instrument, with too few samples, with sources of different rates, if chance
+    may give such a line, or if it does not last through the runs.
     """
     if any(run.by_another for run in runs):
         return None  # the reference moves with the body: a line in their difference may be of either

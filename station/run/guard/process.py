@@ -82,7 +82,7 @@ def _ask_to_be_continued() -> None:
 async def _guard(order: Order) -> None:
     """Build the drivers, report that the guard is ready, and make the devices safe if the station dies while armed.
 
-    A driver that cannot be built is reported on stderr and left out.
+    A driver that cannot be built is reported on stderr and left out; without any it ends at once, and is never ready.
     """
     devices: list[_Device] = []
     for packed in order.devices:
