@@ -296,9 +296,10 @@ def _triples(file: _File) -> dict[str, tuple[str, list[str]]]:
 
 
 def _by_place(file: _File) -> dict[str, tuple[str, list[str]]]:
-    """Return neighbouring columns in threes, for names that say nothing: what they seem to be, and their names.
+    """Return columns of numbers that have no guess, in threes in the order of the file, for names that say nothing.
 
-    Those as long as gravity are accelerometers. One or two columns at the end are left out.
+    By the first one's name: what the three seem to be, and their names. Those as long as gravity are accelerometers.
+    One or two columns at the end are left out.
     """
     left = [n for n in file.names if n in file.numbers and n not in file.guesses and file.numbers[n].ndim == 1]
     found = {}

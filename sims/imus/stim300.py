@@ -149,7 +149,8 @@ class Stim300Device(LineDevice):
     def _status(self, wanted: Ints, over: Flags) -> Ints:
         """Return the status byte (n,) of the gyros at each tick ``wanted`` (n,): start-up and overload.
 
-        ``over`` (n, 3) marks overloaded gyros, which are also noted in the error register.
+        ``over`` (n, 3) marks overloaded gyros, to which ``overload_gyro`` is added in place; they are also noted in the
+        error register.
         """
         if self.overload_gyro is not None:
             over[:, self.overload_gyro] = True

@@ -61,8 +61,10 @@ class Serving:
         return await (self.other(device) if serve is None else serve(device))
 
     async def table(self, port: int) -> dict[str, Any]:
-        """Serve the twin of the table on a pseudo-terminal, Modbus TCP or TCP; return its announcement, the link
-        first.
+        """Serve the twin of the table on a pseudo-terminal, Modbus TCP or TCP; return its announcement.
+
+        ``port`` is that of TCP, 0 for a free one. The announcement is its link first, then protocol, addresses and
+        watchdog.
         """
         config, wire = self._twins.bench.table, self._twins.wire("table")
         addresses = {name: axis.address for name, axis in config.axes.items()}

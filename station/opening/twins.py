@@ -141,8 +141,9 @@ class Twins:
         return address
 
     def imu_device(self, imu: ImuConfig, out: Write | FrameSink) -> Any:
-        """Return the twin of an IMU, which sends to ``out`` from now on; a fault may replace it later by another
-        one.
+        """Return the twin of an IMU, which sends to ``out`` from now on.
+
+        The faults of the bench begin and end at their times, and at that of ``another_s`` another twin takes its place.
         """
         faults = self._faults.devices[imu.name]
         knobs = NodeFaults(clock_ppm=faults.clock_ppm, seed=self.bench.twin.seed)

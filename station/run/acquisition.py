@@ -173,7 +173,7 @@ class Acquisition:
         return found
 
     async def prepare_others(self) -> bool:
-        """Ready the devices of other kinds in turn; return whether there are any. A lost link is reopened, 5 times."""
+        """Ready the devices of other kinds; return if there are any. LinkLost for a link that was reopened 5 times."""
         for device in self._others:
             self.monitor.phase = Phase.PREPARING
             for lost in range(_LOST_WHILE_READIED + 1):

@@ -192,7 +192,11 @@ class Monitor:
         )
 
     def _axis_snapshots(self, now_s: float) -> Iterator[AxisSnapshot]:
-        """Yield the state of each axis at ``now_s``; NaN where nothing was read yet."""
+        """Yield the state of each axis at ``now_s``; NaN where nothing was read yet.
+
+        Its word is the fault of the table if there is one, the phase before the script, else whether it turns. Before
+        the script the setpoint is 0 and the target NaN.
+        """
         nothing = np.full(len(self._axes), np.nan)
         angles, rates = (self.row.angle_rad, self.row.rate_rps) if self.row else (nothing, nothing)
         for axis, angle, rate in zip(self._axes, angles.tolist(), rates.tolist(), strict=True):

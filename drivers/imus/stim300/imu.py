@@ -160,7 +160,8 @@ class Stim300Imu(OneSource[ByteLink]):
     def _blocks(self) -> list[ImuBlock]:
         """Return blocks of the new samples of all decoded datagrams, and forget these.
 
-        A configuration among them is checked as by ``identify``: DeviceRefused if it contradicts the bench file.
+        Any other item is noted as an answer. A configuration is checked as by ``identify``: DeviceRefused if it
+        contradicts the bench file.
         """
         blocks = []
         while self._arrived:

@@ -433,7 +433,7 @@ def _errors(phases: Sequence[_Phase], which: int, whole: Drawn) -> Errors:
 
 
 def _gyro(name: str, before: Augmented, after: Augmented, phases: Sequence[_Phase], errors: Drawn) -> GyroErrors:
-    """Return the errors of a gyro in all and by phase, and its states, before and after."""
+    """Return the errors of a gyro in all and by phase, and its states with sigmas, before and after."""
     g = after.names.index(name)
     (old, old_covariance), (new, covariance) = (decode(m.mean[g, :4], m.covariance[g, :4, :4]) for m in (before, after))
     moved = (new - old) / np.sqrt(np.diag(old_covariance))

@@ -67,10 +67,10 @@ def _sizes(part: Part) -> Floats:
 def faint(
     parts: Sequence[Part], evidence: Evidence, runs: Sequence[Run], model: Augmented, left: Residual
 ) -> list[Part]:
-    """Return the tones that explain less than a tenth of the power beyond the noise, with what ``model`` leaves of
-    that.
+    """Return the tones that explain less than a tenth of the power beyond the noise, over all gyros of ``evidence``.
 
-    ``left`` is the residual of the model.
+    That power is what the tone explains and what ``left``, the residual of ``model``, still has. Parts other than tones
+    are left out.
     """
     beyond = {gyro.name: gyro.nis * gyro.beyond for gyro in left.gyros}
     found = []
