@@ -154,7 +154,7 @@ def candidates_of(runs: Sequence[Run]) -> tuple[list[Candidate], dict[str, str]]
             chosen.append(candidate)
     of_kind = Counter(candidate.called for candidate in chosen)
     expected = [_expected(candidate, of_kind, warm) for candidate in chosen]
-    return [*expected, *_general(offers, gimbals, len(of_kind))], left_out
+    return [*expected, *_general_dependences(offers, gimbals, len(of_kind))], left_out
 
 
 def _expected(candidate: Candidate, of_kind: Mapping[str, int], warm: bool) -> Candidate:
@@ -296,7 +296,7 @@ def _on_one_clock(effect: Effect, began_s: float) -> Effect:
     return replace(effect, regressors=columns)
 
 
-def _general(offers: frozenset[str], gimbals: tuple[str, ...], count: int) -> list[Candidate]:
+def _general_dependences(offers: frozenset[str], gimbals: tuple[str, ...], count: int) -> list[Candidate]:
     """Return the candidates for general dependences, which are to prove that there is an effect, but not which.
 
     These are rate, direction, acceleration and time; temperature and gravity if ``offers`` has them; direction and

@@ -66,7 +66,7 @@ def investigate(
     runs, notes, faults = runs_of_all(recordings)
     held_back, more, _ = runs_of_all(verification, len(recordings))
     notes += [*more, *growth_notes([*runs, *held_back])]
-    _same(recordings, verification, runs, held_back)
+    _check_same_gyros(recordings, verification, runs, held_back)
     if held_back and _at_rest(runs) != _at_rest(held_back):
         still, turning = ("recordings", "verification run") if _at_rest(runs) else ("verification run", "recordings")
         raise InvestigationError(sentence("tracing.nothing_in_common", still=still, turning=turning))
@@ -78,7 +78,7 @@ def investigate(
     return _conclude(search, found, held_back, left_out, notes, faults, most_effects, verification)
 
 
-def _same(
+def _check_same_gyros(
     recordings: Sequence[Recording], verification: Sequence[Recording], runs: Sequence[Run], held_back: Sequence[Run]
 ) -> None:
     """Raise InvestigationError, with the difference, if a recording or verification run has other gyros than the first.
@@ -149,7 +149,10 @@ def _conclude(
     before, wider = borne_out.before, Augmented.of(evidence, [*certain, *doubtful], weight)
     terms = [part.term for part in certain if part.tone is None]
     between = between_recordings(search, terms)
-    fitted, verified = _left(search.runs, 0, before, after), _left(held_back, len(search.runs), before, after)
+    fitted, verified = (
+        _residuals_before_and_after(search.runs, 0, before, after),
+        _residuals_before_and_after(held_back, len(search.runs), before, after),
+    )
     unexplained = unexplained_of(fitted[1]) if opened.probability > CERTAIN else beyond_noise(search, found)
     if unexplained and _explained_by(search, terms, doubtful):
         unexplained = None
@@ -266,7 +269,7 @@ def _parts_notes(certain: Sequence[Part], taken_back: Sequence[str]) -> list[str
     return notes + [sentence("tracing.tone_phases", frequency_hz=part.candidate.theta) for part in loose]
 
 
-def _left(
+def _residuals_before_and_after(
     runs: Sequence[Run], first: int, before: Augmented, after: Augmented
 ) -> tuple[Residual | None, Residual | None]:
     """Return the residuals of runs under the models ``before`` and ``after``; (None, None) without runs.
@@ -291,7 +294,7 @@ def _visible(search: Search, found: Found) -> list[Part]:
     seen = []
     for part in found.parts:
         where = model.slice_of(part.candidate.name)
-        together = _together(model, where)
+        together = _sigmas_together(model, where)
         sd = np.sqrt(np.diagonal(model.covariance, axis1=1, axis2=2))[:, where]
         if float(np.abs(model.mean[:, where] / sd).max()) <= _VISIBLE and not _of_pieces(part):
             if together > _TOGETHER:  # its numbers are there, and none of them is known by itself
@@ -324,7 +327,7 @@ def _as_small_as_the_earth(search: Search, model: Augmented, part: Part) -> bool
     return part.candidate.effect.record.depends_on == "gravity" and largest <= EARTH_RATE_RPS
 
 
-def _together(model: Augmented, where: slice) -> float:
+def _sigmas_together(model: Augmented, where: slice) -> float:
     """Return by how many sigmas the numbers of an effect differ from zero together, in the gyro that shows it most.
 
     ``where`` is the place of the effect among the model's numbers. Each number beyond the first may be a sigma off by

@@ -79,12 +79,12 @@ def out_of_sample(runs: Sequence[Run], model: Augmented, shapes: NoiseShapes) ->
     orders = list(dict.fromkeys(run.order for run in runs))
     by_run = None
     if len(orders) > 1:
-        by_run = _predicted(evidence, terms, [_of_recordings(runs, [order]) for order in orders])
-    evidence, terms = together([_cut(run) for run in runs], model, shapes)
+        by_run = _log_gains_in_folds(evidence, terms, [_of_recordings(runs, [order]) for order in orders])
+    evidence, terms = together([_divided_at_steps(run) for run in runs], model, shapes)
     count = max(len(gyro.stretches) for gyro in evidence.gyros)
     if count < 2:
         return {}
-    steps = _predicted(evidence, terms, [_of_number(number) for number in range(count)])
+    steps = _log_gains_in_folds(evidence, terms, [_of_number(number) for number in range(count)])
     return {term.name: OutOfSample(None if by_run is None else by_run[term.name], steps[term.name]) for term in terms}
 
 
@@ -100,10 +100,10 @@ def confirmed(search: Search, certain: list[Part], held_back: Sequence[Run]) -> 
     while named := [part for part in certain if part.tone is None]:
         if held_back:
             evidence, terms = together(runs, Augmented.of(search.evidence, certain), search.evidence.shapes)
-            told = _predicted(evidence, terms, [_of_recordings(runs, orders)])
+            told = _log_gains_in_folds(evidence, terms, [_of_recordings(runs, orders)])
             worst = min(named, key=lambda part: told[part.term.name])
             if told[worst.term.name] >= _CONFIRMED:
-                grown = [part for part in named if not _lowered(search, certain, part, held_back)]
+                grown = [part for part in named if not _lowers_residual(search, certain, part, held_back)]
                 if not grown:
                     break
                 worst = min(grown, key=lambda part: told[part.term.name])
@@ -116,7 +116,7 @@ def confirmed(search: Search, certain: list[Part], held_back: Sequence[Run]) -> 
     return certain, taken_back
 
 
-def _lowered(search: Search, certain: Sequence[Part], part: Part, held_back: Sequence[Run]) -> bool:
+def _lowers_residual(search: Search, certain: Sequence[Part], part: Part, held_back: Sequence[Run]) -> bool:
     """Return whether an effect lowers the squared residual of the verification runs, over all gyros, beside the
     others.
     """
@@ -245,7 +245,7 @@ def _of_number(out: int) -> Fold:
     return lambda number, _: number == out
 
 
-def _predicted(evidence: Evidence, terms: Sequence[Term], folds: Sequence[Fold]) -> dict[str, float]:
+def _log_gains_in_folds(evidence: Evidence, terms: Sequence[Term], folds: Sequence[Fold]) -> dict[str, float]:
     """Return by effect the log of how much more probable it makes the data in the folds, beside the other effects.
 
     Each fold is predicted from all data outside it; the logs are summed over the folds.
@@ -264,7 +264,7 @@ def _gained(evidence: Evidence, terms: Sequence[Term]) -> dict[str, float]:
     return {term.name: both - evidence.of([t for t in terms if t is not term]) for term in terms}
 
 
-def _cut(run: Run) -> Run:
+def _divided_at_steps(run: Run) -> Run:
     """Return the run divided into further stretches of at least a fifth of its blocks, which begin where a step begins.
 
     What is left at the end is not cut off if it is less than half of that.

@@ -109,7 +109,7 @@ def _candidate(runs: Sequence[Run], law: str, kind: str, prior: float, *, whole:
         start = _STARTS[what or "share"] * (_range(runs, name) if name else 0.2)
     if not start[0] > 0:
         return None
-    varies = _largest(runs, law.format(c=f"{start[1]:.6g}"))
+    varies = _largest_coefficients(runs, law.format(c=f"{start[1]:.6g}"))
     largest = tuple(size for size in varies if size is not None)
     if not largest or (whole and len(largest) < len(varies)):
         return None
@@ -124,7 +124,7 @@ def _candidate(runs: Sequence[Run], law: str, kind: str, prior: float, *, whole:
     return Candidate.among(f"law: {law}", of, start, 1, log_prior=prior, range_log=range_log)
 
 
-def _largest(runs: Sequence[Run], law: str) -> list[float | None]:
+def _largest_coefficients(runs: Sequence[Run], law: str) -> list[float | None]:
     """Return for each term of a law the coefficient at which its largest rms in a run is 0.5 deg/s.
 
     None for a term that does not vary.

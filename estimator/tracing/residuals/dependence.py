@@ -82,7 +82,7 @@ def dependences(
     total = float(gram[rest, rest])
     found = []
     for variable, group in groups.items():
-        power, rank = _taken(gram, group.columns, group.beside, rest)
+        power, rank = _squares_explained(gram, group.columns, group.beside, rest)
         left = max(count - rank, 1.0)
         # So many columns explain so much of noise by chance: the rest is the dependence.
         chance = (rank + group.doubt) * max(total - power, 1e-12 * total) / left
@@ -96,7 +96,7 @@ def dependences(
     )
 
 
-def _taken(gram: Floats, columns: Columns, beside: Columns, rest: int) -> tuple[float, int]:
+def _squares_explained(gram: Floats, columns: Columns, beside: Columns, rest: int) -> tuple[float, int]:
     """Return the squares of the residual that columns explain beside others, and the number of independent columns.
 
     ``gram`` holds the products of all columns, of which ``rest`` is the residual. Columns of zeros do not count; (0.0,

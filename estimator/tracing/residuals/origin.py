@@ -77,7 +77,7 @@ def split_of(runs: Sequence[Run], rests: Sequence[Floats], model: Augmented) -> 
         axes = "one axis" if rank == 1 else f"{rank} axes"
         return None, sentence("tracing.too_few_gyros", gyros=count, plural="s" * (count > 1), axes=axes)
     sums = np.zeros((len(_BANDS), 3))
-    for stretch, rest in _together(runs, rests, names):
+    for stretch, rest in _common_stretches(runs, rests, names):
         white = cosines(rest / arw) * np.sqrt(stretch.length_s / shape_of(model, stretch))[:, None]
         squares = np.column_stack([(white @ left) ** 2, np.ones(len(white))])
         squares = np.add.reduceat(squares, [0, rank, count], axis=1)
@@ -87,10 +87,10 @@ def split_of(runs: Sequence[Run], rests: Sequence[Floats], model: Augmented) -> 
     sums = sums[sums[:, 2] >= _FEWEST_IN_BAND]
     if not len(sums):
         return None, "the gyros rarely measure at the same time"
-    return _judged(sums[:, :2], sums[:, 2:], np.array([rank, count - rank]), blocks), ""
+    return _split_from(sums[:, :2], sums[:, 2:], np.array([rank, count - rank]), blocks), ""
 
 
-def _judged(squares: Floats, blocks: Floats, parts: NDArray[np.intp], all_blocks: float) -> Split:
+def _split_from(squares: Floats, blocks: Floats, parts: NDArray[np.intp], all_blocks: float) -> Split:
     """Return the split for squares (bands, 2) of the common and the own part.
 
     ``blocks`` (bands, 1) are the coefficients in each band, ``parts`` the numbers of dimensions of both, ``all_blocks``
@@ -123,7 +123,9 @@ def _sense_axes(runs: Sequence[Run], model: Augmented, names: Sequence[str]) -> 
     return np.array([axes[name] for name in names])
 
 
-def _together(runs: Sequence[Run], rests: Sequence[Floats], names: Sequence[str]) -> list[tuple[Stretch, Floats]]:
+def _common_stretches(
+    runs: Sequence[Run], rests: Sequence[Floats], names: Sequence[str]
+) -> list[tuple[Stretch, Floats]]:
     """Return the stretches of recordings in which all gyros measure, with their residuals (b, n) in rad/s.
 
     ``rests`` are the residuals (b, m) of each run, ``names`` the n gyros. Single blocks in which a gyro is missing are

@@ -116,7 +116,7 @@ def residuals(
         gyro = _whitened(name, runs, models, first, left, regressors)
         if gyro is not None:
             for m in range(len(models)):
-                found[m].append(_judged(name, gyro, m, models, regressors, held_back))
+                found[m].append(_gyro_residual(name, gyro, m, models, regressors, held_back))
     splits = [split_of(runs, rest, model) for rest, model in zip(left, models, strict=True)]
     return [Residual(tuple(gyros), *split) for gyros, split in zip(found, splits, strict=True)]
 
@@ -159,7 +159,7 @@ def _whitened(
     return gyro if gyro.stretches else None
 
 
-def _judged(
+def _gyro_residual(
     name: str, gyro: _Gyro, m: int, models: Sequence[Augmented], regressors: Regressors, held_back: bool
 ) -> GyroResidual:
     """Return the residual of a gyro under model number ``m``: how large it is, how white, and what it depends on.

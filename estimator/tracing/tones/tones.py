@@ -53,10 +53,10 @@ def find_tone(runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequen
     """
     if any(run.by_another for run in runs):
         return None  # the reference moves with the body: a line in their difference may be of either
-    samples = [_steady(run, s) for run, s in zip(runs, samples, strict=True)]
+    samples = [_steady_samples(run, s) for run, s in zip(runs, samples, strict=True)]
     if min(len(s.t_s) for s in samples) < _FEWEST:
         return None
-    rests = [_left(run, s, p) for run, s, p in zip(runs, samples, predicted, strict=True)]
+    rests = [_less_prediction(run, s, p) for run, s, p in zip(runs, samples, predicted, strict=True)]
     even = [_evened(s.t_s, rest) for s, rest in zip(samples, rests, strict=True)]
     longest = max((len(values) for values, _ in even), default=0)
     period_s = min(period for _, period in even)
@@ -68,7 +68,7 @@ def find_tone(runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequen
         if abs(period / period_s - 1) > 1e-3:
             return None  # sources of different rates: each would need its own grid of frequencies
         power = np.abs(np.fft.rfft(values, size, axis=0)) ** 2 / len(rest)  # of the samples that there are
-        floor = _floor(power)
+        floor = _noise_floor(power)
         floors.append(floor)
         total += (power / floor).sum(axis=1)
     span_s = longest * period_s
@@ -118,8 +118,8 @@ def _coherent(
             parts.append(Samples(s.t_s[a:b], s.z_rps[a:b], s.names))
             part_rests.append(rest[a:b])
             part_variances.append(variance)
-    whole, squares, _ = _gain(_turning(found.frequency_hz, samples, rests), samples, variances, found.locked)
-    apart, more, _ = _gain(_turning(found.frequency_hz, parts, part_rests), parts, part_variances, False)
+    whole, squares, _ = _tone_gain(_turning(found.frequency_hz, samples, rests), samples, variances, found.locked)
+    apart, more, _ = _tone_gain(_turning(found.frequency_hz, parts, part_rests), parts, part_variances, False)
     chance = float(len(more) - len(squares))  # half the squares of chance: one for each pair of amplitudes
     return whole > _COHERENT * (apart - chance)
 
@@ -155,7 +155,7 @@ def fit_tone(found: ToneFound, runs: Sequence[Run], samples: Sequence[Samples], 
     count = {name: np.zeros(width) for name in names}
     squares = dict.fromkeys(names, 0.0)
     for number, (run, s, p) in enumerate(zip(runs, samples, predicted, strict=True)):
-        rest = _left(run, s, p)
+        rest = _less_prediction(run, s, p)
         turning = np.exp(-2j * np.pi * found.frequency_hz * s.t_s) @ rest
         at = 0 if found.locked else number
         for i, name in enumerate(s.names):
@@ -183,7 +183,7 @@ def without_tone(fit: ToneFit, samples: Sequence[Samples]) -> list[Samples]:
     return cleaned
 
 
-def _steady(run: Run, samples: Samples) -> Samples:
+def _steady_samples(run: Run, samples: Samples) -> Samples:
     """Return the samples of a run in full blocks outside ramps, where block means say enough of each sample.
 
     Blocks beside a ramp are left out, too. Without a table nothing is a ramp.
@@ -200,7 +200,7 @@ def _steady(run: Run, samples: Samples) -> Samples:
     return Samples(samples.t_s[inside], samples.z_rps[inside], samples.names)
 
 
-def _left(run: Run, samples: Samples, predicted: Floats) -> Floats:
+def _less_prediction(run: Run, samples: Samples, predicted: Floats) -> Floats:
     """Return the samples (n, m) less what a model gives, and less the mean of each piece without a gap.
 
     ``predicted`` (b, m) is what it gives for blocks, interpolated between those that are full.
@@ -234,7 +234,7 @@ def _evened(t_s: Floats, values: Floats) -> tuple[Floats, float]:
     return out, period_s
 
 
-def _floor(power: Floats) -> Floats:
+def _noise_floor(power: Floats) -> Floats:
     """Return the noise power (f, m) about each of f frequencies: the running median of ``power``, scaled to the
     mean.
     """
@@ -264,11 +264,11 @@ def _gain_at(
     variances: Sequence[Floats],
     locked: bool,
 ) -> tuple[float, list[float], list[float]]:
-    """Return the result of ``_gain`` at a frequency, whose waves ``turning`` gives."""
-    return _gain(turning(frequency_hz), samples, variances, locked)
+    """Return the result of ``_tone_gain`` at a frequency, whose waves ``turning`` gives."""
+    return _tone_gain(turning(frequency_hz), samples, variances, locked)
 
 
-def _gain(
+def _tone_gain(
     turning: Sequence[Waves], samples: Sequence[Samples], variances: Sequence[Floats], locked: bool
 ) -> tuple[float, list[float], list[float]]:
     """Return half the sum of the squares that a tone explains, and by amplitude the squares and the information.
@@ -296,7 +296,7 @@ def _peak(gain: Callable[[float], tuple[float, list[float], list[float]]], low: 
 def _log_evidence(squares: Floats, information: Floats) -> float:
     """Return the log evidence of amplitudes (cosine and sine each), averaged over the scales of their prior.
 
-    ``squares`` and ``information`` (n,) are as ``_gain`` returns them.
+    ``squares`` and ``information`` (n,) are as ``_tone_gain`` returns them.
     """
     largest = TONE.effect(frequency_hz=1.0).largest[0]
     values = []
