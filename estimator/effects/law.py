@@ -128,7 +128,7 @@ def in_words(law: str) -> str:
         about = " and ".join(VARIABLES[name][2] for name in variables_of(law))
         how = next((words for name, words in _MANY.items() if name in functions_of(law)), "terms")
         return f"bias that depends on {about} ({len(parsed(law))} {how})"
-    words = [_words(tree) for tree in parsed(law)]
+    words = [_in_words(tree) for tree in parsed(law)]
     return "bias proportional to " + " and to ".join(words)
 
 
@@ -147,12 +147,12 @@ def parsed(law: str) -> tuple[ast.expr, ...]:
             tree = ast.parse(term.strip(), mode="eval").body
         except (SyntaxError, RecursionError, ValueError):
             raise LawError(f"{term.strip()!r} is no term of a law") from None
-        _check(tree)
+        _check_grammar(tree)
         trees.append(tree)
     return tuple(trees)
 
 
-def _check(node: ast.expr) -> None:
+def _check_grammar(node: ast.expr) -> None:
     """Raise LawError if a syntax tree is not within the grammar of laws."""
     match node:
         case ast.Constant(value=int() | float()):
@@ -160,22 +160,22 @@ def _check(node: ast.expr) -> None:
         case ast.Name(id=name) if name in VARIABLES:
             return
         case ast.BinOp(op=ast.Mult() | ast.Div() | ast.Sub() | ast.Add()):
-            _check(node.left)
-            _check(node.right)
+            _check_grammar(node.left)
+            _check_grammar(node.right)
         case ast.BinOp(op=ast.Pow(), right=ast.Constant(value=int())):
-            _check(node.left)
+            _check_grammar(node.left)
         case ast.UnaryOp(op=ast.USub()):
-            _check(node.operand)
+            _check_grammar(node.operand)
         case ast.Call(func=ast.Name(id=name), args=[inner], keywords=[]) if name in _PLAIN:
-            _check(inner)
+            _check_grammar(inner)
         case ast.Call(func=ast.Name(id="last"), args=[inner], keywords=[]) if _names(inner):
-            _check(inner)
+            _check_grammar(inner)
         case ast.Call(
             func=ast.Name(id="lag" | "play" | "last"),
             args=[inner, ast.Constant(value=int() | float() as size)],
             keywords=[],
         ) if _names(inner) and 0 < size < np.inf:
-            _check(inner)
+            _check_grammar(inner)
         case _:
             raise LawError(f"{ast.unparse(node)!r} is not of the grammar of laws")
 
@@ -369,10 +369,10 @@ def _one_side(node: ast.expr, side: str) -> str:
     """Return in words the part of a value less a constant that is on one side of zero, "beyond" or "below" it."""
     match node:
         case ast.BinOp(left=left, op=ast.Sub(), right=ast.Constant(value=int() | float() as limit)):
-            return f"{_words(left)} {side} {limit:g}"
+            return f"{_in_words(left)} {side} {limit:g}"
         case ast.BinOp(left=left, op=ast.Add(), right=ast.Constant(value=int() | float() as limit)):
-            return f"{_words(left)} {side} {-limit:g}"
-    return f"{_words(node)} {side} 0"
+            return f"{_in_words(left)} {side} {-limit:g}"
+    return f"{_in_words(node)} {side} 0"
 
 
 _POWERS = {"2": "square", "3": "cube"}
@@ -390,7 +390,7 @@ _MANY = {"play": "plays", "expm1": "decays", "abs": "bends", "lag": "lags"}
 """What a law of many terms is made of, by a function that these have."""
 
 
-def _words(node: ast.expr) -> str:
+def _in_words(node: ast.expr) -> str:
     """Return a syntax tree in words; parts without words of their own as they are written."""
     match node:
         case ast.BinOp(
@@ -400,10 +400,10 @@ def _words(node: ast.expr) -> str:
         case ast.Name(id=name):
             return VARIABLES[name][2]
         case ast.Call(func=ast.Name(id=name), args=[inner, *numbers]):
-            return _CALLS.get(name, name + " of ({})").format(_words(inner), *map(ast.unparse, numbers))
+            return _CALLS.get(name, name + " of ({})").format(_in_words(inner), *map(ast.unparse, numbers))
         case ast.BinOp(left=left, op=ast.Mult() | ast.Div() as op, right=right):
-            return f"{_words(left)} {'times' if isinstance(op, ast.Mult) else 'over'} {_words(right)}"
+            return f"{_in_words(left)} {'times' if isinstance(op, ast.Mult) else 'over'} {_in_words(right)}"
         case ast.BinOp(left=left, op=ast.Pow(), right=right):
             power = ast.unparse(right)
-            return f"the {_POWERS.get(power, f'power {power}')} of the {_words(left)}"
+            return f"the {_POWERS.get(power, f'power {power}')} of the {_in_words(left)}"
     return ast.unparse(node)
