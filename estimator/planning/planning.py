@@ -140,8 +140,8 @@ def forecast(conditions: Conditions, devices: Sequence[PlannedDevice], effects: 
         _effect_forecast(effect, left[:, own, own], total[:, own], response[:, :, own], scale, sd)
         for effect, own in zip(effects, slices, strict=True)
     )
-    count, saturated = _steady(conditions)
-    return Forecast(gyros, forecasts, _pairs(forecasts, slices, left), count, saturated)
+    count, saturated = _different_steady_states(conditions)
+    return Forecast(gyros, forecasts, _imitating_pairs(forecasts, slices, left), count, saturated)
 
 
 def _information(conditions: Conditions, device: PlannedDevice, effects: Sequence[Effect]) -> list[Floats]:
@@ -196,11 +196,11 @@ def _unseen(covariance: Floats, scale: Floats) -> Floats:
     """Return directions (c, 4) of the states along which the posterior sigma stays above half the prior's."""
     values, vectors = np.linalg.eigh(covariance)
     # Where the scaled covariance has an eigenvalue of 1 the information is 0: an error along it changes nothing.
-    rows, leads = _reduced(vectors.T[values > UNSEEN**2])
+    rows, leads = _echelon_form(vectors.T[values > UNSEEN**2])
     return np.asarray(rows * scale / scale[leads][:, None])
 
 
-def _reduced(rows: Floats) -> tuple[Floats, list[int]]:
+def _echelon_form(rows: Floats) -> tuple[Floats, list[int]]:
     """Return the same span (c, n) of rows in echelon form, and the leading column of each row.
 
     A row has 1 in its leading column, and all others have 0 there. Small values become 0.
@@ -239,7 +239,7 @@ def _effect_forecast(
     return EffectForecast(effect, smallest, shift * scale, shift / sd)
 
 
-def _steady(conditions: Conditions) -> tuple[int, bool]:
+def _different_steady_states(conditions: Conditions) -> tuple[int, bool]:
     """Return the number of different rests and steady rates, and whether the states can absorb all of them.
 
     With no more of these than states that they determine, whatever is constant within each is absorbed, without
@@ -255,7 +255,7 @@ def _steady(conditions: Conditions) -> tuple[int, bool]:
     return len(levels), len(levels) <= rank
 
 
-def _pairs(forecasts: Sequence[EffectForecast], slices: Sequence[slice], left: Floats) -> tuple[Pair, ...]:
+def _imitating_pairs(forecasts: Sequence[EffectForecast], slices: Sequence[slice], left: Floats) -> tuple[Pair, ...]:
     """Return the pairs of visible effects of which one copies a parameter of the other by more than 0.9, worst first.
 
     ``slices`` are their places in ``left`` (g, E, E), the scaled information of g gyros with the states eliminated.
@@ -264,14 +264,14 @@ def _pairs(forecasts: Sequence[EffectForecast], slices: Sequence[slice], left: F
     pairs = []
     for number, (a, own_a) in enumerate(seen):
         for b, own_b in seen[number + 1 :]:
-            ways = (_copied(a, own_a, b, own_b, left), _copied(b, own_b, a, own_a, left))
+            ways = (_share_copied(a, own_a, b, own_b, left), _share_copied(b, own_b, a, own_a, left))
             worst = max(ways, key=lambda pair: pair.correlation)
             if worst.correlation > ALIKE:
                 pairs.append(worst)
     return tuple(sorted(pairs, key=lambda pair: -pair.correlation))
 
 
-def _copied(a: EffectForecast, own_a: slice, b: EffectForecast, own_b: slice, left: Floats) -> Pair:
+def _share_copied(a: EffectForecast, own_a: slice, b: EffectForecast, own_b: slice, left: Floats) -> Pair:
     """Return how well b, at plausible sizes, copies the parameter of a that it copies best, and in which gyro.
 
     ``own_a`` and ``own_b`` are their places in ``left`` (g, E, E), the scaled information of g gyros with the states
