@@ -61,7 +61,7 @@ def foreign_reference(reference: Measured, t_ns: Stamps, rows: Floats) -> Refere
     if reference.kind == "angle":
         return _encoder(reference.gimbal, t_ns, rows[:, 0])
     whole = np.asarray(np.isfinite(rows).all(axis=1))
-    keep = whole | _lost(t_ns, whole)
+    keep = whole | _in_long_gaps(t_ns, whole)
     return RateReadings(t_ns[keep], rows[keep])
 
 
@@ -74,7 +74,7 @@ def _encoder(gimbal: str, t_ns: Stamps, angle_rad: Floats) -> TableReadings:
     )
 
 
-def _lost(t_ns: Stamps, whole: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _in_long_gaps(t_ns: Stamps, whole: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return as flags (k,) which rows are in gaps between complete ones that are too long to be filled.
 
     ``whole`` (k,) marks complete rows. Gaps count from three usual steps and 150 ms on.

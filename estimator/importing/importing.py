@@ -94,7 +94,7 @@ def import_recording(mapping: Mapping, data_paths: Sequence[Path]) -> Imported:
             parts.append(part)
     if not parts:
         raise RecordingError("nothing to import: " + "; ".join(str(r) for r in refused))
-    recording, notes = _joined(mapping, parts, refused)
+    recording, notes = _joined_recording(mapping, parts, refused)
     return Imported(recording, tuple(refused), tuple(notes), len(data_paths) - len(parts))
 
 
@@ -125,12 +125,12 @@ def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused
         spans, left_out = turn_spans(mapping, reference, log, rate)
     # Logs of several devices have rows without this one; a gyro that is read too often repeats itself.
     own = np.flatnonzero(np.isfinite(rate[time.rows]).any(axis=1))
-    own = own[_new("the gyro", time.t_s[own], rate[time.rows[own]], notes)]
+    own = own[_new_rows("the gyro", time.t_s[own], rate[time.rows[own]], notes)]
     kept, odd = without_odd("gyro", time.t_s[own], rate[time.rows[own]], array.names)
     notes += [*_missing_notes(time.t_s[own]), *odd, *_coarse_notes(array.names, rate[time.rows[own]])]
     own = own[kept]
     rate, t_s = rate[time.rows[own]], time.t_s[own]
-    accel, warmth = _filled(log, own, accel, "accelerometer"), _filled(log, own, warmth, "temperature")
+    accel, warmth = _interpolated(log, own, accel, "accelerometer"), _interpolated(log, own, warmth, "temperature")
     if isinstance(reference, Rests):
         rests, left_out, found = rests_of(mapping, reference, log, own, rate, accel)
         known = t_s, rest_rates(rests, len(rate), mapping.site if reference.earth_rate else None)
@@ -159,7 +159,7 @@ def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused
     ), left_out
 
 
-def _new(what: str, t_s: Floats, values: Floats, notes: list[str]) -> NDArray[np.intp]:
+def _new_rows(what: str, t_s: Floats, values: Floats, notes: list[str]) -> NDArray[np.intp]:
     """Return the numbers of the rows at which values (rows, c) are new.
 
     All, unless values are held for several rows: then those that are not repetitions, with a note on ``what`` in
@@ -178,7 +178,7 @@ def _readings(reference: Measured, t_s: Floats, values: Floats, notes: list[str]
 
     What was left out is appended to ``notes``.
     """
-    fresh = _new("the reference", t_s, values, notes)
+    fresh = _new_rows("the reference", t_s, values, notes)
     t_s, values = t_s[fresh], values[fresh]
     turned = reference.kind == "angle"  # 359 deg after 0 is no spike
     kept, odd = without_odd("reference", t_s, np.hstack([np.cos(values), np.sin(values)]) if turned else values)
@@ -229,7 +229,7 @@ def _rows_beside(
         at = np.searchsorted(own.time.t_s + shift_s, stamped_s)
         other_s = t_s + own.time.other_s[at] - own.time.t_s[at]
         tried = [(gyros[0], (each_s, values)) for each_s in (t_s, other_s)]
-        (_, (t_s, values)), told_of = _settled(mapping, reference, own, gyros[1], tried)
+        (_, (t_s, values)), told_of = _decided_by_motion(mapping, reference, own, gyros[1], tried)
         notes[of_grid] = told_of or notes[of_grid]
     if apart := clocks_apart(outputs, body(), array.p, signed=signed):
         notes.append(apart.told(name, max(first, float(t_s[0]))))
@@ -240,7 +240,7 @@ def _rows_beside(
     return t_s, values
 
 
-def _settled(
+def _decided_by_motion(
     mapping: Mapping,
     reference: Measured,
     log: Log,
@@ -287,7 +287,7 @@ def _samples_settled(
 
     others_told_s = told_s if mapping.reference_file else others(told_s)
     tried = [(t_s, (told_s, values)), (others(t_s), (others_told_s, values))]
-    return _settled(mapping, reference, log, rate, tried)
+    return _decided_by_motion(mapping, reference, log, rate, tried)
 
 
 def _felt_beside(other: ReferenceFile, accelerometer: Columns, log: Log, rows: int, notes: list[str]) -> Floats:
@@ -356,7 +356,7 @@ def _missing_notes(t_s: Floats) -> list[str]:
     ]
 
 
-def _filled(log: Log, own: NDArray[np.intp], values: Floats | None, what: str) -> Floats | None:
+def _interpolated(log: Log, own: NDArray[np.intp], values: Floats | None, what: str) -> Floats | None:
     """Return values (rows, m) at the gyro's rows ``own``, with blanks interpolated in time; None for None.
 
     If one of these rows is blank, all are interpolated between complete rows. ``what`` names the values. RecordingError
@@ -374,7 +374,7 @@ def _filled(log: Log, own: NDArray[np.intp], values: Floats | None, what: str) -
     return np.column_stack([np.interp(at, t_s, column) for column in kept[whole].T])
 
 
-def _joined(mapping: Mapping, parts: list[_Part], refused: list[Refused]) -> tuple[Recording, list[str]]:
+def _joined_recording(mapping: Mapping, parts: list[_Part], refused: list[Refused]) -> tuple[Recording, list[str]]:
     """Return the recording of all files, one after the other with gaps of 10 s, and its notes.
 
     Signs and scales are taken from the data where the mapping says so. ``refused`` is noted in the attributes.

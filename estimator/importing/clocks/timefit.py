@@ -110,7 +110,7 @@ def fit_times(stamps_s: Floats, values: Floats, position: NDArray[np.int64] | No
             on_grid=True,
         )
     other_s = None
-    if (wandering := _wandering(t)) is not None:
+    if (wandering := _even_over_seconds(t)) is not None:
         t, text = wandering, f"even over seconds at {1 / np.median(np.diff(wandering)):.6g} Hz"
         text += "; the clock of the stamps wanders"
     else:
@@ -119,7 +119,7 @@ def fit_times(stamps_s: Floats, values: Floats, position: NDArray[np.int64] | No
         if behind > _BEHIND_SHARE:
             raise RecordingError(f"has stamps earlier than previous ones in {behind:.0%} of its rows: {_CHECK}")
         t, rows = t[~late], rows[~late]
-        other_s = _delivered(best, t, ~late)
+        other_s = _before_delivery(best, t, ~late)
         text = f"as stamped (uneven: off an even grid of {1 / best.period_s:.4g} Hz by {best.away:.1f} periods)"
         text += f", {late.sum()} rows skipped whose stamp does not increase" if late.any() else ""
     scatter_s = best.scatter * best.period_s if other_s is not None else 0.0
@@ -146,7 +146,7 @@ class _Grid:
     even: bool
 
 
-def _delivered(grid: _Grid, t: Floats, kept: NDArray[np.bool_]) -> Floats | None:
+def _before_delivery(grid: _Grid, t: Floats, kept: NDArray[np.bool_]) -> Floats | None:
     """Return the instants of evenly spaced samples if the stamps may be of their arrivals, else None.
 
     Arrivals scatter about a grid without leaving it; stamps of uneven sampling leave it. ``t`` are the stamps of the
@@ -191,7 +191,7 @@ def _grid(t: Floats, number: NDArray[np.int64]) -> _Grid | None:
     return _Grid(number, period, scatter, max(scatter, drift), even)
 
 
-def _wandering(t: Floats) -> Floats | None:
+def _even_over_seconds(t: Floats) -> Floats | None:
     """Return the instants (rows,) of samples that are even over seconds, but not for ever.
 
     ``t`` are the stamps. None if they are not even, overlap, or are fewer than 202.
