@@ -132,7 +132,7 @@ def fitted(readings: Readings, first: int, last: int) -> Ramp | None:
     if any(cut):
         starts = _polylines(readings, first, last, cut, 1) if window_s else iter(())
     else:
-        start = _start(t_s, angle_rad, rate_rps, first, last)
+        start = _start_parameters(t_s, angle_rad, rate_rps, first, last)
         if start is None:
             return None
         free = np.zeros(len(start), dtype=np.bool_)
@@ -178,7 +178,7 @@ def _misfit(ramp: Ramp, readings: Readings, first: int, last: int, sd: Floats) -
     """Return how far angles lie off a ramp, in sigmas rms: all of them or, if that is more, those within it."""
     t_s = readings[0]
     p = np.concatenate([ramp.t_s, ramp.rate_rps / ramp.scale, [ramp.angle_rad[0], ramp.scale]])
-    off = _weighed(p, readings, sd, np.inf)[0][: len(t_s)] ** 2
+    off = _weighed_deviations(p, readings, sd, np.inf)[0][: len(t_s)] ** 2
     near = (t_s > t_s[first] - 1e-9) & (t_s < t_s[last] + 1e-9)
     return float(np.sqrt(max(np.mean(off), np.mean(off[near]))))
 
@@ -325,7 +325,7 @@ def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, las
     for lap in range(_ROUNDS):
         tail = _TAIL if lap else np.inf
         if lap:
-            residual, jacobian, _ = _weighed(p, readings, sd, tail)
+            residual, jacobian, _ = _weighed_deviations(p, readings, sd, tail)
             if lap == 1 and np.mean(residual**2) > _HOPELESS**2:
                 return None
             # The accuracy of angles and rates is seen in their scatter, corrected for the number of fitted parameters.
@@ -334,7 +334,7 @@ def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, las
             squares, freedom = (one.reshape(2, -1).sum(axis=1) for one in (residual**2, 1 - taken))
             sd = np.clip(sd * np.sqrt(squares / np.maximum(freedom, 1e-9)), _LEAST_SD, most)
         for _ in range(_STEPS):
-            residual, jacobian, _ = _weighed(p, readings, sd, tail)
+            residual, jacobian, _ = _weighed_deviations(p, readings, sd, tail)
             rows = np.vstack([jacobian, np.diag(prior)])  # their products may be singular in floating point
             moved = np.linalg.lstsq(rows, np.concatenate([residual, prior * (start - p)]), rcond=None)[0]
             shortest = float(np.diff(p[:k]).min())
@@ -343,11 +343,11 @@ def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, las
                 return None
             if np.abs(moved).max() < _MOVES:
                 break
-    off = _weighed(p, readings, most, np.inf)[0] ** 2
+    off = _weighed_deviations(p, readings, most, np.inf)[0] ** 2
     near = np.tile((t_s > t_s[first] - 1e-9) & (t_s < t_s[last] + 1e-9), 2)
     if not max(float(np.mean(off)), float(np.mean(off[near]))) < _FITS**2:
         return None
-    residual, _, doubt = _weighed(p, readings, sd, _TAIL)
+    residual, _, doubt = _weighed_deviations(p, readings, sd, _TAIL)
     # A reading at a corner says nothing about a shorter ramp, whatever its slopes say about a longer one.
     shorter = p.copy()
     shorter[[0, k - 1]] += _INWARD * (p[k - 1] - p[0]) * np.array([1, -1]) * ~held[[0, k - 1]]
@@ -371,7 +371,7 @@ def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, las
     )
 
 
-def _weighed(p: Floats, readings: Readings, sd: Floats, tail: float) -> tuple[Floats, Floats, Floats]:
+def _weighed_deviations(p: Floats, readings: Readings, sd: Floats, tail: float) -> tuple[Floats, Floats, Floats]:
     """Return the deviations of readings from a ramp in sigmas (2 n,), their derivatives (2 n, parameters), the sigmas
     (2 n,).
 
@@ -396,7 +396,7 @@ def _weighed(p: Floats, readings: Readings, sd: Floats, tail: float) -> tuple[Fl
     return off / doubt, slopes / doubt[:, None], doubt
 
 
-def _start(t_s: Floats, angle_rad: Floats, rate_rps: Floats, first: int, last: int) -> Floats | None:
+def _start_parameters(t_s: Floats, angle_rad: Floats, rate_rps: Floats, first: int, last: int) -> Floats | None:
     """Return start parameters (corners, rates, angle, scale) suggested by the readings; None if there is no change.
 
     A change that goes up and down again has three corners, any other two.

@@ -60,7 +60,7 @@ def read_recording(path: Path | str, *, trusted: bool = False) -> Recording:
     if not trusted:
         recover(path)
         probe(path)
-    return _opened(path, _read)
+    return _read_opened(path, _recording_in)
 
 
 def read_attributes(path: Path | str) -> dict[str, Any]:
@@ -72,7 +72,7 @@ def read_attributes(path: Path | str) -> dict[str, Any]:
     path = Path(path)
     recover(path)
     probe(path)
-    return _opened(path, _attributes)
+    return _read_opened(path, _attributes)
 
 
 def file_format(path: Path | str) -> str:
@@ -82,10 +82,10 @@ def file_format(path: Path | str) -> str:
     """
     path = Path(path)
     probe(path)
-    return _opened(path, lambda _, file: str(plain(file.attrs.get("format", ""))))
+    return _read_opened(path, lambda _, file: str(plain(file.attrs.get("format", ""))))
 
 
-def _opened(path: Path, read: Callable[[Path, Any], T]) -> T:
+def _read_opened(path: Path, read: Callable[[Path, Any], T]) -> T:
     """Return ``read(path, file)`` for the opened file; RecordingError for any error."""
     try:
         with h5py.File(path, "r") as file:
@@ -107,7 +107,7 @@ def _attributes(path: Path, file: Any) -> dict[str, Any]:
     return attributes
 
 
-def _read(path: Path, file: Any) -> Recording:
+def _recording_in(path: Path, file: Any) -> Recording:
     """Return the recording in an open file, whose ``path`` is for messages.
 
     RecordingError if it is of another format, has no samples or no reference, holds invalid columns or needs too much

@@ -54,7 +54,7 @@ def recover(path: Path) -> None:
             _check_owner(path, os.fstat(file.fileno()))
             if not lock(file, alone=False):
                 raise RecordingError(f"{path} is still being written: its run has not ended")
-            _log.warning(_fold(path, journal, file))
+            _log.warning(_fold_in_journal(path, journal, file))
     except RecordingError:
         raise
     except FileNotFoundError:
@@ -72,7 +72,7 @@ def _check_owner(path: Path, journal: os.stat_result) -> None:
         raise ValueError(sentence("recordings.other_owner", path=path.name))
 
 
-def _fold(path: Path, journal: Path, file: BinaryIO) -> str:
+def _fold_in_journal(path: Path, journal: Path, file: BinaryIO) -> str:
     """Replace the recording by one with the journal's content; return in words what was done.
 
     ValueError for a journal that is not used; RecordingError if nothing can be written.
@@ -86,16 +86,16 @@ def _fold(path: Path, journal: Path, file: BinaryIO) -> str:
         part.unlink(missing_ok=True)  # of a recovery that was killed itself
         told = f"{path}: its run did not end; {found.write(part, file)}"
         told += "; damaged or unknown parts of the journal were skipped" * found.damaged
-        if readable and _holds(path, part):
+        if readable and _holds_all_of(path, part):
             told = f"{path}: its run did not end properly; the file already holds everything in its journal"
         elif readable and found.damaged and not _is_longer(part, path):
             raise ValueError(sentence("recordings.no_more", path=path.name))
-        elif readable and _continues(path, part):
+        elif readable and _holds_more_than(path, part):
             told = f"{path}: its run did not end properly; the file holds more samples than its journal"
             found.add_to_copy(path, part, told)
             part.replace(path)
         else:
-            if path.exists() and not (readable and _holds(part, path, names_only=True)):
+            if path.exists() and not (readable and _holds_all_of(part, path, names_only=True)):
                 kept = _free_name(path.with_name(f"{path.name}.before"))
                 told += f"; the previous content was saved as {kept.name}"
                 path.replace(kept)
@@ -123,7 +123,7 @@ def _is_readable(path: Path) -> bool:
         return False
 
 
-def _holds(path: Path, other: Path, *, names_only: bool = False) -> bool:
+def _holds_all_of(path: Path, other: Path, *, names_only: bool = False) -> bool:
     """Return whether a recording begins with all rows of another, and has all of its groups and attributes.
 
     ``names_only``: values of attributes may differ. The attribute of a recovery does not count.
@@ -164,7 +164,7 @@ def _is_longer(path: Path, other: Path) -> bool:
         return any(len(before.get(f"imu/{name}/t_ns", ())) < count for name, count in counts.items())
 
 
-def _continues(path: Path, other: Path) -> bool:
+def _holds_more_than(path: Path, other: Path) -> bool:
     """Return whether a recording has all samples of another and more, and all of them were really written.
 
     After a power cut a file may count rows that never reached the disk: they read as zeros.
