@@ -97,7 +97,7 @@ class Aligner:
                 # Instants known much worse than this reading's are not used.
                 known = np.array([r.half_width_ns <= 2 * state.half_width_ns + _WELL_NS for r in own])
                 known[index + 2 :] = False
-                rates[column] = _smooth(times[known], series[known])
+                rates[column] = _cubic_at_zero(times[known], series[known])
             else:
                 rates[column] = np.interp(0.0, times, series)
             between_ns = at_ns - state.angle_t_ns
@@ -106,7 +106,7 @@ class Aligner:
         return [TableRow(at_ns, angles, rates, half_width_ns, window_ns)]
 
 
-def _smooth(times_ns: Floats, rates: Floats) -> float:
+def _cubic_at_zero(times_ns: Floats, rates: Floats) -> float:
     """Return the rate at time 0, or at the nearest end, by the cubic through the last four readings (Lagrange).
 
     Of readings (n,) at nearly the same time only the last counts; with fewer the polynomial is of lower degree.
