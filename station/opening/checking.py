@@ -188,7 +188,7 @@ async def _check_table(opened: OpenBench, device: OpenDevice, time_scale: float)
                     elsewhere if status.enabled else f"axis {axis} turns at {dps:.2f} deg/s. Stop it first"
                 )
         if orders and enabled:
-            check.wrong += await _others(table, bench.table.gimbals, orders, time_scale)
+            check.wrong += await _commands_of_others(table, bench.table.gimbals, orders, time_scale)
         slow = sum(axis.round_trip_s for axis in check.axes)
         if slow * bench.table.poll_rate_hz > 1:
             check.wrong.append(sentence("check.too_slow", slow_ms=slow * 1e3, poll_rate_hz=bench.table.poll_rate_hz))
@@ -222,7 +222,7 @@ async def _orders(table: Turntable, axes: Sequence[str]) -> dict[str, Mapping[st
     return {axis: await table.orders(axis) for axis in axes} if isinstance(table, TellsOrders) else {}
 
 
-async def _others(
+async def _commands_of_others(
     table: Turntable, axes: Sequence[str], told: Mapping[str, Mapping[str, float]], time_scale: float
 ) -> list[str]:
     """Return sentences about commands that drives got from another master within a second; empty if there were none.
@@ -262,7 +262,7 @@ async def _check_imu(opened: OpenBench, device: OpenDevice, time_scale: float) -
         async with asyncio.timeout(_OPEN_S * max(time_scale, 1.0)):
             await source.open()
             check.identity = await source.identify()
-        blocks = await _listen(source, LISTEN_S * max(time_scale, 1.0))
+        blocks = await _blocks_received(source, LISTEN_S * max(time_scale, 1.0))
     if check.wrong:
         return check
     silent = [name for name in source.names if not sum(len(block.t_ns) for block in blocks.get(name, []))]
@@ -273,7 +273,7 @@ async def _check_imu(opened: OpenBench, device: OpenDevice, time_scale: float) -
         check.wrong += [complaint, _LOOK_AT_IMU]
     for name in source.names:
         if name not in silent:
-            source_check = _source(source, name, blocks[name], time_scale)
+            source_check = _source_check(source, name, blocks[name], time_scale)
             check.sources.append(source_check)
             check.wrong += _complaints(config, source_check, _counted(blocks[name]))
     return check
@@ -286,7 +286,7 @@ _OF_KIND: Mapping[str, Callable[[OpenBench, OpenDevice, float], Awaitable[Device
 """What looks at the devices of a kind, where a kind has more to show than who it is and what it appends."""
 
 
-async def _listen(source: ImuSource, duration_s: float) -> dict[str, list[ImuBlock]]:
+async def _blocks_received(source: ImuSource, duration_s: float) -> dict[str, list[ImuBlock]]:
     """Return the blocks of each source received within ``duration_s``, held ones included."""
     blocks: dict[str, list[ImuBlock]] = {}
     try:
@@ -300,7 +300,7 @@ async def _listen(source: ImuSource, duration_s: float) -> dict[str, list[ImuBlo
     return blocks
 
 
-def _source(source: ImuSource, name: str, blocks: Sequence[ImuBlock], time_scale: float) -> SourceCheck:
+def _source_check(source: ImuSource, name: str, blocks: Sequence[ImuBlock], time_scale: float) -> SourceCheck:
     """Return rate, losses, jitter, temperature and mean rates of one source; NaN for a gyro without a valid rate.
 
     ``time_scale`` is how fast the loop's clock runs: the jitter is in real time.

@@ -73,7 +73,7 @@ def simulate(
     sources: dict[str, ImuData] = {}
     reference: TableReadings | None = None
     for index, (name, device) in enumerate(devices.items()):
-        mounting, truth = mounts[name] if mounts is not None else _own(device)
+        mounting, truth = mounts[name] if mounts is not None else _stated_truth(device)
         run = direct_run(
             moves,
             script.least_s,
@@ -144,7 +144,7 @@ def simulate_bench(bench: Bench, script: Script, seed: int) -> Recording:
     return replace(recording, attributes={"bench": bench.text, "seed": seed, "script": script.name})
 
 
-def _own(device: DeviceTruth) -> tuple[Mounting, GyroTruth]:
+def _stated_truth(device: DeviceTruth) -> tuple[Mounting, GyroTruth]:
     """Return the mounting and the truth that a device states itself."""
     mounting = mounted(MOUNTS_DEG[device.kind]) if device.kind else None
     k, b_rps, sigma_j, sigma_k = device.states.T
