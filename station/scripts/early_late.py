@@ -38,7 +38,7 @@ def early_and_late(script: Script, limits: Mapping[str, AxisLimits], gimbals: Se
     if not script.span.is_exact or any(not step.turns and not step.rest_s for step in script.steps):
         return None
     for sign in (-1, 1):
-        offered = _twice(script, limits, sign)
+        offered = _early_and_late(script, limits, sign)
         if offered is None:
             continue
         try:
@@ -51,14 +51,14 @@ def early_and_late(script: Script, limits: Mapping[str, AxisLimits], gimbals: Se
     return None
 
 
-def _twice(script: Script, limits: Mapping[str, AxisLimits], sign: int) -> Script | None:
+def _early_and_late(script: Script, limits: Mapping[str, AxisLimits], sign: int) -> Script | None:
     """Return a script with the steps in half of their time, a rest, and the same steps with their angles times
     ``sign``.
 
     With ``sign`` 1 the axes go home before the rest. Moves cannot be faster; their extra time is taken from the rests.
     None if that is too much, if a turn would be too short for its ramps, or if nothing moves.
     """
-    before, between, after = _parts(script.steps)
+    before, between, after = _around_motion(script.steps)
     halves = [step.halved(limits) for step in between]
     once = [step for step in halves if step is not None]
     if not once or len(once) < len(halves):
@@ -102,7 +102,7 @@ def _moves_home(steps: Sequence[Step]) -> list[Move]:
     return found
 
 
-def _parts(steps: Sequence[Step]) -> tuple[tuple[Rest, ...], tuple[Step, ...], tuple[Rest, ...]]:
+def _around_motion(steps: Sequence[Step]) -> tuple[tuple[Rest, ...], tuple[Step, ...], tuple[Rest, ...]]:
     """Return the rest before the first motion, the steps from the first to the last motion, and the rest after.
 
     Each rest is a single one of at most 10 s, or none. All are empty if nothing moves.

@@ -124,8 +124,8 @@ def next_script(
     for script in sorted(possible, key=lambda script: script.least_s):
         if script.least_s > most_s:
             break
-        after = before + _Grams.of(_foreseen(script, [*past, *judging], gimbals, site), effects, origin_s)
-        probability = min(_settled(own, before, after, sizes) for own in contests)
+        after = before + _Grams.of(_foreseen_conditions(script, [*past, *judging], gimbals, site), effects, origin_s)
+        probability = min(_probability_separated(own, before, after, sizes) for own in contests)
         if best is None or probability > best.probability + 0.01:
             best = NextScript(script, probability, tuple(sets))
         if probability >= SETTLED:
@@ -174,7 +174,7 @@ class _Grams:
         own = {name: slice(a, b) for name, (a, b) in zip(effects, pairwise(edges), strict=True)}
         for run in runs:
             c = run.conditions
-            seen, keep = _since(c, c.t_s[0] if origin_s is None else origin_s)
+            seen, keep = _conditions_since(c, c.t_s[0] if origin_s is None else origin_s)
             states = np.column_stack([np.ones(len(c.t_s)), c.w_rps])
             for gyro, gyro_map in enumerate(regressor_maps(run.array)):
                 columns = [states @ (gyro_map.T * np.sqrt(run.prior.variances()))]
@@ -223,7 +223,7 @@ def _size(shown: _Grams, name: str, evidence: float) -> float:
     return float(min(2 * max(evidence, _LEAST_EVIDENCE) / max(np.trace(total), 1e-12), 1.0))
 
 
-def _settled(names: Sequence[str], before: _Grams, after: _Grams, sizes: Mapping[str, float]) -> float:
+def _probability_separated(names: Sequence[str], before: _Grams, after: _Grams, sizes: Mapping[str, float]) -> float:
     """Return the probability that the true effect among ``names`` is separated from all others, each equally likely.
 
     ``before`` is the information so far, ``after`` that with a further run; ``sizes`` are the squares of likely sizes
@@ -234,12 +234,15 @@ def _settled(names: Sequence[str], before: _Grams, after: _Grams, sizes: Mapping
     for true, other in permutations(names, 2):
         if true == _NOTHING:
             continue
-        (seen, spared), (new_seen, new_spared) = _apart(before, true, other), _apart(after, true, other)
+        (seen, spared), (new_seen, new_spared) = (
+            _misfit_and_freedom(before, true, other),
+            _misfit_and_freedom(after, true, other),
+        )
         chances[true] = min(chances[true], _decision_probability(sizes[true] * (new_seen - seen), new_spared - spared))
     return float(np.mean(list(chances.values())))
 
 
-def _apart(grams: _Grams, true: str, other: str) -> tuple[float, float]:
+def _misfit_and_freedom(grams: _Grams, true: str, other: str) -> tuple[float, float]:
     """Return the squared misfit that ``other`` leaves of ``true`` at its largest plausible size, and a log of freedom.
 
     The latter is how much more freedom ``other`` has: a model that could explain more is less probable.
@@ -274,7 +277,7 @@ def _origin_s(past: Sequence[Past]) -> float | None:
     return min(span[0] for own in spans.values() for span in own)
 
 
-def _foreseen(script: Script, past: Sequence[Past], gimbals: Sequence[str], site: Site | None) -> list[Past]:
+def _foreseen_conditions(script: Script, past: Sequence[Past], gimbals: Sequence[str], site: Site | None) -> list[Past]:
     """Return the predicted conditions of each source during ``script``, 15 s after its last recording.
 
     The temperature goes on as it was; the noise and prior are those of that recording.
@@ -313,7 +316,7 @@ def _with_own_bias(gram: Floats, share: float) -> Floats:
     return np.asarray(gram - np.outer(bias, bias) * (share**2 / (1 + share**2 * bias[1])))
 
 
-def _since(conditions: Conditions, origin_s: float) -> tuple[Conditions, slice]:
+def _conditions_since(conditions: Conditions, origin_s: float) -> tuple[Conditions, slice]:
     """Return conditions that begin at ``origin_s``, for laws of time, and the slice of their rows that are the given
     ones.
 
