@@ -46,7 +46,7 @@ def run_all(
     """
     results: list[R | None] = [None] * len(items)
     reasons: dict[int, str] = {}
-    with closing(_ends(work, items, scheduler, workers)) as ends, _Bar(label, len(items), quiet) as bar:
+    with closing(_results_as_they_end(work, items, scheduler, workers)) as ends, _Bar(label, len(items), quiet) as bar:
         for ended in ends:
             if ended.reason is None:
                 results[ended.index] = ended.value
@@ -56,7 +56,7 @@ def run_all(
     return results, [Failure(name_of(items[i]), reasons[i]) for i in sorted(reasons)]
 
 
-def _ends(
+def _results_as_they_end(
     work: Callable[[T], R], items: Sequence[T], scheduler: str | None, workers: int | None
 ) -> Generator[Ended[R]]:
     """Yield the result of each item as it ends: from the cluster, from processes, or computed here.

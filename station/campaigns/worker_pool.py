@@ -54,8 +54,8 @@ def one_line(error: BaseException) -> str:
 
 def run_in_processes(work: Callable[[T], R], items: Sequence[T], count: int) -> Generator[Ended[R]]:
     """Yield how each item ended, as they end, from ``count`` processes; closing the iterator stops them."""
-    first = _round(work, items, range(len(items)), count)
-    return with_second_try(first, lambda suspects: _round(work, items, suspects, 1))
+    first = _results_of_round(work, items, range(len(items)), count)
+    return with_second_try(first, lambda suspects: _results_of_round(work, items, suspects, 1))
 
 
 def with_second_try(
@@ -78,7 +78,9 @@ def with_second_try(
         yield from second
 
 
-def _round(work: Callable[[T], R], items: Sequence[T], indices: Sequence[int], count: int) -> Generator[Ended[R]]:
+def _results_of_round(
+    work: Callable[[T], R], items: Sequence[T], indices: Sequence[int], count: int
+) -> Generator[Ended[R]]:
     """Yield the results of the items at ``indices`` from ``count`` new processes, as they end.
 
     The processes are stopped at the end, also if it is ended early.
@@ -87,19 +89,19 @@ def _round(work: Callable[[T], R], items: Sequence[T], indices: Sequence[int], c
     do = partial(_done, pickle.dumps(work))
     # Spawned: no state of this process, threads and locks least of all.
     spawn = multiprocessing.get_context("spawn")
-    with _one_blas_thread(), ProcessPool(count, context=spawn, initializer=_begin) as pool:
+    with _one_blas_thread(), ProcessPool(count, context=spawn, initializer=_begin_worker) as pool:
         try:
             with _without_ctrl_c():
                 places: dict[Future[Ended[bytes]], int] = {
                     pool.schedule(do, args=(index, items[index])): index for index in indices
                 }
             for future in as_completed(places):
-                yield _taken(places[future], future)
+                yield _result_of(places[future], future)
         finally:
             pool.stop()  # type: ignore[no-untyped-call]
 
 
-def _taken(index: int, future: Future[Ended[bytes]]) -> Ended[Any]:
+def _result_of(index: int, future: Future[Ended[bytes]]) -> Ended[Any]:
     """Return the result of the finished ``future`` of item number ``index``.
 
     A failure with the reason if its process died, or the result could not be pickled or unpickled.
@@ -121,7 +123,7 @@ def _done(packed: bytes, index: int, item: object) -> Ended[bytes]:
         os._exit(1)
 
 
-def _begin() -> None:
+def _begin_worker() -> None:
     """Prepare a process of the pool: own process group, no Ctrl-C, an orderly end on SIGTERM and with its parent,
     plug-ins.
     """
