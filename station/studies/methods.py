@@ -91,7 +91,7 @@ def six_position(pairs: Sequence[tuple[Observations, Observations]], array: Sens
 
 def direct_observation(w_rps: Floats, y_rps: Floats, array: SensorArray) -> BaselineEstimate:
     """Observe the three table rates, pinv(P) y, alone: n gyros are seen through three numbers a sample."""
-    return _through(w_rps, y_rps, array, table_rates(array))
+    return _through_transform(w_rps, y_rps, array, table_rates(array))
 
 
 def augmented_observation(w_rps: Floats, y_rps: Floats, array: SensorArray) -> BaselineEstimate:
@@ -100,7 +100,7 @@ def augmented_observation(w_rps: Floats, y_rps: Floats, array: SensorArray) -> B
     Both together are an invertible transform of the n outputs.
     """
     rates = table_rates(array)
-    return _through(w_rps, y_rps, array, np.vstack([rates, _null_rows(rates)]))
+    return _through_transform(w_rps, y_rps, array, np.vstack([rates, _null_rows(rates)]))
 
 
 def table_rates(array: SensorArray) -> Floats:
@@ -125,7 +125,7 @@ def unseen_directions(array: SensorArray, transform: Floats) -> Floats:
     return np.array(directions).reshape(-1, len(array), 4)
 
 
-def _through(w_rps: Floats, y_rps: Floats, array: SensorArray, transform: Floats) -> BaselineEstimate:
+def _through_transform(w_rps: Floats, y_rps: Floats, array: SensorArray, transform: Floats) -> BaselineEstimate:
     """Estimate all 4 n states together from ``transform`` (m, n) of the output error, weighted for its noise.
 
     ``w_rps`` (N, 3) are body rates, ``y_rps`` (N, n) the outputs. States that it does not show are NaN, as are their

@@ -42,7 +42,7 @@ def print_paper(study: PaperStudy, *, details: bool = False) -> None:
 
     With ``details`` also the errors of each gyro and heading, and what is inconsistent or wrong in the paper.
     """
-    shown: list[Shown] = [(_means(study), {}), *list_of("What this shows", paper_findings(study))]
+    shown: list[Shown] = [(_table_of_means(study), {}), *list_of("What this shows", paper_findings(study))]
     if details:
         shown += [(_errors_by_gyro(study), {}), (_errors_by_heading(study), {})]
         shown += list_of("Inconsistent in the paper", inconsistencies(study.bias_bound_dps))
@@ -52,7 +52,7 @@ def print_paper(study: PaperStudy, *, details: bool = False) -> None:
     print_all(stdout(), shown)
 
 
-def _means(study: PaperStudy) -> Table:
+def _table_of_means(study: PaperStudy) -> Table:
     """Return the table of mean relative errors: as printed, to the letter, of this station, and the bound."""
     earth = np.array([errors.linear for errors in study.headings.values()])
     printed = {
