@@ -153,7 +153,11 @@ def parsed(law: str) -> tuple[ast.expr, ...]:
 
 
 def _check_grammar(node: ast.expr) -> None:
-    """Raise LawError if a syntax tree is not within the grammar of laws."""
+    """Raise LawError if a syntax tree is not within the grammar of laws.
+
+    That is numbers, known variables, + - * /, whole powers, a minus sign, functions of one argument, and lag, play and
+    last of an expression with a variable, with a positive constant (last also without).
+    """
     match node:
         case ast.Constant(value=int() | float()):
             return
@@ -286,7 +290,10 @@ def _compiled(node: ast.expr) -> Compiled:
 
 
 def _call(name: str, inner: Compiled, numbers: Sequence[float]) -> Compiled:
-    """Return a law's function ``name``, with its constants ``numbers``, applied to a compiled argument."""
+    """Return a law's function ``name``, with its constants ``numbers``, applied to a compiled argument.
+
+    lag and play need one constant, last has one or none, all others none.
+    """
     match name, numbers:
         case "lag", [lag_s]:
             return lambda known: follow(inner(known), np.exp(-known.steps_s / float(lag_s)))

@@ -55,9 +55,10 @@ def read_table(path: Path, file_format: FileFormat, wanted: Wanted) -> Table:
 
 
 def _decoded(raw: bytes, wanted: Wanted) -> str:
-    """Return the text of a file in UTF-16 (with its mark), UTF-8 or, if a wanted column is found only then, Latin-1.
+    """Return the text of a file in UTF-16 (with its mark), else UTF-8, or Latin-1 if a wanted column is not found in
+    that.
 
-    Bytes that are no text of the encoding are replaced.
+    Only names with characters beyond ASCII are looked for. Bytes that are no text of the encoding are replaced.
     """
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return raw.decode("utf-16", errors="replace")

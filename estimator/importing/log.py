@@ -27,7 +27,9 @@ class Log:
 
     @property
     def notes(self) -> list[str]:
-        """Notes on its lines and stamps."""
+        """Notes of its table, and on skipped lines, duplicate rows and an unusual step of its samples, as far as there
+        are any.
+        """
         table, notes = self.table, [*self.table.notes]
         if table.skipped_lines:
             lines = "line is" if table.skipped_lines == 1 else "lines are"
@@ -74,8 +76,8 @@ def _all_times(
     """Return the instants of the rows ``read``, from stamps or a sample rate, fixed or a variable of the file.
 
     ``position`` (rows,) numbers all rows, lost ones included; ``values`` (rows, c) are the measured columns.
-    RecordingError if stamps are invalid, of another number than the rows, or implausibly far apart, or the rate is not
-    positive.
+    RecordingError if stamps are invalid, of another number than the rows, or implausibly close or far apart, or the
+    rate is not positive.
     """
     if timing.stamps is not None:
         stamps = table.values(timing.stamps, "[time] column")[:, 0]

@@ -124,7 +124,10 @@ def look(path: Path) -> Look:
 
 
 def _column(file: _File, name: str) -> Column:
-    """Return the description of one column: its first values, its span, and what it is guessed to be."""
+    """Return the description of one column: its first values, its span, and what it is guessed to be.
+
+    A column of texts has the number of different ones as its span, and may be labels if these are few.
+    """
     if name in file.numbers:
         values = file.numbers[name]
         first = ", ".join(f"{v:.6g}" for v in values.ravel()[:_SHOWN])

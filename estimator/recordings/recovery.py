@@ -230,7 +230,11 @@ class _Found:
             raise ValueError("it is damaged, or not a journal: it holds no samples")
 
     def _take(self, entry: Entry) -> bool:
-        """Store the attributes of an entry, or count its samples; return whether it fits the entries before it."""
+        """Store the attributes of an entry, or count its samples; return whether it fits the entries before it.
+
+        Attributes of a group do not fit after its rows. Of the recording itself, those of the first entry are kept,
+        too.
+        """
         kind, group, values = entry
         if kind == ATTRIBUTES:
             if group in self._shapes:

@@ -103,7 +103,10 @@ class AcutrolAxisTwin:
         return math.floor(angle / TURN * counts + 0.5) / counts * 360.0
 
     def read(self, what: str) -> float:
-        """Return the measured position (deg) or rate (deg/s), or for any other word the acceleration (deg/s2)."""
+        """Return the measured position (deg) or rate (deg/s), or for any other word the acceleration (deg/s2).
+
+        The position is from 0 to 360 if the axis is wrapped.
+        """
         if what == "position":
             return self.angle_deg() % 360.0 if self._wrapped else self.angle_deg()
         if what == "rate":

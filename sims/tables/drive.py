@@ -127,7 +127,11 @@ class Drive:
             self._operate(word, rising, (word ^ before) & _HALT)
 
     def _walk(self, word: int) -> None:
-        """Change state by the bits 0 to 3 of the controlword (CiA 402 transitions 2 to 12 and 16)."""
+        """Change state by the bits 0 to 3 of the controlword (CiA 402 transitions 2 to 12 and 16).
+
+        A word that leads nowhere from the present state changes nothing. Quick stop brakes an enabled axis and releases
+        any other.
+        """
         state = self._state
         if not word & 0x02:  # disable voltage
             self._release(DriveState.SWITCH_ON_DISABLED)

@@ -53,7 +53,11 @@ class GalilAxisTwin:
             self._moving, self._stop_code = False, self._end
 
     def get(self, word: str) -> float:
-        """Return the value that a command or operand reports; Refused for an unknown one."""
+        """Return the value that a command or operand reports, in counts and counts/s; Refused for an unknown one.
+
+        TV is a mean over the window of velocity, TE one more than its limit once the following error has tripped, else
+        0. TD and TT are 0.
+        """
         if word in ("TP", "DP"):
             return self._position()
         if word == "TV":

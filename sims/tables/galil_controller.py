@@ -81,7 +81,10 @@ class GalilController(LineController):
         self._write(f"{text}\r\n:".encode() if text else b":")
 
     def _command(self, command: str) -> str:
-        """Carry out a command and return its answer, empty if it has none; Refused if it fails."""
+        """Carry out a command and return its answer, empty if it has none.
+
+        An empty command does nothing; Refused if it is unknown, or if what carries it out refuses it.
+        """
         if not command:
             return ""
         if command == _REVISION:

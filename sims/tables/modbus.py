@@ -89,9 +89,10 @@ class DriveRegisters:
             return _exception(pdu, ExcCodes.DEVICE_FAILURE)
 
     def _carry_out(self, function: int, data: bytes) -> bytes:
-        """Return the data of the reply, after checking function code, quantity, address, value in the specified order.
+        """Return the data of the reply to a request: the words read, or for a write its first four bytes.
 
-        Refused with the exception code if a check fails.
+        Checked are function code, quantity, address and value in the specified order; Refused with the exception code
+        if a check fails.
         """
         if function == READ:
             address, count = _unpacked(">HH", data)

@@ -41,7 +41,11 @@ class NodeFaults:
     _last: Floats | None = None
 
     def times_to_send(self) -> int:
-        """Return how often to send the present sample: 0 (also while silent), 1 or 2 times, drawn at random."""
+        """Return how often to send the present sample: 0, 1 or 2 times, drawn at random by the shares ``dropped`` and
+        ``doubled``.
+
+        0 while silent, 1 without these faults; then nothing is drawn.
+        """
         if self.silent:
             return 0
         if not self.dropped and not self.doubled:

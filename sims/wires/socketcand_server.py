@@ -38,7 +38,10 @@ class SocketcandSession:
             self._obey(words)
 
     def _obey(self, words: list[str]) -> None:
-        """Carry out a command and answer it; an unknown or untimely one is counted and answered with an error."""
+        """Carry out a command and answer it, except the sending of a frame, which is not answered.
+
+        An unknown or untimely one, or another channel's, is counted and answered with an error.
+        """
         name = words[0] if words else ""
         if name == "echo":
             self._write(b"< echo >")

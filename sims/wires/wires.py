@@ -310,7 +310,10 @@ class _Tcp:
         self._keep(asyncio.get_running_loop().create_task(self._serve(reader, writer)))
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Pass received bytes to the device until the station leaves."""
+        """Pass received bytes to the device until the station leaves, of which the device is then told.
+
+        It is not told if another station has connected meanwhile.
+        """
         with suppress(OSError):
             while data := await reader.read(_READ):
                 self.received(data)

@@ -59,8 +59,10 @@ def run_all(
 def _results_as_they_end(
     work: Callable[[T], R], items: Sequence[T], scheduler: str | None, workers: int | None
 ) -> Generator[Ended[R]]:
-    """Yield the result of each item as it ends: from the cluster, from processes, or computed here.
+    """Yield the result of each item as it ends: from the cluster ``scheduler``, from ``workers`` processes, or computed
+    here.
 
+    Without ``workers`` there are as many as cores; a single one, or a single item, is computed here, in order.
     UsageError if plug-in files are in use on a cluster.
     """
     if scheduler is not None:

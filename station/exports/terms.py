@@ -91,7 +91,10 @@ class Terms:
 
 
 def terms_of(compensation: Compensation) -> Terms:
-    """Return the terms of a compensation; effects of the same name get numbered tables."""
+    """Return the terms of a compensation, with their values by gyro; effects of the same name get numbered tables.
+
+    An effect without a law has an empty expression.
+    """
     terms, places = [], 0
     for place, held in enumerate(compensation.effects):
         twice = any(other.name == held.name for other in compensation.effects[:place])

@@ -70,9 +70,8 @@ class Dialogue:
         return self.ask(question, "yes" if proposed else "no", one_of).lower().startswith("y")
 
     def _read(self, prompt: str) -> str:
-        """Return a line of stdin, asked for by ``prompt`` and echoed if stdin is not a terminal.
-
-        EndedError if there is none or it cannot be read.
+        """Return a line of stdin after ``prompt``, printed again if stdin is not a terminal; EndedError if none can be
+        read.
         """
         if sys.stdin is None:  # started with a closed one
             raise EndedError

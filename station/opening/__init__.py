@@ -239,7 +239,7 @@ def _other_driver(config: DeviceConfig, twins: Twins, time_scale: float) -> Open
 
 
 async def _imu_driver(imu: ImuConfig, twins: Twins, time_scale: float) -> OpenImu:
-    """Return the driver of a device under test, with its link counted."""
+    """Return the driver of a device under test, or of its twin, with its link counted; the link is not yet open."""
     spec = imu.spec
     link: Any
     if imu.link == TWIN:

@@ -69,7 +69,10 @@ def can_address(link: str, device: str) -> tuple[str, str, dict[str, Any]]:
 
 
 def _serial(url: SplitResult, link: str, device: str, baud: int) -> SerialPort:
-    """Return the serial port of a link, with ``baud`` as its default rate; BenchError for an invalid link or option."""
+    """Return the serial port of a link, with ``baud`` as its default rate, no parity and one stop bit by default.
+
+    BenchError, which names ``device``, for another kind of link, and an unknown or invalid option.
+    """
     options = {key: values[0] for key, values in parse_qs(url.query).items()}
     port = url.path if url.scheme == "serial" else link.partition("?")[0]
     if url.scheme not in ("serial", "socket", "rfc2217") or not (url.path or url.netloc) or not port:

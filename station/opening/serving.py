@@ -97,7 +97,11 @@ class Serving:
         return await (self._tcp(device, make, 0) if self._twins.wire(device) == "tcp" else self._pty(device, make))
 
     async def _bus(self, imu: ImuConfig) -> str:
-        """Serve a device on its own CAN bus; return its link. DeviceError if the bus cannot be opened."""
+        """Serve a device on its own CAN bus, of the kind that its wire has; return its link.
+
+        udp_multicast gets a free port; any other wire that is no adapter's is the link itself. DeviceError if the bus
+        cannot be opened.
+        """
         wire = self._twins.wire(imu.name)
         if wire == "slcan":
             return await self._slcan(imu)

@@ -64,7 +64,9 @@ class Host:
         self._blind = False
 
     async def __aenter__(self) -> Self:
-        """Create the socket under a hidden name; UsageError if that fails or the system has no Unix sockets."""
+        """Create the socket under a hidden name, not yet serving; UsageError if that fails or the system has no Unix
+        sockets.
+        """
         if not hasattr(socket, "AF_UNIX"):
             raise UsageError("--host: this system has no Unix sockets")
         self._path = socket_folder() / f"{os.getpid()}.sock"

@@ -134,7 +134,10 @@ class ManualSequencer(Sequencer):
                 await self._word.wait()
 
     async def _obey(self, step: Move) -> None:
-        """Carry out a move while it is wanted, then halt the axis unless it arrived; a refusal is only reported."""
+        """Carry out a move while it is wanted, then halt the axis unless it arrived; a refusal is only reported.
+
+        An endless move is a jog. The recording gets the move as a step.
+        """
         loop, axis = asyncio.get_running_loop(), step.axis
         from_rad = self._target_rad[axis]
         way_s = abs((step.angle_rad - from_rad) / step.rate_rps)

@@ -160,7 +160,10 @@ class Monitor:
         return self.sequencer.label if self.sequencer is not None and self.phase is Phase.RUNNING else ""
 
     def brief(self) -> Snapshot:
-        """Return a snapshot with the values for a progress bar only."""
+        """Return a snapshot for a progress bar: phase, step, times, counts of samples and the mean NIS.
+
+        Before the script begins nothing is done and all that is planned is left.
+        """
         counts = [self.counts(imu.source, name) for imu in self._open.imus for name in imu.source.names]
         sequencer = self.sequencer
         done_s, left = sequencer.times(asyncio.get_running_loop().time()) if sequencer else (0.0, self.planned)
@@ -217,7 +220,10 @@ class Monitor:
             )
 
     def _source_snapshots(self, now_s: float) -> Iterator[SourceSnapshot]:
-        """Yield the state of each source at ``now_s``; NaN where nothing is known yet."""
+        """Yield the state of each source at ``now_s``: rate, counts, latency, jitter, temperature, link.
+
+        NaN where nothing is known yet.
+        """
         for imu in self._open.imus:
             for name in imu.source.names:
                 counts = self.counts(imu.source, name)
@@ -255,7 +261,10 @@ class Monitor:
         return (self._rows[name] - marks[0].rows) / span_s if span_s > 0 else math.nan
 
     def _gyro_snapshots(self) -> Iterator[GyroSnapshot]:
-        """Yield the state of each gyro by the live filter; NaN where nothing is known yet."""
+        """Yield the state of each gyro by the live filter, with its latest rate and the rate expected of it.
+
+        NaN where nothing is known yet.
+        """
         w_rps = self._live.body_rate(self.row) if self.row else np.full((1, 3), np.nan)
         for name, source in self._live.sources.items():
             x, states, sd = source.recent()

@@ -98,7 +98,10 @@ def judge_recorded(
 
 
 def _until_then(judged: Verdict) -> str:
-    """Return in words how the data of an incomplete run compare with the limits."""
+    """Return in words how the data of an incomplete run compare with the limits, by its verdict ``judged``.
+
+    They exceed them (FAIL, with the first), were estimated without limits to compare with (ESTIMATED), or are within.
+    """
     if judged.outcome is Outcome.FAIL:
         first = judged.broken[0].broken if judged.broken else judged.reason
         more = f", and {len(judged.broken) - 1} more limits exceeded" if len(judged.broken) > 1 else ""

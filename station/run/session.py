@@ -413,8 +413,11 @@ class Session:
         )
 
     def _verdict_of(self, error: BaseException) -> Verdict:
-        """Return the verdict for an error: of a device first, else of the estimator, a stop, this computer, or a
-        defect.
+        """Return the verdict for an error or group of errors: FAULT by a device's, else by the estimator's, else
+        ABORTED.
+
+        ABORTED are a stop, a failure of this computer and a defect of the station. A fault of the table is shown as its
+        state, and untrue readings are noted.
         """
         errors = list(leaves(error))
         for device_error in errors:
@@ -447,8 +450,11 @@ class Session:
 
 
 def _attributes(bench: OpenBench, script: Script, options: RunOptions) -> dict[str, Any]:
-    """Return the attributes of the recording: software, bench, script, devices, operator, clock; the outcome is ABORTED
-    so far.
+    """Return the attributes of the recording: software, bench, script, devices, operator, clock; empty ones are left
+    out.
+
+    The outcome is ABORTED so far. In virtual time an identity made of all that takes the place of the clock, so that
+    equal runs are equal.
     """
     config = bench.bench
     links = [axis.link or config.table.link for axis in config.table.axes.values()]

@@ -81,7 +81,10 @@ class Aligner:
         return state.angle_t_ns if state.rate_window_ns else state.rate_t_ns
 
     def _row(self, index: int) -> list[TableRow]:
-        """Return the row of reading number ``index`` in a list, empty if its rates are not known yet."""
+        """Return the row of reading number ``index`` in a list, with angles and rates of all axes at one instant.
+
+        Empty before the first reading is noted, or if the window over which its rates are means begins before that.
+        """
         at_ns, states = self._at_ns(index), self._readings[index].values()
         half_width_ns, window_ns = (max(getattr(s, key) for s in states) for key in ("half_width_ns", "rate_window_ns"))
         if self._since_ns is None or (window_ns and at_ns - window_ns < self._since_ns):

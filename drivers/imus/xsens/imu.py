@@ -214,7 +214,11 @@ class XsensImu(XbusDevice):
             raise BadReply(self._device, f"it sends no RateOfTurn, only {sent}; {_LET_CONFIGURE}")
 
     def _timing_by(self, samples: mtdata2.Samples) -> "_Timing":
-        """Return a clock that uses SampleTimeFine, else PacketCounter; BadReply if ``samples`` have neither."""
+        """Return a clock that uses SampleTimeFine, else PacketCounter, as far as ``samples`` have them; it adds to the
+        device's counts.
+
+        BadReply if they have neither.
+        """
         if samples.has(mtdata2.SAMPLE_TIME_FINE):
             ticks = max(round(1 / (mtdata2.SAMPLE_TIME_TICK_S * self._rate_hz)), 1)
             clock = CounterClock(mtdata2.SAMPLE_TIME_TICK_S, mtdata2.SAMPLE_TIME_MODULUS, ticks, counts=self._counts)

@@ -235,7 +235,7 @@ def _tcp_heads(request: bytes) -> Iterator[bytes]:
 
 
 def _difference(frame: bytes, head: bytes) -> str:
-    """Return in words the first difference between a frame and the awaited head."""
+    """Return in words the first field in which a frame differs from the awaited head; else that its data do."""
     if frame[:2] != head[:2]:
         return "transaction numbers that were not requested. Does a gateway change them?"
     for name, start, end in _FIELDS[: None if head[7] == READ else -1]:

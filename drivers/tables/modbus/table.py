@@ -364,8 +364,9 @@ class ModbusTable(Table):
             await asyncio.sleep(_POLL_S)
 
     async def _fault_text(self, axis: str, statusword: int) -> str:
-        """Return the state and ``statusword`` of an axis in words, with the drive's error code if it has a register for
-        it.
+        """Return the state and ``statusword`` of an axis in words, with the drive's error code.
+
+        Without the code if the profile has no register for it, or the drive refuses to read it.
         """
         state = cia402.state_of(statusword)
         text = f"axis {axis} is in {state.text if state else 'no known state'} (statusword 0x{statusword:04X}"

@@ -68,7 +68,10 @@ def clocks_apart(gyros: Turned, body: Turned, p: Floats, *, signed: bool) -> Clo
     centre_s = np.bincount(number, at_s) / np.bincount(number)
 
     def left(delay_s: Floats | float) -> Floats:
-        """Return the mean squared residuals (windows,) of the outputs if the reference is read later by ``delay_s``."""
+        """Return the mean squared residuals (windows,) of the outputs if the reference is read later by ``delay_s``.
+
+        If signs are known, an output of opposite sign has no part explained.
+        """
         rates = body.means(edges[:-1] + delay_s, edges[1:] + delay_s) @ p.T
         total = np.zeros(windows)
         for u, y in zip(rates.T, outputs.T, strict=True):
