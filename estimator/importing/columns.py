@@ -123,8 +123,8 @@ def _read_mat(path: Path, wanted: Sequence[str]) -> Table:
 def by_rows(columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """Return arrays with samples along their first dimension, (n,) or (n, width), however they are stored.
 
-    The number of samples is the longest side of the largest array. Arrays with it along another side are turned; arrays
-    without it stay as they are.
+    The number of samples is the longest side of any array. Arrays with it along another side only are turned, and
+    further dimensions joined; arrays without it stay as they are.
     """
     rows = max((max(values.shape, default=1) for values in columns.values()), default=1)
     found = {}

@@ -347,7 +347,11 @@ def _rate_unit(file: _File, names: Sequence[str]) -> tuple[str, str]:
 
 
 def _gyro(file: _File, names: Sequence[str] | None) -> str:
-    """Return the table [gyro] for the columns ``names``, with placeholders for None; the guess is noted in the file."""
+    """Return the table [gyro] for the columns ``names``, with placeholders for None, and for the size of a count if no
+    unit is found.
+
+    The guess is noted in the file.
+    """
     if names is None:
         return '[gyro]\ncolumns = ["?", "?", "?"]\nunit = "deg/s"'
     unit, how = _rate_unit(file, names)

@@ -348,8 +348,8 @@ def _sent_hz(t_ns: Stamps, arrival_ns: Stamps, counts: SourceCounts, counted: bo
 
 
 def _complaints(config: ImuConfig, check: SourceCheck, counted: bool) -> Iterator[str]:
-    """Yield what is wrong with a source that sends: its rate, losses, invalid rates, or rates that are too large at
-    rest.
+    """Yield what is wrong with a source that sends: its rate, else losses; and gyros with invalid rates, or too large
+    ones at rest.
 
     ``counted``: its samples carry a count or clock; without, losses may explain a wrong rate.
     """
