@@ -68,7 +68,9 @@ def load_file(path: Path) -> ModuleType:
         return known
 
     def run() -> ModuleType:
-        """Execute the file as module ``name`` and return it; ImportError if it is not a Python file."""
+        """Execute the file as module ``name``, with its text for later, and return it; ImportError if it is not a
+        Python file.
+        """
         spec = spec_from_file_location(name, path)
         if spec is None or spec.loader is None:
             raise ImportError("it is not a Python file")

@@ -278,7 +278,11 @@ def _is_url(url: str) -> bool:
 
 
 def _why_not(url: str, error: Exception) -> str:
-    """Return in words why a port could not be opened, and what to do about it."""
+    """Return in words why a port could not be opened, and what to do about it.
+
+    ``error`` is what pyserial raised: an invalid url, a port in use, a converter that does not answer, a right that is
+    missing, or else probably a missing port.
+    """
     text = str(error)
     if isinstance(error, ValueError):
         return f"{text}; write a device such as /dev/ttyUSB0, socket://host:port or rfc2217://host:port"

@@ -134,8 +134,9 @@ def in_words(law: str) -> str:
 
 @lru_cache(4096)
 def parsed(law: str) -> tuple[ast.expr, ...]:
-    """Return the terms of a law, separated by semicolons, as syntax trees; LawError for anything outside the
-    grammar.
+    """Return the terms of a law, separated by semicolons, as syntax trees.
+
+    LawError for anything outside the grammar, and for a law that is no text, empty or too long.
     """
     if not isinstance(law, str) or not law.strip() or len(law) > _MOST_CHARACTERS:
         raise LawError(f"{law!r}: a law is a text of 1 to {_MOST_CHARACTERS} characters")

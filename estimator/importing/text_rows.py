@@ -204,7 +204,10 @@ def _heading(name: str, lines: Lines, file_format: FileFormat, wanted: Wanted) -
 
 
 def _heading_hint(lines: Lines, file_format: FileFormat, wanted: Wanted, missing: list[str], best: list[str]) -> str:
-    """Return what to change if columns are missing: delimiter, spelling, columns or rate_hz; "" if unknown."""
+    """Return what to change if columns are ``missing``: delimiter, spelling, columns or rate_hz; "" if unknown.
+
+    ``best`` are the names of the line that has most of the wanted ones.
+    """
     for written, mark in _DELIMITERS.items():
         other = replace(file_format, delimiter=mark)
         if any(set(wanted.all) <= set(_fields(_bare(line), other)) for _, line in lines[:_PREAMBLE_LINES]):

@@ -214,7 +214,9 @@ def _next_mark(file: BinaryIO, at: int) -> tuple[int, int]:
 
 
 def _entries(payload: bytes) -> list[Entry | None]:
-    """Return the entries of an intact record; None for each invalid one."""
+    """Return the entries of an intact record; None for each invalid one, and a single None if it is no list of
+    entries.
+    """
     try:
         entries = msgpack.unpackb(payload, ext_hook=_unpacked, strict_map_key=False)
     except Exception:  # anybody may have made the bytes; msgpack raises ValueError, TypeError and more

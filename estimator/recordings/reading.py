@@ -86,7 +86,9 @@ def file_format(path: Path | str) -> str:
 
 
 def _read_opened(path: Path, read: Callable[[Path, Any], T]) -> T:
-    """Return ``read(path, file)`` for the opened file; RecordingError for any error."""
+    """Return ``read(path, file)`` for the opened file; RecordingError if it cannot be read, or is laid out
+    differently.
+    """
     try:
         with h5py.File(path, "r") as file:
             return read(path, file)
@@ -97,7 +99,10 @@ def _read_opened(path: Path, read: Callable[[Path, Any], T]) -> T:
 
 
 def _attributes(path: Path, file: Any) -> dict[str, Any]:
-    """Return the attributes of an open recording; RecordingError for another format or a newer version."""
+    """Return the attributes of an open recording as plain values; ``path`` is for messages.
+
+    RecordingError for another format, no version or a newer one.
+    """
     attributes = {key: plain(value) for key, value in file.attrs.items()}
     if attributes.get("format") != FORMAT:
         raise RecordingError(sentence("recordings.no_recording", path=path, format=FORMAT))

@@ -146,7 +146,10 @@ def _holds_all_of(path: Path, other: Path, *, names_only: bool = False) -> bool:
 
 
 def _begins_with(rows: h5py.Dataset, others: h5py.Dataset) -> bool:
-    """Return whether the first rows of a dataset are all those of another, bit by bit."""
+    """Return whether the first rows of a dataset are all those of another, bit by bit, and types and widths are equal.
+
+    A dataset without rows must be equal.
+    """
     if not others.shape or not rows.shape:
         return bool(rows.shape == others.shape and np.array_equal(rows[()], others[()]))
     if rows.dtype != others.dtype or rows.shape[1:] != others.shape[1:] or len(rows) < len(others):

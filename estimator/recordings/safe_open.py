@@ -69,7 +69,7 @@ class _Prober:
             return wrong
 
     def _ready(self) -> subprocess.Popen[str]:
-        """Return the running process, a new one if there is none."""
+        """Return the running process that probes files; start one if there is none, or if it has ended."""
         if self._child is None or self._child.poll() is not None:
             self._end()
             self._child = subprocess.Popen(

@@ -170,8 +170,9 @@ class RecordingWriter:
         self.append_rows(group, {**stamps, field_name: np.array([raw], dtype=f"S{TEXT_BYTES}"), **more})
 
     def write_journal(self) -> None:
-        """Write all new entries to the journal, from any thread; RecordingError if that fails. Nothing without a
-        journal.
+        """Write all new entries to the journal, from any thread, with attributes first and rows of a group joined.
+
+        RecordingError if that fails. Nothing without a journal or new entries.
         """
         with self._noting:
             entries, self._unwritten = self._unwritten, []
@@ -303,7 +304,10 @@ def _joined(blocks: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[A
 
 
 def write_recording(path: Path | str, recording: Recording) -> None:
-    """Write a complete recording, such as an imported one; RecordingError if the file exists or cannot be written."""
+    """Write a complete recording, such as an imported one: site, reference, sources and series of other devices.
+
+    RecordingError if the file exists or cannot be written.
+    """
     writer = RecordingWriter(Path(path), recording.attributes)
     try:
         if recording.site is not None:
@@ -373,7 +377,7 @@ def _changing(path: Path, wanted_bytes: int) -> Iterator[Any]:
 
 @contextmanager
 def _told_of(path: Path) -> Iterator[None]:
-    """Turn write errors of HDF5 within this context into RecordingError."""
+    """Turn errors of HDF5 and the system within this context into RecordingError, which names ``path`` and says why."""
     try:
         yield
     except (OSError, RuntimeError) as error:  # HDF5 has both

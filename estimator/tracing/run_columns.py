@@ -42,7 +42,10 @@ class RunColumns:
         return columns * candidate.effect.largest[:, None]
 
     def _worked_out(self, candidate: Candidate) -> Floats:
-        """Return a candidate's columns (gyros, p, rows), or (1, p, rows), per unit of its parameters."""
+        """Return a candidate's columns (gyros, p, rows) per unit of its p parameters, as weighted cosine coefficients.
+
+        (1, p, rows) if they are alike for all gyros, which is not so where Earth rate is in them.
+        """
         run = self.run
         alike = candidate.alike and run.earth_rps is None
         gyros = range(1 if alike else len(run.array))

@@ -163,10 +163,11 @@ class Scan:
         return self._width(candidate.theta, lambda theta: self.gain(at(candidate, theta)), _FIRST_STEP)
 
     def _width(self, theta: float, gain: Callable[[float], float], first: float) -> float:
-        """Return the distance from ``theta``, where ``gain`` is largest, at which the gain falls by one half; at most
+        """Return the distance from ``theta``, where ``gain`` is largest, at which the gain falls by 0.5; at most
         ``theta``.
 
-        The search begins at the share ``first`` of ``theta`` and doubles the distance.
+        The search begins at the share ``first`` of ``theta`` and doubles the distance until the mean of both sides
+        falls by more; a parabola then gives the distance.
         """
         top = gain(theta)
         step = first * theta

@@ -95,7 +95,7 @@ class VectorNavDevice:
             self._tick, self._last = int(ticks[-1]), rows[-1]
 
     def received(self, data: bytes) -> None:
-        """Reply to each command completed by ``data``, and with a checksum error to each damaged one."""
+        """Reply to each command completed by ``data``, and after these with a checksum error to each damaged one."""
         damaged = self._decoder.bad_sentences
         for command in self._decoder.feed(data):
             if isinstance(command, vectornav.Sentence):

@@ -93,7 +93,7 @@ class XsensDevice:
                 self._answer(messages.mid, request)
 
     async def serve(self) -> None:
-        """Send until cancelled; the gyros keep sampling while nothing is sent."""
+        """Send in bursts while measuring, until cancelled; the gyros keep sampling while nothing is sent."""
         loop = asyncio.get_running_loop()
         start, burst, sent = loop.time(), burst_of(self._rate_hz), 0
         while True:

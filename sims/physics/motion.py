@@ -51,7 +51,9 @@ class AxisMotion:
         return first.angle_rad, first.rate_rps
 
     def angles(self, t_s: Floats) -> Floats:
-        """Return the angle at each instant (n,), in ascending order or not."""
+        """Return the angle in rad at each instant (n,) in s, in ascending order or not; at the first angle before all
+        motion.
+        """
         out = np.full(len(t_s), self._segments[0].angle_rad)
         first_s = t_s.min()
         for segment, following in zip(self._segments, [*self._segments[1:], None], strict=True):

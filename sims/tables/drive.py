@@ -52,7 +52,11 @@ class Drive:
         self._watchdog.heard(self._state is DriveState.OPERATION_ENABLED)
 
     def read(self, register: str) -> float:
-        """Return the present value of a register; KeyError for one that the profile does not have."""
+        """Return the present value of a register; KeyError for one that the profile does not have.
+
+        Status, position, rate, error and interlock are those of the table now; any other register holds what was
+        written.
+        """
         self._update()
         readers: dict[str, Callable[[], float]] = {
             "statusword": self._statusword,
@@ -210,7 +214,10 @@ class Drive:
         self._homing = False
 
     def _update(self) -> None:
-        """Apply events since the last call: a trip, the end of a fault reaction, the end of homing."""
+        """Apply events since the last call: a trip, the end of a fault reaction, the end of homing.
+
+        A trip ends homing. At its end the encoder is zero.
+        """
         motion = self._table.motion[self._axis]
         settled = motion.settled(self._table.clock())
         if self._axis in self._table.tripped:

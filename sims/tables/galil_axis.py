@@ -181,7 +181,9 @@ class GalilAxisTwin:
         self.motor_off = True
 
     def _jog(self) -> None:
-        """Turn at the rate of JG, up to the soft limit if one is set."""
+        """Turn at the rate of JG, up to the soft limit in that direction if one is set; then its stop code is the
+        limit's.
+        """
         rate = self._settings["JG"]
         self._way = int(math.copysign(1, rate)) if rate else 0
         limit = self._settings["FL"] if rate > 0 else self._settings["BL"]

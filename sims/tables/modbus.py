@@ -184,7 +184,10 @@ class ModbusRtu:
         self._silence: asyncio.TimerHandle | None = None
 
     def received(self, data: bytes) -> None:
-        """Collect bytes from the master; serve a complete frame at once, anything else after the silence."""
+        """Collect bytes from the master; serve a complete, sound frame at once, anything else after the silence.
+
+        Only the last bytes are kept, one more than the longest frame has.
+        """
         if self._silence is not None:
             self._silence.cancel()
         self._buffer = (self._buffer + data)[-_LONGEST_FRAME - 1 :]
@@ -196,7 +199,10 @@ class ModbusRtu:
             self._silence = self._loop.call_later(self._silence_s, self._serve)
 
     def _serve(self) -> None:
-        """Carry out the frame received and reply if it is addressed to a unit; damaged frames are dropped."""
+        """Carry out the frame received and reply if it is addressed to a unit.
+
+        A broadcast is carried out by all and gets no reply; damaged frames, and those for other units, are dropped.
+        """
         frame, self._buffer = self._buffer, b""
         if not _is_sound(frame):
             return

@@ -30,7 +30,10 @@ class LineDevice:
         self._line, self._too_long = b"", False
 
     def received(self, data: bytes) -> None:
-        """Add bytes and handle each line that they complete; characters beyond ``longest`` are dropped and noted."""
+        """Add bytes and handle each line that they complete; characters beyond ``longest`` are dropped and noted.
+
+        Those in ``skipped`` are ignored.
+        """
         for byte in data:
             if byte in self.ends:
                 line, self._line = self._line, b""

@@ -277,7 +277,7 @@ class _Tcp:
         return str(name[0]), int(name[1])
 
     def unplug(self) -> None:
-        """Reset the connection and stop listening."""
+        """Reset the connection, of which the device is told, and stop listening; nothing if neither is there."""
         if self._server is not None:
             self._server.close()
             self._server = None

@@ -174,7 +174,7 @@ def _distributed() -> Any:
 
 
 def _check_address(address: str) -> None:
-    """Raise UsageError unless ``address`` is tcp://HOST:PORT."""
+    """Raise UsageError unless ``address`` is tcp://HOST:PORT, without a path."""
     try:
         parts = urlsplit(address)
         whole = bool(parts.scheme == "tcp" and parts.hostname and parts.port) and not parts.path

@@ -69,7 +69,10 @@ def _refused(port: str, path: Path) -> Finding:
 
 
 def _held_by_others(port: str, path: Path, root: Path) -> Iterator[Finding]:
-    """Yield each other program that has the port open, as far as this user may see."""
+    """Yield each other program that has the port open, as far as this user may see.
+
+    ``path`` is the port's in the file system whose root is ``root``.
+    """
     device = path.stat().st_rdev
     for process in sorted((root / "proc").glob("[0-9]*")):
         if process.name == str(os.getpid()):

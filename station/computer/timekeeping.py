@@ -36,7 +36,7 @@ def look_at_power_saving(root: Path = Path("/")) -> Iterator[Finding]:
     """Yield that processors run at their lowest frequency, and that the computer is on battery; nothing if neither is
     so.
 
-    ``root`` is the root of the file system to look at.
+    Where intel_pstate is at work, powersave does not mean that. ``root`` is the root of the file system to look at.
     """
     governors = set()
     for path in sorted((root / "sys/devices/system/cpu").glob("cpu[0-9]*/cpufreq/scaling_governor")):

@@ -172,7 +172,10 @@ def file_sha256(path: Path) -> str:
 
 
 def raw_sha256(path: Path) -> str:
-    """Return the hash of the measured data, by ``RAW_RULE``: estimates and attributes do not change it."""
+    """Return the hash of the measured data, by ``RAW_RULE``: names and numbers of their datasets in order of name.
+
+    Estimates and attributes do not change it.
+    """
     found = hashlib.sha256()
     with h5py.File(path, "r") as file:
         names: list[str] = []

@@ -151,7 +151,7 @@ def law_terms(law: str, names: Mapping[str, str], call: Callable[[str, str, str]
     """
 
     def written(node: ast.expr) -> str:
-        """Return a syntax tree as text for a C-like program; small integer powers become products."""
+        """Return a syntax tree as text for a C-like program; squares and cubes of variables become products."""
         match node:
             case ast.Constant(value=int() | float() as value):
                 return number(float(value))

@@ -61,7 +61,10 @@ class Dialogue:
         return _meant(self.ask(question, proposed, one_of), options)[0]
 
     def agrees(self, question: str, proposed: bool) -> bool:
-        """Return whether the answer is yes; y, ye, n and so on are accepted."""
+        """Return whether the answer is yes; y, ye, n and so on are accepted, and anything else is asked again.
+
+        ``proposed`` is the answer by default.
+        """
 
         def one_of(answer: str) -> None:
             if not answer or not any(word.startswith(answer.lower()) for word in ("yes", "no")):

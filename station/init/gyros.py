@@ -95,7 +95,9 @@ def _ask_geometry(dialogue: Dialogue, kind: str, count: int = 0) -> tuple[Data, 
 
 
 def _direction(text: str) -> list[float]:
-    """Return three numbers as a unit vector; UsageError if they are none, or all zero."""
+    """Return three numbers, separated by blanks or commas, as a unit vector; UsageError if they are none, or all
+    zero.
+    """
     try:
         x, y, z = (float(part) for part in re.split(r"[\s,]+", text.strip()))
     except ValueError:

@@ -52,7 +52,10 @@ def ask_table(dialogue: Dialogue, links: Links, folder: Path, protocol: str, lin
 
 
 def _axes(spec: TableSpec, names: Sequence[str]) -> dict[str, Data]:
-    """Return the proposed axes by name; addresses are assigned in the order of the names, x first."""
+    """Return the proposed axes by name, with usual limits; addresses are assigned in the order of the names, x first.
+
+    Axes beyond the protocol's addresses get the last one; without addresses all axes are alike.
+    """
     order, last = sorted(names), len(spec.addresses) - 1
     usual: Data = {"counts_per_turn": spec.proposed_counts} if spec.proposed_counts else {}
     usual |= {"max_rate": "100 deg/s", "max_acceleration": "50 deg/s2"}

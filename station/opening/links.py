@@ -53,7 +53,7 @@ def ends_here(link: str) -> bool:
 def can_address(link: str, device: str) -> tuple[str, str, dict[str, Any]]:
     """Split can:INTERFACE:CHANNEL?option=value into interface, channel and options; BenchError for any other link.
 
-    Options that are numbers are converted.
+    Options that are numbers are converted; slcan gets a short pause after opening by default.
     """
     address, _, query = link.partition("?")
     parts = address.split(":", 2)

@@ -140,7 +140,11 @@ class Serving:
         return f"serial://{name}"
 
     async def _tcp(self, device: str, make: Callable[[Write], ByteDevice], port: int) -> str:
-        """Serve a device on TCP; return its link. DeviceError if the port is taken."""
+        """Serve a device at a ``port`` of the host, 0 for a free one, on TCP with the faults of its wire; return its
+        link.
+
+        DeviceError if the port is taken.
+        """
         plug = Plug()
         try:
             wire = on_tcp(self._twins.faulty(device, make, plug), self._host, port, plug)

@@ -145,7 +145,9 @@ def simulate_bench(bench: Bench, script: Script, seed: int) -> Recording:
 
 
 def _stated_truth(device: DeviceTruth) -> tuple[Mounting, GyroTruth]:
-    """Return the mounting and the truth that a device states itself."""
+    """Return the mounting and the truth that a device states itself; a kind of array is mounted as that on the bench
+    is.
+    """
     mounting = mounted(MOUNTS_DEG[device.kind]) if device.kind else None
     k, b_rps, sigma_j, sigma_k = device.states.T
     truth = GyroTruth(

@@ -102,7 +102,10 @@ def running_sessions() -> list[Path]:
 
 
 def _answers(path: Path) -> bool:
-    """Return whether a process listens at a socket; one that does not answer in time counts."""
+    """Return whether a process listens at a socket; one that does not answer in time counts.
+
+    FileNotFoundError if there is no socket.
+    """
     with socket.socket(socket.AF_UNIX) as probe:
         probe.settimeout(_PROBE_S)
         try:

@@ -111,7 +111,7 @@ class Host:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Stop the updates, abort all connections and remove the socket."""
+        """Stop the updates, stop listening, abort all connections and remove the socket, also the hidden one."""
         if self._showing is not None:
             self._showing.cancel()
             with suppress(asyncio.CancelledError):

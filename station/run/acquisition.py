@@ -247,7 +247,7 @@ class Acquisition:
         self.live.sources[name].add(block)
 
     def take_row(self, row: TableRow) -> None:
-        """Record a row of table readings and pass it to the live estimate and the monitor."""
+        """Record a row of table readings and pass it to live estimate and monitor; note the widest half width."""
         columns = row._asdict()
         if columns.pop("rate_window_ns") != self._rate_window_ns:
             table, self._rate_window_ns = self._bench.table, row.rate_window_ns

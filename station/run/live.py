@@ -89,7 +89,9 @@ class LiveEstimate:
                 source.advance(self.rates, everything=True)
 
     def _take_rows(self) -> None:
-        """Move the rows that have arrived into the body rates and the kept readings."""
+        """Move the rows that have arrived into the body rates and the kept readings, if these are kept; nothing without
+        rows.
+        """
         rows = [self._rows.popleft() for _ in range(len(self._rows))]
         if not rows:
             return

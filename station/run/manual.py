@@ -121,7 +121,10 @@ class ManualSequencer(Sequencer):
         self._word.set()
 
     async def run(self) -> None:
-        """Carry out commands until "end"; DeviceRefused if an axis does not come to rest."""
+        """Carry out commands until "end", except those that come to their turn after they were to be over.
+
+        DeviceRefused if an axis does not come to rest.
+        """
         while not self._ended:
             if self._orders:
                 step = self._orders[0]

@@ -146,7 +146,10 @@ class Monitor:
         return self._beside.attempt("counts of links", self._open.link_counts, nothing)
 
     def newest(self, quantity: str) -> Mapping[str, float]:
-        """Return the newest value of a quantity by source; only "temperature_c" is known, others give nothing."""
+        """Return the newest value of a quantity by source; only "temperature_c" is known, others give nothing.
+
+        Sources without a finite temperature are left out.
+        """
         values = {}
         if quantity == "temperature_c":
             for name, block in self._last.items():

@@ -152,7 +152,9 @@ class Sequencer:
         return f"after {done_s:.1f} s of {planned}, in step {self.label!r}"
 
     async def run(self) -> None:
-        """Carry out the script, and pauses asked for between its steps; the errors of ``turn`` pass through."""
+        """Carry out the script, recording each step, and pauses asked for between its steps; errors of ``turn`` pass
+        through.
+        """
         loop = asyncio.get_running_loop()
         for index, (step, span) in enumerate(zip(self._script.steps, self._spans, strict=True)):
             self._index, self._step_began_s = index, loop.time()

@@ -172,8 +172,10 @@ class Session:
         )
 
     async def _go_through(self) -> Result:
-        """Work, make the devices safe, conclude. Called again after an interruption, it cancels the work and
-        continues.
+        """Work, make the devices safe, conclude; return the result.
+
+        Called again after an interruption, it cancels the work, waits for its end for a limited time, and continues;
+        devices that are safe are left alone. A stop that came before the work cancels that, too.
         """
         if self._running is None:
             self._running = asyncio.get_running_loop().create_task(self._work())

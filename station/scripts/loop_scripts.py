@@ -48,7 +48,10 @@ def there_and_back(
 
 
 def candidates(limits: Mapping[str, AxisLimits], gimbals: Sequence[str]) -> Iterator[Script]:
-    """Yield scripts of all kinds that show effects, within the limits, each ending at home."""
+    """Yield scripts of all kinds that show effects, within the limits, each ending at home.
+
+    Turns of several kinds come once, twice and four times, then rests of three lengths.
+    """
     axes = [axis for axis in "xyz" if axis in gimbals]
 
     def turns(share_or_dps: float, turn_s: float, steep: bool = False) -> list[Step]:

@@ -357,8 +357,9 @@ def _excess_slopes(shape: Shape, needs: Needs, v: Floats) -> Floats:
 
 
 def _first_enough(shape: Shape, enough: Callable[[Floats], bool]) -> Floats | None:
-    """Return the variables with the least common length of turns for which ``enough`` is true; None beyond
-    ``LONGEST_S``.
+    """Return the variables with the least common length of turns for which ``enough`` is true, to ``_COARSE_S``.
+
+    No variable is below the shape's least. None if it is not true at ``LONGEST_S``.
     """
     low, high = 0.0, float(LONGEST_S / shape.slopes(shape.least)[:, 0, 0].sum())
     if not enough(np.maximum(shape.least, high)):

@@ -65,7 +65,10 @@ class Frames:
         return self._checked(begin + message[len(begin) : self.size - len(self.end)] + self.end)
 
     def _checked(self, frame: bytes) -> bytes:
-        """Return the frame with its check replaced by the correct one; unchanged if there is no check."""
+        """Return the frame with its check, over the bytes from ``first`` to ``last`` without it, made right.
+
+        Unchanged if there is no check.
+        """
         if self.check is None:
             return frame
         stop = self.at + self.check.bits // 8

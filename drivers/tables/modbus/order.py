@@ -245,7 +245,7 @@ def _difference(frame: bytes, head: bytes) -> str:
 
 
 def rtu_frames(data: bytes) -> Iterator[bytes]:
-    """Yield the frames in ``data`` that are replies with a valid CRC, skipping other bytes."""
+    """Yield the frames in ``data`` that are replies with a valid CRC, skipping other bytes and an unfinished frame."""
     at = 0
     while at + 5 <= len(data):
         size = _reply_size(data, at)

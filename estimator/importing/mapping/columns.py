@@ -56,7 +56,9 @@ def stated_columns(section: StrictTable, quantity: str, key: str = "columns", *,
 
 
 def signed_axis(text: str) -> Vector:
-    """Return the unit vector of x, y or z with its sign; ValueError for anything else."""
+    """Return the unit vector of x, y or z, in either case, with + or - before it or no sign; ValueError for anything
+    else.
+    """
     letter = text.strip().lower()
     sign = -1.0 if letter.startswith("-") else 1.0
     letter = letter.lstrip("+-")

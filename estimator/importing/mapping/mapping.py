@@ -72,7 +72,10 @@ class Timing:
 
 
 def beside(path: Path, name: str) -> Path:
-    """Return the file ``name`` beside another, whose stem replaces {stem}; RecordingError if it has a path."""
+    """Return the path of file ``name`` in the folder of ``path``; {stem} in it becomes the stem of that.
+
+    RecordingError if it is not a plain name.
+    """
     try:
         return path.with_name(name.replace("{stem}", path.stem))
     except ValueError:

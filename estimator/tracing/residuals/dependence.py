@@ -45,7 +45,10 @@ class Regressors:
     """Functions of each variable over the blocks of runs; ``where`` gives the places of each variable's columns."""
 
     def __init__(self, runs: Sequence[Run]) -> None:
-        """Take the candidates that can be tried on these runs, except for nonlinear ones and steps."""
+        """Take the candidates that can be tried on these runs and depend on a known variable.
+
+        Nonlinear ones, unless their setting is a size, and those of single runs, such as steps, are left out.
+        """
         self._runs = [run.coarse() for run in runs]
         candidates = [c for c in candidates_of(runs)[0] if (c.theta is None or c.by_size) and c.run is None]
         of = {c.name: c.depends_on or c.effect.record.depends_on for c in candidates}

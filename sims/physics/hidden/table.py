@@ -136,8 +136,8 @@ class TableReading(OfTable):
     def read(self, motion: Motion, started_s: float) -> Motion:
         """Return a function that gives the faulty (angle, rate) at an instant; ``motion`` gives them without the error.
 
-        ``started_s`` is the bench clock at the instant 0. Gain and creep are left out if the table follows them in its
-        motion.
+        ``started_s`` is the bench clock at the instant 0. Gain and creep act always, but are left out if the table
+        follows them in its motion; the other faults act within their time span.
         """
         first_s, last_s = self.from_s - started_s, self.until_s - started_s
         before = cache(motion)

@@ -28,7 +28,10 @@ class Temperature:
     reference_c: float = field(default=25.0, metadata=given("degC"))
 
     def at(self, t_s: Floats) -> Floats:
-        """Return the temperature in degC at instants (n,) of the bench clock; the start value before 0."""
+        """Return the temperature in degC at instants (n,) of the bench clock; the start value before 0.
+
+        By ``shape`` it rises linearly and stays, rises and falls in cycles, or approaches its end exponentially.
+        """
         t_s = np.maximum(t_s, 0.0)
         if self.shape == LINEAR:
             risen = np.minimum(t_s / self.over_s, 1.0)

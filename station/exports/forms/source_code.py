@@ -128,7 +128,10 @@ def _vectors(exported: Exported, terms: Terms) -> tuple[Floats, Floats]:
 
 
 def write_python(exported: Exported) -> Written:
-    """Return the Python module, with what it does not correct; CompensationError for gyros that do not span space."""
+    """Return the Python module, with what it does not correct; CompensationError for gyros that do not span space.
+
+    It has a class instead of a function if effects keep a state.
+    """
     terms = terms_of(exported.compensation)
     not_held = _cautions(exported, terms)
     call = "Correction().correct" if terms.keeps_state else "correct"

@@ -42,7 +42,7 @@ class PacedLoop(asyncio.SelectorEventLoop):
     """
 
     def __init__(self, scale: float) -> None:
-        """Start the clock at zero."""
+        """Start the clock at zero, to run at ``scale`` times the speed of the wall's."""
         self.scale = scale
         self.waited_s = 0.0
         """How long the clock has waited for this computer, in seconds of the wall."""
