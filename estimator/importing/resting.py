@@ -235,7 +235,8 @@ def _quiet_scatter(scatter: Floats, channels: Floats) -> Floats:
 def _level_parts(mean: Floats, first: int, stop: int, tilt_rad: float) -> list[tuple[int, int]]:
     """Return the parts (first, stop) of a quiet run of windows over which specific force keeps its direction.
 
-    ``mean`` (windows, 3) is that of each window; a change by more than ``tilt_rad`` begins a new part.
+    ``mean`` (windows, 3) is that of each window; a change by more than ``tilt_rad`` begins a new part, but not at the
+    last window.
     """
     parts, start = [], first
     for at in range(first + 1, stop):

@@ -117,7 +117,8 @@ class Scan:
         """Return the size of an effect with a nonlinear size that leaves the least residual, the same for all gyros.
 
         The size is the effect's first parameter. The effect is evaluated anew at each size, because its column alone,
-        enlarged by the noise of the reference, gives too little.
+        enlarged by the noise of the reference, gives too little. With a single start value, as for a table's own rates,
+        the column is evaluated there and once at the size that it gives.
         """
         assert candidate.start is not None
         if len(candidate.start) == 1:  # a table's own rates have next to no noise

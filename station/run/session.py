@@ -371,8 +371,8 @@ class Session:
     async def _conclude(self) -> Result:
         """Close table and recording, calibrate a run that has no verdict yet, judge it, and store the outcome.
 
-        Returns the result. A run by hand is not calibrated. That the outcome cannot be stored becomes a part of the
-        reason.
+        Returns the result. A run by hand is not calibrated; one that cannot be calibrated has failed. Doubts on
+        reopened devices and that the outcome cannot be stored become parts of the reason.
         """
         acquisition = self._acquisition
         if not acquisition.closed:

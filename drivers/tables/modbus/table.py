@@ -152,8 +152,8 @@ class ModbusTable(Table):
     async def _at_home(self, axis: str) -> bool:
         """Return whether an axis has finished homing; one that had is still asked for a fault.
 
-        A start that the drive has not accepted within 0.5 s is repeated. DeviceFault for a fault, DeviceRefused for a
-        homing error or a start that is never accepted.
+        A finished homing has its start bit taken back. A start that the drive has not accepted within 0.5 s is
+        repeated. DeviceFault for a fault, DeviceRefused for a homing error or a start that is never accepted.
         """
         word = int(await self._read(axis, "statusword"))
         if cia402.state_of(word) in _FAULTS:

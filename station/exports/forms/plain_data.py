@@ -55,8 +55,9 @@ def _matlab(value: Any) -> Any:
 
 
 def write_csv(exported: Exported) -> Written:
-    """Return one line per gyro: axes, states, sigmas, row of the sensitivity matrix, effects; headings have SI
-    units.
+    """Return one line per gyro: axes, states, sigmas, row of the sensitivity matrix, effects; headings have SI units.
+
+    Noted as lacking are covariances and uncertainty budget.
     """
     lines = [_line(exported, i, gyro) for i, gyro in enumerate(exported.gyros)]
     file = io.StringIO()
