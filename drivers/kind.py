@@ -52,8 +52,9 @@ async def make_safe(
 ) -> SafeState:
     """Call the driver's ``make_safe``, repeatedly for 15 s, each time on a new connection, until it succeeds.
 
-    A driver without ``make_safe`` is left alone. The first failure is passed to ``unconfirmed``. ``untrue_readings`` is
-    not used here.
+    A driver without ``make_safe`` is left alone, which is no trouble. Limits are multiplied by ``time_scale``, how fast
+    the loop's clock runs. The first failure is passed to ``unconfirmed``; the last one is in the result.
+    ``untrue_readings`` is not used here.
     """
     if not isinstance(device, MadeSafe):
         return SafeState(trouble="", seen=False)
@@ -71,8 +72,10 @@ async def make_safe(
 
 
 async def tried(what: Coroutine[Any, Any, object], limit_s: float | None) -> str:
-    """Await ``what``; return the message of a DeviceError or time-out, empty if it succeeded. ``limit_s`` None: no
-    limit.
+    """Await ``what`` for at most ``limit_s`` (None: no limit); return the message of a DeviceError or time-out, else
+    empty.
+
+    Other exceptions pass through.
     """
     try:
         async with asyncio.timeout(limit_s):

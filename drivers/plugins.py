@@ -29,12 +29,11 @@ class PluginError(ValueError):
 
 
 def load_files(paths: Iterable[Path] = ()) -> list[ModuleType]:
-    """Import the files named in the environment variable ``GIVEN`` and in ``paths``, each once; PluginError if one
-    fails.
+    """Import the files named in the environment variable ``GIVEN`` and in ``paths``, each once, and return the modules.
 
-    The operator named those in ``GIVEN``, which must be full paths. ``paths`` come from a bench file or stand beside
-    it: neither they nor any folder or link on the way may be writable by anybody but the operator and the
-    administrator.
+    PluginError if one fails. The operator named those in ``GIVEN``, which must be full paths. ``paths`` come from a
+    bench file or stand beside it: unless ``GIVEN`` has them too, neither they nor any folder or link on the way may be
+    writable by anybody but the operator and the administrator.
     """
     given = [Path(file) for file in os.environ.get(GIVEN, "").split(os.pathsep) if file]
     if here := [str(path) for path in given if not path.is_absolute()]:  # the working folder decides nothing
@@ -52,9 +51,10 @@ def load_files(paths: Iterable[Path] = ()) -> list[ModuleType]:
 
 
 def load_file(path: Path) -> ModuleType:
-    """Import a Python file; return the module loaded before if its text is unchanged. PluginError if that fails.
+    """Import a Python file; return the module loaded before if its text is unchanged.
 
-    A bench and its script may name the same file: both must get the same objects.
+    A bench and its script may name the same file: both must get the same objects. PluginError if it is missing, not a
+    regular file or raises any exception.
     """
     text: bytes | None = None
     with suppress(OSError):  # missing and unreadable files are reported below
@@ -68,7 +68,9 @@ def load_file(path: Path) -> ModuleType:
         return known
 
     def run() -> ModuleType:
-        """Execute the file as module ``name`` and return it; ImportError if it is not a Python file."""
+        """Execute the file as module ``name``, with its text for later, and return it; ImportError if it is not a
+        Python file.
+        """
         spec = spec_from_file_location(name, path)
         if spec is None or spec.loader is None:
             raise ImportError("it is not a Python file")
@@ -81,11 +83,11 @@ def load_file(path: Path) -> ModuleType:
 
 
 def _changed_by_others(path: Path) -> str:
-    """Return how a user other than this one and root could replace the file at ``path``; empty if none could.
+    """Return in words how a user other than this one and root could replace the file at ``path``; empty if none could.
 
     Checks every folder and link on the way, since whoever may write to a folder can rename its contents. Folders with
-    the sticky bit, such as /tmp, are accepted, and so is a group with no member but the user. Empty for a missing file
-    and on systems other than POSIX.
+    the sticky bit, such as /tmp, are accepted if their owner is, and so is a group with no member but the user. Empty
+    for a missing file and on systems other than POSIX.
     """
     if os.name != "posix":
         return ""
@@ -141,7 +143,7 @@ def _user(uid: int) -> str:
 
 
 def _private(gid: int, uid: int) -> bool:
-    """Return whether a group is the user's own: same name, primary group, no other member."""
+    """Return whether a group is a user's own: same name, primary group, no other member; False if either is unknown."""
     import grp
     import pwd
 
@@ -173,9 +175,10 @@ class Registry(Mapping[str, T]):
         self._kind, self._group, self._own = kind, group, own
 
     def beside(self, modules: Iterable[ModuleType], kind: str = "") -> "Registry[T]":
-        """Return this registry with the records defined in ``modules`` added; PluginError if a name is taken.
+        """Return this registry with the records defined in ``modules`` added; PluginError if one has the name of
+        another.
 
-        If ``kind`` is given, records with another ``kind`` are left out.
+        If ``kind`` is given, records with another ``kind`` are left out. This registry stays as it is.
         """
         own = dict(self._own)
         for record in (record for module in modules for record in records_of(module, self._kind)):
@@ -241,8 +244,10 @@ def _announced(group: str, _path: tuple[str, ...]) -> EntryPoints:
 
 
 def _guarded(what: str, file: str, run: Callable[[], T]) -> T:
-    """Return ``run()``; any exception becomes a PluginError with ``what``, the line in ``file`` and the first line of
-    it.
+    """Return ``run()``; any exception of it becomes a PluginError.
+
+    Its message has ``what`` (the plug-in in words), the last line of ``file`` that is in the traceback, the type of the
+    exception and the first line of its message.
     """
     try:
         return run()

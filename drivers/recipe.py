@@ -14,8 +14,8 @@ from drivers.specs import DeviceSpec
 def packed_device(kind: DeviceKind, spec: DeviceSpec, setup: Any, link: Any) -> bytes:
     """Return a pickle from which ``unpacked_device`` rebuilds a driver in another process of this program and user.
 
-    ``setup`` and ``link`` are the arguments of ``spec.make``; ``link`` must not have been opened. Files of plug-ins
-    that are needed are included by path. An error of ``pickle`` if an option of a plug-in cannot be copied.
+    ``setup`` and ``link`` are the arguments of ``spec.make``; ``link`` must not have been opened. Plug-ins that define
+    the kind or the record are named by path. An error of ``pickle`` if an option of a plug-in cannot be copied.
     """
     plugins = sorted({file for record in (kind, spec) if (file := _plugin_of(record))})
     # Two layers: the values may be of classes that are known once the plug-ins have been imported.

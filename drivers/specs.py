@@ -141,8 +141,9 @@ class ImuSpec(DeviceSpec):
     family: str = ""
 
     def refused_rate(self, rate_hz: float, options: Mapping[str, Any]) -> str:
-        """Return a sentence with the legal rates of a device with these options if ``rate_hz`` is none of them, else
-        "".
+        """Return a sentence with the legal rates if ``rate_hz`` is none of them, else "".
+
+        ``options`` are those of the device, where one of them decides which rates are legal.
         """
         chosen = [options[self.rates_by]] if isinstance(self.rates_hz, Mapping) else []
         legal_hz = self.rates_hz[chosen[0]] if isinstance(self.rates_hz, Mapping) else self.rates_hz
@@ -209,7 +210,8 @@ S = TypeVar("S", bound=DeviceSpec)
 def described(kind: type[S], package: str, keys: Mapping[str, Any] | None = None, **more: Any) -> S:
     """Return the record of type ``kind`` from spec.toml of a package; values in ``more`` override those of the file.
 
-    ``keys`` maps names of keys to further fields of these keys, such as functions that a file cannot hold.
+    ``keys`` maps names of options (keys of the bench file), the address among them, to further fields of these, such as
+    functions that a file cannot hold.
     """
     facts = {**packaged_toml(package, "spec.toml"), **more}
     for part in {"keys", "axis_keys"}.intersection(column.name for column in fields(kind)):

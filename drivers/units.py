@@ -28,7 +28,10 @@ def split_quantity(text: str) -> tuple[float, str] | None:
 
 @cache
 def unit_size(text: str) -> tuple[float, Powers]:
-    """Return the factor to SI of a unit such as "deg/s2", and its four powers; ValueError if it is not a unit."""
+    """Return the factor to SI of a unit such as "deg/s2", and its powers of radian, second, kelvin and g.
+
+    ValueError if it is not a unit or has more than 100 characters.
+    """
     if len(text) > _LONGEST:  # brackets within brackets
         raise ValueError(text[:_LONGEST])
     words, at = [], 0

@@ -147,12 +147,13 @@ class HostFit:
         return math.sqrt(max(variance, 0.0))
 
     def add(self, device_s: Floats, arrival_ns: Stamps, trusted: Flags | None = None) -> None:
-        """Update the fit with samples: device times (n,) in s and arrival times (n,) in ns; must be called before
-        ``time_ns``.
+        """Update the fit with new samples, at least one and in order of time; call it before ``time_ns``.
 
-        Arrivals are gathered in buckets of one second. While there are few buckets, an arrival that is earlier than the
-        line pulls the line down at once; later each finished bucket triggers a new fit. ``trusted`` (n,) marks samples
-        whose place is certain: where a bucket has any, its earliest arrival is taken from these.
+        ``device_s`` (n,) are device times in s, ``arrival_ns`` (n,) arrival times. Arrivals are gathered in buckets of
+        one second. While there are fewer than three buckets, an arrival that is earlier than the line pulls the line
+        down at once; after that each finished bucket triggers a new fit. ``trusted`` (n,) marks samples whose device
+        time is certain: the earliest arrival of a bucket that has any is taken from these. ``alignment`` is set from
+        the first fit on.
         """
         excess = self.excess_of(device_s, arrival_ns)
         if not self._started:
@@ -194,7 +195,7 @@ class HostFit:
         return self._drifted + self._slope * (device_s - self._drifted_at_s)
 
     def time_ns(self, device_s: Floats) -> Stamps:
-        """Return host times of device times."""
+        """Return the host times (n,) in ns of device times (n,) in s, by the line in use."""
         host_ns = np.rint((device_s + self._lines(device_s)) * 1e9)
         return host_ns.astype(np.int64) + (self._origin_ns or 0)
 
@@ -217,7 +218,11 @@ class HostFit:
         return self._value + self._slope * (device_s - self._at_s) + self._rest * left
 
     def _aim(self, at_s: float, value: float, slope: float, slew: float) -> None:
-        """Change to another line, starting at the last value given out and no faster than ``slew``."""
+        """Change over to the line through ``value`` (s) at device time ``at_s`` with ``slope``.
+
+        The value that was given out last is kept, and the difference to the new line is worn down linearly at ``slew``
+        (s a second). What the old line had drifted by then is added to ``_drifted``.
+        """
         self._drifted += self._slope * (self._seen_s - self._drifted_at_s)
         self._drifted_at_s = self._seen_s
         rest = self._line(self._seen_s) - (value + slope * (self._seen_s - at_s))
@@ -225,11 +230,13 @@ class HostFit:
         self._rest, self._rest_from_s, self._rest_lasts_s = rest, self._seen_s, max(abs(rest) / slew, 1e-9)
 
     def _fit(self, now_s: float) -> None:
-        """Fit lines through the earliest and the mean arrivals of the buckets, and steer the line in use towards the
-        better.
+        """Fit lines to the earliest and to the mean arrivals of all buckets, and steer the line in use to the better
+        one.
 
-        The line of earliest arrivals is the default. The mean takes over, at a constant distance, where its uncertainty
-        at ``now_s`` is clearly less. The correction is spread over the settling time, within limits of its rate.
+        The line of earliest arrivals is the default. The mean takes over, at a constant distance, once its uncertainty
+        at ``now_s`` (device time of the newest sample) is less than half the other's, and gives way again once the
+        other's is less than half of its. The correction is spread over 3 s (0.5 s during the first ten buckets), but
+        made at no less than 1 ms/s and no more than 20 ms/s.
         """
         mean = _line_through([b.mean for b in self._buckets], self.most_drift)
         # The earliest of n cannot be trusted to scatter less than jitter / n: polls in step with samples seem to.

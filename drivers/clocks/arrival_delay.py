@@ -84,7 +84,10 @@ class Lateness:
 
     @property
     def hidden_drift(self) -> float:
-        """Largest drift to assume where jitter may hide losses, which would look like drift; else 0."""
+        """Largest drift to assume where jitter may hide losses, which look like drift; else 0.
+
+        0 as well while there are fewer than 100 pairs of neighbouring samples that waited for no other.
+        """
         if len(self._rough) < _FEWEST:
             return 0.0
         jitter_s = median(np.abs(self._rough.rows[:, 0]))
@@ -93,7 +96,10 @@ class Lateness:
 
     @property
     def hold(self) -> int:
-        """How many later samples it takes to place a loss."""
+        """How many later samples it takes to place a loss: ``PROOF`` or more, at most as many as come in ``LONGEST_S``.
+
+        The more jitter and the more samples that wait for others, the more it takes; the most while nothing is learned.
+        """
         longest = max(self.PROOF, round(self.LONGEST_S / self._period_s))
         if self._rms_s is None:
             return longest
@@ -103,9 +109,9 @@ class Lateness:
     def guess(self, excess: Floats, least_s: float) -> None:
         """Make a first histogram from early samples, some of which may have been lost.
 
-        ``excess`` (n,) in s, ``least_s`` the least of it. The scatter is estimated robustly against single losses and
-        doubled samples; the histogram is that of an exponential distribution which begins one scatter below
-        ``least_s``.
+        ``excess`` (n,) in s, ``least_s`` the least of it; fewer than two values count as no scatter. The scatter is
+        estimated robustly against single losses and doubled samples, and is at least a twentieth of the period. The
+        histogram is that of an exponential distribution which begins one scatter below ``least_s``.
         """
         if len(excess) < 2:
             excess = np.zeros(2)
@@ -118,11 +124,12 @@ class Lateness:
         self._learn(least_s - rms_s * np.log(1 - (np.arange(1000) + 0.5) / 1000))
 
     def add(self, device_s: Floats, excess: Floats, own: Flags, drifted_s: float, drift: float) -> None:
-        """Add samples whose place is known; ``excess`` (n,) in s. Only those marked in ``own`` (n,) waited for no
-        other.
+        """Add samples whose place in the rhythm is known, and compute the histogram anew once enough have come.
 
-        ``drifted_s`` is the part of the excess due to clock drift at the last sample, ``drift`` its growth per second.
-        The histogram is computed anew only when enough new samples have come.
+        ``device_s`` and ``excess`` (n,) in s; of both only the samples marked in ``own`` (n,), which waited for no
+        other, enter, thinned out at high rates. ``drifted_s`` is the part of the excess due to clock drift at the last
+        sample, ``drift`` its growth per second. Enough are 100 samples in all, and since the last time those of 2 s or
+        a quarter of all in memory.
         """
         keep = 0.5 ** (len(own) * self._period_s / _HALF_LIFE_S)
         self._own, self._all = keep * self._own + float(own.sum()), keep * self._all + len(own)
@@ -169,10 +176,11 @@ class Lateness:
         self._costs = -np.log(density / density.max() + _FLOOR)
 
     def costs(self, excess: Floats, own: Flags) -> Floats:
-        """Return the cost (n, k) in nats of each excess (n, k): the negative log of its likelihood, limited on both
-        sides.
+        """Return costs (n, k) in nats of n samples with k hypothetical values of ``excess`` (n, k) in s each.
 
-        Rows that are not marked in ``own`` (n,) cost something only where they are too early.
+        A cost is the negative log-likelihood by the histogram, limited on both sides and scaled down if neighbours are
+        late together. Rows that are not marked in ``own`` (n,) waited for another sample: they cost more than the least
+        only where they are too early.
         """
         likeliest = self._first + (int(self._costs.argmin()) + 0.5) * self._width
         excess = np.where(own[:, None] | (excess < likeliest), excess, likeliest)
@@ -196,7 +204,10 @@ class Lateness:
         return bool(abs(np.mean(excess[-half:]) - np.mean(excess[-2 * half : -half])) < allowed)
 
     def most_lost(self, excess: Floats) -> int:
-        """Return how many can have been lost before the last of samples that waited for no other."""
+        """Return how many samples at most can have been lost before the last of ``excess`` (n,) in s; 1 if it is empty.
+
+        ``excess`` is of samples that waited for no other; the limit follows from the median of the newest of them.
+        """
         last = excess[-max(round(self.hold * self._share / 2), 8) :]
         if not len(last):
             return 1

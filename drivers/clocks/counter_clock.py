@@ -37,13 +37,14 @@ class CounterClock:
         return self.fit.alignment
 
     def stamp(self, counter: Stamps, arrival_ns: Stamps) -> tuple[Flags, Stamps]:
-        """Return which samples are new, as flags (n,), and the times in ns of the new ones, for counters and arrivals
-        (n,).
+        """Return which samples are new, as flags (n,), and the times in ns of the new ones, in their order.
 
-        Repeated counters are counted and dropped. Gaps longer than the counter's wrap are resolved by the arrival of
-        the last sample, which waited least. A count that continues without a gap may have missed a whole wrap, or its
-        sender is late: where arrivals jitter, a loss is counted only if the lateness persists. If a time is impossible,
-        the clock restarts.
+        ``counter`` (n,) are the device's counts, ``arrival_ns`` (n,) the arrivals; both results are empty if they are.
+        Repeated counters are counted and dropped, missing ones counted as lost, samples that come 2 periods and 50 ms
+        too late counted as late. Gaps longer than the counter's wrap are resolved by the arrival of the last sample,
+        which waited least. A count that continues without a gap may have missed a whole wrap, or its sender is late:
+        where arrivals jitter, a loss is counted only if the lateness persists. If the last sample comes 0.1 s or more
+        before its time, the clock restarts.
         """
         if not len(counter):
             return np.zeros(0, dtype=np.bool_), np.empty(0, dtype=np.int64)
@@ -73,7 +74,10 @@ class CounterClock:
         return keep, t_ns
 
     def restart(self) -> None:
-        """Treat the next count as that of a restarted device; arrivals then tell what was missed."""
+        """Treat the next count as that of a restarted device: the pause in arrivals then tells how many were missed.
+
+        The fit of the clock is forgotten; the counts so far are kept.
+        """
         self._last, self.fit, self._least_s = -1, HostFit(), math.inf
 
     @property
@@ -81,9 +85,12 @@ class CounterClock:
         return self.tick_s * self.ticks_per_sample
 
     def _look_for_wraps(self, device_s: float, lateness_s: float) -> None:
-        """Count whole wraps as lost if every sample of the last while came late by about that much.
+        """Count whole wraps as lost, and move the count on by them, if all samples of the last 0.3 s came so much too
+        late.
 
-        ``device_s`` and ``lateness_s`` are of the newest samples; a decision is made once in ``_PROOF_S``.
+        ``device_s`` is the device time of the newest sample, ``lateness_s`` the least lateness in its batch. Less than
+        0.9 of a wrap is not taken for a loss. A decision is made once in 0.3 s of device time; before that nothing
+        changes.
         """
         if self._least_s == math.inf:
             self._since_s = device_s
@@ -102,10 +109,10 @@ class CounterClock:
         return self.fit.known and self.fit.lateness(device_s, arrival_ns) < -_IMPOSSIBLY_EARLY_S
 
     def _count_lost(self, step: Stamps, arrival_ns: int) -> None:
-        """Count the samples missing between new counters; ``step`` (n,) are their differences in ticks.
+        """Count the samples missing between new counters as lost; ``step`` (n,) are their differences in ticks.
 
-        After a restart there is no last counter: the gap in arrival times before ``arrival_ns`` stands for the first
-        step.
+        After a restart there is no last counter: the gap in arrival times before ``arrival_ns`` (the first new one)
+        stands for the first step. Before anything has arrived, the first step counts nothing.
         """
         if self._last < 0:
             if self._last_arrival_ns is not None:
@@ -118,7 +125,10 @@ class CounterClock:
     def _unwrap(self, counter: Stamps, last_arrival_ns: int) -> tuple[Stamps, bool]:
         """Return counters continued over wraps (n,), and whether each is exactly one sample after the one before.
 
-        A step just short of a whole wrap counts as one backwards. Whole wraps are added where arrival times show them.
+        ``counter`` (n,) is continued from the last count, or from its own first value after a restart. A step back by
+        up to two samples, seen as one just short of a whole wrap, counts as backwards. Whole wraps are added where
+        ``last_arrival_ns``, the arrival of the last sample, shows them; if all steps are even, only if it shows them
+        clearly.
         """
         if self._last < 0 or self._last_arrival_ns is None:
             before = start = int(counter[0])

@@ -103,11 +103,13 @@ class RegularClock:
         return len(self._held) >= max(2 * self.HOLD, self._look_again)
 
     def ready(self, *, everything: bool = False) -> tuple[Stamps, Stamps, Floats] | None:
-        """Return (t_ns, arrival_ns, values) of the samples that can be timed; None if there are none yet.
+        """Return (t_ns, arrival_ns, values) of the held samples that can be timed, in their order; None if there are
+        none.
 
-        With ``everything`` all held samples are timed, those too that would wait for later ones. Samples whose time
-        would not be later than the last one given are dropped. If samples come before they can have been taken, the
-        clock starts anew.
+        All three are (n,), or values (n, k) where samples are rows. With ``everything`` all held samples are timed,
+        those too that would wait for later ones. Doubled samples are dropped, as are those whose time would not be
+        later than the last one returned. If all samples come well before they can have been taken, the clock starts
+        anew.
         """
         if not self._held or not (self.due or everything):
             return None
@@ -156,7 +158,10 @@ class RegularClock:
         return self._searched(excess, own, equal)
 
     def _searched(self, excess: Floats, own: Flags, equal: Flags) -> "_Search":
-        """Search once with the present lateness; ``equal`` marks samples that repeat the one before."""
+        """Search once among ``excess`` (n,) in s, with the present lateness.
+
+        ``own`` (n,) marks samples that waited for no other, ``equal`` (n,) those that repeat the one before.
+        """
         return _Search(
             lateness=self._lateness,
             period_s=self._period_s,
@@ -175,7 +180,8 @@ class RegularClock:
     def _least(self, excess: Floats) -> float:
         """Return the excess (s) of samples that are not late, or the best guess of it while nothing has been learned.
 
-        If the first samples contain a doubled one, only those up to it are used, as all later ones seem early.
+        The guess is the least excess of samples timed so far; before any, that of ``excess`` (n,). If those contain a
+        doubled one, only the samples up to it are used, as all later ones seem early.
         """
         if self._lateness.learned:
             return self._lateness.least_s
@@ -187,10 +193,12 @@ class RegularClock:
         return float(excess[: int(equal[1:].argmax()) + 1].min())  # after one that is doubled, all seem early
 
     def _time_ns(self, place: Floats, arrival: Stamps, own: Flags, known: Flags) -> Stamps:
-        """Return the times (n,) in ns of samples with known places, after both fits and the counts have been updated.
+        """Update the clock fit, the lateness and the counts with samples whose place is known; return their times (n,)
+        in ns.
 
-        ``place`` (n,) in periods, ``known`` marks places that are certain, ``own`` samples that waited for no other.
-        After a break in reading, the pause itself counts as lost samples.
+        ``place`` (n,) in periods, ``arrival`` (n,) in ns; ``known`` marks places that are certain, ``own`` samples that
+        waited for no other. After a break in reading, the pause itself counts as lost samples. The count of losses
+        never falls.
         """
         device_s = place * self._period_s
         drifted_s = float(self._fit.drifted(device_s[-1:])[0])
@@ -212,12 +220,13 @@ class RegularClock:
         return t_ns
 
     def _places(self, arrival: Stamps, own: Flags, *, certain: bool, everything: bool) -> tuple[Floats, Flags, Flags]:
-        """Return, for the samples that can be timed, their places in the rhythm, which are certain, and which held ones
-        to keep.
+        """Return the places of the held samples that can be timed, which places are certain, and which samples to keep.
 
-        All three are empty while later samples are needed. If everything came in time, no search is made. ``certain``
-        makes a decision now, ``everything`` leaves nothing held. Flags ``kept`` are of the held samples; the other two
-        are of the kept.
+        ``arrival`` (n,) in ns and ``own`` (n,), samples that waited for no other, are of all held samples. Flags
+        ``kept`` (m,) are of the m oldest of them; those not marked are doubled ones. Places, in periods, and their
+        certainty are of the kept ones. All three are empty while later samples are needed. If the last samples came in
+        time, no search is made. ``certain`` decides now, even without a steady lateness; ``everything`` leaves nothing
+        held.
         """
         place = self._next + np.arange(len(arrival), dtype=np.float64)
         device_s = place * self._period_s
@@ -279,12 +288,12 @@ class _Search:
         before: Floats,
         lost_share: float,
     ) -> None:
-        """Run the search: ``mean`` (n,) of the places lost before each sample, which are ``certain``, ``repeats`` to
-        drop.
+        """Run the search over n samples; it sets ``mean``, ``certain`` and ``repeats``.
 
-        ``excess`` (n,) in s, ``own`` and ``equal`` (n,) mark samples that waited for no other and that repeat the one
-        before; ``before`` are the probabilities of 0, 1, 2 ... losses before the first, ``lost_share`` that of a loss
-        per sample.
+        ``mean`` (n,) is how many places were lost before each sample, ``certain`` (n,) which of these are sure,
+        ``repeats`` the indices of doubled samples to drop. ``excess`` (n,) in s, of no losses; ``own`` and ``equal``
+        (n,) mark samples that waited for no other and that repeat the one before. ``before`` are the probabilities of
+        0, 1, 2 ... losses before the first, ``lost_share`` that of a loss per sample.
         """
         back = min(int(equal.sum()), 8)
         most = min(max(lateness.most_lost(excess[own]), len(before) + 1), _MOST_STATES)
@@ -311,8 +320,9 @@ class _Search:
     def cut(self, take: int) -> tuple[int, int, Floats]:
         """Return what is known of the losses at a cut: (samples before it, fewest plausible losses, probabilities).
 
-        The cut is at ``take`` samples, rounded down to whole groups, at least one; all samples if there are no more
-        than that. The probabilities are those of 0, 1, 2 ... losses more than the fewest, without implausible ends.
+        The cut is at ``take`` samples, rounded down to whole groups, at least one group; at the end if there are no
+        more than ``take``. The probabilities are those of 0, 1, 2 ... losses more than the fewest, without implausible
+        ends; the fewest is negative where samples may have been doubled.
         """
         groups = len(self._starts) if take >= len(self.mean) else max(take // self._group, 1)
         taken = min(groups * self._group, len(self.mean))
@@ -323,11 +333,11 @@ class _Search:
 
 
 def _smooth(weights: Floats, start: Floats, twice: Flags, lost_share: float) -> tuple[Floats, Floats, Floats]:
-    """Return the probabilities of each state (n, k) given all data, those given data so far (n, k), and of a repeat
-    (n,).
+    """Return probabilities of k states for n groups: given all data (n, k), given data so far (n, k); of a repeat (n,).
 
     ``weights`` (n, k) are likelihoods of the observations in each state, ``start`` (k,) the probabilities before. A
-    loss moves up by any number of states; a repeat, possible only where ``twice`` (n,), moves down by one.
+    loss, of probability ``lost_share``, moves up by any number of states; a repeat, possible only where ``twice`` (n,),
+    moves down by one. A group that no state explains is judged by its weights alone.
     """
     count = len(start)
     up = np.subtract.outer(np.arange(count), np.arange(count)).T

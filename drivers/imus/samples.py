@@ -69,10 +69,10 @@ class Companion:
 def regular_block(
     clock: RegularClock, rows: Iterable[tuple[int, Floats, bytes]], gyros: int, *, everything: bool = False
 ) -> ImuBlock | None:
-    """Add rows (arrival in ns, values, raw bytes) to the clock; return a block of the samples that can be timed, or
-    None.
+    """Add rows (arrival in ns, values, raw bytes) to the clock, and return a block of the samples that can be timed.
 
-    Values are as ``block_of`` expects them. ``everything`` times the samples that the clock would hold back, too.
+    None if there are none. Values are as ``block_of`` expects them, for so many ``gyros``; equal samples have equal raw
+    bytes. ``everything`` times the samples that the clock would hold back, too.
     """
     for arrival_ns, values, raw in rows:
         clock.add(arrival_ns, values, raw)
@@ -81,8 +81,9 @@ def regular_block(
 
 
 def block_of(t_ns: Stamps, arrival_ns: Stamps, values: Floats, gyros: int, counter: Stamps | None = None) -> ImuBlock:
-    """Return a block from rows of values (n, k): rates of the gyros, temperature, then three accelerations if
-    present.
+    """Return a block from rows of values (n, k): rates of the gyros, temperature, then three accelerations if present.
+
+    ``t_ns``, ``arrival_ns`` and ``counter`` (n,) are taken over as they are.
     """
     accel = values[:, gyros + 1 :] if values.shape[1] > gyros + 1 else None
     return ImuBlock(

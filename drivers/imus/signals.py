@@ -66,10 +66,13 @@ class SignalReader:
         unit: str = "",
         saturates: bool = False,
     ) -> None:
-        """Look up ``MESSAGE.Signal`` in cantools' database; DeviceError if it is missing or unsuitable.
+        """Look up ``name``, a ``MESSAGE.Signal``, in cantools' ``database``; DeviceError if it is missing or
+        unsuitable.
 
-        ``quantity`` is a key of ``UNITS``, or "count" for a plain number; ``unit`` takes precedence over the DBC's own.
-        With ``saturates``, values at the ends of the DBC's range count as missing, as the true value may be beyond.
+        Unsuitable is one whose unit is unknown for its ``quantity``, or that does not lie within 8 bytes. ``quantity``
+        is a key of ``UNITS``, or "count" for a plain number; ``unit`` takes precedence over the DBC's own. With
+        ``saturates``, values at the ends of the DBC's range count as missing, as the true value may be beyond.
+        ``device`` and ``dbc`` are for the error messages.
         """
         message_name, _, signal_name = name.partition(".")
         try:

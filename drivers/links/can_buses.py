@@ -29,7 +29,8 @@ Raw = tuple[int, bool, bytes]
 def open_bus(interface: str, channel: str, options: dict[str, Any]) -> can.BusABC:
     """Open a CAN bus by python-can's names of interface and channel; python-can's own exceptions pass through.
 
-    slcan and socketcand use the faster readers below. OSError if a socketcan interface is down.
+    ``options`` go to the interface. slcan and socketcand use the faster readers of this module. OSError if a socketcan
+    interface is down.
     """
     if interface == "slcan":
         return SlcanBus(channel, **options)
@@ -62,10 +63,10 @@ class SlcanBus(slcanBus):
             self.serialPortOrig.close()
 
     def frames(self, timeout: float | None) -> list[Raw]:
-        """Return the data frames received, waiting up to ``timeout`` for the first bytes; CanOperationError if the port
-        fails.
+        """Return (identifier, whether it has 29 bits, data) of the frames received; may be empty.
 
-        Other lines, such as remote frames and answers, are dropped. Damaged lines are counted in ``malformed``.
+        Waits up to ``timeout`` s (None: without limit) for the first bytes. Other lines, such as remote frames and
+        answers, are dropped; damaged lines are counted in ``malformed``. CanOperationError if the port fails.
         """
         if timeout != 0:
             self._wait(timeout)
@@ -103,7 +104,10 @@ class SocketcandBus(can.BusABC):
     """One bus of a socketcand server, in raw mode over TCP."""
 
     def __init__(self, channel: str, host: str, port: int = SOCKETCAND_PORT, **options: Any) -> None:
-        """Connect to the server and open its bus ``channel`` in raw mode; OSError or CanError if that fails."""
+        """Connect to the server and open its bus ``channel`` in raw mode; OSError or CanError if that fails.
+
+        Each step may take 2 s. ``options`` go to python-can's bus.
+        """
         self.malformed = 0
         """Frames that could not be read."""
         self._rest = b""
@@ -134,10 +138,10 @@ class SocketcandBus(can.BusABC):
         self._stream.close()
 
     def frames(self, timeout: float | None) -> list[Raw]:
-        """Return the data frames received, waiting up to ``timeout`` for the first; CanOperationError if the connection
-        ends.
+        """Return (identifier, whether it has 29 bits, data) of the frames received; may be empty.
 
-        Other elements are dropped. Damaged frames are counted in ``malformed``.
+        Waits up to ``timeout`` s (None: without limit) for the first. Other elements are dropped; damaged frames are
+        counted in ``malformed``. CanOperationError if the connection ends.
         """
         found: list[Raw] = []
         early, self._early = self._early, []

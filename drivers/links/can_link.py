@@ -52,7 +52,10 @@ class CanLink:
         return int(getattr(self._bus, "malformed", 0))
 
     async def open(self) -> None:
-        """Open the bus in a thread that then reads it; LinkLost if that fails or takes more than five seconds."""
+        """Open the bus in a thread that then reads it; LinkLost if that fails or takes more than five seconds.
+
+        A bus "memory" is joined at once, without a thread.
+        """
         self._closing.clear()
         self._ended = ""
         if self._interface == "memory":
@@ -139,10 +142,11 @@ class CanLink:
     def _run(
         self, loop: asyncio.AbstractEventLoop, opened: asyncio.Future[can.BusABC], closing: threading.Event
     ) -> None:
-        """Open the bus, read it and shut it down, all in the thread, as opening may take seconds.
+        """Open the bus, read it until ``closing`` is set and shut it down, all in the thread, as opening may take
+        seconds.
 
-        ``opened`` gets the bus or the exception. If reading fails later, the link ends with that reason, unless
-        closing.
+        ``opened``, a future of ``loop``, gets the bus or the exception. If reading fails later, the link ends with that
+        reason, unless closing.
         """
         try:
             bus = open_bus(self._interface, self._channel, self._options)
@@ -159,10 +163,11 @@ class CanLink:
                 bus.shutdown()
 
     def _read(self, loop: asyncio.AbstractEventLoop, bus: can.BusABC, closing: threading.Event) -> None:
-        """Read frames until ``closing`` is set, stamp them in loop time, and wake up ``receive``.
+        """Read frames until ``closing`` is set, stamp them in time of ``loop``, and wake up ``receive``.
 
-        Frames of slcan and socketcand are read in batches, which have one stamp. Interfaces that the kernel stamps are
-        corrected for the age of the frame. Error frames and bus-off are counted for all other interfaces.
+        Frames of slcan and socketcand are read in batches, which have one stamp. Stamps of interfaces that the kernel
+        stamps are corrected for the age of the frame, of at most 1 s. Error frames and bus-off are counted, except with
+        slcan and socketcand. Exceptions of the bus pass through.
         """
         scale = loop_scale(loop)
         by_kernel = self._interface in _STAMPED_BY_KERNEL

@@ -27,8 +27,9 @@ _HOLDER = re.compile(r"(\d{1,10}) (.*)", re.DOTALL)
 async def held(device: str, link: str, default_port: int | None, what: str) -> AsyncIterator[tuple[int, ...]]:
     """Hold the lock of a link while this context lasts; DeviceRefused, naming the holder, if somebody else has it.
 
-    ``what`` describes this program to whoever comes second. Yields the descriptors of the locked files: a process that
-    inherits them keeps the lock if this one dies. Without flock (Windows) nothing is locked and none are yielded.
+    ``link`` is a URL, completed by ``default_port``; ``device`` is for the error. ``what`` describes this program to
+    whoever comes second. Yields the descriptors of the locked files: a process that inherits them keeps the lock if
+    this one dies. Without flock (Windows) nothing is locked and none are yielded.
     """
     with ExitStack() as stack:
         names = await _names(link, default_port) if sys.platform != "win32" else ()
@@ -59,7 +60,8 @@ def check_own(path: str, file: int) -> None:
 async def _names(link: str, default_port: int | None) -> list[str]:
     """Return the names to lock for a link: the real path of a serial device, or each address of its host with the port.
 
-    All addresses of this machine have one name. A host that cannot be resolved is named as it is written.
+    The port is that of ``link``, else ``default_port``. All addresses of this machine have one name. A host that cannot
+    be resolved is named as it is written.
     """
     url = urlsplit(link)
     if url.scheme == "serial":
@@ -81,9 +83,10 @@ def _is_ours(family: int, address: object) -> bool:
 
 
 def _lock(stack: ExitStack, device: str, link: str, name: str, what: str) -> int:
-    """Lock this user's file for ``name`` until the stack is closed; return its descriptor.
+    """Lock this user's file for ``name`` until the stack is closed, write ``what`` into it, and return its descriptor.
 
-    DeviceRefused if this user's file or that of another user is locked already, or if the lock cannot be taken.
+    DeviceRefused, naming the holder, if this user's file or that of another user is locked already; or if the lock
+    cannot be taken. ``device`` and ``link`` are for the error.
     """
     import fcntl
 
@@ -112,9 +115,10 @@ class _InUse(BlockingIOError):
 
 
 def _open_own(path: str) -> int:
-    """Open this user's lock file for reading and writing, creating it if missing; OSError if its name is anything else.
+    """Open this user's lock file for reading and writing, creating it if missing, and return its descriptor.
 
-    A new file is readable by all, whatever the umask.
+    A new file is readable by all, whatever the umask. OSError if the path is anything but a regular file of this user
+    with one name.
     """
     flags = os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     try:
@@ -127,8 +131,9 @@ def _open_own(path: str) -> int:
 
 
 def _check_is_own(path: str, found: os.stat_result) -> None:
-    """Check that ``found`` is a regular file of this user without a second name; OSError that says how to remove it if
-    not.
+    """Check that ``found``, the state of ``path``, is that of a regular file of this user without a second name.
+
+    OSError that says what it is instead and who is to remove it.
     """
     if stat.S_ISLNK(found.st_mode):
         wrong = "is a symbolic link"
@@ -147,7 +152,10 @@ def _check_is_own(path: str, found: os.stat_result) -> None:
 
 
 def _other_files(folder: str, stem: str) -> Iterator[str]:
-    """Yield the paths of other users' lock files for a link: regular files that belong to the user in their name."""
+    """Yield the paths of other users' lock files for a link, of which ``stem`` is the beginning of the name.
+
+    Only regular files count that belong to the user in their name.
+    """
     named = re.compile(rf"{re.escape(stem)}\.(\d{{1,10}})\.lock")
     for entry in sorted(os.listdir(folder)):
         match = named.fullmatch(entry)
@@ -199,7 +207,8 @@ def _user(uid: int) -> str:
 def _sign(stack: ExitStack, file: int, what: str) -> None:
     """Write the process id and ``what`` into the locked file; closing the stack empties and unlocks it.
 
-    A failure to write is ignored, as others can fill the disk: the lock holds all the same.
+    ``what`` describes this program. A failure to write is ignored, as others can fill the disk: the lock holds all the
+    same.
     """
     import fcntl
 

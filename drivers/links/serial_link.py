@@ -37,10 +37,10 @@ class SerialLink:
     def __init__(
         self, device: str, url: str, baud: int, *, parity: str = "N", stop_bits: float = 1, gather_s: float = 0.0
     ) -> None:
-        """Store the settings of the port, eight data bits, ``parity`` N, E, O, M or S; ``open`` opens it.
+        """Store the settings of the port; ``open`` opens it. It has eight data bits; ``parity`` is N, E, O, M or S.
 
         With ``gather_s`` received bytes are handed over at most once in that time (wall clock), which saves most of the
-        cost of a stream. What comes after a pause of that length is handed over at once.
+        cost of a stream. What comes after a pause of that length is handed over at once. ``device`` is for errors.
         """
         self._device, self._url, self._gather_s = device, url, gather_s
         self._settings: dict[str, Any] = {"baudrate": baud, "parity": parity, "stopbits": stop_bits}
@@ -48,8 +48,9 @@ class SerialLink:
         self._reader: _Reader | None = None
 
     async def open(self) -> None:
-        """Open the port and start reading it in a thread; LinkLost if it cannot be opened or not in time. Reopens an
-        open one.
+        """Open the port and start reading it in a thread, after closing one that is open.
+
+        LinkLost if it cannot be opened, with the likely reason, or not within ten seconds.
         """
         self.close()
         self._inbox.begin()
@@ -76,7 +77,7 @@ class SerialLink:
     def write(self, data: bytes) -> None:
         """Send bytes; LinkLost if the port is not open, has ended, is gone, or does not accept all bytes within 0.2 s.
 
-        After a failed write the link has ended.
+        After a failed write the link has ended; bytes received before can still be read.
         """
         if self._reader is None or self._inbox.ended:
             raise LinkLost(self._device, self._inbox.ended or f"serial port {self._url} is not open")
@@ -105,7 +106,11 @@ class _Reader:
     def __init__(
         self, url: str, settings: dict[str, Any], gather_s: float, loop: asyncio.AbstractEventLoop, inbox: Inbox
     ) -> None:
-        """Start the thread; ``opened`` completes when the port is open or has failed to open."""
+        """Start the thread that opens the port and puts what it reads into ``inbox``, gathered for ``gather_s``.
+
+        ``settings`` are those of pyserial. ``opened``, a future of ``loop``, completes when the port is open or has
+        failed to open.
+        """
         self._url, self._settings, self._gather_s, self._loop = url, settings, gather_s, loop
         self._inbox = inbox
         self._port: Any = None
@@ -119,8 +124,8 @@ class _Reader:
     def write(self, data: bytes) -> None:
         """Send bytes; OSError if the port is gone, _StuckError if bytes are left after 0.2 s.
 
-        pyserial itself raises even where all bytes were written before the host stalled; hence the loop on the
-        descriptor.
+        Ports without a descriptor are left to pyserial and its own exceptions. For others it loops on the descriptor,
+        as pyserial raises even where all bytes were written before the host stalled.
         """
         if not self._waits_on_descriptor:
             self._port.write(data)
@@ -137,7 +142,10 @@ class _Reader:
                 select.select([], [descriptor], [], max(ends_s - time.monotonic(), 0.0))
 
     def end(self) -> None:
-        """Let the thread close the port; wait for that for a port of this machine, not for one behind a URL."""
+        """Let the thread close the port; wait half a second for that, but not for a port behind a URL.
+
+        An error of opening that nobody waits for any more is dropped.
+        """
         self._closing.set()
         with suppress(OSError):
             self._wakes.send(b"x")
@@ -187,6 +195,8 @@ class _Reader:
     def _read(self, port: Any) -> None:
         """Put received bytes into the inbox until closing, gathered for ``gather_s``; exceptions of the port pass
         through.
+
+        Each chunk has the time of the loop at which it was handed over.
         """
         wait, take = self._ways(port)
         handed_over = time.monotonic()
@@ -210,8 +220,10 @@ class _Reader:
         return scheme == "socket" or (scheme not in ("rfc2217", "loop") and os.name != "nt")
 
     def _ways(self, port: Any) -> tuple[Callable[[], bytes], Callable[[], bytes]]:
-        """Return two functions: one waits for the first bytes, empty if woken up; one takes what else has come without
+        """Return two functions that return bytes: one waits for the first ones, one takes what else has come without
         waiting.
+
+        The first returns nothing if it is woken up or, for ports without a descriptor, after 0.1 s.
         """
         if not self._waits_on_descriptor:
             # A buffer with a count of its bytes; on sockets in_waiting only tells whether there are any.
@@ -238,10 +250,10 @@ class _Reader:
 
 
 def _drop_backlog(port: Any) -> None:
-    """Discard bytes received before opening, as their time is unknown; look several times, as a second buffer may
-    refill.
+    """Discard bytes received before opening, as their time is unknown.
 
-    Ends after three empty looks or ``_BACKLOG_S``.
+    Looks several times, as a second buffer may refill the first: until three looks in a row find nothing, at most 0.3
+    s.
     """
     ends = time.monotonic() + _BACKLOG_S
     empty = 0
@@ -266,7 +278,11 @@ def _is_url(url: str) -> bool:
 
 
 def _why_not(url: str, error: Exception) -> str:
-    """Return in words why a port could not be opened, and what to do about it."""
+    """Return in words why a port could not be opened, and what to do about it.
+
+    ``error`` is what pyserial raised: an invalid url, a port in use, a converter that does not answer, a right that is
+    missing, or else probably a missing port.
+    """
     text = str(error)
     if isinstance(error, ValueError):
         return f"{text}; write a device such as /dev/ttyUSB0, socket://host:port or rfc2217://host:port"

@@ -50,7 +50,10 @@ class TcpLink:
         return ByteChunk(round(asyncio.get_running_loop().time() * 1e9), data)
 
     def write(self, data: bytes) -> None:
-        """Send bytes; LinkLost if the link is not open, is closing, or holds too many unsent bytes."""
+        """Send bytes; LinkLost if the link is not open, is closing, or holds more than 256 KiB of unsent bytes.
+
+        In the latter two cases the link has ended.
+        """
         if self._writer is None:
             raise LinkLost(self._device, self._ended or "the link is not open")
         if self._writer.is_closing():

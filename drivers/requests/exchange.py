@@ -97,7 +97,10 @@ class Exchange:
     """Requests and answers on a link; a controller counts as silent after two time-outs."""
 
     def __init__(self, device: str, link: ByteLink, framing: Framing, timeout_s: float) -> None:
-        """Prepare for requests of two attempts of ``timeout_s`` each, resynchronisation included."""
+        """Prepare for requests of two attempts of ``timeout_s`` each, resynchronisation included.
+
+        ``framing`` is the language of the controller: how requests, answers and tokens look. ``device`` is for errors.
+        """
         self._device, self._link, self._framing, self._timeout_s = device, link, framing, timeout_s
         self._turn = Turn()
         self._in_doubt = True  # a serial line may hold answers to an earlier program
@@ -113,10 +116,10 @@ class Exchange:
         await self.get_in_step()
 
     async def tell_all(self, lines: Iterable[str]) -> None:
-        """Send lines at once without waiting for any answer, as for stopping; LinkLost if the link cannot be opened.
+        """Send lines at once without waiting for any answer, as for stopping; LinkLost if they cannot be sent.
 
-        After a failed request or write the link is opened anew first. An empty line goes ahead, which ends a line that
-        was cut off on its way.
+        If the last request or write failed, or this write fails, the link is closed and opened anew first. An empty
+        line goes ahead, which ends a line that was cut off on its way.
         """
         data = b"".join(map(self._framing.request, ("", *lines)))
         async with self._turn:
@@ -136,10 +139,10 @@ class Exchange:
     async def ask(self, line: str, pattern: re.Pattern[str], *, repeat: bool = True) -> Answer:
         """Send a request and return its answer, which matches ``pattern`` in full or is a refusal.
 
-        ``repeat`` false: the request is sent at most once. Before a new attempt, and after a malformed answer, the
-        exchange is resynchronised. LinkLost if no answer comes in two attempts; Unanswered if a request sent once has
-        none although the controller is there; UnexpectedReply after several malformed answers, or one where it must not
-        be repeated.
+        Before a new attempt, and after a malformed answer, the exchange is resynchronised. With ``repeat`` false the
+        request is sent at most once. LinkLost if no answer comes in two attempts, or if the link is gone. Unanswered, a
+        LinkLost, if a request that must not be repeated has no answer although the controller is there. UnexpectedReply
+        after three malformed answers, or after one if it must not be repeated.
         """
         arrived = asyncio.get_running_loop().time()
         async with self._turn:
@@ -171,9 +174,10 @@ class Exchange:
             raise self._silent(f"to {line!r}")
 
     async def get_in_step(self, line: str | None = None) -> bytes:
-        """Send ``line`` if given, then a token; return the bytes received before the token's answer.
+        """Send ``line`` if given, then a token; return the bytes received before the token's answer, the last 512 at
+        most.
 
-        LinkLost if no answer to the token comes in two attempts.
+        LinkLost if no answer to the token comes in two attempts, or if the link is gone.
         """
         arrived = asyncio.get_running_loop().time()
         async with self._turn:
@@ -215,7 +219,8 @@ class Exchange:
         """Send the request once and return its answer; _MalformedError if the bytes do not fit, or more follow the
         answer.
 
-        Waits without limit: the caller sets a time-out. After a refusal the next request is asked in step again.
+        ``repeated`` is noted in the answer: the request was sent before. Waits without limit: the caller sets a
+        time-out. After a refusal the next request is preceded by a resynchronisation.
         """
         sent_s = asyncio.get_running_loop().time()
         self._write(self._framing.request(line))
@@ -243,8 +248,8 @@ class Exchange:
     async def _resync(self) -> bytes:
         """Send a token, again after each answer that no silence follows; return the last bytes before the last answer.
 
-        At most 512 bytes are kept. Nothing is sent again while no answer comes, without limit: the caller sets a time-
-        out. Afterwards requests and answers are in step. All bytes passed over are counted as discarded.
+        At most 512 bytes are kept. Nothing is sent again while no answer comes, without limit: the caller sets a
+        time-out. Afterwards requests and answers are in step. All bytes passed over are counted as discarded.
         """
         before = b""
         while True:
@@ -265,7 +270,11 @@ class Exchange:
             before += after
 
     async def _waiting(self, for_s: float = 0.0) -> bytes:
-        """Return bytes received without a request within ``for_s`` seconds, by default those that are already here."""
+        """Return the bytes that arrive within ``for_s`` seconds without a request, by default those that are already
+        here.
+
+        It ends earlier once more than 4096 have come; LinkLost if the link is gone.
+        """
         received = b""
         await asyncio.sleep(0)  # lets a socket deliver bytes that it already has
         try:

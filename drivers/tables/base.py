@@ -51,7 +51,10 @@ class Table:
         return status.target_reached
 
     async def _wait_for_home(self, poll_s: float) -> None:
-        """Poll all axes until each is at home; after a minute call ``_give_up_homing`` and raise DeviceRefused."""
+        """Poll all axes every ``poll_s`` until each is at home.
+
+        After a minute ``_give_up_homing`` is called, and DeviceRefused raised, naming the axes that are not home.
+        """
         loop = asyncio.get_running_loop()
         deadline = loop.time() + _HOMING_LIMIT_S
         while self.homing:
@@ -73,8 +76,10 @@ class Table:
         read: Callable[[str], Awaitable[AxisState]],
         idle: Callable[[str], Awaitable[bool]] | None = None,
     ) -> str:
-        """Stop all axes, the one moved last first, wait until they stand, and return what was seen; see
-        ``bring_to_rest``.
+        """Stop all axes, the one moved last first, wait until they stand, and return in words what was seen.
+
+        ``tell(axis)`` sends the stop, ``read(axis)`` reads the axis, ``idle(axis)`` tells whether the controller moves
+        it; see ``bring_to_rest``, also for what is raised.
         """
         axes = sorted(self.limits, key=lambda axis: axis != self._moved)
         return await bring_to_rest(self._device, axes, tell, read, self._timeout_s, idle)

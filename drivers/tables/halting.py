@@ -53,7 +53,9 @@ class _Axis:
     def see(self, state: AxisState) -> bool:
         """Add a reading; return whether it shows that the axis slows down or stands.
 
-        Slowing down means several readings in a row clearly below the slowest rate so far: single ones may be noise.
+        Standing means a rate near zero and an angle like that of the reading before. Slowing down means five readings
+        in a row clearly below the slowest rate so far: single ones may be noise. The count of stops in vain (``tells``)
+        begins anew then.
         """
         self.turns = self._last is not None and abs(state.angle_rad - self._last.angle_rad) > _STILL_RAD
         still = self._last is not None and not self.turns
@@ -82,8 +84,9 @@ class _Axis:
         )
 
     def text(self, now_s: float) -> str:
-        """Return in words the last reading of the axis and its age, or that its rate and angle contradict each
-        other.
+        """Return in words the last reading of the axis and its age at ``now_s`` (loop time).
+
+        Or that its rate and angle contradict each other, or that there was none.
         """
         if self._last is None:
             return f"axis {self.name} no longer reports its state"
@@ -104,13 +107,14 @@ async def bring_to_rest(
 ) -> str:
     """Tell all axes to stop, in the given order, wait until they stand, and return in words what was seen.
 
-    ``tell`` sends the stop to one axis and reopens its link if that is lost. A failure with one axis does not delay the
-    others: it is told again after them, and so is an axis that is not seen to slow down. ``idle`` asks whether the
-    controller carries out no motion of an axis; if that axis turns all the same, a stop is of no use.
+    ``tell(axis)`` sends the stop to one axis and reopens its link if that is lost; ``read(axis)`` reads it. A failure
+    with one axis does not delay the others: it is told again after them, and so is an axis that is not seen to slow
+    down. ``idle(axis)`` asks whether the controller carries out no motion of an axis; one that turns all the same is
+    passed over for the others.
 
-    Gives up when an axis that answers does not slow down for about a second, or after ten seconds (at a ``timeout_s``
-    of 0.2 s) without news. LinkLost, BadReply if something else answered, or DeviceRefused if an axis keeps turning;
-    the message has the last reading of each axis that may still turn.
+    Gives up when an axis that answers does not slow down for about a second, or after 50 times ``timeout_s`` without
+    news. LinkLost, BadReply if something else answered, or DeviceRefused if an axis keeps turning; the message has the
+    last reading of each axis that may still turn. ``device`` is for the error.
     """
     loop = asyncio.get_running_loop()
     began_s = seen_s = loop.time()
@@ -153,8 +157,10 @@ async def bring_to_rest(
 
 
 def _not_at_rest(device: str, axes: Sequence[_Axis], failures: Sequence[DeviceError]) -> DeviceError:
-    """Return the error for axes that may still turn: the last readings and what to do. Its type follows the first
-    failure.
+    """Return the error for axes that may still turn, with their last readings and what to do.
+
+    BadReply if the first failure is one, LinkLost for any other; without failures DeviceRefused, which says so if the
+    readings of all axes contradict themselves.
     """
     now_s = asyncio.get_running_loop().time()
     readings = "; ".join(axis.text(now_s) for axis in axes)
@@ -169,7 +175,7 @@ def _not_at_rest(device: str, axes: Sequence[_Axis], failures: Sequence[DeviceEr
 async def first_look(table: Turntable, *, take_over: bool) -> None:
     """Check at first contact that nobody else drives the table: DeviceRefused if an enabled axis turns.
 
-    With ``take_over`` the table is stopped instead.
+    Turning is above 0.05 deg/s. With ``take_over`` the table is stopped instead. Failures of the table pass through.
     """
     for axis in table.limits:
         rate_rps = (await table.read(axis)).rate_rps

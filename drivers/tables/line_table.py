@@ -36,8 +36,9 @@ class LineTable(Table):
         read: Callable[[str], Awaitable[AxisState]],
         idle: Callable[[str], Awaitable[bool]] | None = None,
     ) -> str:
-        """Stop all axes with the lines that ``lines(axis)`` returns, and return what was seen; see
-        ``bring_to_rest``.
+        """Stop all axes, each with the lines that ``lines(axis)`` returns, and return in words what was seen.
+
+        ``read(axis)`` and ``idle(axis)``, and what is raised: see ``bring_to_rest``.
         """
         return await self._bring_to_rest(lambda axis: self._exchange.tell_all(lines(axis)), read, idle)
 

@@ -12,11 +12,13 @@ _STEP_LIMIT_S = 15.0
 async def make_safe(
     table: Turntable, /, *, time_scale: float, unconfirmed: Callable[[str], None], untrue_readings: bool = False
 ) -> SafeState:
-    """Stop a table, abort its motions if it is not seen to stop, and switch its power off; raises nothing.
+    """Stop a table, abort its motions if it is not seen to stop, and switch its power off; device errors are not
+    raised.
 
     ``unconfirmed(trouble)`` is called if the controlled stop was not confirmed, before the abort. With
     ``untrue_readings`` nothing that the table reports of the stop is believed: its power stays on for the longest
-    braking time, and no abort is sent. Power is switched off in any case, even if the table may then coast.
+    braking time, and no abort is sent. Power is switched off in any case, within 15 s times ``time_scale`` (how fast
+    the loop's clock runs), even if the table may then coast. The result has what went wrong, empty if nothing did.
     """
     trouble = await tried(table.stop(), None)
     aborted = ""

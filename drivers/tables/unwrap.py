@@ -25,8 +25,11 @@ class Unwrapper:
         self._last = None
 
     def place(self, t_s: float, told: float, rate: float) -> float:
-        """Return the continuous angle for a reading: time (s), reported angle and rate, both in the unit of the
-        turn.
+        """Return the continuous angle for a reading: time ``t_s``, ``told`` angle and rate, in the unit of the turn and
+        per s.
+
+        The first reading is taken to within half a turn of zero. Once an angle of more than a turn is told, the
+        controller counts turns itself, and angles are returned as they are told.
         """
         self._counts_turns |= abs(told) >= self._turn * 1.0001
         expected = 0.0

@@ -63,7 +63,7 @@ class Conditions:
 
     @property
     def offers(self) -> frozenset[str]:
-        """The data available for effects: "gimbals", "specific force", "temperature"."""
+        """The data available for effects: "gimbals", "specific force" (if finite at all instants), "temperature"."""
         held = {
             "gimbals": bool(self.gimbals),
             "specific force": bool(np.isfinite(self.specific_force_mps2).all()),
@@ -77,7 +77,7 @@ class Conditions:
         return float(self.t_s[1] - self.t_s[0])
 
     def once(self, key: Hashable, work: Callable[[], Floats]) -> Floats:
-        """Return the array ``work()``, computed at the first call with ``key`` and read-only.
+        """Return the array ``work()``, computed at the first call with ``key`` and kept; it is read-only.
 
         The key must contain everything besides the conditions on which the values depend.
         """
@@ -114,8 +114,10 @@ class Conditions:
         temperature_c: Floats | None = None,
         site: Site | None = None,
     ) -> Self:
-        """Return the conditions of a body that the gimbals move (angles, rates, accelerations (N, g)).
+        """Return the conditions of a body that g gimbals move: at instants (N,) in s, angles, rates, accelerations (N,
+        g).
 
+        ``gimbals`` are named outermost first. Without a ``site`` Earth rate is left out; ``temperature_c`` is (N,).
         RecordingError for unknown gimbals.
         """
         names = check_gimbals(gimbals)
@@ -158,9 +160,9 @@ def follow(values: Floats, shares: Floats) -> Floats:
 
 
 def _follow_finite(x: Floats, share: Floats) -> Floats:
-    """Return finite values (N,) smoothed recursively.
+    """Return finite values (N,) smoothed recursively: y[n] = share[n] y[n-1] + (1 - share[n]) x[n], with y[0] = x[0].
 
-    y[n] - share[n] y[n-1] = (1 - share[n]) x[n] is a lower triangular system with one band below its diagonal.
+    This is a lower triangular system with one band below its diagonal.
     """
     from scipy.linalg.blas import dtbsv  # solves such systems; scipy.signal takes half a second to import
 
@@ -177,8 +179,9 @@ def body_acceleration(
 ) -> Floats:
     """Return the derivative (N, 3) of the body rate in body axes, rad/s2.
 
-    Through each gimbal with axis e, v becomes R' v + e rate, so its derivative becomes R' vdot - rate e x (R' v) + e
-    acceleration.
+    Angles, rates and accelerations are (N, g), for g ``gimbals``, outermost first; Earth rate is that of the ``site``,
+    none without. Through each gimbal with axis e, v becomes R' v + e rate, so its derivative becomes R' vdot - rate e x
+    (R' v) + e acceleration.
     """
     base = np.zeros(3) if site is None else site.earth_rate_rps()
     v = np.tile(base, (len(angle_rad), 1))

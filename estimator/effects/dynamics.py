@@ -11,11 +11,10 @@ LAG_S = 0.004
 _LAGUERRE = np.polynomial.laguerre.laggauss(4)
 
 
-def _late(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
-    """Return the columns of a delay: p . (w that long before - w), per second of the delay.
+def _delay_column(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
+    """Return the column (N,) of a delay: p . (w that long before - w), per second of the delay.
 
-    They are exact for the setting ``delay_s``. If that is 0, or the rate before is unknown, they are the limit -p .
-    wdot.
+    It is exact for the setting ``delay_s`` (s). If that is 0, or the rate before is unknown, it is the limit -p . wdot.
     """
     delay_s = float(settings.get("delay_s", 0.0))
     if not delay_s or conditions.delayed_rps is None:
@@ -23,8 +22,8 @@ def _late(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
     return (conditions.delayed_rps(delay_s) - conditions.delayed_rps(0.0)) @ axes.p / abs(delay_s)
 
 
-def _lagging(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
-    """Return the column of a first-order lag per second of its time constant; exact for the setting ``tau_s``.
+def _lag_column(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
+    """Return the column (N,) of a first-order lag per second of its time constant; exact for the setting ``tau_s`` (s).
 
     A lag of time constant T is the mean of all delays, weighted by exp(-delay / T) / T (four points of Gauss and
     Laguerre). If the rate before is unknown, it is -u' + tau u'', u = p . w. Only the second derivative differs from a
@@ -40,9 +39,9 @@ def _lagging(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
 
 RECORDS = LATENCY, BANDWIDTH, ACCELERATION_SENSITIVITY, REFERENCE_LAG = family(
     "dynamics",
-    latency={"regressors": _late},
-    bandwidth={"regressors": _lagging},
-    reference_lag={"regressors": _late},
+    latency={"regressors": _delay_column},
+    bandwidth={"regressors": _lag_column},
+    reference_lag={"regressors": _delay_column},
 )
 
 

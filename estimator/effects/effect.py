@@ -183,8 +183,10 @@ class Record:
         return next((setting for setting in self.settings if setting.grid is not None), None)
 
     def effect(self, gimbals: Sequence[str] = (), **settings: Value) -> "Effect":
-        """Return the effect for a table with these axes and these values of its settings; LawError if its law is
-        invalid.
+        """Return the effect for a table with these axes and these values of its settings.
+
+        The settings are inserted into law, label and names of parameters; an effect without a law has the record's
+        regressors. LawError if the law is invalid, KeyError if a setting is missing.
         """
         own = self.parameters if isinstance(self.parameters, tuple) else self.parameters(gimbals, settings)
         law = self.law.format(**settings) if settings else self.law
@@ -206,7 +208,12 @@ class Record:
         )
 
     def check(self) -> None:
-        """Raise EffectError, with the reason, if the station cannot work with this record."""
+        """Raise EffectError, with the reason, if the station cannot work with this record.
+
+        Checked are the name, the types of tuples, SI units and sizes of parameters, whether the law can be read and has
+        a term for each parameter, and that an effect without a law has regressors and says how it is corrected or why
+        not.
+        """
         if not re.fullmatch("[a-z][a-z0-9_]*", self.name):
             raise EffectError(f"the effect {self.name!r} has no name of small letters, digits and underscores")
         for key in ("parameters", "confused_with", "suspected_of"):

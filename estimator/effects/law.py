@@ -51,7 +51,10 @@ class LawError(ValueError):
 
 
 def columns_of(law: str, conditions: Conditions, axes: Axes) -> Floats:
-    """Return the terms (N, terms) of a law for a gyro; LawError for an invalid text."""
+    """Return the terms (N, terms) of a law under conditions at N instants, for a gyro with these axes.
+
+    LawError for an invalid text.
+    """
     variables = Variables(conditions, axes)
     terms = compiled(law)
     columns = np.empty((len(conditions.t_s), len(terms)))
@@ -69,10 +72,11 @@ def needs_of(law: str) -> frozenset[str]:
 
 
 def settled(law: str, above_k: float) -> tuple[Floats, Floats] | None:
-    """Return the values of a law at a steady temperature, long after the start, as biases and gains (terms,).
+    """Return the values of a law long after the start, ``above_k`` above the reference temperature, as biases and
+    gains.
 
-    Gains are relative to the rate about the sense axis. None if the law depends on anything else, or not linearly on
-    it.
+    Both are (terms,); gains are relative to the rate about the sense axis. None if the law depends on anything but
+    temperature, time and that rate, or not linearly on the rate.
     """
     if not set(variables_of(law)) <= {"T", "t", "u"} or functions_of(law) & {"lag", "play", "last"}:
         return None
@@ -118,19 +122,22 @@ def of_each_gyro(law: str) -> bool:
 def in_words(law: str) -> str:
     """Return a law in words: "bias proportional to temperature lagged by 58 s".
 
-    A law of many terms is described by its variables and functions only.
+    A law of more than four terms is described by its variables and a function only.
     """
     if len(parsed(law)) > _MOST_TERMS_TOLD:
         about = " and ".join(VARIABLES[name][2] for name in variables_of(law))
         how = next((words for name, words in _MANY.items() if name in functions_of(law)), "terms")
         return f"bias that depends on {about} ({len(parsed(law))} {how})"
-    words = [_words(tree) for tree in parsed(law)]
+    words = [_in_words(tree) for tree in parsed(law)]
     return "bias proportional to " + " and to ".join(words)
 
 
 @lru_cache(4096)
 def parsed(law: str) -> tuple[ast.expr, ...]:
-    """Return the terms of a law as syntax trees; LawError for anything outside the grammar."""
+    """Return the terms of a law, separated by semicolons, as syntax trees.
+
+    LawError for anything outside the grammar, and for a law that is no text, empty or too long.
+    """
     if not isinstance(law, str) or not law.strip() or len(law) > _MOST_CHARACTERS:
         raise LawError(f"{law!r}: a law is a text of 1 to {_MOST_CHARACTERS} characters")
     if not _CHARACTERS.fullmatch(law):
@@ -141,35 +148,39 @@ def parsed(law: str) -> tuple[ast.expr, ...]:
             tree = ast.parse(term.strip(), mode="eval").body
         except (SyntaxError, RecursionError, ValueError):
             raise LawError(f"{term.strip()!r} is no term of a law") from None
-        _check(tree)
+        _check_grammar(tree)
         trees.append(tree)
     return tuple(trees)
 
 
-def _check(node: ast.expr) -> None:
-    """Raise LawError if a syntax tree is not within the grammar of laws."""
+def _check_grammar(node: ast.expr) -> None:
+    """Raise LawError if a syntax tree is not within the grammar of laws.
+
+    That is numbers, known variables, + - * /, whole powers, a minus sign, functions of one argument, and lag, play and
+    last of an expression with a variable, with a positive constant (last also without).
+    """
     match node:
         case ast.Constant(value=int() | float()):
             return
         case ast.Name(id=name) if name in VARIABLES:
             return
         case ast.BinOp(op=ast.Mult() | ast.Div() | ast.Sub() | ast.Add()):
-            _check(node.left)
-            _check(node.right)
+            _check_grammar(node.left)
+            _check_grammar(node.right)
         case ast.BinOp(op=ast.Pow(), right=ast.Constant(value=int())):
-            _check(node.left)
+            _check_grammar(node.left)
         case ast.UnaryOp(op=ast.USub()):
-            _check(node.operand)
+            _check_grammar(node.operand)
         case ast.Call(func=ast.Name(id=name), args=[inner], keywords=[]) if name in _PLAIN:
-            _check(inner)
+            _check_grammar(inner)
         case ast.Call(func=ast.Name(id="last"), args=[inner], keywords=[]) if _names(inner):
-            _check(inner)
+            _check_grammar(inner)
         case ast.Call(
             func=ast.Name(id="lag" | "play" | "last"),
             args=[inner, ast.Constant(value=int() | float() as size)],
             keywords=[],
         ) if _names(inner) and 0 < size < np.inf:
-            _check(inner)
+            _check_grammar(inner)
         case _:
             raise LawError(f"{ast.unparse(node)!r} is not of the grammar of laws")
 
@@ -198,7 +209,11 @@ class Variables:
 
 
 def _variable(name: str, c: Conditions, axes: Axes) -> Floats:
-    """Return a variable (N,) under conditions ``c``, for a gyro with these axes."""
+    """Return a variable (N,) of laws under conditions ``c``, for a gyro with these axes.
+
+    The temperature counts from the reference, and is 0 if it is unknown; time counts from the first instant. ValueError
+    for an axis that the table does not have.
+    """
     match name:
         case "u" | "uj" | "uk":
             return np.asarray(c.w_rps @ getattr(axes, _OF_GYROS[name]))
@@ -276,7 +291,10 @@ def _compiled(node: ast.expr) -> Compiled:
 
 
 def _call(name: str, inner: Compiled, numbers: Sequence[float]) -> Compiled:
-    """Return a law's function applied to a compiled argument."""
+    """Return a law's function ``name``, with its constants ``numbers``, applied to a compiled argument.
+
+    lag and play need one constant, last has one or none, all others none.
+    """
     match name, numbers:
         case "lag", [lag_s]:
             return lambda known: follow(inner(known), np.exp(-known.steps_s / float(lag_s)))
@@ -312,9 +330,9 @@ def _steps_s(t_s: Floats) -> Floats:
 
 
 def played(values: Floats, width: float) -> Floats:
-    """Return values (N,) after a play of total ``width``, starting in its middle.
+    """Return values (N,) after a play of total ``width``, starting in its middle at the first finite value.
 
-    It starts at the first finite value. Values that are not finite are skipped, and returned unchanged.
+    Values that are not finite are skipped, and returned unchanged.
     """
     out = np.array(values, dtype=np.float64)
     finite = np.flatnonzero(np.isfinite(out))
@@ -359,10 +377,10 @@ def _one_side(node: ast.expr, side: str) -> str:
     """Return in words the part of a value less a constant that is on one side of zero, "beyond" or "below" it."""
     match node:
         case ast.BinOp(left=left, op=ast.Sub(), right=ast.Constant(value=int() | float() as limit)):
-            return f"{_words(left)} {side} {limit:g}"
+            return f"{_in_words(left)} {side} {limit:g}"
         case ast.BinOp(left=left, op=ast.Add(), right=ast.Constant(value=int() | float() as limit)):
-            return f"{_words(left)} {side} {-limit:g}"
-    return f"{_words(node)} {side} 0"
+            return f"{_in_words(left)} {side} {-limit:g}"
+    return f"{_in_words(node)} {side} 0"
 
 
 _POWERS = {"2": "square", "3": "cube"}
@@ -380,8 +398,8 @@ _MANY = {"play": "plays", "expm1": "decays", "abs": "bends", "lag": "lags"}
 """What a law of many terms is made of, by a function that these have."""
 
 
-def _words(node: ast.expr) -> str:
-    """Return a syntax tree in words."""
+def _in_words(node: ast.expr) -> str:
+    """Return a syntax tree in words; parts without words of their own as they are written."""
     match node:
         case ast.BinOp(
             left=ast.Call(func=ast.Name(id="abs"), args=[inner]), op=ast.Add() | ast.Sub() as op, right=right
@@ -390,10 +408,10 @@ def _words(node: ast.expr) -> str:
         case ast.Name(id=name):
             return VARIABLES[name][2]
         case ast.Call(func=ast.Name(id=name), args=[inner, *numbers]):
-            return _CALLS.get(name, name + " of ({})").format(_words(inner), *map(ast.unparse, numbers))
+            return _CALLS.get(name, name + " of ({})").format(_in_words(inner), *map(ast.unparse, numbers))
         case ast.BinOp(left=left, op=ast.Mult() | ast.Div() as op, right=right):
-            return f"{_words(left)} {'times' if isinstance(op, ast.Mult) else 'over'} {_words(right)}"
+            return f"{_in_words(left)} {'times' if isinstance(op, ast.Mult) else 'over'} {_in_words(right)}"
         case ast.BinOp(left=left, op=ast.Pow(), right=right):
             power = ast.unparse(right)
-            return f"the {_POWERS.get(power, f'power {power}')} of the {_words(left)}"
+            return f"the {_POWERS.get(power, f'power {power}')} of the {_in_words(left)}"
     return ast.unparse(node)

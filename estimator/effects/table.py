@@ -24,8 +24,8 @@ def _waves_of(gimbals: Sequence[str], settings: Settings) -> tuple[Parameter, ..
     return tuple(Parameter(f"{part} of {name}", "rad/s", largest) for name in names for part in ("cosine", "sine"))
 
 
-def _tilting(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
-    """Return the columns of each inner axis tilted towards the two others; none for a single axis.
+def _tilt_columns(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
+    """Return the columns (N, 2 for each inner axis) of axes tilted towards the two others; (N, 0) for a single axis.
 
     The outermost axis defines the base. With a small rotation d that tilts an axis, R' becomes (1 + d x) R' (1 - d x),
     and the error of the body rate w becomes R' error + d x w - R' (d x (w before)).
@@ -38,7 +38,7 @@ def _tilting(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
 def _all_tilted(conditions: Conditions) -> Floats:
     """Return the errors of the body rate (N, tilts, 3) per radian of each tilt of each inner axis."""
     gimbals = conditions.gimbals
-    tilts = [_tilted(conditions, inner, d) for inner in range(1, len(gimbals)) for d in _tilts(gimbals[inner])]
+    tilts = [_error_of_tilt(conditions, inner, d) for inner in range(1, len(gimbals)) for d in _tilts(gimbals[inner])]
     return np.stack(tilts, axis=1)
 
 
@@ -63,8 +63,11 @@ def _tilts(axis: str) -> tuple[Floats, Floats]:
     return unit[(a + 2) % 3], -unit[(a + 1) % 3]
 
 
-def _tilted(conditions: Conditions, inner: int, d: Floats) -> Floats:
-    """Return the error (N, 3) of the body rate per radian of rotation of gimbal ``inner`` about d (3,)."""
+def _error_of_tilt(conditions: Conditions, inner: int, d: Floats) -> Floats:
+    """Return the error (N, 3) of the body rate per radian of a rotation that tilts gimbal number ``inner``.
+
+    ``d`` (3,) is the axis of that rotation, in the frame within which the gimbal turns.
+    """
     v = np.zeros_like(conditions.w_rps)
     if conditions.site is not None:
         v = v + conditions.site.earth_rate_rps()
@@ -90,7 +93,7 @@ RECORDS = TABLE_HARMONIC, TABLE_AXES, TABLE_RATE = family(
         ),
         "confused_with": lambda settings: ("g_sensitivity", "earth_rate") if settings["order"] == 1 else (),
     },
-    table_axes={"parameters": _tilts_of, "regressors": _tilting},
+    table_axes={"parameters": _tilts_of, "regressors": _tilt_columns},
     table_rate={
         "parameters": lambda axes, _: tuple(Parameter(f"of {name}", "1", 1e-3) for name in axes),
         "regressors": _faster,

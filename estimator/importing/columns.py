@@ -21,10 +21,10 @@ _TEXT = bytes([*range(9, 14), *range(32, 256)])
 
 
 def read_table(path: Path, file_format: FileFormat, wanted: Wanted) -> Table:
-    """Return the wanted columns of a file: MATLAB, binary, a capture, or text.
+    """Return the wanted columns of a file: MATLAB, binary, a capture, or text, as ``file_format`` says.
 
-    RecordingError, naming the file, if it is empty, of another kind, lacks a column, or is broken in more than 10 % of
-    its lines.
+    RecordingError, naming the file, if it is empty, of another kind, lacks a column, or is damaged; text may be broken
+    in up to 10 % of its lines.
     """
     try:
         if path.stat().st_size == 0:
@@ -55,7 +55,11 @@ def read_table(path: Path, file_format: FileFormat, wanted: Wanted) -> Table:
 
 
 def _decoded(raw: bytes, wanted: Wanted) -> str:
-    """Return the text of a file in UTF-16, UTF-8 or, if a wanted column is found only then, Latin-1."""
+    """Return the text of a file in UTF-16 (with its mark), else UTF-8, or Latin-1 if a wanted column is not found in
+    that.
+
+    Only names with characters beyond ASCII are looked for. Bytes that are no text of the encoding are replaced.
+    """
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return raw.decode("utf-16", errors="replace")
     text = raw.decode("utf-8-sig", errors="replace")
@@ -73,7 +77,11 @@ def _check_present(name: str, wanted: Sequence[str], present: Sequence[str], whe
 
 
 def _read_binary(name: str, raw: bytes, record: np.dtype[Any], header_bytes: int, wanted: Sequence[str]) -> Table:
-    """Return the wanted columns of a binary file; RecordingError if it is too short or its numbers are implausible."""
+    """Return the wanted columns of a binary file of rows of type ``record``, behind ``header_bytes``.
+
+    Bytes of an unfinished row at the end are skipped, with a note. RecordingError if a column is missing, the file has
+    no row, or its numbers are implausible.
+    """
     numeric = [key for key in record.names or () if record[key].base.kind != "V"]
     _check_present(name, wanted, numeric, "record in [file]")
     count, rest = divmod(len(raw) - header_bytes, record.itemsize)
@@ -90,7 +98,10 @@ def _read_binary(name: str, raw: bytes, record: np.dtype[Any], header_bytes: int
 
 
 def _read_mat(path: Path, wanted: Sequence[str]) -> Table:
-    """Return the wanted variables of a MATLAB file; RecordingError if one is missing or not numeric."""
+    """Return the wanted variables of a MATLAB file, samples along their first dimension.
+
+    RecordingError if the file cannot be read, or one is missing or not numeric.
+    """
     from scipy.io import loadmat  # only where a .mat file is read
 
     try:
@@ -112,7 +123,8 @@ def _read_mat(path: Path, wanted: Sequence[str]) -> Table:
 def by_rows(columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """Return arrays with samples along their first dimension, (n,) or (n, width), however they are stored.
 
-    The number of samples is the longest side of the largest array; arrays with it along another side are turned.
+    The number of samples is the longest side of any array. Arrays with it along another side only are turned, and
+    further dimensions joined; arrays without it stay as they are.
     """
     rows = max((max(values.shape, default=1) for values in columns.values()), default=1)
     found = {}

@@ -21,9 +21,10 @@ ForeignRows = tuple[Floats, Floats]
 
 
 def reference_rows(reference: Measured, table: Table) -> Floats:
-    """Return attitudes (rows, 4) as w x y z, body to reference, or rates (rows, 3), or angles (rows, 1).
+    """Return the rows of a reference in a file: attitudes (rows, 4) as w x y z, rates (rows, 3) or angles (rows, 1).
 
-    Invalid attitudes are NaN; RecordingError if no row is usable.
+    Attitudes are body to reference, also where the columns are rotation matrices. Invalid attitudes are NaN.
+    RecordingError if no row is usable.
     """
     rows = table.values(reference.columns, f"[reference] column{'s' * (reference.kind != 'angle')}")
     if reference.columns.width == _MATRIX:
@@ -51,7 +52,7 @@ def _quaternions(rows: Floats) -> Floats:
 
 
 def foreign_reference(reference: Measured, t_ns: Stamps, rows: Floats) -> Reference:
-    """Return the reference made of rows (k, c) at ``t_ns`` (k,), NaN where unknown.
+    """Return the reference made of rows (k, c) at ``t_ns`` (k,), NaN where unknown, by the kind of ``reference``.
 
     Single unknown rows of a rate are dropped; those in longer gaps are kept.
     """
@@ -60,7 +61,7 @@ def foreign_reference(reference: Measured, t_ns: Stamps, rows: Floats) -> Refere
     if reference.kind == "angle":
         return _encoder(reference.gimbal, t_ns, rows[:, 0])
     whole = np.asarray(np.isfinite(rows).all(axis=1))
-    keep = whole | _lost(t_ns, whole)
+    keep = whole | _in_long_gaps(t_ns, whole)
     return RateReadings(t_ns[keep], rows[keep])
 
 
@@ -73,8 +74,11 @@ def _encoder(gimbal: str, t_ns: Stamps, angle_rad: Floats) -> TableReadings:
     )
 
 
-def _lost(t_ns: Stamps, whole: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return as flags (k,) which rows are in gaps between complete ones that are too long to be filled."""
+def _in_long_gaps(t_ns: Stamps, whole: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return as flags (k,) which rows are in gaps between complete ones that are too long to be filled.
+
+    ``whole`` (k,) marks complete rows. Gaps count from three usual steps and 150 ms on.
+    """
     known = t_ns[whole]
     if len(known) < 2:
         return np.zeros(len(t_ns), dtype=bool)

@@ -58,7 +58,9 @@ def fitted(recording: Recording, source: str, gyro: GyroColumns) -> tuple[Record
     """Return the recording with signs and scales taken from the data where asked for, notes, and the factors applied
     (m,).
 
-    Factors are None if none were applied. RecordingError if a gyro follows the rate about another axis than stated.
+    ``source`` is the only one of the recording, ``gyro`` its mapping. The prior is widened where gyros are far off.
+    Factors are None if no scale was asked for. RecordingError if a gyro follows the rate about another axis than
+    stated.
     """
     found, data, notes, factors = _gains(recording, source), recording.sources[source], list[str](), None
     if gyro.sign_from_data or gyro.scale_from_data:
@@ -95,8 +97,10 @@ def _gains(recording: Recording, source: str) -> list[_Gain | None]:
 
 
 def _gain(p: Floats, basis: Floats, slope: Floats, follows: float, offset_rps: float) -> _Gain | None:
-    """Return the gain of a gyro along p (3,), from its slopes (t,) in the directions (3, t) of rotation; None if not
-    sensed.
+    """Return the gain of a gyro along p (3,), None if the motion does not turn about that.
+
+    ``slope`` (t,) are its slopes in the t directions (3, t) of rotation in ``basis``, ``follows`` the share of its
+    output that these explain, ``offset_rps`` its output at rest. If it follows another axis, the gain has that axis.
     """
     sensed = basis.T @ p
     if np.linalg.norm(sensed) < _SENSED:
@@ -111,7 +115,8 @@ def _gain(p: Floats, basis: Floats, slope: Floats, follows: float, offset_rps: f
 def _of_rows(recording: Recording, data: ImuData) -> list[_Gain | None]:
     """Return gains from rows of a reference that cannot show a delay: turns, or a body at rest.
 
-    All are None with fewer than four rows. At rest only gyros that report rotation have one, of slope 0.
+    All are None with fewer than four rows. At rest a gyro has one, of slope 0, only if it reports rotation
+    nevertheless.
     """
     m = len(data.array)
     gram = Gram.empty(m)
@@ -138,7 +143,9 @@ def _of_rows(recording: Recording, data: ImuData) -> list[_Gain | None]:
 
 
 def _signs(array: SensorArray, found: Sequence[_Gain | None], notes: list[str]) -> Floats:
-    """Return the sign (m,) of each gyro by the data, 1 where they do not show it, with notes."""
+    """Return the sign (m,) of each gyro by the data, 1 where they do not show it; notes on both are appended to
+    ``notes``.
+    """
     signs = np.ones(len(array))
     for i, (name, gain) in enumerate(zip(array.names, found, strict=True)):
         if gain is None or not gain.told:
@@ -150,8 +157,10 @@ def _signs(array: SensorArray, found: Sequence[_Gain | None], notes: list[str]) 
 
 
 def _factors(array: SensorArray, found: Sequence[_Gain | None], gyro: GyroColumns, notes: list[str]) -> Floats:
-    """Return the factor (m,) for each output, rounded: the rest is its scale factor error. Notes say what was
-    applied.
+    """Return the factor (m,) for each output, rounded to three digits; what remains is its scale factor error.
+
+    It is 1 where the output is right to 10 %, and the median of the others where the motion does not show it. What was
+    applied is appended to ``notes``.
     """
     size_dps = float(np.degrees(gyro.columns.scale)) if gyro.columns.raw else 1.0
     own = [abs(1 / gain.factor) if gain and gain.told and gain.factor else np.nan for gain in found]

@@ -73,8 +73,8 @@ class _Part:
 def import_recording(mapping: Mapping, data_paths: Sequence[Path]) -> Imported:
     """Return one recording of all files, in the order given, and what was refused.
 
-    A file that cannot be used is refused and the others are imported. RecordingError, with every reason, if nothing is
-    left.
+    A file that cannot be used is refused and the others are imported; reference files among ``data_paths`` are skipped.
+    RecordingError, with every reason, if nothing is left.
     """
     if not data_paths:
         raise RecordingError("no data file is given. Name at least one after the mapping")
@@ -94,12 +94,12 @@ def import_recording(mapping: Mapping, data_paths: Sequence[Path]) -> Imported:
             parts.append(part)
     if not parts:
         raise RecordingError("nothing to import: " + "; ".join(str(r) for r in refused))
-    recording, notes = _joined(mapping, parts, refused)
+    recording, notes = _joined_recording(mapping, parts, refused)
     return Imported(recording, tuple(refused), tuple(notes), len(data_paths) - len(parts))
 
 
 def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused]]:
-    """Return the data of one file, None if no section is left, and its refused sections; RecordingError if unusable."""
+    """Return the data of one file (None if no section is left) and its refused sections; RecordingError if unusable."""
     reference, beside, array = mapping.reference, mapping.reference_file, mapping.gyro.array
     measured = reference if isinstance(reference, Measured) and not beside else None
     label = None if isinstance(reference, Measured) else reference.cuts.column
@@ -125,12 +125,12 @@ def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused
         spans, left_out = turn_spans(mapping, reference, log, rate)
     # Logs of several devices have rows without this one; a gyro that is read too often repeats itself.
     own = np.flatnonzero(np.isfinite(rate[time.rows]).any(axis=1))
-    own = own[_new("the gyro", time.t_s[own], rate[time.rows[own]], notes)]
+    own = own[_new_rows("the gyro", time.t_s[own], rate[time.rows[own]], notes)]
     kept, odd = without_odd("gyro", time.t_s[own], rate[time.rows[own]], array.names)
     notes += [*_missing_notes(time.t_s[own]), *odd, *_coarse_notes(array.names, rate[time.rows[own]])]
     own = own[kept]
     rate, t_s = rate[time.rows[own]], time.t_s[own]
-    accel, warmth = _filled(log, own, accel, "accelerometer"), _filled(log, own, warmth, "temperature")
+    accel, warmth = _interpolated(log, own, accel, "accelerometer"), _interpolated(log, own, warmth, "temperature")
     if isinstance(reference, Rests):
         rests, left_out, found = rests_of(mapping, reference, log, own, rate, accel)
         known = t_s, rest_rates(rests, len(rate), mapping.site if reference.earth_rate else None)
@@ -159,9 +159,11 @@ def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused
     ), left_out
 
 
-def _new(what: str, t_s: Floats, values: Floats, notes: list[str]) -> NDArray[np.intp]:
-    """Return the rows at which values (rows, c) are new: all, or with a note those that are not repetitions of held
-    ones.
+def _new_rows(what: str, t_s: Floats, values: Floats, notes: list[str]) -> NDArray[np.intp]:
+    """Return the numbers of the rows at which values (rows, c) are new.
+
+    All, unless values are held for several rows: then those that are not repetitions, with a note on ``what`` in
+    ``notes``.
     """
     if (fresh := updates(values)) is None:
         return np.arange(len(values))
@@ -172,8 +174,11 @@ def _new(what: str, t_s: Floats, values: Floats, notes: list[str]) -> NDArray[np
 
 
 def _readings(reference: Measured, t_s: Floats, values: Floats, notes: list[str]) -> ForeignRows:
-    """Return instants and rows of a reference without held values, spikes and repetitions, with notes."""
-    fresh = _new("the reference", t_s, values, notes)
+    """Return instants (k,) in s and rows (k, c) of a reference without held values, spikes and repetitions.
+
+    What was left out is appended to ``notes``.
+    """
+    fresh = _new_rows("the reference", t_s, values, notes)
     t_s, values = t_s[fresh], values[fresh]
     turned = reference.kind == "angle"  # 359 deg after 0 is no spike
     kept, odd = without_odd("reference", t_s, np.hstack([np.cos(values), np.sin(values)]) if turned else values)
@@ -184,10 +189,11 @@ def _readings(reference: Measured, t_s: Floats, values: Floats, notes: list[str]
 def _rows_beside(
     mapping: Mapping, reference: Measured, other: ReferenceFile, log: Log, gyros: ForeignRows, notes: list[str]
 ) -> ForeignRows:
-    """Return instants and rows of a reference in its own file, on the time of the data file.
+    """Return instants (k,) in s and rows (k, c) of a reference in its own file, on the time of the data file ``log``.
 
-    Stamps of two clocks are corrected if they drift apart; without stamps on one side both files begin together.
-    RecordingError if the files do not overlap.
+    ``gyros`` are instants and rates of the data file. The offset between the files is stated, by stamps of one clock,
+    or by the motion. Stamps of two clocks are corrected if they drift apart; where stamps scatter, the motion decides
+    between them and an even grid. Notes are appended to ``notes``. RecordingError if the files do not overlap.
     """
     path, time, name = other.beside(log.path), log.time, other.beside(log.path).name
     table = read_table(path, other.format, wanted(other.timing, reference.columns.names))
@@ -223,7 +229,7 @@ def _rows_beside(
         at = np.searchsorted(own.time.t_s + shift_s, stamped_s)
         other_s = t_s + own.time.other_s[at] - own.time.t_s[at]
         tried = [(gyros[0], (each_s, values)) for each_s in (t_s, other_s)]
-        (_, (t_s, values)), told_of = _settled(mapping, reference, own, gyros[1], tried)
+        (_, (t_s, values)), told_of = _decided_by_motion(mapping, reference, own, gyros[1], tried)
         notes[of_grid] = told_of or notes[of_grid]
     if apart := clocks_apart(outputs, body(), array.p, signed=signed):
         notes.append(apart.told(name, max(first, float(t_s[0]))))
@@ -234,7 +240,7 @@ def _rows_beside(
     return t_s, values
 
 
-def _settled(
+def _decided_by_motion(
     mapping: Mapping,
     reference: Measured,
     log: Log,
@@ -243,8 +249,9 @@ def _settled(
 ) -> tuple[tuple[Floats, ForeignRows], str]:
     """Return the instants of samples (n,) and the rows of a reference: those of ``tried`` that the motion supports.
 
-    ``tried`` has two: the times as they were fitted, and the alternative, since stamps that scatter are either of
-    samples or of arrivals. Also returns a sentence on it, "" if the fitted times on the grid are kept.
+    ``rate`` (n, m) are the samples. ``tried`` has two: the times as they were fitted in ``log``, and the alternative,
+    since stamps that scatter are either of samples or of arrivals. Also returns a sentence on it, "" if the fitted
+    times on the grid are kept.
     """
     instants = [(_ns(each_s), foreign_reference(reference, _ns(told_s), values)) for each_s, (told_s, values) in tried]
     other = by_motion(mapping.gyro.array, rate, instants) == 1
@@ -265,10 +272,10 @@ def _settled(
 def _samples_settled(
     mapping: Mapping, reference: Measured, log: Log, gyros: ForeignRows, known: ForeignRows
 ) -> tuple[tuple[Floats, ForeignRows], str]:
-    """Return the instants of samples with scattering stamps, and the reference: as stamped or even, as the motion
-    shows.
+    """Return the instants of samples with scattering stamps, and the rows of the reference, as the motion shows.
 
-    A reference in the same file has the same stamps.
+    ``gyros`` and ``known`` are instants and rows of both; the instants are as fitted or the alternative. A reference in
+    the same file has the same stamps and changes with them. Also returns a sentence on it, "" if nothing changes.
     """
     time, (t_s, rate), (told_s, values) = log.time, gyros, known
     other_s = time.other_s
@@ -280,13 +287,14 @@ def _samples_settled(
 
     others_told_s = told_s if mapping.reference_file else others(told_s)
     tried = [(t_s, (told_s, values)), (others(t_s), (others_told_s, values))]
-    return _settled(mapping, reference, log, rate, tried)
+    return _decided_by_motion(mapping, reference, log, rate, tried)
 
 
 def _felt_beside(other: ReferenceFile, accelerometer: Columns, log: Log, rows: int, notes: list[str]) -> Floats:
-    """Return specific forces (rows, 3) from a separate file at the instants of the gyro's rows, NaN beyond its ends.
+    """Return specific forces (rows, 3) from a separate file at the instants of the gyro's rows.
 
-    RecordingError if the files do not overlap.
+    NaN beyond its ends, and in rows of the data file that are not kept. Notes are appended to ``notes``. RecordingError
+    if the files do not overlap.
     """
     path = other.beside(log.path)
     table = read_table(path, other.format, wanted(other.timing, accelerometer.names))
@@ -333,7 +341,10 @@ def _coarse_notes(names: Sequence[str], rate: Floats) -> list[str]:
 
 
 def _missing_notes(t_s: Floats) -> list[str]:
-    """Return a note on samples missing between others; empty if there are none, or gaps are the rule."""
+    """Return a note on samples missing between instants ``t_s``, by the usual step.
+
+    Empty if there are none, or if gaps are the rule, at a tenth of the rows and more.
+    """
     steps = np.diff(t_s)
     short = np.round(steps / np.median(steps)) - 1
     if not 0 < (gaps := int(np.count_nonzero(short > 0))) < _GAPS_SHARE * len(t_s):
@@ -345,10 +356,11 @@ def _missing_notes(t_s: Floats) -> list[str]:
     ]
 
 
-def _filled(log: Log, own: NDArray[np.intp], values: Floats | None, what: str) -> Floats | None:
-    """Return values (rows, m) at the gyro's rows, with blanks interpolated in time; None for None.
+def _interpolated(log: Log, own: NDArray[np.intp], values: Floats | None, what: str) -> Floats | None:
+    """Return values (rows, m) at the gyro's rows ``own``, with blanks interpolated in time; None for None.
 
-    RecordingError if no row is complete.
+    If one of these rows is blank, all are interpolated between complete rows. ``what`` names the values. RecordingError
+    if no row is complete.
     """
     if values is None:
         return None
@@ -362,8 +374,12 @@ def _filled(log: Log, own: NDArray[np.intp], values: Floats | None, what: str) -
     return np.column_stack([np.interp(at, t_s, column) for column in kept[whole].T])
 
 
-def _joined(mapping: Mapping, parts: list[_Part], refused: list[Refused]) -> tuple[Recording, list[str]]:
-    """Return the recording of all files, one after the other with gaps, and its notes."""
+def _joined_recording(mapping: Mapping, parts: list[_Part], refused: list[Refused]) -> tuple[Recording, list[str]]:
+    """Return the recording of all files, one after the other with gaps of 10 s, and its notes.
+
+    Signs and scales are taken from the data where the mapping says so. ``refused`` is noted in the attributes.
+    RecordingError if gyros are mixed up.
+    """
     starts_s = [-float(parts[0].log.time.t_s[0])]
     for before, part in pairwise(parts):
         starts_s.append(starts_s[-1] + float(before.log.time.t_s[-1]) + _GAP_S - float(part.log.time.t_s[0]))
@@ -409,7 +425,10 @@ def _joined(mapping: Mapping, parts: list[_Part], refused: list[Refused]) -> tup
 
 
 def _told_once(parts: Sequence[_Part]) -> list[str]:
-    """Return the notes on all files; notes that differ only in numbers are combined with their count."""
+    """Return the notes on all files; of a single file as they are, else with the name of the file.
+
+    Notes of several files that differ only in numbers are combined with their count.
+    """
     if len(parts) == 1:
         return [*parts[0].notes]
     alike: dict[str, list[tuple[str, str]]] = {}
@@ -430,7 +449,7 @@ def _told_once(parts: Sequence[_Part]) -> list[str]:
 
 
 def _reference(stated: ForeignReference, placed: list[tuple[_Part, float]]) -> Reference:
-    """Return the reference of all files: rows, or stated turns."""
+    """Return the reference of all files: their rows, each file at its start in s, or without rows the stated turns."""
     rows = [(part.reference, start) for part, start in placed if part.reference]
     if rows:
         t_ns = np.concatenate([_ns(t_s + start) for (t_s, _), start in rows])
@@ -446,7 +465,11 @@ def _reference(stated: ForeignReference, placed: list[tuple[_Part, float]]) -> R
 
 
 def _poses(gravity: Gravity, placed: list[tuple[_Part, float]]) -> Poses:
-    """Return the rests of all files with the directions up measured by the accelerometer."""
+    """Return the rests of all files with the directions up that the accelerometer measured.
+
+    ``placed`` are files with their starts in s. ``gravity`` states whether its errors are estimated from the rests, and
+    its uncertainty.
+    """
     rests = [(part.accel_mps2, rest, start) for part, start in placed for rest in part.rests]
     force = [np.nanmean(accel[rest.first : rest.stop], axis=0) for accel, rest, _ in rests if accel is not None]
     limits = np.array([(rest.start_s + start, rest.end_s + start) for _, rest, start in rests])

@@ -27,7 +27,9 @@ class Log:
 
     @property
     def notes(self) -> list[str]:
-        """Notes on its lines and stamps."""
+        """Notes of its table, and on skipped lines, duplicate rows and an unusual step of its samples, as far as there
+        are any.
+        """
         table, notes = self.table, [*self.table.notes]
         if table.skipped_lines:
             lines = "line is" if table.skipped_lines == 1 else "lines are"
@@ -48,10 +50,11 @@ def wanted(timing: Timing, others: Sequence[str], labels: tuple[str, ...] = ()) 
 
 
 def timed(path: Path, table: Table, timing: Timing, file_format: FileFormat, values: Floats) -> Log:
-    """Return a file with the instants of the part to read; rows are numbered as in the file.
+    """Return a file with the instants of the part to read, as ``file_format`` limits it; rows are numbered as in the
+    file.
 
-    ``values`` (rows, c) are all measured columns. RecordingError, naming the file, if too little is left or stamps are
-    invalid.
+    ``values`` (rows, c) are all measured columns, by which repeated rows are found. RecordingError, naming the file, if
+    fewer than two rows are left or stamps are invalid.
     """
     position = np.arange(len(values)) if table.position is None else table.position
     part = file_format
@@ -70,7 +73,12 @@ def timed(path: Path, table: Table, timing: Timing, file_format: FileFormat, val
 def _all_times(
     timing: Timing, table: Table, position: NDArray[np.int64], read: NDArray[np.intp], values: Floats
 ) -> TimeFit:
-    """Return the instants of the rows ``read``, from stamps or a sample rate; RecordingError if they are invalid."""
+    """Return the instants of the rows ``read``, from stamps or a sample rate, fixed or a variable of the file.
+
+    ``position`` (rows,) numbers all rows, lost ones included; ``values`` (rows, c) are the measured columns.
+    RecordingError if stamps are invalid, of another number than the rows, or implausibly close or far apart, or the
+    rate is not positive.
+    """
     if timing.stamps is not None:
         stamps = table.values(timing.stamps, "[time] column")[:, 0]
         if timing.wraps_at < np.inf:

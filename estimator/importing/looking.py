@@ -84,7 +84,11 @@ class _File:
 
 
 def look(path: Path) -> Look:
-    """Return what is in a text or MATLAB file, with a guessed mapping; RecordingError if it cannot be read."""
+    """Return what is in a text or MATLAB file, with a guessed mapping and notes.
+
+    Guessed are the time, a gyro, an accelerometer, the temperature and the reference; placeholders stand for what is
+    not found. RecordingError if the file cannot be read.
+    """
     file = _matlab(path) if path.suffix.lower() == ".mat" else _text(path)
     time, time_keys, step_s = _time(file)
     triples = _triples(file)
@@ -120,7 +124,10 @@ def look(path: Path) -> Look:
 
 
 def _column(file: _File, name: str) -> Column:
-    """Return the description of one column."""
+    """Return the description of one column: its first values, its span, and what it is guessed to be.
+
+    A column of texts has the number of different ones as its span, and may be labels if these are few.
+    """
     if name in file.numbers:
         values = file.numbers[name]
         first = ", ".join(f"{v:.6g}" for v in values.ravel()[:_SHOWN])
@@ -136,7 +143,10 @@ def _column(file: _File, name: str) -> Column:
 
 
 def _matlab(path: Path) -> _File:
-    """Return the content of a MATLAB file; RecordingError if it holds no array of numbers."""
+    """Return the content of a MATLAB file: its longest arrays of numbers, and a variable that looks like a sample rate.
+
+    At most ``_MOST_ROWS`` rows are kept. RecordingError if it cannot be read or holds no array of numbers.
+    """
     from scipy.io import loadmat
 
     probe(path, "MATLAB")
@@ -155,8 +165,10 @@ def _matlab(path: Path) -> _File:
 
 
 def _text(path: Path) -> _File:
-    """Return the content of a text file, with guesses of delimiter, decimal mark and heading; RecordingError if it is
-    not one.
+    """Return the content of a text file, with guesses of delimiter, decimal mark and heading.
+
+    At most 20 MB and ``_MOST_ROWS`` lines are looked at; lines of another width are skipped. Columns without numbers
+    are kept as texts. RecordingError if it is no text or has fewer than three lines.
     """
     raw = read_bytes(path, RecordingError, name=path.name)[:20_000_000]
     text = raw.decode("utf-16" if raw[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig", errors="replace")
@@ -218,9 +230,10 @@ def _number(field: str) -> float:
 
 
 def _time(file: _File) -> tuple[str | None, list[str], float]:
-    """Return the name of the time column, the keys of its table, and the usual step in s (0 if unknown).
+    """Return the name of the time column, the keys of the table [time], and the usual step in s (0 if unknown).
 
-    Columns named like a time come first. Without one, a variable with the rate, or a placeholder.
+    Columns named like a time come first, then any that rise evenly or hold times of day; texts have no step. Without
+    such a column it is a variable with the rate; without one (None) a placeholder. The guess is noted in the file.
     """
     named = [name for name in file.names if _TIME.search(_base(name))]
     for name in [*named, *(n for n in file.names if n not in named)]:
@@ -261,7 +274,12 @@ def _said(name: str, units: Mapping[str, Sequence[str]]) -> str | None:
 
 
 def _triples(file: _File) -> dict[str, tuple[str, list[str]]]:
-    """Return by common name three columns x, y, z, or one variable of width three, with what they seem to be."""
+    """Return by common name three columns x, y, z, or one variable of width three: what they seem to be, and their
+    names.
+
+    If no names are of that kind, neighbouring columns are taken in threes. Columns that are guessed already are left
+    out.
+    """
     shared: dict[str, dict[str, str]] = {}
     for name in file.names:
         if name in file.guesses or name not in file.numbers:
@@ -281,8 +299,10 @@ def _triples(file: _File) -> dict[str, tuple[str, list[str]]]:
 
 
 def _by_place(file: _File) -> dict[str, tuple[str, list[str]]]:
-    """Return neighbouring columns in threes, for names that say nothing; those as long as gravity are
-    accelerometers.
+    """Return columns of numbers that have no guess, in threes in the order of the file, for names that say nothing.
+
+    By the first one's name: what the three seem to be, and their names. Those as long as gravity are accelerometers.
+    One or two columns at the end are left out.
     """
     left = [n for n in file.names if n in file.numbers and n not in file.guesses and file.numbers[n].ndim == 1]
     found = {}
@@ -315,7 +335,9 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _rate_unit(file: _File, names: Sequence[str]) -> tuple[str, str]:
-    """Return the unit of rates and how it was found: by name, or guessed by size."""
+    """Return the unit of rates in these columns and how it was found: by name, or guessed by size; large numbers are
+    counts.
+    """
     if unit := _said(names[0], _RATES):
         return unit, "by its name"
     largest = float(np.nanmax(np.abs(_values(file, names))))
@@ -325,7 +347,11 @@ def _rate_unit(file: _File, names: Sequence[str]) -> tuple[str, str]:
 
 
 def _gyro(file: _File, names: Sequence[str] | None) -> str:
-    """Return the table [gyro] for these columns, with placeholders for None."""
+    """Return the table [gyro] for the columns ``names``, with placeholders for None, and for the size of a count if no
+    unit is found.
+
+    The guess is noted in the file.
+    """
     if names is None:
         return '[gyro]\ncolumns = ["?", "?", "?"]\nunit = "deg/s"'
     unit, how = _rate_unit(file, names)
@@ -339,7 +365,9 @@ def _gyro(file: _File, names: Sequence[str] | None) -> str:
 
 
 def _accelerometer(file: _File, names: Sequence[str]) -> str:
-    """Return the table [accelerometer] for these columns."""
+    """Return the table [accelerometer] for the columns ``names``, its unit by name or size; the guess is noted in the
+    file.
+    """
     unit = _said(names[0], _FORCES) or _force_unit(float(np.nanmedian(np.linalg.norm(_values(file, names), axis=1))))
     file.guesses.update(dict.fromkeys(names, f"accelerometer ({unit or 'counts'})"))
     if unit is None:
@@ -373,7 +401,11 @@ def _rests(file: _File, names: Sequence[str] | None, step_s: float) -> int:
 
 
 def _reference(file: _File, triples: Mapping[str, tuple[str, list[str]]], rests: int, felt: bool) -> str:
-    """Return the table [reference]: an attitude, rate or angle if columns look like one, else gravity or rests."""
+    """Return the table [reference]: an attitude, rate or angle if columns look like one, else gravity or rests.
+
+    ``rests`` is how often the gyro rests; gravity needs several of them, and an accelerometer (``felt``). The guess is
+    noted in the file.
+    """
     four = {found[1].lower(): name for name in file.names if (found := _QUATERNION.match(_base(name)))}
     for order, axes in (("wxyz", "wxyz"), ("wxyz", "sxyz"), ("wxyz", "0123")):
         if all(axis in four for axis in axes):

@@ -56,8 +56,9 @@ def rests_of(
 ) -> tuple[list[Rest], list[Refused], list[str]]:
     """Return the rests of a file, refused sections, and notes.
 
-    ``own`` (rows,) are the kept rows of the gyro's ``rate`` (rows, m). RecordingError if there is no rest, or the
-    direction up is needed and not known.
+    They are those of sections, the whole file, or quiet stretches, as stated. ``own`` (rows,) are the numbers of the
+    kept rows of the gyro's ``rate`` and the accelerometer's ``accel`` (rows, m). RecordingError if there is no rest, or
+    the direction up is needed and not known.
     """
     name, t_s = log.path.name, log.time.t_s[own]
     samples, refused, notes = _Samples(t_s, rate, accel), list[Refused](), list[str]()
@@ -65,7 +66,7 @@ def rests_of(
 
         def rest_of(section: str, first: int, stop: int) -> Rest:
             a, b = np.searchsorted(own, [first, stop]).tolist()
-            return _stated(samples, a, b, stated.sections[section], stated)
+            return _stated_rest(samples, a, b, stated.sections[section], stated)
 
         rests, refused = of_sections(mapping, stated, log, rest_of)
         others = set(log.table.labels[stated.cuts.column]) - {"", *stated.sections} if stated.cuts.column else ()
@@ -73,7 +74,9 @@ def rests_of(
     else:
         pose = stated.files.get(name, stated.pose)
         whole = stated.everywhere
-        rests = [_stated(samples, 0, len(rate), pose, stated)] if whole else _found(samples, pose, stated)
+        rests = (
+            [_stated_rest(samples, 0, len(rate), pose, stated)] if whole else _quiet_stretches(samples, pose, stated)
+        )
         if pose.up is not None and accel is None and len(rests) > 1:
             notes.append(sentence("importing.several_poses", rests=len(rests)))
     if stated.earth_rate and any(rest.up is None for rest in rests):
@@ -103,7 +106,10 @@ def rest_rates(rests: Sequence[Rest], rows: int, site: Site | None) -> Floats:
 
 
 def earth_note(mapping: Mapping, rests: Sequence[Rest]) -> list[str]:
-    """Return a note on the part of Earth rate that is unknown at these rests; empty if that is small."""
+    """Return a note on the part of Earth rate that is unknown at these rests: of gyros that are not upright.
+
+    Empty if it is small, or all rests have a stated north.
+    """
     assert mapping.site is not None
     p = mapping.gyro.array.p
     ups = [rest.up for rest in rests if rest.north is None and rest.up is not None]
@@ -120,8 +126,11 @@ def rest_text(rest: Rest, file_s: float) -> str:
     return f"{rest.start_s + file_s:.3f} to {rest.end_s + file_s:.3f} s{up}"
 
 
-def _stated(samples: _Samples, first: int, stop: int, pose: Pose, stated: Rests) -> Rest:
-    """Return the rest of these rows as stated; RecordingError if the samples turn or move."""
+def _stated_rest(samples: _Samples, first: int, stop: int, pose: Pose, stated: Rests) -> Rest:
+    """Return the rest of the rows from ``first`` to before ``stop``, with its ``pose``.
+
+    RecordingError if they are fewer than two, turn on average, or move in between by more than the limit of ``stated``.
+    """
     t_s, part = samples.t_s, samples.rate[first:stop]
     if len(part) < 2:
         raise RecordingError(f"it has {len(part)} usable rows, too few for a rest")
@@ -138,10 +147,10 @@ def _stated(samples: _Samples, first: int, stop: int, pose: Pose, stated: Rests)
     if loud.any():
         at = int(np.argmax(loud)) * rows
         raise RecordingError(sentence("importing.moves_at_rest", at_s=t_s[first + at]))
-    return _posed(samples, first, stop, pose)
+    return _rest_with_directions(samples, first, stop, pose)
 
 
-def _found(samples: _Samples, pose: Pose, stated: Rests) -> list[Rest]:
+def _quiet_stretches(samples: _Samples, pose: Pose, stated: Rests) -> list[Rest]:
     """Return the quiet stretches of samples that are long enough, in order of time.
 
     Rests have the scatter of the quietest windows, and nearly their mean, as a steady turn is equally quiet. An
@@ -165,10 +174,10 @@ def _found(samples: _Samples, pose: Pose, stated: Rests) -> list[Rest]:
     rests = []
     for start, stop in runs_of(quiet):
         a, b = start + (start > 0), stop - (stop < len(quiet))  # its ends may hold the beginning of a motion
-        for c, d in _level(mean[:, rate.shape[1] :], a, b, tilt) if accel is not None else [(a, b)]:
+        for c, d in _level_parts(mean[:, rate.shape[1] :], a, b, tilt) if accel is not None else [(a, b)]:
             first, last = c * rows, len(rate) if d == len(quiet) else d * rows
             if last > first and t_s[last - 1] - t_s[first] >= stated.least_s:
-                rests.append(_posed(samples, first, last, pose))
+                rests.append(_rest_with_directions(samples, first, last, pose))
     if not rests:
         raise RecordingError(sentence("importing.no_rest", least_s=stated.least_s))
     return rests
@@ -182,9 +191,11 @@ def _gravity_notes(accel: Floats) -> list[str]:
     return [sentence("importing.gravity_off", length_mps2=length)]
 
 
-def _posed(samples: _Samples, first: int, stop: int, pose: Pose) -> Rest:
-    """Return the rest of these rows with its directions, stated or measured; RecordingError if they contradict each
-    other.
+def _rest_with_directions(samples: _Samples, first: int, stop: int, pose: Pose) -> Rest:
+    """Return the rest of the rows from ``first`` to before ``stop`` with its directions.
+
+    Up is as stated in ``pose``, else as measured, else None; north is stated or None. RecordingError if up as stated
+    and measured are more than 30 deg apart.
     """
     up = None if pose.up is None else np.array(pose.up)
     north, found = None, None
@@ -221,9 +232,11 @@ def _quiet_scatter(scatter: Floats, channels: Floats) -> Floats:
     return np.asarray(np.maximum(quiet, np.where(np.isfinite(steps), steps / 3, 0.0)))
 
 
-def _level(mean: Floats, first: int, stop: int, tilt_rad: float) -> list[tuple[int, int]]:
-    """Return the parts (first, stop) of a quiet run of windows over which specific force (windows, 3) keeps its
-    direction.
+def _level_parts(mean: Floats, first: int, stop: int, tilt_rad: float) -> list[tuple[int, int]]:
+    """Return the parts (first, stop) of a quiet run of windows over which specific force keeps its direction.
+
+    ``mean`` (windows, 3) is that of each window; a change by more than ``tilt_rad`` begins a new part, but not at the
+    last window.
     """
     parts, start = [], first
     for at in range(first + 1, stop):

@@ -49,7 +49,7 @@ class Span:
 def turn_spans(mapping: Mapping, stated: StatedTurns, log: Log, rate: Floats) -> tuple[list[Span], list[Refused]]:
     """Return the turns of a file with gyro outputs ``rate`` (rows, m), and its refused sections.
 
-    RecordingError if the single turn of a file is invalid.
+    Without sections the file is a single turn; RecordingError if that is invalid.
     """
     t_s, rows = log.time.t_s, rate[log.time.rows]
     if not stated.sections:
@@ -60,7 +60,10 @@ def turn_spans(mapping: Mapping, stated: StatedTurns, log: Log, rate: Floats) ->
 
 
 def _turn_of_file(mapping: Mapping, reference: StatedTurns, path: Path) -> Turn:
-    """Return the turn stated for a file, or in its name; RecordingError if the name does not state one."""
+    """Return the turn stated for all files, or in the file's name.
+
+    RecordingError if the name does not match, states no turn, or matching takes too long.
+    """
     if reference.turn is not None:
         return reference.turn
     assert reference.pattern is not None
@@ -82,9 +85,10 @@ def _turn_of_file(mapping: Mapping, reference: StatedTurns, path: Path) -> Turn:
 def of_sections(
     mapping: Mapping, stated: StatedTurns | Rests, log: Log, read: Callable[[str, int, int], T]
 ) -> tuple[list[T], list[Refused]]:
-    """Return ``read(name, first, stop)`` for each section (kept rows), and the sections refused with RecordingError.
+    """Return ``read(name, first, stop)`` for each section (numbers of kept rows), and the sections that it refuses.
 
-    RecordingError, too, if sections are missing or unknown, as ``_section_rows``.
+    Refused are those for which it raises RecordingError. RecordingError is raised if sections are missing or unknown,
+    as in ``_section_rows``.
     """
     found: list[T] = []
     refused: list[Refused] = []
@@ -128,7 +132,9 @@ def _section_rows(mapping: Mapping, stated: StatedTurns | Rests, log: Log) -> li
 
 
 def _labelled(labels: tuple[str, ...]) -> list[tuple[str, int, int]]:
-    """Return (label, first, stop) of each run of equal labels; a label may occur again."""
+    """Return (label, first, stop) of each run of equal labels, without those of empty labels; a label may occur
+    again.
+    """
     limits: list[tuple[str, int, int]] = []
     at = 0
     for label, group in groupby(labels):
@@ -140,7 +146,10 @@ def _labelled(labels: tuple[str, ...]) -> list[tuple[str, int, int]]:
 
 
 def _listed(path: Path, table: Table) -> list[tuple[str, int, int]]:
-    """Return (name, start, end) from a section list beside the file; RecordingError if it is missing or invalid."""
+    """Return (name, start, end) in rows from the section list at ``path``, which stands beside the file of ``table``.
+
+    RecordingError if it is missing or invalid, or if the file has broken lines, by which rows would be off.
+    """
     if table.skipped_lines:
         raise RecordingError(sentence("importing.broken_and_listed", file=table.name, lines=table.skipped_lines))
     if not path.is_file():
@@ -160,8 +169,9 @@ def _listed(path: Path, table: Table) -> list[tuple[str, int, int]]:
 
 
 def _span(mapping: Mapping, stated: StatedTurns, t_s: Floats, rate: Floats, turn: Turn) -> Span:
-    """Return the checked turn of these samples; RecordingError if they do not begin and end at rest, or turn
-    otherwise.
+    """Return the turn of these samples, with its uncertainty, after checking it; incomplete rows are left out.
+
+    RecordingError if there are too few, they do not begin and end at rest, or turn otherwise than stated in ``turn``.
     """
     whole = np.isfinite(rate).all(axis=1)
     t_s, rate = t_s[whole], rate[whole]
@@ -190,10 +200,10 @@ def _span(mapping: Mapping, stated: StatedTurns, t_s: Floats, rate: Floats, turn
 
 
 def _checked_angle(mapping: Mapping, stated: StatedTurns, turned_rad: Floats, turn: Turn) -> float:
-    """Return the stated angle of a turn, with the sign of the data if asked for.
+    """Return the stated angle of a turn in rad, with the sign of the data if asked for.
 
-    It is checked against the angle by which the gyros (m,) turned: RecordingError if they differ. No check if no gyro
-    senses the axis; then RecordingError if the sign is wanted from the data.
+    It is checked against the angles ``turned_rad`` (m,) by which the gyros turned: RecordingError if they differ. No
+    check if no gyro senses the axis; then RecordingError if the sign is wanted from the data.
     """
     p, axis, angle = mapping.gyro.array.p, np.array(turn.axis), turn.angle_rad
     if np.linalg.lstsq(p, p @ axis, rcond=None)[0] @ axis < _SENSED:

@@ -19,8 +19,9 @@ PATTERNS = (*(f"{date}{between}{time}" for date in _DATES for between in _BETWEE
 
 
 def seconds_of(text: str, pattern: str) -> float:
-    """Return the seconds since 1970 of a stamp, UTC without a zone; since midnight without a date. ValueError if
-    invalid.
+    """Return the seconds since 1970 of a stamp, by a ``pattern`` of strptime or ``ISO``; ValueError if it does not fit.
+
+    Without a zone it is in UTC; without a date the seconds are those since midnight.
     """
     if pattern == ISO:
         at = datetime.fromisoformat(text)

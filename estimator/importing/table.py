@@ -62,8 +62,9 @@ class Table:
     notes: tuple[str, ...] = ()
 
     def values(self, wanted: Columns, what: str) -> Floats:
-        """Return values (rows, c) in SI along their axes, NaN if absurdly large; RecordingError if the width is
-        wrong.
+        """Return the values (rows, c) of wanted columns in SI along their axes, NaN if absurdly large.
+
+        ``what`` names them in the error: RecordingError if the width is wrong or columns differ in length.
         """
         parts = [np.atleast_2d(self.columns[name].T).T for name in wanted.names]
         found = sum(part.shape[1] for part in parts)

@@ -40,7 +40,11 @@ class _Body:
         return [self.header.index(_bare(key)) for key in self.wanted.numeric]
 
     def fast(self) -> Table | None:
-        """Return all rows at once if nothing is special about them, else None."""
+        """Return all rows at once if nothing is special about them, else None.
+
+        Special are labels, stamps by a calendar, decimal commas, blanks as delimiter, and lines of another width or
+        without a number.
+        """
         delimiter, separators = self.format.delimiter, len(self.header) - 1
         if self.wanted.labels or self.wanted.calendar or self.format.decimal != "." or not delimiter:
             return None
@@ -58,7 +62,11 @@ class _Body:
         )
 
     def careful(self) -> Table:
-        """Return the rows that can be read, line by line; unreadable lines are counted."""
+        """Return the rows that can be read, line by line; others are counted, and the first is described.
+
+        Broken lines leave a gap in the positions of rows, a repeated heading does not. Times of day go on over
+        midnight.
+        """
         wanted, header = self.wanted, self.header
         label_at = [header.index(_bare(key)) for key in wanted.labels]
         to_seconds = partial(seconds_of, pattern=wanted.calendar)
@@ -122,7 +130,7 @@ class _Body:
         return f"check delimiter and decimal in [file]{unit * stamps}, or repair the file"
 
     def _stamps_hint(self) -> str:
-        """Return how to state stamps that are dates or times; "" if they are not."""
+        """Return how to state stamps that are dates or times; "" if they are numbers or of no known form."""
         at = self.header.index(_bare(self.wanted.needed[0]))
         fields = [_fields(line, self.format) for _, line in self.lines]
         texts = [own[at] for own in fields if len(own) >= len(self.header)]
@@ -139,7 +147,7 @@ class _Body:
 
 
 def read_rows(name: str, text: str, file_format: FileFormat, wanted: Wanted) -> Table:
-    """Return the rows of a text log.
+    """Return the wanted columns of a text log; a row of units below the heading is kept apart.
 
     RecordingError, naming the file, if it is empty, lacks a column, or more than 10 % of its lines are broken; then
     with the first of these and a hint.
@@ -171,7 +179,7 @@ def read_rows(name: str, text: str, file_format: FileFormat, wanted: Wanted) -> 
 
 
 def _heading(name: str, lines: Lines, file_format: FileFormat, wanted: Wanted) -> tuple[int, list[str]]:
-    """Return the index of the first row line, and the names of the columns.
+    """Return the number of the first line of rows, among ``lines``, and the names of the columns.
 
     Names stated in [file] hold as they are; else the heading is the early line that has most of the wanted names.
     RecordingError if a wanted name is missing or occurs twice.
@@ -196,7 +204,10 @@ def _heading(name: str, lines: Lines, file_format: FileFormat, wanted: Wanted) -
 
 
 def _heading_hint(lines: Lines, file_format: FileFormat, wanted: Wanted, missing: list[str], best: list[str]) -> str:
-    """Return what to change if columns are missing: delimiter, spelling, columns or rate_hz; "" if unknown."""
+    """Return what to change if columns are ``missing``: delimiter, spelling, columns or rate_hz; "" if unknown.
+
+    ``best`` are the names of the line that has most of the wanted ones.
+    """
     for written, mark in _DELIMITERS.items():
         other = replace(file_format, delimiter=mark)
         if any(set(wanted.all) <= set(_fields(_bare(line), other)) for _, line in lines[:_PREAMBLE_LINES]):

@@ -111,7 +111,11 @@ class Forecast:
 
 
 def forecast(conditions: Conditions, devices: Sequence[PlannedDevice], effects: Sequence[Effect] = ()) -> Forecast:
-    """Return the forecast for a motion of these devices and effects."""
+    """Return what a motion will show: sigmas of the states of each gyro, and the smallest visible size of each effect.
+
+    ``conditions`` are those of the motion at N instants. The forecast also has what each effect shifts the states by,
+    pairs of visible effects that look alike, and whether there are too few different rates.
+    """
     scales: list[Floats] = []
     names: list[tuple[str, str]] = []
     matrices: list[Floats] = []
@@ -136,12 +140,16 @@ def forecast(conditions: Conditions, devices: Sequence[PlannedDevice], effects: 
         _effect_forecast(effect, left[:, own, own], total[:, own], response[:, :, own], scale, sd)
         for effect, own in zip(effects, slices, strict=True)
     )
-    count, saturated = _steady(conditions)
-    return Forecast(gyros, forecasts, _pairs(forecasts, slices, left), count, saturated)
+    count, saturated = _different_steady_states(conditions)
+    return Forecast(gyros, forecasts, _imitating_pairs(forecasts, slices, left), count, saturated)
 
 
 def _information(conditions: Conditions, device: PlannedDevice, effects: Sequence[Effect]) -> list[Floats]:
-    """Return the information (4 + E, 4 + E) of each gyro on its scaled states and effects."""
+    """Return the information (4 + E, 4 + E) of each gyro of a device on its 4 states and the E parameters of
+    ``effects``.
+
+    States are in units of their prior sigma, parameters in units of their largest plausible size.
+    """
     products = weighing(conditions.t_s, conditions.period_s, device.noise)
     regressors = np.column_stack([np.ones(len(conditions.t_s)), conditions.w_rps])
     found = []
@@ -153,9 +161,11 @@ def _information(conditions: Conditions, device: PlannedDevice, effects: Sequenc
 
 
 def weighing(t_s: Floats, period_s: float, noise: NoiseModel) -> Callable[[Floats], Floats]:
-    """Return a function that gives the weighted products (c, c) of columns (N, c) at even instants, as in the estimate.
+    """Return a function that gives the weighted products (c, c) of columns (N, c) at N even instants, as in the
+    estimate.
 
-    Block means are weighted by the inverse of their covariance, deviations from them by the noise density there.
+    Block means are weighted by the inverse of their covariance under ``noise``, deviations from them by the noise
+    density there.
     """
     since_s = t_s - t_s[0] + 0.5 * period_s
     length_s = _block_length(float(since_s[-1]))
@@ -186,13 +196,14 @@ def _unseen(covariance: Floats, scale: Floats) -> Floats:
     """Return directions (c, 4) of the states along which the posterior sigma stays above half the prior's."""
     values, vectors = np.linalg.eigh(covariance)
     # Where the scaled covariance has an eigenvalue of 1 the information is 0: an error along it changes nothing.
-    rows, leads = _reduced(vectors.T[values > UNSEEN**2])
+    rows, leads = _echelon_form(vectors.T[values > UNSEEN**2])
     return np.asarray(rows * scale / scale[leads][:, None])
 
 
-def _reduced(rows: Floats) -> tuple[Floats, list[int]]:
-    """Return the same span (c, n) in echelon form, and the leading column of each row, which is 1 there and 0
-    elsewhere.
+def _echelon_form(rows: Floats) -> tuple[Floats, list[int]]:
+    """Return the same span (c, n) of rows in echelon form, and the leading column of each row.
+
+    A row has 1 in its leading column, and all others have 0 there. Small values become 0.
     """
     rows = np.array(rows)
     leads: list[int] = []
@@ -212,11 +223,11 @@ def _reduced(rows: Floats) -> tuple[Floats, list[int]]:
 def _effect_forecast(
     effect: Effect, left: Floats, total: Floats, response: Floats, scale: Floats, sd: Floats
 ) -> EffectForecast:
-    """Return the forecast of one effect.
+    """Return the forecast of an effect with P parameters for g gyros: smallest visible sizes, and shifts of the states.
 
     ``left`` (g, P, P) is its scaled information with the states eliminated, ``total`` (g, P) the diagonal of its own
     information, ``response`` (g, 4, P) what the scaled states absorb of it, ``scale`` and ``sd`` (g, 4) their units and
-    scaled sigmas.
+    scaled sigmas. A parameter that the states absorb has an infinite smallest size.
     """
     kept = np.diagonal(left, axis1=1, axis2=2).T
     alone = total.T
@@ -228,11 +239,11 @@ def _effect_forecast(
     return EffectForecast(effect, smallest, shift * scale, shift / sd)
 
 
-def _steady(conditions: Conditions) -> tuple[int, bool]:
+def _different_steady_states(conditions: Conditions) -> tuple[int, bool]:
     """Return the number of different rests and steady rates, and whether the states can absorb all of them.
 
-    With no more conditions than states that they determine, whatever is constant within each is absorbed, without
-    residual.
+    With no more of these than states that they determine, whatever is constant within each is absorbed, without
+    residual. (0, False) if the motion is never steady.
     """
     w = body_rate(conditions.angle_rad, conditions.rate_rps, conditions.gimbals)
     still = ~np.any(conditions.acceleration_rps2, axis=1)
@@ -244,24 +255,28 @@ def _steady(conditions: Conditions) -> tuple[int, bool]:
     return len(levels), len(levels) <= rank
 
 
-def _pairs(forecasts: Sequence[EffectForecast], slices: Sequence[slice], left: Floats) -> tuple[Pair, ...]:
-    """Return the pairs of visible effects of which one copies a parameter of the other, worst first."""
+def _imitating_pairs(forecasts: Sequence[EffectForecast], slices: Sequence[slice], left: Floats) -> tuple[Pair, ...]:
+    """Return the pairs of visible effects of which one copies a parameter of the other by more than 0.9, worst first.
+
+    ``slices`` are their places in ``left`` (g, E, E), the scaled information of g gyros with the states eliminated.
+    """
     seen = [(f, own) for f, own in zip(forecasts, slices, strict=True) if f.seen.any()]
     pairs = []
     for number, (a, own_a) in enumerate(seen):
         for b, own_b in seen[number + 1 :]:
-            ways = (_copied(a, own_a, b, own_b, left), _copied(b, own_b, a, own_a, left))
+            ways = (_share_copied(a, own_a, b, own_b, left), _share_copied(b, own_b, a, own_a, left))
             worst = max(ways, key=lambda pair: pair.correlation)
             if worst.correlation > ALIKE:
                 pairs.append(worst)
     return tuple(sorted(pairs, key=lambda pair: -pair.correlation))
 
 
-def _copied(a: EffectForecast, own_a: slice, b: EffectForecast, own_b: slice, left: Floats) -> Pair:
-    """Return how well b, at plausible sizes, copies the parameter of a that it copies best.
+def _share_copied(a: EffectForecast, own_a: slice, b: EffectForecast, own_b: slice, left: Floats) -> Pair:
+    """Return how well b, at plausible sizes, copies the parameter of a that it copies best, and in which gyro.
 
-    The correlation r is that of the information: with b in the model, the sigma of the parameter grows by the factor 1
-    / sqrt(1 - r^2).
+    ``own_a`` and ``own_b`` are their places in ``left`` (g, E, E), the scaled information of g gyros with the states
+    eliminated. The correlation r is that of the information: with b in the model, the sigma of the parameter grows by
+    the factor 1 / sqrt(1 - r^2).
     """
     cross, own = left[:, own_a, own_b], left[:, own_b, own_b]
     kept = np.diagonal(left[:, own_a, own_a], axis1=1, axis2=2)

@@ -67,7 +67,7 @@ class Journal:
         self.unsynced, self._named = False, False
 
     def write(self, entries: Sequence[Entry]) -> None:
-        """Write one record, from any thread; OSError if that fails."""
+        """Write the entries as one record, from any thread; OSError if that fails. It is not synced to the disk."""
         payload = msgpack.packb(entries, default=_packed)
         record = memoryview(_HEAD.pack(_MARK, len(payload), zlib.crc32(payload)) + payload)
         with self._one_at_a_time:
@@ -109,7 +109,9 @@ def lock(file: BinaryIO | int, *, alone: bool) -> bool:
 
 
 def sync(path: Path) -> None:
-    """Sync a file, or the names in a folder, to the disk; OSError if that fails."""
+    """Sync a file, or the names in a folder, to the disk; OSError if that fails. Nothing for one that may not be
+    opened.
+    """
     with suppress(PermissionError):  # Windows opens no folders
         descriptor = os.open(path, os.O_RDWR if path.is_file() else os.O_RDONLY)
         try:
@@ -142,7 +144,10 @@ def is_sound(entry: Entry) -> bool:
 
 
 def _is_column(name: str, column: Any) -> bool:
-    """Return whether an array can be rows of a dataset of this name."""
+    """Return whether a value can be rows of a dataset of this name: an array of one to three dimensions, not too wide.
+
+    A name that ``LAYOUT`` describes must have its type and dimensions.
+    """
     if not isinstance(column, np.ndarray) or not 1 <= column.ndim <= 3 or not _TYPE.fullmatch(column.dtype.str):
         return False
     if column.dtype.itemsize * math.prod(column.shape[1:]) > _MOST_ROW_BYTES:
@@ -155,8 +160,9 @@ def _is_column(name: str, column: Any) -> bool:
 
 
 def _is_attribute(value: Any) -> bool:
-    """Return whether HDF5 can store a value as an attribute: a text, a number, or several of the same kind, not too
-    large.
+    """Return whether HDF5 can store a value as an attribute: a text, a number, or several of the same kind.
+
+    Neither too large nor with the character 0.
     """
     if isinstance(value, np.ndarray):
         return bool(_TYPE.fullmatch(value.dtype.str)) and value.nbytes <= _MOST_ATTRIBUTE_BYTES
@@ -192,7 +198,7 @@ def read_journal(file: BinaryIO) -> Iterator[Entry | None]:
 
 
 def _next_mark(file: BinaryIO, at: int) -> tuple[int, int]:
-    """Return the position of the next mark, or the end, and the number of bytes read to find it."""
+    """Return the position of the next mark from ``at`` on, or the end, and the number of bytes read to find it."""
     scanned, block_bytes = 0, _LEAST_BLOCK_BYTES
     while True:
         file.seek(at)
@@ -208,7 +214,9 @@ def _next_mark(file: BinaryIO, at: int) -> tuple[int, int]:
 
 
 def _entries(payload: bytes) -> list[Entry | None]:
-    """Return the entries of an intact record; None for each invalid one."""
+    """Return the entries of an intact record; None for each invalid one, and a single None if it is no list of
+    entries.
+    """
     try:
         entries = msgpack.unpackb(payload, ext_hook=_unpacked, strict_map_key=False)
     except Exception:  # anybody may have made the bytes; msgpack raises ValueError, TypeError and more
@@ -231,7 +239,7 @@ def _packed(value: Any) -> msgpack.ExtType:
 
 
 def _unpacked(code: int, data: bytes) -> Any:
-    """Return the array in a msgpack extension; None if it is not a valid one."""
+    """Return the array in a msgpack extension of type ``code``; None if it is not a valid one."""
     if code != _ARRAY:
         return None
     try:

@@ -19,7 +19,7 @@ _GROUP = Path("/sys/fs/cgroup")
 def check_memory(name: object, columns_bytes: int, times: int) -> None:
     """Raise RecordingError if there is not ``times`` as much free memory as columns of ``columns_bytes`` take.
 
-    ``name`` is for the message. Small columns are not checked.
+    ``name`` is for the message. Columns below 50 MB are not checked.
     """
     needed_bytes = times * columns_bytes
     if columns_bytes < _SMALL_BYTES or needed_bytes < (free_bytes := _free_bytes()):

@@ -21,8 +21,9 @@ _ROWS = 65536  # read at once
 
 
 def read_hdf5(path: Path) -> str | None:
-    """Read a whole HDF5 file; return why it is unreadable, None if it is fine. ValueError as ``objects``, OSError of
-    HDF5.
+    """Read a whole HDF5 file; return why it is unreadable, None if it is fine.
+
+    ValueError as ``objects``; OSError of HDF5 for damaged content.
     """
     if path.stat().st_size == 0:
         return "it is empty"
@@ -36,9 +37,10 @@ def read_hdf5(path: Path) -> str | None:
 
 
 def objects(path: Path, file: Any, names: Callable[[Any], Sequence[str]] | None = None) -> Iterator[Any]:
-    """Yield the datasets of an open file, each once; ValueError for data in other files, or sizes that cannot be true.
+    """Yield the datasets of an open file, each once; attributes are read as well.
 
-    With ``names`` only the objects that it returns for the file are checked, which is 15 times faster.
+    ValueError for data in other files, or sizes that cannot be true for a file as large as ``path``. With ``names``
+    only the objects that it returns for the file are checked, without reading attributes, which is 15 times faster.
     """
     disk = path.stat()
     left = _FREE_BYTES + _MOST_TIMES * getattr(disk, "st_blocks", disk.st_size // 512 + 1) * 512  # a hole is no data
@@ -66,7 +68,10 @@ def objects(path: Path, file: Any, names: Callable[[Any], Sequence[str]] | None 
 
 
 def read_mat(path: Path) -> str | None:
-    """Read a whole MATLAB file; return why it is unreadable, None if it is fine."""
+    """Read a whole MATLAB file; return why it is of a kind that is not read, None if it is fine.
+
+    scipy's exceptions for a damaged file pass through.
+    """
     from scipy.io import loadmat
 
     try:

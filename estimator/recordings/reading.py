@@ -50,9 +50,10 @@ _REFERENCES: dict[str, Any] = {"turn_rad": Turns, "up": Poses, "rate_rps": RateR
 
 
 def read_recording(path: Path | str, *, trusted: bool = False) -> Recording:
-    """Return a recording, completed from its journal if its run died; ``trusted``: this process has just closed it.
+    """Return a recording, completed from its journal if its run died.
 
-    RecordingError, with what is missing or wrong, for a file that is not of the format.
+    ``trusted``: this process has just closed it, so it is neither completed nor first tried in another process.
+    RecordingError, with what is missing or wrong, for a file that is not of the format or too large for the memory.
     """
     path = Path(path)
     if path.is_dir():
@@ -60,18 +61,19 @@ def read_recording(path: Path | str, *, trusted: bool = False) -> Recording:
     if not trusted:
         recover(path)
         probe(path)
-    return _opened(path, _read)
+    return _read_opened(path, _recording_in)
 
 
 def read_attributes(path: Path | str) -> dict[str, Any]:
-    """Return the attributes of a recording, also of one that is too incomplete to be read.
+    """Return the attributes of a recording, also of one that is too incomplete to be read; it is completed from its
+    journal.
 
     RecordingError for a file that is not of the format.
     """
     path = Path(path)
     recover(path)
     probe(path)
-    return _opened(path, _attributes)
+    return _read_opened(path, _attributes)
 
 
 def file_format(path: Path | str) -> str:
@@ -81,11 +83,13 @@ def file_format(path: Path | str) -> str:
     """
     path = Path(path)
     probe(path)
-    return _opened(path, lambda _, file: str(plain(file.attrs.get("format", ""))))
+    return _read_opened(path, lambda _, file: str(plain(file.attrs.get("format", ""))))
 
 
-def _opened(path: Path, read: Callable[[Path, Any], T]) -> T:
-    """Return ``read(path, file)`` for the opened file; RecordingError for any error."""
+def _read_opened(path: Path, read: Callable[[Path, Any], T]) -> T:
+    """Return ``read(path, file)`` for the opened file; RecordingError if it cannot be read, or is laid out
+    differently.
+    """
     try:
         with h5py.File(path, "r") as file:
             return read(path, file)
@@ -96,7 +100,10 @@ def _opened(path: Path, read: Callable[[Path, Any], T]) -> T:
 
 
 def _attributes(path: Path, file: Any) -> dict[str, Any]:
-    """Return the attributes of an open recording; RecordingError for another format or a newer version."""
+    """Return the attributes of an open recording as plain values; ``path`` is for messages.
+
+    RecordingError for another format, no version or a newer one.
+    """
     attributes = {key: plain(value) for key, value in file.attrs.items()}
     if attributes.get("format") != FORMAT:
         raise RecordingError(sentence("recordings.no_recording", path=path, format=FORMAT))
@@ -106,8 +113,10 @@ def _attributes(path: Path, file: Any) -> dict[str, Any]:
     return attributes
 
 
-def _read(path: Path, file: Any) -> Recording:
-    """Return the recording in an open file; RecordingError if it has no samples, no reference, or needs too much
+def _recording_in(path: Path, file: Any) -> Recording:
+    """Return the recording in an open file, whose ``path`` is for messages.
+
+    RecordingError if it is of another format, has no samples or no reference, holds invalid columns or needs too much
     memory.
     """
     attributes = _attributes(path, file)
@@ -132,7 +141,10 @@ def _read(path: Path, file: Any) -> Recording:
 
 
 def _read_innovations(file: Any, model_sha256: str) -> KeptInnovations | None:
-    """Return the live filter's innovations, summed over all blocks and sources; None if none are stored."""
+    """Return the live filter's innovations, summed over all blocks and sources; None if none are stored.
+
+    ``model_sha256``, that of the error model of the run, is kept with them.
+    """
     groups = [group for group in file.get("innovation", {}).values() if "nis" in group and "dof" in group]
     if not groups:
         return None
@@ -145,10 +157,9 @@ def _read_innovations(file: Any, model_sha256: str) -> KeptInnovations | None:
 
 
 def _read_series(path: Path, file: Any) -> dict[str, Series]:
-    """Return the series of devices by name; columns are cut to the shortest. RecordingError if declared ones are
-    missing.
+    """Return the series of devices by name; columns are cut to the shortest. Devices without a series are left out.
 
-    Devices without a series are left out.
+    RecordingError if declared columns or units are missing, or a column has several numbers a row.
     """
     found = {}
     for name, group in file.get(DEVICES, {}).items():
@@ -170,9 +181,9 @@ def _read_series(path: Path, file: Any) -> dict[str, Series]:
 
 
 def _read_source(path: Path, name: str, group: Any) -> ImuData:
-    """Return the samples of one source; columns are cut to the shortest. RecordingError if they do not fit its axes.
+    """Return the samples of one source in its group; columns are cut to the shortest.
 
-    Impossible rates become NaN and count as lost.
+    Impossible rates become NaN and count as lost. RecordingError if columns are missing or do not fit the axes.
     """
     where = f"{path}: /imu/{name}"
     present = ["t_ns", "rate_rps", *(key for key in ("temperature_c", "accel_mps2", "counter") if key in group)]
@@ -308,7 +319,7 @@ def _read_reference(path: Path, file: Any) -> Reference:
 
 
 def _means_of(t_ns: Stamps, angle_rad: Floats) -> tuple[Floats, int]:
-    """Return mean rates (k, axes) derived from the angles (k, axes), and the length in ns of the means.
+    """Return mean rates (k, axes) derived from the angles (k, axes), and the length in ns of the means, about 50 ms.
 
     A single axis gets slopes at instants instead, and length 0: it is compared by its angles, and its rates only show
     the motion.
@@ -326,8 +337,9 @@ def _means_of(t_ns: Stamps, angle_rad: Floats) -> tuple[Floats, int]:
 
 
 def slopes_of(t_ns: Stamps, angle_rad: Floats) -> Floats:
-    """Return rates (k, axes) as slopes of angles (k, axes) over 50 ms to each side, or 1.5 readings if that is
-    longer.
+    """Return rates (k, axes) as slopes of angles (k, axes) over 50 ms to each side, or 1.5 readings if that is longer.
+
+    At the ends the side that is missing is left out. Angles must not jump by turns.
     """
     t_s = np.asarray((t_ns - t_ns[0]) * 1e-9, dtype=np.float64)
     half_s = max(_SLOPE_S, 1.5 * float(np.median(np.diff(t_s))) if len(t_s) > 1 else 0.0)
@@ -338,7 +350,11 @@ def slopes_of(t_ns: Stamps, angle_rad: Floats) -> Floats:
 
 
 def _column(where: str, group: Any, key: str) -> NDArray[Any]:
-    """Return a column with the type and dimensions of ``LAYOUT``; RecordingError if it is missing or does not fit."""
+    """Return the column ``key`` of a group with the type and dimensions of ``LAYOUT``.
+
+    RecordingError, which begins with ``where``, if it is missing, not numeric or of other dimensions; a single
+    dimension will do for two.
+    """
     dimensions = LAYOUT[key]["dimensions"]
     if key not in group:
         raise RecordingError(f"{where} has no {key}")

@@ -85,9 +85,10 @@ class ImuData:
         return np.asarray(self.accel_mps2 @ np.linalg.pinv(self.accel_axes).T)
 
     def to_frame(self) -> Any:
-        """Return a pandas.DataFrame over time in s: rates by gyro in rad/s, temperature, specific force. Needs pandas.
+        """Return a pandas.DataFrame over time in s: rates by gyro in rad/s, temperature, specific force.
 
-        Specific force is along the body axes.
+        The latter two only where the source has them; specific force is along the body axes. ImportError without
+        pandas.
         """
         from pandas import DataFrame, Index
 

@@ -43,7 +43,7 @@ def recover(path: Path) -> None:
     to another run or user, is unusable, or is damaged and has no more samples. The journal is removed once all its
     samples are in the recording.
 
-    RecordingError if the run has not ended, or nothing can be written there.
+    RecordingError if the run has not ended, another process recovers in the folder for long, or nothing can be written.
     """
     journal = journal_of(path)
     if not journal.is_file():
@@ -54,7 +54,7 @@ def recover(path: Path) -> None:
             _check_owner(path, os.fstat(file.fileno()))
             if not lock(file, alone=False):
                 raise RecordingError(f"{path} is still being written: its run has not ended")
-            _log.warning(_fold(path, journal, file))
+            _log.warning(_fold_in_journal(path, journal, file))
     except RecordingError:
         raise
     except FileNotFoundError:
@@ -72,7 +72,7 @@ def _check_owner(path: Path, journal: os.stat_result) -> None:
         raise ValueError(sentence("recordings.other_owner", path=path.name))
 
 
-def _fold(path: Path, journal: Path, file: BinaryIO) -> str:
+def _fold_in_journal(path: Path, journal: Path, file: BinaryIO) -> str:
     """Replace the recording by one with the journal's content; return in words what was done.
 
     ValueError for a journal that is not used; RecordingError if nothing can be written.
@@ -86,16 +86,16 @@ def _fold(path: Path, journal: Path, file: BinaryIO) -> str:
         part.unlink(missing_ok=True)  # of a recovery that was killed itself
         told = f"{path}: its run did not end; {found.write(part, file)}"
         told += "; damaged or unknown parts of the journal were skipped" * found.damaged
-        if readable and _holds(path, part):
+        if readable and _holds_all_of(path, part):
             told = f"{path}: its run did not end properly; the file already holds everything in its journal"
         elif readable and found.damaged and not _is_longer(part, path):
             raise ValueError(sentence("recordings.no_more", path=path.name))
-        elif readable and _continues(path, part):
+        elif readable and _holds_more_than(path, part):
             told = f"{path}: its run did not end properly; the file holds more samples than its journal"
             found.add_to_copy(path, part, told)
             part.replace(path)
         else:
-            if path.exists() and not (readable and _holds(part, path, names_only=True)):
+            if path.exists() and not (readable and _holds_all_of(part, path, names_only=True)):
                 kept = _free_name(path.with_name(f"{path.name}.before"))
                 told += f"; the previous content was saved as {kept.name}"
                 path.replace(kept)
@@ -123,10 +123,10 @@ def _is_readable(path: Path) -> bool:
         return False
 
 
-def _holds(path: Path, other: Path, *, names_only: bool = False) -> bool:
-    """Return whether a recording begins with all rows of another, and has all of its attributes.
+def _holds_all_of(path: Path, other: Path, *, names_only: bool = False) -> bool:
+    """Return whether a recording begins with all rows of another, and has all of its groups and attributes.
 
-    ``names_only``: values of attributes may differ.
+    ``names_only``: values of attributes may differ. The attribute of a recovery does not count.
     """
     with h5py.File(path, "r") as file, h5py.File(other, "r") as part:
         names = ["/"]
@@ -146,7 +146,10 @@ def _holds(path: Path, other: Path, *, names_only: bool = False) -> bool:
 
 
 def _begins_with(rows: h5py.Dataset, others: h5py.Dataset) -> bool:
-    """Return whether the first rows of a dataset are those of another, bit by bit."""
+    """Return whether the first rows of a dataset are all those of another, bit by bit, and types and widths are equal.
+
+    A dataset without rows must be equal.
+    """
     if not others.shape or not rows.shape:
         return bool(rows.shape == others.shape and np.array_equal(rows[()], others[()]))
     if rows.dtype != others.dtype or rows.shape[1:] != others.shape[1:] or len(rows) < len(others):
@@ -164,7 +167,7 @@ def _is_longer(path: Path, other: Path) -> bool:
         return any(len(before.get(f"imu/{name}/t_ns", ())) < count for name, count in counts.items())
 
 
-def _continues(path: Path, other: Path) -> bool:
+def _holds_more_than(path: Path, other: Path) -> bool:
     """Return whether a recording has all samples of another and more, and all of them were really written.
 
     After a power cut a file may count rows that never reached the disk: they read as zeros.
@@ -208,7 +211,11 @@ class _Found:
     """The content of a journal; ``damaged`` if something before its end was skipped."""
 
     def __init__(self, file: BinaryIO) -> None:
-        """Read the journal once; ValueError if it is not a journal, or holds no samples."""
+        """Read the journal once; ValueError if it is not a journal, holds no samples, or has more names than a
+        recording.
+
+        What was skipped at its end is no damage.
+        """
         self.samples, self.damaged, self._last_ns = 0, False, 0
         self._attributes: dict[str, dict[str, Any]] = {}
         self._first: dict[str, Any] = {}
@@ -226,7 +233,11 @@ class _Found:
             raise ValueError("it is damaged, or not a journal: it holds no samples")
 
     def _take(self, entry: Entry) -> bool:
-        """Store attributes and count samples; return whether the entry fits those before it."""
+        """Store the attributes of an entry, or count its samples; return whether it fits the entries before it.
+
+        Attributes of a group do not fit after its rows. Of the recording itself, those of the first entry are kept,
+        too.
+        """
         kind, group, values = entry
         if kind == ATTRIBUTES:
             if group in self._shapes:
@@ -241,7 +252,10 @@ class _Found:
         return True
 
     def _fits(self, group: str, values: Mapping[str, Any]) -> bool:
-        """Return whether rows have the types and shapes of those before them, and belong to a declared source."""
+        """Return whether rows have the types and shapes of those before them, and note them for the next.
+
+        Also false for samples of a source that is not declared, and for a group where there is a dataset.
+        """
         if group.startswith("imu/") and group not in self._attributes:
             return False
         parts = group.split("/")
@@ -274,7 +288,10 @@ class _Found:
         return all(_same(about[name], value) or not _same(root[name], value) for name, value in begun.items())
 
     def write(self, part: Path, file: BinaryIO) -> str:
-        """Write a complete recording to ``part`` and sync it; return a sentence about it. OSError if that fails."""
+        """Write a complete recording to ``part`` from the journal ``file`` and sync it; return a sentence about it.
+
+        OSError or RecordingError if that fails.
+        """
         root = self._attributes["/"]
         writer = RecordingWriter(part, {})
         try:
@@ -295,7 +312,8 @@ class _Found:
         return told
 
     def add_to_copy(self, path: Path, part: Path, told: str) -> None:
-        """Make ``part`` a copy of the recording with the attributes of its sources that only the journal has.
+        """Make ``part`` a copy of the recording with the attributes of its sources that only the journal has, and sync
+        it.
 
         These are counts of an unfinished run. ``told`` is stored as the description of the recovery.
         """
@@ -312,7 +330,9 @@ class _Found:
         sync(part)
 
     def _write_rows(self, writer: RecordingWriter, file: BinaryIO) -> None:
-        """Write all rows of the journal; samples that had no time yet get times by their arrival."""
+        """Write all rows of the journal that fit; samples that had no time yet get times by their arrival and are
+        counted.
+        """
         timed: dict[str, Mapping[str, Any]] = {}
         waiting: dict[str, list[Mapping[str, Any]]] = {}
         pending_bytes = 0
@@ -347,7 +367,8 @@ def _same(a: Any, b: Any) -> bool:
 def _by_arrival(blocks: Sequence[Mapping[str, Any]], timed: Mapping[str, Any] | None) -> dict[str, Any]:
     """Return rows for samples that had no time yet when the run died, evenly spaced after the last timed ones.
 
-    Without timed samples the arrivals are the times. Empty if all samples were timed. Unknown columns are NaN or -1.
+    ``blocks`` are the samples as they arrived, ``timed`` the last rows with times; without these the arrivals are the
+    times. Empty if all samples were timed. A temperature is held, other unknown columns are NaN or -1.
     """
     if not blocks:
         return {}
@@ -376,9 +397,10 @@ def _by_arrival(blocks: Sequence[Mapping[str, Any]], timed: Mapping[str, Any] | 
 
 @contextmanager
 def _alone_in(folder: Path) -> Iterator[None]:
-    """Context in which no other process recovers in the folder; RecordingError if waiting takes too long.
+    """Hold a lock on the folder while this context lasts, so that no other process recovers there.
 
-    Anybody who can read a folder can lock it, in a shared folder also a stranger.
+    RecordingError after a minute: anybody who can read a folder can lock it, in a shared folder also a stranger.
+    Without locks of folders (Windows) nothing is held.
     """
     try:
         descriptor = os.open(folder, os.O_RDONLY)

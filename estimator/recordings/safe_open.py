@@ -14,9 +14,10 @@ PROBE_LIMIT_S = 60.0
 
 
 def probe(path: Path, kind: str = "HDF5", limit_s: float = PROBE_LIMIT_S) -> None:
-    """Read the whole file in another process first; RecordingError if that process fails, crashes or hangs on it.
+    """Read a whole file in another process first, to be safe from crashes.
 
-    Also if it is of another ``kind``, refers to other files, or claims far more data than it has.
+    ``kind`` is "HDF5" or "MATLAB". RecordingError if it is no file or of another kind, if the process fails, crashes or
+    takes more than ``limit_s`` on it, or if the file refers to other files or claims far more data than it has.
     """
     if not path.is_file():
         raise RecordingError(f"{path} is not a file: give the path of a recording (.h5)")
@@ -34,7 +35,11 @@ class _Prober:
         atexit.register(self._end)
 
     def ask(self, path: Path, kind: str, limit_s: float) -> str | None:
-        """Return what is wrong with a file, None if it can be read; the process is killed after ``limit_s``."""
+        """Return what is wrong with a file in words, None if it can be read.
+
+        The process is killed after ``limit_s``, and replaced after each file with something wrong. One file is read at
+        a time.
+        """
         with self._one_at_a_time:
             child = self._ready()
             late = threading.Event()
@@ -64,7 +69,7 @@ class _Prober:
             return wrong
 
     def _ready(self) -> subprocess.Popen[str]:
-        """Return the running process, a new one if there is none."""
+        """Return the running process that probes files; start one if there is none, or if it has ended."""
         if self._child is None or self._child.poll() is not None:
             self._end()
             self._child = subprocess.Popen(

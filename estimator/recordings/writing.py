@@ -57,10 +57,11 @@ class RecordingWriter:
     """
 
     def __init__(self, path: Path, attributes: Mapping[str, Any], *, journal: bool = False) -> None:
-        """Create the file and reserve space for closing it; RecordingError if it exists or cannot be created.
+        """Create the file with its attributes and reserve space for closing it; folders are created as needed.
 
-        With a journal both carry the same identity, so that no other journal is used for it: the ``IDENTITY`` in the
-        attributes, or a random one.
+        With ``journal`` one is created beside it, and both carry the same identity, so that no other journal is used
+        for it: the ``IDENTITY`` in the attributes, or a random one. RecordingError if the file or its journal exists or
+        cannot be created, or the disk is full; then nothing is left behind.
         """
         self.path = path
         self.whole = False
@@ -184,8 +185,9 @@ class RecordingWriter:
         self.append_rows(group, {**stamps, field_name: np.array([raw], dtype=f"S{TEXT_BYTES}"), **more})
 
     def write_journal(self) -> None:
-        """Write all new entries to the journal, from any thread; RecordingError if that fails. Nothing without a
-        journal.
+        """Write all new entries to the journal, from any thread, with attributes first and rows of a group joined.
+
+        RecordingError if that fails. Nothing without a journal or new entries.
         """
         with self._noting:
             entries, self._unwritten = self._unwritten, []
@@ -209,8 +211,9 @@ class RecordingWriter:
         """Flush in parts, one per group; rows may be appended between them, and are then written later.
 
         A write that fails within HDF5 leaves an unreadable file or ends the process. If the disk is nearly full,
-        pending rows are therefore written into the reserved space, which may not be available again; rows that do not
-        fit are dropped. RecordingError in both cases, and at the limit of the file size.
+        pending rows are therefore written at once into the reserved space, and RecordingError is raised if that space
+        cannot be had again. If they do not fit, or the limit of the file size is near, they are dropped and
+        RecordingError is raised.
         """
         wanted = self._pending_bytes()
         if self._allowed_bytes() < wanted + _RESERVE_BYTES:
@@ -251,8 +254,9 @@ class RecordingWriter:
             pass
 
     def _writing(self) -> Iterator[None]:
-        """Write the pending rows of one group after the other, then flush the file; an interrupted write is repeated
-        next time.
+        """Write the pending rows of one group after the other, yielding after each, then flush the file.
+
+        A write that is interrupted is repeated next time; RecordingError if one fails.
         """
         for group in tuple(self._pending):
             with _told_of(self.path):
@@ -291,10 +295,10 @@ class RecordingWriter:
                 self.whole = not self._pending
 
     def finish(self, *, synced: bool = True) -> None:
-        """Remove the journal of a complete file, after syncing that unless ``synced`` is false; RecordingError if
-        syncing fails.
+        """Remove the journal of a complete file, after syncing that unless ``synced`` is false.
 
-        The journal of an incomplete file stays.
+        The journal of an incomplete file stays, and so does that of one that cannot be synced: RecordingError. Nothing
+        without a journal.
         """
         if self.journal is not None:
             try:
@@ -315,7 +319,10 @@ def _joined(blocks: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[A
 
 
 def write_recording(path: Path | str, recording: Recording) -> None:
-    """Write a complete recording, such as an imported one; RecordingError if the file exists or cannot be written."""
+    """Write a complete recording, such as an imported one: site, reference, sources and series of other devices.
+
+    RecordingError if the file exists or cannot be written.
+    """
     writer = RecordingWriter(Path(path), recording.attributes)
     try:
         if recording.site is not None:
@@ -358,7 +365,10 @@ def columns_of(readings: ImuData | Reference) -> dict[str, Any]:
 
 
 def write_results(path: Path, group: str, datasets: Mapping[str, NDArray[Any]], attributes: Mapping[str, Any]) -> None:
-    """Write a group of results into an existing recording, replacing an earlier one; RecordingError if that fails."""
+    """Write a group of results into an existing recording, replacing an earlier one of this name.
+
+    RecordingError if that fails, also for lack of space.
+    """
     wanted = sum(np.asarray(values).nbytes for values in datasets.values())
     with _changing(path, wanted + _CLOSING_BYTES) as file:
         if group in file:
@@ -393,7 +403,7 @@ def _changing(path: Path, wanted_bytes: int) -> Iterator[Any]:
 
 @contextmanager
 def _told_of(path: Path) -> Iterator[None]:
-    """Context that turns write errors of HDF5 into RecordingError."""
+    """Turn errors of HDF5 and the system within this context into RecordingError, which names ``path`` and says why."""
     try:
         yield
     except (OSError, RuntimeError) as error:  # HDF5 has both
@@ -403,8 +413,9 @@ def _told_of(path: Path) -> Iterator[None]:
 
 
 def _extend(dataset: Any, length: int, rows: NDArray[Any]) -> int:
-    """Append rows to a dataset of known length; return the new length. Uses HDF5 directly, ten times as fast as h5py's
-    indexing.
+    """Append rows to a dataset of ``length`` rows; return the new length.
+
+    Uses HDF5 directly, ten times as fast as h5py's indexing.
     """
     rows = np.ascontiguousarray(rows)
     total = length + len(rows)
@@ -416,7 +427,9 @@ def _extend(dataset: Any, length: int, rows: NDArray[Any]) -> int:
 
 
 def _create(file: Any, path: str, rows: NDArray[Any], *, growing: bool) -> Any:
-    """Create a dataset with its unit; ``growing`` makes it chunked and extensible."""
+    """Create a dataset of these rows, with the unit that ``LAYOUT`` has for its name; ``growing`` makes it
+    extensible.
+    """
     row_bytes = max(rows.dtype.itemsize * int(np.prod(rows.shape[1:])), 1)
     chunk = max(min(32768 // row_bytes, 4096), 16)
     extra = {"maxshape": (None, *rows.shape[1:]), "chunks": (chunk, *rows.shape[1:])} if growing else {}

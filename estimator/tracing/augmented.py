@@ -65,9 +65,10 @@ class Augmented:
 
     @classmethod
     def of(cls, evidence: Evidence, parts: Sequence[Part], weight: Floats | None = None) -> Self:
-        """Return the estimate of a model under an evidence; tones keep the fit that was made before.
+        """Return the states and effects of each gyro in the model of ``parts``, estimated from an evidence.
 
-        ``weight`` (G,) are the probabilities of the noise models, by default ``noise_weight`` of the parts.
+        Tones keep the fit that was made before, without correlations. ``weight`` (G,) are the probabilities of the G
+        noise models; by default those beside the parts.
         """
         weight = evidence.noise_weight([part.term for part in parts]) if weight is None else weight
         posterior = evidence.posterior([part.term for part in parts], weight)
@@ -115,7 +116,8 @@ class Augmented:
         return slice(start, start + self.parts[number].width)
 
     def columns(self, run: Run, number: int, gyro: int) -> Floats:
-        """Return the columns (b, c) of [states, effects] of a gyro of a run.
+        """Return the columns (b, c) over b blocks of the c [states, effects] of a gyro of a run; ``gyro`` is its number
+        there.
 
         ``number`` is the run's place among the fitted runs; a run that was not fitted has a number past the last.
         """
@@ -135,8 +137,8 @@ class Augmented:
     def _waves(self, part: Part, run: Run, number: int) -> Floats:
         """Return the columns (b, width) of a tone on a run, scaled to its largest size.
 
-        A tone that is not locked has two columns for each fitted run, of which only those of run ``number`` are not
-        zero.
+        A locked tone has two columns, for cosine and sine. Any other has two for each fitted run, of which only those
+        of run ``number`` are not zero; for a run that was not fitted all are.
         """
         assert part.tone is not None
         out = np.zeros((len(run.t_s), part.width))

@@ -102,9 +102,10 @@ class Candidate:
         return self.regressors(run, gyro) * self.effect.largest
 
     def regressors(self, run: Run, gyro: int) -> Floats:
-        """Return the columns (b, p) of the effect for gyro number ``gyro`` of a run.
+        """Return the columns (b, p) over b blocks of the effect's p parameters for gyro number ``gyro`` of a run.
 
-        For a step of another recording this is a constant: 1 in recordings after it, 0 in those before.
+        They are per unit of each parameter. For a step of another recording this is a constant: 1 in recordings after
+        it, 0 in those before.
         """
         if self.run is not None and run.order != self.run:
             return np.full((len(run.t_s), 1), float(run.order > self.run))
@@ -117,8 +118,10 @@ class Candidate:
 def candidates_of(runs: Sequence[Run]) -> tuple[list[Candidate], dict[str, str]]:
     """Return all candidates that can be tried on these runs, and the effects that cannot be, with the reason by name.
 
-    An effect cannot be tried if the runs lack a quantity it needs, if the temperature does not change, or if the
-    reference has the same effect itself.
+    An effect cannot be tried if the runs lack a quantity it needs, if it needs a temperature and that does not change,
+    or if the reference may have the same effect itself or hides it: another instrument, external encoders, turns of
+    which only the angle is known. General dependences come last; they are left out silently where the runs lack their
+    quantity.
     """
     offers = frozenset.intersection(*(run.grid.offers for run in runs))
     gimbals = runs[0].grid.gimbals
@@ -150,7 +153,7 @@ def candidates_of(runs: Sequence[Run]) -> tuple[list[Candidate], dict[str, str]]
             chosen.append(candidate)
     of_kind = Counter(candidate.called for candidate in chosen)
     expected = [_expected(candidate, of_kind, warm) for candidate in chosen]
-    return [*expected, *_general(offers, gimbals, len(of_kind))], left_out
+    return [*expected, *_general_dependences(offers, gimbals, len(of_kind))], left_out
 
 
 def _expected(candidate: Candidate, of_kind: Mapping[str, int], warm: bool) -> Candidate:
@@ -167,9 +170,9 @@ def _catalogue(runs: Sequence[Run], gimbals: tuple[str, ...], span_s: float, for
 
     ``gimbals`` are the axes of the table, empty without one; ``span_s`` is the length of the longest run, which sets
     the grids of settings. ``foreign``: the reference is another instrument, so that delays may be large; no bandwidth
-    is listed if they are. Sample hold needs held values, laws that go on over runs a common clock. Without gimbals,
-    site and turns only the upward Earth rate is listed. Several names of one effect occur (orders of a harmonic, drifts
-    on one clock, steps of each recording).
+    is listed if they are. Sample hold is listed for held values only, laws that go on over runs for a common clock, a
+    step for each recording that is long enough. Without gimbals, site and turns, the Earth rate is the upward one.
+    Several candidates of one effect have names of their own (orders of a harmonic, drifts on one clock, steps).
     """
     known = [record for record in records() if record.kind is Kind.LAW and record.searched]
     plain = [record for record in known if record.grid is None]
@@ -221,7 +224,10 @@ def _going_on(tau_s: float, began_s: float) -> Effect:
 
 
 def _scanned(record: Record, gimbals: tuple[str, ...], span_s: float) -> Candidate:
-    """Return the candidate of an effect whose setting is searched for on a grid of values."""
+    """Return the candidate of an effect whose one setting is searched for, beginning at a grid of values.
+
+    ``gimbals`` are the axes of the table; ``span_s``, the length of the longest run, sets the grid.
+    """
     setting = record.grid
     assert setting is not None
     assert setting.grid is not None
@@ -250,10 +256,10 @@ def _delay_by_motion(runs: Sequence[Run]) -> float:
 
 
 def _sensed(runs: Sequence[Run], delay_s: float) -> dict[str, Floats]:
-    """Return by gyro the direction (3,) that it senses, with its scale, from least squares.
+    """Return by gyro the direction (3,) that it senses, with its scale, from least squares over all its runs.
 
-    The output error is fitted by a bias, the body rate, and the effect of a delay of about ``delay_s``. Directions that
-    never turn get the nominal value.
+    The output error is fitted by a bias, the body rate, and the effect of a delay of about ``delay_s``. Directions
+    about which the body never turns keep the nominal value.
     """
     found = {}
     for name in dict.fromkeys(name for run in runs for name in run.array.names):
@@ -289,10 +295,12 @@ def _on_one_clock(effect: Effect, began_s: float) -> Effect:
     return replace(effect, regressors=columns)
 
 
-def _general(offers: frozenset[str], gimbals: tuple[str, ...], count: int) -> list[Candidate]:
-    """Return the candidates for general dependences (rate, direction, temperature ...), with small prior probability.
+def _general_dependences(offers: frozenset[str], gimbals: tuple[str, ...], count: int) -> list[Candidate]:
+    """Return the candidates for general dependences, which are to prove that there is an effect, but not which.
 
-    Those of temperature, gravity and axes are there if the runs offer these. ``count`` is the number of named effects.
+    These are rate, direction, acceleration and time; temperature and gravity if ``offers`` has them; direction and
+    angles of the axes ``gimbals``. Their prior probability is small: that of one of ``count`` named effects, shared
+    among them.
     """
     kinds: list[tuple[str, Effect]] = [
         ("rate", _own("rate", _of_rate, 5)),
@@ -368,8 +376,9 @@ def _of_time(conditions: Conditions, axes: Axes) -> Floats:
 
 
 def _of_temperature(conditions: Conditions, axes: Axes) -> Floats:
-    """Return the columns (N, 4) of a dependence on temperature: three lags behind it, and its cube; zeros if it is
-    unknown.
+    """Return the columns (N, 4) of a dependence on temperature at N instants: three lags behind it, and its cube.
+
+    All are zero if the temperature is unknown; ``axes`` are not used.
     """
     if conditions.temperature_c is None:
         return np.zeros((len(conditions.t_s), 4))

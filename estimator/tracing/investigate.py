@@ -53,11 +53,10 @@ def investigate(
     most_effects: int = 4,
     progress: Progress | None = None,
 ) -> Investigation:
-    """Return which effects the model of the gyros in ``recordings`` lacks, and the errors before and after on
-    ``verification``.
+    """Return which effects the model of the gyros in ``recordings`` lacks, and the errors before and after adding them.
 
-    Without verification recordings the errors are in-sample, cross-validated by step. ``most_effects`` limits the
-    number of effects added; ``progress`` is called with the share done and a word for the step.
+    The errors are those on ``verification``; without it they are in-sample, cross-validated by step. ``most_effects``
+    limits the number of effects added; ``progress`` is called with the share done and a word for the step.
 
     Raises InvestigationError if the recordings are not of the same gyros, hold too little, or if only one of recordings
     and verification is at rest; RecordingError if memory does not suffice.
@@ -67,7 +66,7 @@ def investigate(
     runs, notes, faults = runs_of_all(recordings)
     held_back, more, _ = runs_of_all(verification, len(recordings))
     notes += [*more, *growth_notes([*runs, *held_back])]
-    _same(recordings, verification, runs, held_back)
+    _check_same_gyros(recordings, verification, runs, held_back)
     if held_back and _at_rest(runs) != _at_rest(held_back):
         still, turning = ("recordings", "verification run") if _at_rest(runs) else ("verification run", "recordings")
         raise InvestigationError(sentence("tracing.nothing_in_common", still=still, turning=turning))
@@ -79,10 +78,13 @@ def investigate(
     return _conclude(search, found, held_back, left_out, notes, faults, most_effects, verification)
 
 
-def _same(
+def _check_same_gyros(
     recordings: Sequence[Recording], verification: Sequence[Recording], runs: Sequence[Run], held_back: Sequence[Run]
 ) -> None:
-    """Raise InvestigationError with the difference if a recording is not of the same gyros as the first."""
+    """Raise InvestigationError, with the difference, if a recording or verification run has other gyros than the first.
+
+    ``runs`` are those of the recordings, ``held_back`` those of the verification runs.
+    """
     first = [run for run in runs if run.order == 0]
     for order, other in enumerate([*recordings, *verification]):
         difference = same_devices(first, [run for run in (*runs, *held_back) if run.order == order])
@@ -97,7 +99,7 @@ def _same(
 def _prepared(columns: Sequence[RunColumns]) -> tuple[Search, dict[str, str]]:
     """Return a search over all candidates on some runs, and by name the effects that cannot be tried, with the reason.
 
-    Effects that the motion does not excite are removed from the search.
+    Among these are effects that the motion does not excite, which are removed from the search.
     """
     runs = [one.run for one in columns]
     span_s = max(float(run.t_s[-1] - run.t_s[0]) + run.length_s for run in runs)
@@ -131,8 +133,9 @@ def _conclude(
 ) -> Investigation:
     """Return the investigation after the search: effects judged and confirmed, errors before and after, verdict.
 
-    ``most`` is the largest number of effects, used for a second search if the verification run shows an error that the
-    recordings do not.
+    ``held_back`` are the runs of ``verification``, ``left_out`` the effects that could not be tried, ``faults`` those
+    that were seen in the data. ``most`` is the largest number of effects, for a second search if the verification run
+    shows an error that the recordings do not.
     """
     parts, evidence = _visible(search, found), search.evidence
     weight = evidence.noise_weight([part.term for part in parts])
@@ -146,7 +149,10 @@ def _conclude(
     before, wider = borne_out.before, Augmented.of(evidence, [*certain, *doubtful], weight)
     terms = [part.term for part in certain if part.tone is None]
     between = between_recordings(search, terms)
-    fitted, verified = _left(search.runs, 0, before, after), _left(held_back, len(search.runs), before, after)
+    fitted, verified = (
+        _residuals_before_and_after(search.runs, 0, before, after),
+        _residuals_before_and_after(held_back, len(search.runs), before, after),
+    )
     unexplained = unexplained_of(fitted[1]) if opened.probability > CERTAIN else beyond_noise(search, found)
     if unexplained and _explained_by(search, terms, doubtful):
         unexplained = None
@@ -219,10 +225,12 @@ def _borne_out(
     verification: Sequence[Recording],
     weight: Floats,
 ) -> _BorneOut:
-    """Return the effects among ``certain`` that the verification run supports, together and each.
+    """Return the effects among ``certain`` that the verification run supports, the models without and with them, and
+    errors.
 
-    Effects that together do not lower the error are taken back, the least probable first. ``weight`` (G,) is that of
-    the noise models.
+    First each effect is confirmed or taken back. Then, as long as all together do not lower the error on the
+    verification runs ``held_back``, the least probable is taken back, composed laws before named effects. ``weight``
+    (G,) are the probabilities of the noise models.
     """
     certain, taken_back = confirmed(search, certain, held_back)
     before = Augmented.of(search.evidence, [], weight)
@@ -261,12 +269,13 @@ def _parts_notes(certain: Sequence[Part], taken_back: Sequence[str]) -> list[str
     return notes + [sentence("tracing.tone_phases", frequency_hz=part.candidate.theta) for part in loose]
 
 
-def _left(
+def _residuals_before_and_after(
     runs: Sequence[Run], first: int, before: Augmented, after: Augmented
 ) -> tuple[Residual | None, Residual | None]:
-    """Return the residuals of runs under two models, (None, None) without runs.
+    """Return the residuals of runs under the models ``before`` and ``after``; (None, None) without runs.
 
-    ``first`` is the number of the first run; only fitted runs begin at 0. A model without effects is computed once.
+    ``first`` is the number of the first run among all; only fitted runs begin at 0. Both are the same object if
+    ``after`` has no effects.
     """
     if not runs:
         return None, None
@@ -275,17 +284,17 @@ def _left(
 
 
 def _visible(search: Search, found: Found) -> list[Part]:
-    """Return the effects found that are several sigmas from zero in a gyro, and others with less probability.
+    """Return the effects found that differ from zero by more than three sigmas, with less probability where in doubt.
 
-    Effects that only together differ from zero are kept with at most ``_UNKNOWN`` and a rival. Where all runs rest, an
-    effect is a rival of each other one that could give the same outputs, since in a few poses a good fit is no proof.
-    All others are left out.
+    Effects that only together, over their numbers, differ from zero are kept with a probability of at most one half and
+    themselves as a rival. Where all runs rest, an effect is a rival of each other one that could give the same outputs,
+    since in a few poses a good fit is no proof. All others are left out.
     """
     model = Augmented.of(search.evidence, found.parts)
     seen = []
     for part in found.parts:
         where = model.slice_of(part.candidate.name)
-        together = _together(model, where)
+        together = _sigmas_together(model, where)
         sd = np.sqrt(np.diagonal(model.covariance, axis1=1, axis2=2))[:, where]
         if float(np.abs(model.mean[:, where] / sd).max()) <= _VISIBLE and not _of_pieces(part):
             if together > _TOGETHER:  # its numbers are there, and none of them is known by itself
@@ -303,7 +312,10 @@ def _visible(search: Search, found: Found) -> list[Part]:
 
 
 def _as_small_as_the_earth(search: Search, model: Augmented, part: Part) -> bool:
-    """Return whether Earth rate could give the outputs of an effect of gravity: only at rest, with no site stated."""
+    """Return whether Earth rate could give the outputs that ``model`` has of an effect of gravity.
+
+    Only at rest with no site stated, and if the outputs vary by no more than Earth rate does.
+    """
     if not _at_rest(search.runs) or any(run.recording.site is not None for run in search.runs):
         return False
     where = model.slice_of(part.candidate.name)
@@ -315,10 +327,11 @@ def _as_small_as_the_earth(search: Search, model: Augmented, part: Part) -> bool
     return part.candidate.effect.record.depends_on == "gravity" and largest <= EARTH_RATE_RPS
 
 
-def _together(model: Augmented, where: slice) -> float:
+def _sigmas_together(model: Augmented, where: slice) -> float:
     """Return by how many sigmas the numbers of an effect differ from zero together, in the gyro that shows it most.
 
-    Each number beyond the first may be a sigma off by chance.
+    ``where`` is the place of the effect among the model's numbers. Each number beyond the first may be a sigma off by
+    chance, which is subtracted.
     """
     own, covariance = model.mean[:, where], model.covariance[:, where, where]
     squares = [float(m @ np.linalg.solve(c, m)) for m, c in zip(own, covariance, strict=True)]
@@ -339,11 +352,11 @@ def _at_rest(runs: Sequence[Run]) -> bool:
 
 
 def _of_the_comparison(search: Search, part: Part) -> bool:
-    """Return whether cross-validation by single steps says nothing of an effect: a delay against another instrument,
-    rivals at rest.
+    """Return whether cross-validation by single steps says nothing of an effect.
 
-    A delay is one number of all recordings, while steps show the reference's errors in them. At rest each step is a
-    pose that the others do not predict.
+    That is so of a delay against another instrument, as it is one number of all recordings, while steps show the
+    reference's errors in them; and at rest of an effect in doubt that has rivals, as each step is a pose that the
+    others do not predict.
     """
     if part.candidate.by_size and any(run.by_another for run in search.runs):
         return True

@@ -36,9 +36,9 @@ class OpenWorld:
 
     @classmethod
     def beside(cls, evidence: Evidence, model: Sequence[Term], columns: Columns, sizes: Floats) -> Self:
-        """Return the log evidences for a model; ``columns`` times ``sizes`` (c,) of 1 rad/s rms are the possible
-        functions.
+        """Return the log evidences of a model without and with a further effect of each size in ``SIZES_RPS``.
 
+        ``columns`` (c,) are the numbers of possible functions, ``sizes`` (c,) the factors that give each 1 rad/s rms.
         Without columns the sizes have no evidence (-inf).
         """
         base = Base(evidence, model, columns.tolist())
@@ -72,9 +72,9 @@ def unnamed(search: Search) -> list[Term]:
 
 
 def functions_of(search: Search) -> tuple[Columns, Floats]:
-    """Return columns that stand for any function of measured values, and the factor that scales each to 1 rad/s rms.
+    """Return columns (c,) that stand for any function of measured values, and factors (c,) that give each 1 rad/s rms.
 
-    Columns that do not vary are left out.
+    They are those of the candidates of a search. Columns that do not vary are left out.
     """
     plain = [term for candidate, term in search.known.values() if not _one_of_many(candidate)]
     columns = np.array([c for term in plain for c in term.columns], dtype=np.intp)
@@ -93,8 +93,8 @@ def weighed_against(search: Search, parts: Sequence[Part]) -> list[Part]:
     """Return the effects with the probability that the structure left beside them allows.
 
     An effect that only imitates another leaves functions similar to itself, an effect that truly acts does not. If the
-    reference moves and has errors of its own, all functions count for all effects but the delay. Tones stay as they
-    are.
+    reference is another instrument with errors of its own, all functions count for all effects but a delay. Tones stay
+    as they are.
     """
     foreign = any(run.by_another for run in search.runs)
     terms = [part.term for part in parts if part.tone is None]
@@ -114,8 +114,9 @@ def weighed_against(search: Search, parts: Sequence[Part]) -> list[Part]:
 
 
 def _likeness(evidence: Evidence, term: Term, columns: Columns, beside: Sequence[Term]) -> Floats:
-    """Return the share of the squares of each column (c,) that the columns of a term explain beside others, over all
-    gyros.
+    """Return the share (c,) of the squares of each column that the columns of a term explain, over all gyros.
+
+    All are taken beside the terms ``beside`` and under the noise that is most probable with them.
     """
     best = int(np.argmax(evidence.noise_weight(beside)))
     mine = np.array(term.columns)

@@ -29,8 +29,8 @@ class RunColumns:
         """Return a candidate's columns (gyros, p, rows), in rad/s at its largest size; (1, p, rows) if all gyros have
         the same.
 
-        The rows are the frequencies of one stretch after another. ``keep`` keeps the columns for the next call with the
-        same candidate.
+        The rows are the frequencies of one stretch after another. ``keep`` keeps the columns for later calls with the
+        same candidate, unless it has directions of its own; those of a step in another recording are always kept.
         """
         elsewhere = candidate.run not in (None, self.run.order)  # whenever a step is, before and after it is constant
         key = candidate.name, None if elsewhere else candidate.theta, candidate.effect.record
@@ -42,7 +42,10 @@ class RunColumns:
         return columns * candidate.effect.largest[:, None]
 
     def _worked_out(self, candidate: Candidate) -> Floats:
-        """Return a candidate's columns (gyros, p, rows), or (1, p, rows), per unit of its parameters."""
+        """Return a candidate's columns (gyros, p, rows) per unit of its p parameters, as weighted cosine coefficients.
+
+        (1, p, rows) if they are alike for all gyros, which is not so where Earth rate is in them.
+        """
         run = self.run
         alike = candidate.alike and run.earth_rps is None
         gyros = range(1 if alike else len(run.array))

@@ -39,8 +39,9 @@ class Scan:
     def __init__(
         self, columns: Sequence[RunColumns], evidence: Evidence, terms: Sequence[Term], noise: int | None = None
     ) -> None:
-        """Compute the residuals beside ``terms``; ``noise`` is the number of the noise model, by default the most
-        probable.
+        """Compute the residual of each gyro beside the model of ``terms``, over the noise.
+
+        ``noise`` is the number of the noise model, by default the one most probable with the terms.
         """
         self._columns = columns
         runs = [one.run for one in columns]
@@ -90,10 +91,10 @@ class Scan:
         return own[:, 0], with_rest[:, 0]
 
     def _products(self, candidates: Sequence[Candidate], *, keep: bool = False) -> tuple[Floats, Floats]:
-        """Return the products (gyros, k, p, p) of the candidates' columns beside the model, and with the residual
-        (gyros, k, p).
+        """Return products of the columns of k candidates beside the model, over the noise.
 
-        All candidates must have the same number of parameters.
+        They are those with one another (gyros, k, p, p) and with the residual (gyros, k, p). All candidates must have
+        the same number p of parameters; ``keep`` keeps their columns for later calls.
         """
         of_runs = [[columns.of(candidate, keep=keep) for candidate in candidates] for columns in self._columns]
         stacks: dict[tuple[tuple[int, int], ...], Floats] = {}
@@ -116,7 +117,8 @@ class Scan:
         """Return the size of an effect with a nonlinear size that leaves the least residual, the same for all gyros.
 
         The size is the effect's first parameter. The effect is evaluated anew at each size, because its column alone,
-        enlarged by the noise of the reference, gives too little.
+        enlarged by the noise of the reference, gives too little. With a single start value, as for a table's own rates,
+        the column is evaluated there and once at the size that it gives.
         """
         assert candidate.start is not None
         if len(candidate.start) == 1:  # a table's own rates have next to no noise
@@ -142,7 +144,11 @@ class Scan:
         return float(np.clip(sign * right / max(own, 1e-30) * candidate.effect.largest[0], -_LONGEST_S, _LONGEST_S))
 
     def _gain_of(self, candidate: Candidate, size: float) -> float:
-        """Return by how much a size raises the log evidence, with each gyro's noise set to what is then left."""
+        """Return by how much an effect of a size raises the log evidence, with each gyro's noise set to what is then
+        left.
+
+        The size, in the unit of the effect's first parameter, is the same for all gyros.
+        """
         share = abs(size) / candidate.effect.largest[0] if size else 0.0
         total = 0.0
         products, with_rest = self._products([at(candidate, size)])
@@ -158,9 +164,11 @@ class Scan:
         return self._width(candidate.theta, lambda theta: self.gain(at(candidate, theta)), _FIRST_STEP)
 
     def _width(self, theta: float, gain: Callable[[float], float], first: float) -> float:
-        """Return the distance from ``theta`` at which the gain falls by one half; at most ``theta``.
+        """Return the distance from ``theta``, where ``gain`` is largest, at which the gain falls by 0.5; at most
+        ``theta``.
 
-        The search begins at the share ``first`` of ``theta`` and doubles the distance.
+        The search begins at the share ``first`` of ``theta`` and doubles the distance until the mean of both sides
+        falls by more; a parabola then gives the distance.
         """
         top = gain(theta)
         step = first * theta
@@ -172,11 +180,10 @@ class Scan:
         return float(theta)
 
     def tuned(self, candidate: Candidate) -> Candidate:
-        """Return a candidate at the value of its nonlinear parameter with the largest gain, near one of its start
-        values.
+        """Return a candidate at the value of its nonlinear parameter with the largest gain, near its best start value.
 
-        ``log_tries`` is the cost of the search: the share of the parameter's range that would do as well. For a
-        candidate ``by_size`` the value is its size and there is no cost.
+        Its ``log_tries`` is the cost of the search: minus the logarithm of the share of the parameter's range that
+        would do as well. For a candidate ``by_size`` the value is its size and there is no cost.
         """
         start = candidate.start
         assert start is not None

@@ -104,7 +104,10 @@ class Search:
         self._scored.clear()
 
     def leave_out_unexcited(self) -> list[Candidate]:
-        """Remove the candidates that would not show even at their largest plausible size; return them."""
+        """Remove the candidates that would not show even at their largest plausible size; return them.
+
+        Such an effect changes all runs by less than half a sigma of noise, all gyros together.
+        """
         out = []
         for candidate, term in self.known.values():
             columns = np.array(term.columns, dtype=np.intp)
@@ -115,11 +118,11 @@ class Search:
         return out
 
     def run(self, most: int, progress: Callable[[float], None] | None = None) -> Found:
-        """Return the most probable model of at most ``most`` effects.
+        """Return the most probable model of at most ``most`` effects; ``progress`` is called with the share done.
 
         In each round the most probable candidate is added and the model's effects are exchanged where that helps. The
-        search ends if nothing more is more probable than "no more effects", or if the model is full. An effect of a
-        size it cannot have is barred, and a tone is subtracted from the data.
+        search ends if nothing more is more probable than "no more effects", if the model is full, or after twelve
+        rounds. An effect of a size it cannot have is barred, and a tone is subtracted from the data.
         """
         chosen: list[str] = []
         terms: dict[str, Term] = {}
@@ -178,10 +181,11 @@ class Search:
         return {name: score for name, score in self._scored[key].items() if name not in chosen}
 
     def _score(self, terms: Sequence[Term]) -> dict[str, tuple[float, Term]]:
-        """Return by name the log evidence with each candidate beside ``terms``, with its log prior, and its scaled
+        """Return by name the log evidence, with its log prior, of ``terms`` with each candidate added, and its scaled
         term.
 
-        Candidates that are in the model, barred, or general dependences are left out.
+        Candidates that are in the model, barred, or general dependences are left out. The prior of a candidate is
+        raised if the effect that it goes with is in the model.
         """
         taken = {t.name for t in terms}
         tried = {
@@ -198,7 +202,9 @@ class Search:
         return found
 
     def _suspects(self, options: Mapping[str, float], bare: float) -> tuple[Suspect, ...]:
-        """Return the effects by name with their probability, most probable first; ``bare`` is the log evidence without
+        """Return the effects by name with their probability and gain in log evidence, most probable first.
+
+        ``options`` are log evidences by candidate, "" for no effect, which is listed too; ``bare`` is that without
         effects.
         """
         most: dict[str, float] = {}
@@ -209,10 +215,10 @@ class Search:
         return tuple(sorted(found, key=lambda s: -s.probability))
 
     def sensible(self, name: str, term: Term, model: Sequence[Term]) -> bool:
-        """Return whether the fitted size of an effect is one that it can have.
+        """Return whether the size of an effect, fitted beside ``model``, is one that it can have.
 
-        A delay or lag must be as long as the one for which its columns were computed, and longer than the steps of
-        another instrument can hide.
+        The size of a delay or lag must agree with the one for which its columns were computed; a delay must be longer
+        than the time between readings of another instrument can hide. Others must be plausible by their record.
         """
         candidate = self.known[name][0]
         steps_s = [run.step_s for run in self.runs if run.recording.reference.by_turns]
@@ -225,8 +231,9 @@ class Search:
         return candidate.effect.record.plausible(sizes)
 
     def _exchanged(self, chosen: list[str], terms: dict[str, Term]) -> tuple[list[str], dict[str, Term]]:
-        """Return the effects and terms after each was removed or exchanged wherever that makes the model more
-        probable.
+        """Return the effects and terms after each was removed or exchanged wherever that makes the model more probable.
+
+        It goes on until nothing changes, but not without end: at most twelve changes. ``terms`` is changed in place.
         """
         for _ in range(_ROUNDS):
             changed = False
@@ -252,7 +259,8 @@ class Search:
     def copies(self, part: Part, terms: Sequence[Term]) -> list[str]:
         """Return the effects that could give the same output as this one within chance, whatever their prior is.
 
-        Empty for shared effects and tones.
+        ``terms`` are those of the model. Empty for shared effects and tones; these and general dependences are no
+        copies.
         """
         if part.term.shared or part.tone is not None:
             return []
@@ -287,8 +295,10 @@ class Search:
         return Scan(self.columns, self.evidence, others).width(part.candidate)
 
     def judged(self, name: str, chosen: Sequence[str], terms: Mapping[str, Term]) -> Part:
-        """Return an effect of a model with its probability and its rivals, computed beside the model's other
-        effects.
+        """Return an effect of a model with its probability and its rivals, computed beside the model's other effects.
+
+        ``chosen`` are the names of all effects of the model, ``terms`` theirs. Rivals are as many as share 99 % of the
+        probability, most probable first, the effect itself among them.
         """
         others = [other for other in chosen if other != name]
         kept = [terms[other] for other in others]
@@ -302,8 +312,9 @@ class Search:
         return Part(self.known[name][0], scores[name][1], share, rivals, share=share)
 
     def _shares(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return the probabilities by name in results; ``values`` are log evidences by candidate, "" for no further
-        effect.
+        """Return the probabilities by name in results; candidates with the same name there are added.
+
+        ``values`` are log evidences by candidate, "" for no further effect.
         """
         total = np.logaddexp.reduce(list(values.values()))
         shares: dict[str, float] = {}

@@ -29,15 +29,18 @@ def error_model_of(found: Augmented) -> ErrorModel:
         elif record.not_kept:
             left_out[name] = record.not_kept
         else:
-            known = _known(found, part)
+            known = _known_effect(found, part)
             # A drift since the start of each run and one since the first are the same in one run.
             other = effects.get(known.called, known)
             effects[known.called] = max(known, other, key=lambda effect: float(effect.sd.sum()))
     return ErrorModel(tuple(effects.values()), left_out)
 
 
-def _known(found: Augmented, part: Part) -> KnownEffect:
-    """Return one effect with its expected sizes, its settings and the values found by gyro."""
+def _known_effect(found: Augmented, part: Part) -> KnownEffect:
+    """Return an effect of the estimate ``found`` with its expected sizes, its settings and the values found by gyro.
+
+    If all gyros share it, it is expected as estimated; else with mean zero and the rms over gyros.
+    """
     effect, p = part.candidate.effect, len(part.candidate.effect.parameters)
     where = found.slice_of(part.candidate.name)
     largest = part.candidate.effect.largest
@@ -57,16 +60,18 @@ def _known(found: Augmented, part: Part) -> KnownEffect:
         of_gyros = {n: _pairs(v[0], s[0]) for n, v, s in zip(found.names, values, sigmas, strict=True)}
     expected = zip(effect.parameters, mean.tolist(), sd.tolist(), strict=True)
     sizes = tuple(Size(parameter.name, parameter.unit, m, s) for parameter, m, s in expected)
-    return KnownEffect(part.candidate.called, part.term.shared, sizes, _settings_of(part), of_gyros)
+    return KnownEffect(part.candidate.called, part.term.shared, sizes, _fixing_settings(part), of_gyros)
 
 
 def _pairs(values: Floats, sigmas: Floats) -> tuple[tuple[float, float], ...]:
     return tuple(zip(values.tolist(), sigmas.tolist(), strict=True))
 
 
-def _settings_of(part: Part) -> Settings:
-    """Return the settings of an effect in a model: fixed ones, else the law, else the value of the nonlinear
-    parameter.
+def _fixing_settings(part: Part) -> Settings:
+    """Return the settings that fix an effect in a model file.
+
+    They are those of its candidate, else its law, else its nonlinear parameter where the effect keeps that; may be
+    empty.
     """
     candidate = part.candidate
     if candidate.settings:

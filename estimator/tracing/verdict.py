@@ -43,8 +43,8 @@ class Verdict:
 def verdict_of(added: Sequence[str], doubtful: Sequence[Part], unexplained: Unexplained | None) -> Verdict:
     """Return the verdict for the ``added`` effects, the ``doubtful`` ones and the unexplained part.
 
-    Doubtful effects make it CANNOT_TELL; an unexplained part makes it PARTLY or UNEXPLAINED; otherwise it is ADDED or
-    NOTHING.
+    CANNOT_TELL if doubtful effects have rivals, or nothing is unexplained beside them; else PARTLY or UNEXPLAINED for
+    an unexplained part, by whether something was added; else ADDED or NOTHING.
     """
     # An effect that leaves as much of its kind as it explains is a part of the unexplained, and no rival.
     open_ones = [part for part in doubtful if part.share < CERTAIN and part.probability >= CERTAIN * part.share]
@@ -76,8 +76,9 @@ def verdict_of(added: Sequence[str], doubtful: Sequence[Part], unexplained: Unex
 def surprised(certain: Sequence[Part], wider: Found, residual: Residual | None) -> Verdict:
     """Return the verdict if the verification run shows an error that the other recordings do not show.
 
-    ``wider`` was found with the verification runs included: effects that would explain the error are named but not
-    added.
+    ``wider`` was found with the verification runs included: certain effects in it that are not among ``certain`` are
+    named, not added (CANNOT_TELL). Without any it is PARTLY or UNEXPLAINED, by whether there are certain effects, with
+    what ``residual`` depends on.
     """
     known = {part.candidate.called for part in certain}
     extra = [p for p in wider.parts if p.candidate.called not in known and p.probability >= CERTAIN]
@@ -96,9 +97,10 @@ def rivals_of(parts: Sequence[Part]) -> tuple[tuple[str, ...], ...]:
 
 
 def unexplained_of(residual: Residual | None) -> Unexplained | None:
-    """Return the variable that a residual depends on most, and the share of its power beyond the noise that this has.
+    """Return the variable that a residual depends on most, and its share of the power beyond the noise.
 
-    Without such a variable the share is that beyond the noise; None if next to nothing is left.
+    If it depends on none, the share is that of all power which is beyond the noise. None if that is next to nothing, or
+    without a residual.
     """
     power: dict[str, float] = {}
     total = whole = 0.0
@@ -116,7 +118,9 @@ def unexplained_of(residual: Residual | None) -> Unexplained | None:
 
 
 def file_notes(search: Search, terms: Sequence[Term]) -> list[str]:
-    """Return a sentence if biases differ from file to file of an import, beside some terms; else an empty list."""
+    """Return a sentence if biases differ from file to file of an import, beside the effects ``terms``; else an empty
+    list.
+    """
     if not any(run.recording.several_files for run in search.runs):
         return []
     evidence = search.evidence
@@ -144,8 +148,9 @@ def beyond_noise(search: Search, found: Found) -> Unexplained | None:
 
 
 def faults_added(faults: Sequence[Fault]) -> list[Added]:
-    """Return faults of the data as effects, except for held samples: the samples show them, and what they spoil is left
-    out.
+    """Return faults of the data as effects of probability 1, one for each kind, with the gyros that show it.
+
+    Held samples are left out: they are searched for as an effect.
     """
     found = []
     for kind in dict.fromkeys(fault.kind for fault in faults if fault.kind != SAMPLE_HOLD.name):
@@ -212,7 +217,7 @@ def rival_sizes(
     ones.
 
     ``weight`` (G,) are the probabilities of the noise models. The probability is that of the chosen effect, NaN for its
-    rivals. Tones are left out.
+    rivals. Each effect is listed once; tones are left out.
     """
     terms = [part.term for part in certain if part.tone is None]
     names = [part.candidate.name for part in certain]
@@ -246,9 +251,9 @@ class Causes:
     def among(
         cls, search: Search, certain: Sequence[Part], model: Augmented, left: Residual | None, unexplained: object
     ) -> "Causes":
-        """Return the causes among the certain parts of a model that leaves the residual ``left``.
+        """Return the causes among the certain parts of a model: without tones that are images of others, or weak.
 
-        Weak tones are removed only if something is left unexplained.
+        ``model`` leaves the residual ``left``. Weak tones are removed only if something is left unexplained.
         """
         weak = faint(certain, search.evidence, search.runs, model, left) if unexplained and left else []
         echoes = images(certain, search.runs)
@@ -290,7 +295,10 @@ def with_images(added: Added, others: Sequence[Part]) -> Added:
 
 
 def _tone_sd(search: Search, model: Augmented, where: slice) -> float:
-    """Return the standard deviation of a tone's frequency in Hz: sqrt(6) / (pi T) over its amplitude in sigmas."""
+    """Return the standard deviation of a tone's frequency in Hz: sqrt(6) / (pi T) over its amplitude in sigmas.
+
+    T is the length of the longest run; ``where`` is the place of the tone among the numbers of ``model``.
+    """
     span_s = max(float(run.t_s[-1] - run.t_s[0]) for run in search.runs)
     told = sum(
         float(m[where] @ np.linalg.solve(c[where, where], m[where]))

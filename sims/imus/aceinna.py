@@ -28,8 +28,10 @@ class AceinnaDevice:
         version: bytes = bytes([19, 1, 51, 2, 1]),
         name: aceinna.Name | None = None,
     ) -> None:
-        """Start with the rate of the three gyros and all packets on; ``axis_order`` defaults to that of the option
-        ``model``.
+        """Start with the rate of the three gyros and all packets on.
+
+        ``axis_order`` defaults to that of the option ``model``; ``version`` and ``name`` are its answers when asked for
+        them.
         """
         model, address = setup.options["model"], setup.options["address"]
         self._setup, self._bus, self._address, self.faults = setup, bus, address, setup.faults
@@ -51,7 +53,8 @@ class AceinnaDevice:
     def received(self, msg: can.Message) -> None:
         """Handle a frame from the bus: requests, save and reset commands, settings, and claims of its own address.
 
-        Remote, error and 11-bit frames are ignored. A device with a lower NAME gets no answer, but the address is kept.
+        All other frames are ignored, as are remote, error and 11-bit frames. A claim by a device with a lower NAME gets
+        no answer, but the address is kept.
         """
         if not msg.is_extended_id or msg.is_remote_frame or msg.is_error_frame:
             return
@@ -70,7 +73,10 @@ class AceinnaDevice:
             self._set(group, data[1:])
 
     async def serve(self) -> None:
-        """Send samples until cancelled; nothing while the rate divider is 0."""
+        """Send samples until cancelled, one every so many 10 ms as the rate divider says; nothing while that is 0.
+
+        Faults leave samples out, send them twice, change rates or the clock.
+        """
         loop = asyncio.get_running_loop()
         at = loop.time()
         while True:
@@ -85,7 +91,11 @@ class AceinnaDevice:
                 self._send_sample(np.degrees(rates), force)
 
     def _send_sample(self, rates_dps: Floats, force_mps2: Floats) -> None:
-        """Send the packets that are switched on, clipped to their ranges, in the order of a real device's trace."""
+        """Send the packets that are switched on, clipped to their ranges, in the order of a real device's trace.
+
+        ``rates_dps`` (3,) and ``force_mps2`` (3,) are about and along x, y, z of the device; the tilt follows from the
+        latter.
+        """
         roll, pitch, _ = tilt_deg(force_mps2[None] / max(float(np.linalg.norm(force_mps2)), 1e-9))[0]
         values = {"ssi2": np.array([pitch, roll]), "accs": force_mps2[self._columns], "ari": rates_dps[self._columns]}
         for name, fields in values.items():
@@ -98,8 +108,9 @@ class AceinnaDevice:
     def _answer(self, wanted: bytes, destination: int, host: int) -> None:
         """Answer a request, written by the standard (low byte first) or in Aceinna's way, or refuse it.
 
-        No answer if the twin is silent. A request to everybody is never refused (SAE J1939-21, 5.4.4), nor is one for
-        the data messages, which are sent without a request.
+        ``wanted`` are its three bytes; ``host`` is the address of the sender. No answer if the twin is silent. A
+        request to everybody is never refused (SAE J1939-21, 5.4.4), nor is one for the data messages, which are sent
+        without a request.
         """
         groups = int.from_bytes(wanted, "little"), int.from_bytes(wanted)
         if self.faults.silent:
@@ -112,7 +123,9 @@ class AceinnaDevice:
             self._send(aceinna.ACKNOWLEDGEMENT, bytes([1, 0xFF, 0xFF, 0xFF, host]) + wanted)
 
     def _set(self, group: int, values: bytes) -> None:
-        """Store a setting if the device has it and the values are valid; ignore it otherwise."""
+        """Store ``values`` as the setting of a parameter group if the device has it and they are valid; ignore it
+        otherwise.
+        """
         if group == aceinna.RATE_DIVIDER:
             good = len(values) == 1 and values[0] in aceinna.DIVIDERS
         elif group == aceinna.PACKET_TYPES:

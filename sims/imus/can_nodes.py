@@ -21,8 +21,10 @@ class CanNodes:
     """Sends the messages of each channel regularly, and once a second those that carry only a temperature."""
 
     def __init__(self, setup: ImuTwinSetup, bus: FrameSink) -> None:
-        """Prepare a node for each channel, with the gyros in their order; DeviceError for a signal that the DBC
-        lacks.
+        """Prepare a node for each channel of ``setup.signals``; the gyros of the device are given to them in their
+        order.
+
+        DeviceError for a DBC that cannot be read, or a signal that it lacks.
         """
         dbc, channels = setup.signals.dbc, setup.signals.channels
         database = setup.signals.database or load_dbc(_BUILT, dbc)
@@ -38,7 +40,11 @@ class CanNodes:
         self._rarely = all(node.tells_temperature_apart for node in self._nodes)
 
     async def serve(self) -> None:
-        """Send until cancelled; temperatures are computed only when they are sent."""
+        """Send the messages of all channels at the rate of ``setup`` until cancelled.
+
+        Rates are limited to 2000 deg/s. Faults leave samples out, send them twice or change rates. A temperature is
+        computed only when it is sent.
+        """
         loop = asyncio.get_running_loop()
         device_s, start = 0.0, loop.time()
         sample = 0
@@ -81,7 +87,10 @@ class _Field:
 
     @classmethod
     def of(cls, signal: SignalReader) -> "_Field":
-        """Return the range of the raw number and that of the DBC, in the signal's own unit."""
+        """Return the ranges that limit a signal, in its unit in the DBC: of its raw number and that of the DBC.
+
+        A float has no first range; the second is left out if the DBC gives none.
+        """
         field = signal.message.get_signal_by_name(signal.name)
         ranges: list[tuple[float, float]] = []
         if not field.is_float:
@@ -115,8 +124,10 @@ class _Node:
         }
 
     def messages(self, rates_rps: Floats, told: _NodeState, *, with_temperature: bool) -> list[can.Message]:
-        """Return the messages for one sample; those that carry only a temperature are left out unless
-        ``with_temperature``.
+        """Return the messages for one sample with the channel's rates (m,) and the rest of ``told``.
+
+        Messages that carry only a temperature are left out unless ``with_temperature``; others repeat the last
+        temperature.
         """
         signals = self._signals
         for signal, rate in zip(signals.rates, rates_rps.tolist(), strict=True):
@@ -139,9 +150,7 @@ class _Node:
         return out
 
     def _put(self, signal: SignalReader, value: float) -> None:
-        """Store a value in SI for sending, limited to the signal's range; NaN is not stored where the signal holds
-        integers.
-        """
+        """Store a value in SI for sending, limited to the signal's ranges; NaN leaves an integer as it was."""
         field = self._fields[id(signal)]
         if field.whole and math.isnan(value):
             return  # it has no word for that

@@ -47,8 +47,10 @@ class Stim300Device(LineDevice):
         """Prepare a device at the rate of the gyros; ValueError for an unknown datagram ``identifier``. Upright by
         default.
 
-        A ``cold`` device, or any but the first of several, is powered on when served: it sends its part number and the
-        like, and its first half second has the start-up bit. Otherwise it has been on for long.
+        ``gyro_unit`` is a name of ``UNITS``; ``seed`` is that of samples dropped and doubled by faults. A ``cold``
+        device, or any but the first of several, is powered on when served: it sends its part number and the like, and
+        its first half second has the start-up bit. Otherwise it has been on for long. Each of several has a serial
+        number of its own.
         """
         if identifier not in stim300.DATAGRAM_CODES.values():
             raise ValueError(f"{identifier:02X} is no datagram of today's firmware")
@@ -96,7 +98,9 @@ class Stim300Device(LineDevice):
             self._utility(line)
 
     async def serve(self) -> None:
-        """Send bursts until cancelled; nothing in service mode."""
+        """Send datagrams and answers in bursts until cancelled; no datagrams outside normal mode. Each states how late
+        it is.
+        """
         loop = asyncio.get_running_loop()
         start, sent = loop.time(), 0
         burst = burst_of(self._base_hz)
@@ -112,9 +116,10 @@ class Stim300Device(LineDevice):
                 self._write(data)
 
     def _burst(self, at: Floats, ticks: Ints, late_s: float) -> bytes:
-        """Return the bytes for instants ``at``: answers first, then the samples that these did not displace.
+        """Return the bytes for the gyros' samples at instants ``at`` (n,): answers first, then datagrams.
 
-        Empty outside normal mode. Samples are dropped or doubled by ``faults``; each datagram states the latency
+        ``ticks`` (n,) is the device's count at 2000 Hz. Each answer displaces a datagram. Empty outside normal mode,
+        where the gyros go on nevertheless. Datagrams are dropped or doubled by ``faults``; each states the latency
         ``late_s``.
         """
         own = self.settings
@@ -142,8 +147,10 @@ class Stim300Device(LineDevice):
         return answers + self._datagrams(raw[rows], status, wanted[rows], force, float(at[-1]), late_s)
 
     def _status(self, wanted: Ints, over: Flags) -> Ints:
-        """Return the status byte of the gyros at each tick ``wanted``; overloads are also noted in the error
-        register.
+        """Return the status byte (n,) of the gyros at each tick ``wanted`` (n,): start-up and overload.
+
+        ``over`` (n, 3) marks overloaded gyros, to which ``overload_gyro`` is added in place; they are also noted in the
+        error register.
         """
         if self.overload_gyro is not None:
             over[:, self.overload_gyro] = True
@@ -154,8 +161,11 @@ class Stim300Device(LineDevice):
         return status
 
     def _datagrams(self, raw: Ints, status: Ints, ticks: Ints, force_g: Floats, t_s: float, late_s: float) -> bytes:
-        """Return the bytes of one datagram a row, with all groups; ``force_g`` (n, 3) serves accelerometers and
-        inclinometers.
+        """Return the bytes of n datagrams, with the groups of the present layout.
+
+        ``raw`` (n, 3) and ``status`` (n,) are of the gyros, ``force_g`` (n, 3) serves accelerometers and inclinometers.
+        ``t_s`` is the instant of the temperature, which is marked as invalid if there is none; ``late_s`` the latency
+        to state.
         """
         own = self.settings
         n = len(raw)
@@ -180,8 +190,10 @@ class Stim300Device(LineDevice):
         return stim300.encode_special(value, line_termination=self.settings.line_termination)
 
     def _command(self, line: bytes) -> None:
-        """Carry out a command of normal mode; an unknown one is ignored. Answers are queued and each displaces a
-        sample.
+        """Carry out a command of normal mode; an unknown one is ignored.
+
+        Answers to questions are queued and each displaces a sample; asking for the error register clears it. Reset and
+        entering utility mode act at once.
         """
         own = self.settings
         values: dict[bytes, Special] = {

@@ -30,8 +30,8 @@ class GyroOutput:
         """Return raw outputs (k, 3) at the ticks ``wanted`` (k,), and which gyros (k, 3) are beyond their range.
 
         ``t_s`` (n,) are the instants of the gyros' samples, ``ticks`` (n,) the device's 2000 Hz count at them. ``unit``
-        is a rate, increment, average or integral, kept up across calls. Gyros in ``saturated`` (0 to 2) are at their
-        range.
+        is the code of a rate, increment, average or integral; the latter three continue across calls. ``wanted_hz`` is
+        the rate of datagrams, over which averages are taken. Gyros in ``saturated`` (0 to 2) are at their range.
         """
         kind = unit & 3
         # A mean over a period is the rate at its middle, to second order.

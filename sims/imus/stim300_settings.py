@@ -94,9 +94,10 @@ class Settings:
 
 
 def utility_reply(own: Settings, line: bytes) -> UtilityMessage | None:
-    """Return the reply to one line in utility mode: an error code for a damaged, unknown or refused command, else "0".
+    """Carry out one line of utility mode, and return the reply to it; None only for an empty line.
 
-    None only for an empty line. Settings are changed in ``own``.
+    The reply has an error code for a line that is no command (1), a damaged (2) or unknown (3) one, a wrong number of
+    fields (4) or a refused value (5), else 0 and what the command shows. Settings are changed in ``own``.
     """
     if not line.startswith(b"$"):
         return UtilityMessage(True, ("", "1")) if line else None

@@ -52,10 +52,10 @@ class VectorNavDevice:
     def __init__(
         self, setup: ImuTwinSetup, write: Callable[[bytes], None], *, serial: str = "0100012345", baud: int = 921600
     ) -> None:
-        """Prepare a device whose gyros sample at 800 Hz over a whole number, else ValueError; faster output repeats
-        samples.
+        """Prepare a device whose gyros sample at the rate of ``setup``, 800 Hz over a whole number; else ValueError.
 
-        ``baud`` is the rate as delivered, which limits the outputs that can be set. Upright by default.
+        Faster output repeats samples. ``baud`` is the rate as delivered, which limits the outputs that can be set.
+        Upright by default. Each of several has a serial number of its own.
         """
         rate_hz = setup.rate_hz
         if vectornav.IMU_RATE_HZ % rate_hz:
@@ -95,7 +95,7 @@ class VectorNavDevice:
             self._tick, self._last = int(ticks[-1]), rows[-1]
 
     def received(self, data: bytes) -> None:
-        """Reply to each command completed by ``data``, and with a checksum error to each damaged one."""
+        """Reply to each command completed by ``data``, and after these with a checksum error to each damaged one."""
         damaged = self._decoder.bad_sentences
         for command in self._decoder.feed(data):
             if isinstance(command, vectornav.Sentence):
@@ -115,7 +115,12 @@ class VectorNavDevice:
         self._wake_up()
 
     def _measured(self, at: Floats) -> Floats:
-        """Return all measured values (n, 17) at instants ``at`` (n,), with the faults of the gyros."""
+        """Return all measured values (n, 17) at instants ``at`` (n,) in s, in the columns named at the top of the
+        module.
+
+        Stuck, clipped and spoilt gyros show in the raw rates; the compensated ones are the raw ones with the register's
+        bias and matrix applied.
+        """
         rows = np.empty((len(at), len(_FORMATS)))
         up = self._up(at)
         rows[:, _YPR] = tilt_deg(-up)[:, ::-1]  # from north, east, down
@@ -133,10 +138,10 @@ class VectorNavDevice:
         return rows
 
     def _outputs(self, rows: Floats, after: int, last: int) -> bytes:
-        """Return the bytes sent after tick ``after`` up to tick ``last``, in order, some dropped or doubled by
-        ``faults``.
+        """Return the bytes sent after tick ``after`` up to tick ``last`` (of 800 Hz), in order.
 
-        ``rows`` are measured values, the first of them at ``after``; outputs faster than the gyros repeat rows.
+        ``rows`` (n, 17) are measured values, the first of them at ``after``; outputs faster than the gyros repeat rows.
+        Outputs are dropped or doubled by ``faults``.
         """
         sent: list[tuple[int, bytes]] = []
         for period, encode in self._periodic():
@@ -149,8 +154,11 @@ class VectorNavDevice:
         return b"".join(data * times for (_, data), times in zip(sent, copies.tolist(), strict=True))
 
     def _periodic(self) -> list[tuple[int, Callable[[Floats, Ints], list[bytes]]]]:
-        """Return the active outputs: the period of each in ticks, and the function that encodes measured rows at given
+        """Return the active outputs, each as its period in ticks of 800 Hz and a function that encodes rows at given
         times.
+
+        Binary outputs count if they are for serial port 1 and have a divisor; the ASCII output if its type is not 0.
+        The function takes measured values (n, 17) and device times (n,) in ns.
         """
         outputs: list[tuple[int, Callable[[Floats, Ints], list[bytes]]]] = []
         for register, layout in self._layouts.items():
@@ -168,8 +176,10 @@ class VectorNavDevice:
         return outputs
 
     def _reply(self, command: vectornav.Sentence) -> vectornav.Sentence | bytes:
-        """Carry out a command and return the reply: a sentence, or bytes for a polled frame; a VNERR sentence for a
-        refusal.
+        """Carry out a command and return the reply: a sentence, or bytes for a polled frame.
+
+        A refusal, also of an unknown command, is a VNERR sentence. Pausing, saving to flash, factory settings and
+        restart act as on the device; tare and the filter's switches are only acknowledged.
         """
         try:
             if command.header == "VNRRG":
@@ -207,7 +217,9 @@ class VectorNavDevice:
         return _frames(layout, self._last[None], np.array([self._tick * _TICK_NS - self._zero_ns]))[0]
 
     def _read(self, command: vectornav.Sentence) -> vectornav.Sentence:
-        """Return the reply to a read of a register; Refused if there is none."""
+        """Return the reply to a read of a register: the last measured values, the identity or a setting; Refused for
+        others.
+        """
         register = _number(_exactly(1, command.fields)[0])
         if register in _COLUMNS:
             values = _printed(self._last, register)
@@ -218,8 +230,10 @@ class VectorNavDevice:
         return vectornav.Sentence("VNRRG", (f"{register:02d}", *values))
 
     def _store(self, command: vectornav.Sentence) -> vectornav.Sentence:
-        """Write a register and return the reply; Refused for a bad register or values, or if the baud rate would not
-        suffice.
+        """Write a register and return the reply.
+
+        Refused for an unknown or read-only register, for wrong values, and if the outputs then asked for more than the
+        baud rate; the register is unchanged in all these cases.
         """
         if not command.fields:
             raise Refused(_TOO_FEW)

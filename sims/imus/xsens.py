@@ -51,10 +51,11 @@ class XsensDevice:
         uptime_ticks: int = 0,
         seed: int = 0,
     ) -> None:
-        """Prepare a device that measures; outputs have the rate of the three gyros or that over a whole number.
+        """Prepare a device that measures at the rate of the three gyros; outputs may have that over a whole number.
 
-        ``serial`` is eight hex digits; ``uptime_ticks`` of 100 us is the time since power-on. Without ``setup.up`` it
-        has no accelerometers.
+        ``serial`` is eight hex digits, counted on for each of several; ``uptime_ticks`` of 100 us is the time since
+        power-on. Without ``setup.up`` it has no accelerometers. ``seed`` is that of messages dropped and doubled by
+        faults.
         """
         self._gyros, self._write, self._force_g, self.faults = setup.gyros, write, setup.up, setup.faults
         self._rate_hz = rate_hz = round(setup.rate_hz)
@@ -92,7 +93,7 @@ class XsensDevice:
                 self._answer(messages.mid, request)
 
     async def serve(self) -> None:
-        """Send until cancelled; the gyros keep sampling while nothing is sent."""
+        """Send in bursts while measuring, until cancelled; the gyros keep sampling while nothing is sent."""
         loop = asyncio.get_running_loop()
         start, burst, sent = loop.time(), burst_of(self._rate_hz), 0
         while True:
@@ -117,8 +118,9 @@ class XsensDevice:
         self._write(encode(Mid.ERROR, bytes([error])))
 
     def _answer(self, mid: int, data: bytes) -> None:
-        """Answer a message; while measuring only Reset and GoToConfig, anything else with an Error. Answers are
-        ignored.
+        """Carry out a message of type ``mid`` and answer it; messages that are answers themselves are ignored.
+
+        While measuring only Reset and GoToConfig are carried out. Anything else then, and unknown ones, get an Error.
         """
         if mid % 2:
             return  # an answer itself
@@ -147,10 +149,10 @@ class XsensDevice:
             self.report(_INVALID_MESSAGE)
 
     def _configure(self, data: bytes) -> None:
-        """Adopt the known part of an output configuration and answer with the granted one; an Error if no part is
-        known.
+        """Adopt the known part of an output configuration, and answer with what is granted.
 
-        Without data the present configuration is the answer.
+        An Error if it cannot be read or no part is known. Without data nothing changes. Outputs of acceleration are
+        left out on a device without accelerometers.
         """
         wanted = mtdata2.decode_outputs(data)
         known = [o for o in wanted or () if mtdata2.kind_of(o.data_id) in _COUNTS_AND_STATUS + _VALUES]
@@ -181,7 +183,11 @@ class XsensDevice:
         return self.faults.spoilt(rate, float(np.finfo(np.float32).max))
 
     def _stream(self, at: Floats, index: Ints, rate: Floats) -> bytes:
-        """Return the messages of these samples (n,), some dropped or doubled by ``faults``."""
+        """Return the messages of n samples, some dropped or doubled by ``faults``; none for samples with no output due.
+
+        ``at`` (n,) are the instants in s, ``index`` (n,) the numbers of the samples since power-on, ``rate`` (n, 3) in
+        rad/s.
+        """
         due = self._due(index)
         rows = np.flatnonzero(due.any(axis=1))
         numbers = self._messages + np.arange(len(rows))
@@ -202,10 +208,10 @@ class XsensDevice:
         return b"".join(parts)
 
     def _due(self, index: Ints) -> Flags:
-        """Return as flags (n, outputs) which outputs the messages of samples number ``index`` contain.
+        """Return as flags (n, outputs) which outputs the messages of samples number ``index`` (n,) contain.
 
         Each output is due every so many samples. An output of rate EVERY accompanies the others and makes no message
-        alone.
+        alone; if all outputs have that rate, each sample has all.
         """
         steps = np.array([1 if o.rate_hz == mtdata2.EVERY else self._divider(o) for o in self.outputs])
         timed = [o.rate_hz != mtdata2.EVERY for o in self.outputs]
@@ -215,7 +221,11 @@ class XsensDevice:
         return np.asarray(due, dtype=np.bool_)
 
     def _values(self, at: Floats, index: Ints, rate: Floats, numbers: Ints) -> Callable[[int], Floats | Ints]:
-        """Return a function that gives the values (n, fields) of a kind of packet at these samples."""
+        """Return a function that gives the values (n, fields) of a kind of packet at n samples; the status for other
+        kinds.
+
+        ``numbers`` (n,) are the numbers of the messages; the other arguments are as for ``_stream``.
+        """
         ticks = self._uptime_ticks + index * _TICKS_PER_S // self._rate_hz
         force_g = self._force_g(at) if self._force_g is not None else np.full((len(at), 3), np.nan)
         made: dict[int, Callable[[], Floats | Ints]] = {

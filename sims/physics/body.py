@@ -40,9 +40,10 @@ class Body:
     ) -> None:
         """Prepare the body; ``gimbals`` are named outermost first.
 
-        ``angles(axis, t_s)`` gives the true angles of an axis, for future instants by its present command; ``revision``
-        changes with each new command. ``directions`` are unit vectors (3,) of axes that at home are not along the body
-        axis of their name. ``earth_turns`` false leaves the Earth's rate out.
+        ``angles(axis, t_s)`` gives the true angles of an axis, for future instants by its present command;
+        ``revision()`` changes with each new command. ``heading_rad`` is that of the table's x axis at home, clockwise
+        from north. ``directions`` are unit vectors (3,) of axes that at home are not along the body axis of their name.
+        ``earth_turns`` false leaves the Earth's rate out.
         """
         self.gimbals = tuple(gimbals)
         self._angles = angles
@@ -61,9 +62,7 @@ class Body:
         return self._revision_of_angles()
 
     def rate_rps(self, t_s: Floats) -> Floats:
-        """Return the inertial rate in body axes (n, 3) at each instant, from attitudes half a small step before and
-        after.
-        """
+        """Return the inertial rate in body axes (n, 3) in rad/s at instants (n,), by differences of the attitude."""
         n = len(t_s)
         attitude = self._attitude(np.concatenate([t_s - _HALF_STEP_S, t_s + _HALF_STEP_S]), float(t_s[0]))
         before, after = attitude[:n], attitude[n:]

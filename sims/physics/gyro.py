@@ -48,9 +48,10 @@ class GyroArray:
         hidden: Hidden | None = None,
         started_s: float = 0.0,
     ) -> None:
-        """Prepare the gyros; the same ``seed`` gives the same noise.
+        """Prepare the gyros, m in number, which sample at ``rate_hz``; the same ``seed`` gives the same noise.
 
-        The bench clock, which temperature and hidden effects follow, is at ``started_s`` at the instant 0.
+        ``mounting`` has their nominal axes, ``truth`` their errors, ``body`` the motion. The bench clock, which
+        temperature and ``hidden`` effects follow, is at ``started_s`` at the instant 0.
         """
         self._truth = truth
         self._body = body
@@ -102,7 +103,10 @@ class GyroArray:
         return np.asarray(out)
 
     def sample_all(self, t_s: Floats) -> Floats:
-        """Return the outputs (n, m) in rad/s at all instants of a run whose motion is known from the start."""
+        """Return the outputs (n, m) in rad/s at all instants (n,) of a run whose motion is known from the start.
+
+        The bias moves in steps of 0.1 s. The noise is not that of ``sample`` with the same seed.
+        """
         steps = max(round(_AHEAD_S / self._period_s), 1)
         wander = np.repeat([self._wander_rps.step(steps) for _ in range(-(-len(t_s) // steps))], steps, axis=0)
         out = np.empty((len(t_s), len(self._truth.k)))
@@ -113,7 +117,9 @@ class GyroArray:
         return out if self._chain is None else self._chain.put_out(t_s, out)
 
     def _look_ahead(self, t_s: Floats) -> None:
-        """Compute instants, noise and outputs of the coming calls, each with as many samples as ``t_s``."""
+        """Compute instants, noise and outputs of the coming calls, those of 0.1 s, each with as many samples as ``t_s``
+        (n,).
+        """
         n = self._per_call = len(t_s)
         calls = max(round(_AHEAD_S / (n * self._period_s)), 1)
         self._ahead_t = (t_s + n * self._period_s * np.arange(calls)[:, None]).ravel()

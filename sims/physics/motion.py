@@ -30,7 +30,7 @@ class AxisMotion:
     """Angle and rate of a rotor over time. Commands must come in the order of their times."""
 
     def __init__(self, angle_rad: float, max_rate_rps: float, max_acceleration_rps2: float) -> None:
-        """Start at rest at ``angle_rad``."""
+        """Start at rest at ``angle_rad``; rates and accelerations of all commands are limited to those given here."""
         self.max_rate_rps = max_rate_rps
         self.max_acceleration_rps2 = max_acceleration_rps2
         self._segments = [_Segment(-math.inf, angle_rad, 0.0, 0.0)]
@@ -51,7 +51,9 @@ class AxisMotion:
         return first.angle_rad, first.rate_rps
 
     def angles(self, t_s: Floats) -> Floats:
-        """Return the angle at each instant (n,), in ascending order or not."""
+        """Return the angle in rad at each instant (n,) in s, in ascending order or not; at the first angle before all
+        motion.
+        """
         out = np.full(len(t_s), self._segments[0].angle_rad)
         first_s = t_s.min()
         for segment, following in zip(self._segments, [*self._segments[1:], None], strict=True):
@@ -76,7 +78,9 @@ class AxisMotion:
         return t_s >= self._ends_s
 
     def jog(self, t_s: float, rate_rps: float, acceleration_rps2: float) -> None:
-        """Change to a rate along a ramp, both limited to those of the axis."""
+        """Change to a rate along a ramp from the instant ``t_s`` on; rate and acceleration are limited to those of the
+        axis.
+        """
         rate_rps = min(max(rate_rps, -self.max_rate_rps), self.max_rate_rps)
         acceleration = self._acceleration(acceleration_rps2)
         angle, rate = self.at(t_s)
@@ -89,9 +93,11 @@ class AxisMotion:
         self.jog(t_s, 0.0, acceleration_rps2)
 
     def move(self, t_s: float, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
-        """Go to an angle and stay there: a trapezoid of rate, a triangle if the distance is short.
+        """Go to an angle from the instant ``t_s`` on, and stay there: a trapezoid of rate, a triangle if the way is
+        short.
 
-        If the axis is too fast to stop there, it first comes to rest. A rate of 0 is a stop.
+        Rate (its sign is ignored) and acceleration are limited to those of the axis. If the axis is too fast to stop
+        there, or faster than the rate, it first comes to rest. A rate of 0 is a stop.
         """
         acceleration = self._acceleration(acceleration_rps2)
         top = min(abs(rate_rps), self.max_rate_rps)
@@ -120,8 +126,9 @@ class AxisMotion:
     def _ramp(
         self, t_s: float, angle: float, rate: float, to: float, acceleration: float
     ) -> tuple[float, float, float]:
-        """Append a ramp to the rate ``to`` and constant rate after it; return instant, angle and rate at the end of the
-        ramp.
+        """Append a ramp from ``rate`` to the rate ``to``, and that rate after it, beginning at ``t_s`` and ``angle``.
+
+        Returns instant, angle and rate at the end of the ramp; without a difference of rates there is no ramp.
         """
         duration = abs(to - rate) / acceleration
         if duration > 0:

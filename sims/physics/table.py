@@ -37,8 +37,9 @@ class TableModel:
         faults: TableFaults | None = None,
         started_s: float = 0.0,
     ) -> None:
-        """Start at rest, each axis at its start angle; ``clock`` gives seconds, ``started_s`` is the bench clock
-        at 0.
+        """Start at rest, each axis at its start angle.
+
+        ``clock`` gives seconds; ``started_s`` is the bench clock, which ``faults`` follow, when it is at 0.
         """
         faults = faults or TableFaults()
         self.clock = clock

@@ -39,7 +39,7 @@ class AcutrolAxisTwin:
     def interlock(self, word: str) -> None:
         """Open or reset the interlock, or close it for any other word; AclError on closing in fault.
 
-        Opening switches the axis off; a reset leaves the fault if the table's interlock is open.
+        Opening switches the axis off; a reset clears a trip, and the fault unless the table's interlock is open.
         """
         if word == "open":
             self.power_down()
@@ -66,9 +66,11 @@ class AcutrolAxisTwin:
             self._position_demand = self.angle_deg()
 
     def demand(self, what: str, value: float) -> None:
-        """Accept a demand for rate, acceleration, delta or position; AclError beyond limits or outside position mode.
+        """Accept a demand for ``what``: rate, acceleration, delta or, for any other word, position.
 
-        A rate acts at once in rate mode and is stored otherwise; delta and position start a move.
+        A rate acts at once in rate mode and is stored otherwise; an acceleration becomes the limit of rate mode; delta
+        and position start a move, by the shorter way if angles are wrapped. AclError for a rate beyond its limit, a
+        delta beyond 180 deg, and delta or position outside position mode.
         """
         if what == "rate":
             if abs(value) > self.limits["rate", "rate"] * 1.001:
@@ -101,7 +103,10 @@ class AcutrolAxisTwin:
         return math.floor(angle / TURN * counts + 0.5) / counts * 360.0
 
     def read(self, what: str) -> float:
-        """Return the measured position or rate, or for any other word the acceleration."""
+        """Return the measured position (deg) or rate (deg/s), or for any other word the acceleration (deg/s2).
+
+        The position is from 0 to 360 if the axis is wrapped.
+        """
         if what == "position":
             return self.angle_deg() % 360.0 if self._wrapped else self.angle_deg()
         if what == "rate":

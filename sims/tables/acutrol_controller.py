@@ -33,6 +33,9 @@ class AcutrolController(LineController):
     ) -> None:
         """Prepare for axes with numbers as addresses; the option ``reply_prefix`` is the length of the prefix of
         answers.
+
+        ``wrapped`` angles are reported within 0 to 360 deg; ``identity`` is the answer to *idn?, with the serial
+        number.
         """
         super().__init__(setup, write)
         self._prefix_length = setup.options["reply_prefix"]
@@ -61,8 +64,10 @@ class AcutrolController(LineController):
         self._write(f"{prefix if self._prefix_length else ''}{text}\r\n".encode("ascii", "replace"))
 
     def _carry_out(self, line: str) -> str:
-        """Carry out the commands of a line, separated by ";", and return the values joined, or OK; AclError if one
-        fails.
+        """Carry out the commands of a line, separated by ";", and return their values joined by it; OK without any.
+
+        A command without a subsystem belongs to that of the one before. *idn? and *stb? are lines of their own.
+        AclError if a command fails; those before it have been carried out.
         """
         if line == "*idn?":
             return self._identity
@@ -80,7 +85,11 @@ class AcutrolController(LineController):
         return ";".join(values) or "OK"
 
     def _part(self, subsystem: str, word: str, query: bool, arguments: str) -> str:
-        """Carry out one command or query of a subsystem and return its answer; AclError if it is wrong."""
+        """Carry out one command, or query, of a subsystem and return its answer, OK if it has no value.
+
+        ``arguments`` are separated by commas, the axis first. An interlock command without an axis is for all; commands
+        of the subsystem utility do nothing. AclError if the command is wrong or refused.
+        """
         given = [argument.strip() for argument in arguments.split(",")]
         if subsystem == "utility":
             return "OK"
@@ -108,7 +117,11 @@ class AcutrolController(LineController):
         return "OK"
 
     def _limit(self, what: str, query: bool, given: list[str]) -> str:
-        """Set or query a limit; "absolute" is the query of all limits of an axis. AclError for wrong arguments."""
+        """Set a limit of an axis in a mode, or return its value if ``query``; ``what`` is its quantity.
+
+        "absolute" returns all limits of an axis. ``given`` are the arguments: mode, axis and, to set it, the value.
+        AclError for wrong ones.
+        """
         if what == "absolute":
             most = self._axis(given[0]).most
             values = (most["rate"], most["acceleration"], _JERK_DPS3, -1e6, 1e6, most["rate"] * _VTRIP)

@@ -49,7 +49,10 @@ class AerosmithController(LineController):
             self._write(f"{text}\r\n>".encode() if text else b">")
 
     def _carry_out(self, word: str, value: float) -> str | None:
-        """Carry out a command and return the answer, "?" for a refusal; None if its prompt is held back."""
+        """Carry out a command and return the answer: a value, "" without one, "?" for a refusal or an unknown command.
+
+        None for a jog, whose prompt is held back.
+        """
         if word == "PPO":
             return f"{self._table.encoder_turns(self._axis) * 360.0:.4f}"
         if word == "PVE":
@@ -85,10 +88,10 @@ class AerosmithController(LineController):
         return ""
 
     def _move(self, word: str, value: float) -> str | None:
-        """Start a jog, move or homing; return "?" if refused, None for a jog (its prompt is held back), else "".
+        """Start a jog at ``value`` deg/s, a move to (MOV) or by (RMO) that many deg, or, with ``word`` HOM, homing.
 
-        Refused with the servo off, for a jog that is too fast or no whole number of deg/s, or towards a pressed limit
-        switch.
+        Returns "?" if refused, None for a jog, whose prompt is held back, else "". Refused with the servo off, for a
+        jog that is too fast or no whole number of deg/s, or towards a pressed limit switch.
         """
         if not self._servo_on or (word == "JOG" and (abs(value) > self._most_dps * 1.001 or value % 1.0)):
             return "?"

@@ -26,7 +26,7 @@ class Drive:
     def __init__(
         self, table: TableModel, axis: str, profile: DriveProfile, watchdog_s: float, *, cycle_s: float = 0.0
     ) -> None:
-        """Start in Switch-on disabled; ``watchdog_s`` of silence stops the axis (0: never).
+        """Start in Switch-on disabled, as a drive of this profile; ``watchdog_s`` of silence stops the axis (0: never).
 
         The controlword is sampled once per ``cycle_s``, counted from the zero of the table's clock: status and motion
         follow at the next sample, and only the last of several controlwords within a cycle acts. With 0 it acts at
@@ -52,7 +52,11 @@ class Drive:
         self._watchdog.heard(self._state is DriveState.OPERATION_ENABLED)
 
     def read(self, register: str) -> float:
-        """Return the present value of a register."""
+        """Return the present value of a register; KeyError for one that the profile does not have.
+
+        Status, position, rate, error and interlock are those of the table now; any other register holds what was
+        written.
+        """
         self._update()
         readers: dict[str, Callable[[], float]] = {
             "statusword": self._statusword,
@@ -112,7 +116,7 @@ class Drive:
     def _control(self, word: int) -> None:
         """Act on a controlword: reset a fault on the rise of bit 7, else change state, then operate if enabled.
 
-        A drive in fault ignores everything but the reset.
+        A drive in fault ignores everything but the reset, and that too while the interlock is open.
         """
         before, self._controlword = self._controlword, word
         rising = word & ~before
@@ -127,7 +131,11 @@ class Drive:
             self._operate(word, rising, (word ^ before) & _HALT)
 
     def _walk(self, word: int) -> None:
-        """Change state by the bits 0 to 3 of the controlword (CiA 402 transitions 2 to 12 and 16)."""
+        """Change state by the bits 0 to 3 of the controlword (CiA 402 transitions 2 to 12 and 16).
+
+        A word that leads nowhere from the present state changes nothing. Quick stop brakes an enabled axis and releases
+        any other.
+        """
         state = self._state
         if not word & 0x02:  # disable voltage
             self._release(DriveState.SWITCH_ON_DISABLED)
@@ -157,7 +165,11 @@ class Drive:
         self.heard()
 
     def _operate(self, word: int, rising: int, halt_changed: int) -> None:
-        """Start or change the motion of the present mode: follow the rate, start homing, or start or halt a move."""
+        """Start or change the motion of the present mode: follow the rate, start homing, or start or halt a move.
+
+        ``rising`` are the bits of the controlword that have risen: homing and moves start with bit 4. ``halt_changed``
+        is not 0 if bit 8 has changed. Other modes do nothing.
+        """
         mode = self.values["mode"]
         if mode == cia402.MODE_PROFILE_VELOCITY:
             self._follow_rate()
@@ -202,7 +214,10 @@ class Drive:
         self._homing = False
 
     def _update(self) -> None:
-        """Apply events since the last call: a trip, the end of a fault reaction, the end of homing."""
+        """Apply events since the last call: a trip, the end of a fault reaction, the end of homing.
+
+        A trip ends homing. At its end the encoder is zero.
+        """
         motion = self._table.motion[self._axis]
         settled = motion.settled(self._table.clock())
         if self._axis in self._table.tripped:
@@ -213,7 +228,11 @@ class Drive:
             self._table.zero_encoder(self._axis)
 
     def _statusword(self) -> int:
-        """Return the statusword: state, target reached, limit, and bits 12 and 13 by the mode."""
+        """Return the statusword: state, voltage, target reached, internal limit after a limit switch, and bits 12 and
+        13.
+
+        Bit 12 says homed, set point taken or at rest, by the mode; bit 13 a following error in position mode.
+        """
         word = self._state.value[1] | cia402.VOLTAGE_ENABLED
         mode = self.values["mode"]
         tripped = self._table.tripped.get(self._axis, "")

@@ -16,7 +16,7 @@ class GalilAxisTwin:
     """One axis. Values are in counts, counts/s and counts/s2, as in the language."""
 
     def __init__(self, table: TableModel, axis: str, velocity_window_s: float) -> None:
-        """Start with the motor off, at rest."""
+        """Start with the motor off, at rest; TV reports a mean over ``velocity_window_s``."""
         self._table, self._axis, self._window_s = table, axis, velocity_window_s
         self._per_turn = table.data[axis].counts_per_turn
         self._offset = 0
@@ -30,8 +30,10 @@ class GalilAxisTwin:
         self._settings = {word: delivered for word, (delivered, _, _) in _SETTINGS.items()}
 
     def update(self) -> None:
-        """Apply events since the last call: limit switches, trips, which switch the motor off, and the end of a
-        motion.
+        """Apply events since the last call: limit switches, trips, and the end of a motion.
+
+        A limit switch that was hit for a moment stops the motion with the motor on; any other trip switches the motor
+        off. A pressed switch in the direction of motion brakes.
         """
         motion, now = self._table.motion[self._axis], self._table.clock()
         pressed = self._table.pressed.get(self._axis, 0)
@@ -51,7 +53,11 @@ class GalilAxisTwin:
             self._moving, self._stop_code = False, self._end
 
     def get(self, word: str) -> float:
-        """Return the value that a command or operand reports; Refused for an unknown one."""
+        """Return the value that a command or operand reports, in counts and counts/s; Refused for an unknown one.
+
+        TV is a mean over the window of velocity, TE one more than its limit once the following error has tripped, else
+        0. TD and TT are 0.
+        """
         if word in ("TP", "DP"):
             return self._position()
         if word == "TV":
@@ -79,7 +85,8 @@ class GalilAxisTwin:
     def set(self, word: str, value: float) -> None:
         """Set a value, rounded as the controller does; a jog in progress follows at once.
 
-        Refused if it is out of range or not allowed during a motion. DP defines the position.
+        PA, PR and JG also select the kind of the next motion. DP defines the position and stores nothing else. Refused
+        if the value is out of range, for PA, PR and DP during a motion, and for JG during one that is no jog.
         """
         if word in ("PA", "PR", "DP") and self._moving:
             raise Refused(galil.NOT_WHILE_RUNNING)
@@ -105,9 +112,10 @@ class GalilAxisTwin:
             self._jog()
 
     def act(self, word: str) -> None:
-        """Carry out ST, MO or SH, or store HM or FI for the next BG; Refused during a motion, except ST.
+        """Carry out ST, MO or SH, or store any other word, HM or FI, as the kind of the next motion.
 
-        SH does nothing while the axis turns or the interlock is open.
+        Refused during a motion, except ST. ST at rest does nothing, nor does SH while the axis turns or the interlock
+        is open.
         """
         if word == "ST":
             if self._moving:
@@ -136,7 +144,10 @@ class GalilAxisTwin:
             raise Refused(galil.ON_LIMIT)
 
     def begin(self) -> None:
-        """Start the motion that was set up: jog, homing, index search, or a move limited by the soft limits."""
+        """Start the motion that was set up: jog, homing, index search, or a move limited by the soft limits.
+
+        It is not checked whether it may begin: see ``check_begin``.
+        """
         self._stood = self._position()
         self._way, self._moving, self._stop_code, self._end = self._direction(), True, 0, galil.AT_TARGET
         acceleration = self._to_rad(self._settings["AC"])
@@ -170,7 +181,9 @@ class GalilAxisTwin:
         self.motor_off = True
 
     def _jog(self) -> None:
-        """Turn at the rate of JG, up to the soft limit if one is set."""
+        """Turn at the rate of JG, up to the soft limit in that direction if one is set; then its stop code is the
+        limit's.
+        """
         rate = self._settings["JG"]
         self._way = int(math.copysign(1, rate)) if rate else 0
         limit = self._settings["FL"] if rate > 0 else self._settings["BL"]

@@ -39,8 +39,10 @@ class GalilController(LineController):
         revision: str = "DMC4030 Rev 1.2c",
         serial: int = 9046,
     ) -> None:
-        """Prepare for axes with letters as addresses; the option ``velocity_window`` (s) is the averaging time of
-        velocities.
+        """Prepare for axes with letters as addresses.
+
+        The option ``velocity_window`` (s) is the averaging time of velocities. ``revision`` and ``serial`` are reported
+        when asked for; ``echo`` repeats what is received.
         """
         super().__init__(setup, write)
         by_letter = sorted(setup.addresses.items(), key=lambda a: str(a[1]))
@@ -62,8 +64,9 @@ class GalilController(LineController):
         return any(not axis.motor_off for axis in self._axes.values())
 
     def _take(self, line: bytes) -> None:
-        """Carry out a command and send its answer and ":"; "?" for a refusal, also of a long line, whose code TC then
-        reports.
+        """Carry out a command and send its answer and ":", or "?" for a refusal, whose code TC then reports.
+
+        A line that is too long is refused. The axes are brought up to date first.
         """
         for axis in self._axes.values():
             axis.update()
@@ -78,7 +81,10 @@ class GalilController(LineController):
         self._write(f"{text}\r\n:".encode() if text else b":")
 
     def _command(self, command: str) -> str:
-        """Carry out a command and return its answer, empty if it has none; Refused if it fails."""
+        """Carry out a command and return its answer, empty if it has none.
+
+        An empty command does nothing; Refused if it is unknown, or if what carries it out refuses it.
+        """
         if not command:
             return ""
         if command == _REVISION:
@@ -100,7 +106,11 @@ class GalilController(LineController):
         return self._act(word, operand)
 
     def _act(self, word: str, operand: str) -> str:
-        """Carry out a command that is neither a setting nor a value, and return its answer; Refused if unknown."""
+        """Carry out a command that is neither a setting nor a value, and return its answer, empty if it has none.
+
+        Refused if it is unknown, or if an axis refuses it: BG then starts none, other commands may have reached some
+        axes.
+        """
         if word == "TC":
             code, self._error = self._error, 0
             return f" {code}" if operand in ("", "0") else f"{code} {_WORDS.get(code, '')}".rstrip()
@@ -128,8 +138,10 @@ class GalilController(LineController):
         return ""
 
     def _setting(self, word: str, operand: str) -> str:
-        """Set or return values of axes: ``JGA=1000``, ``JGA=?``, ``JG 1000,,500``, ``JG ?,?``; Refused if one is
-        invalid.
+        """Set or return values of axes: ``JGA=1000``, ``JGA=?``, ``JG 1000,,500``, ``JG ?,?``; "" after setting.
+
+        ``word`` is the command, ``operand`` the rest. Axes with an empty value are left. Refused if one is invalid;
+        those before it have been set.
         """
         one = _ONE_AXIS.fullmatch(operand)
         if one:
@@ -146,8 +158,9 @@ class GalilController(LineController):
         return ""
 
     def _own_setting(self, word: str, operand: str) -> str:
-        """Set or return a setting of the controller, as opposed to its axes; only values asked for with "?" are
-        returned.
+        """Set values of a setting of the controller, as opposed to its axes, and return those asked for with "?".
+
+        ``operand`` has values separated by commas; empty ones are left. Refused for too many, or one that is no number.
         """
         own, values = self._own[word], [value.strip() for value in operand.split(",")]
         if len(values) > len(own):
@@ -158,8 +171,9 @@ class GalilController(LineController):
         return ",".join(f"{own[i]: g}" for i, value in enumerate(values) if value == "?")
 
     def _message(self, operand: str) -> str:
-        """Return texts in quotation marks, numbers, and operands (``_TPA``) as MG prints them; Refused if there are
-        none.
+        """Return texts in quotation marks, numbers, and operands (``_TPA``) as MG prints them, joined.
+
+        Refused if there are none or one is wrong.
         """
         parts = []
         decimals = round(self._own["VF"][0] % 1 * 10)

@@ -44,7 +44,10 @@ class FaultyModbus(FaultyWay[bytes]):
         self.server: ModbusTcpServer | None = None
 
     def trace(self, sending: bool, data: bytes) -> bytes:
-        """Return what arrives of a frame at once, possibly damaged; empty if it is lost, or a reply that is delayed."""
+        """Return what arrives of a frame at once, possibly damaged; empty if it is lost.
+
+        A reply (``sending``) on a wire with delays is empty too, and delivered later.
+        """
         if self.silent or self._random.random() < self._faults.loss:
             return b""
         data = damaged(data, self._faults, self._random)
@@ -86,9 +89,10 @@ class DriveRegisters:
             return _exception(pdu, ExcCodes.DEVICE_FAILURE)
 
     def _carry_out(self, function: int, data: bytes) -> bytes:
-        """Return the data of the reply, after checking function code, quantity, address, value in the specified order.
+        """Return the data of the reply to a request: the words read, or for a write its first four bytes.
 
-        Refused with the exception code if a check fails.
+        Checked are function code, quantity, address and value in the specified order; Refused with the exception code
+        if a check fails.
         """
         if function == READ:
             address, count = _unpacked(">HH", data)
@@ -110,7 +114,11 @@ class DriveRegisters:
         return data[:4]
 
     def _write(self, address: int, words: Sequence[int]) -> None:
-        """Write words to the registers from ``address`` on; Refused for one that the drive does not accept."""
+        """Write words to the registers from ``address`` on, in their order.
+
+        Refused for a missing or divided register, for one that the drive does not accept from this master, or for a
+        value that it does not accept; registers before that one have been written.
+        """
         for register in self._at(address, len(words)):
             value = register.decode(words[: register.words], self._counts)
             words = words[register.words :]
@@ -176,7 +184,10 @@ class ModbusRtu:
         self._silence: asyncio.TimerHandle | None = None
 
     def received(self, data: bytes) -> None:
-        """Collect bytes from the master; serve a complete frame at once, anything else after the silence."""
+        """Collect bytes from the master; serve a complete, sound frame at once, anything else after the silence.
+
+        Only the last bytes are kept, one more than the longest frame has.
+        """
         if self._silence is not None:
             self._silence.cancel()
         self._buffer = (self._buffer + data)[-_LONGEST_FRAME - 1 :]
@@ -188,7 +199,10 @@ class ModbusRtu:
             self._silence = self._loop.call_later(self._silence_s, self._serve)
 
     def _serve(self) -> None:
-        """Carry out the frame received and reply if it is addressed to a unit; damaged frames are dropped."""
+        """Carry out the frame received and reply if it is addressed to a unit.
+
+        A broadcast is carried out by all and gets no reply; damaged frames, and those for other units, are dropped.
+        """
         frame, self._buffer = self._buffer, b""
         if not _is_sound(frame):
             return

@@ -144,7 +144,11 @@ class TableFault:
     kind: str = field(default="fault", metadata=choice(_KINDS))
 
     def strike(self, table: TableModel, *, limits_trip: bool) -> None:
-        """Apply the fault; ``limits_trip``: the drives treat a limit switch as a reason to trip."""
+        """Apply the fault to a table.
+
+        ``limits_trip``: the drives treat a limit switch as a reason to trip; else it is pressed, in the direction of
+        motion. A runaway axis turns at 20 deg/s.
+        """
         if self.kind == "runaway":
             table.motion[self.axis].jog(table.clock(), _RUNAWAY_RPS, table.data[self.axis].max_acceleration_rps2)
         elif self.kind == "interlock":
@@ -158,8 +162,9 @@ class TableFault:
 
 
 def device_faults(table: Mapping[str, object], gyros: int, where: str) -> tuple[DeviceFaults, WireFaults]:
-    """Return the faults of a device with ``gyros`` gyros and of its wire, from [twin.NAME.fault]; HiddenError if
-    invalid.
+    """Return the faults of a device with ``gyros`` gyros and those of its wire, from the keys of [twin.NAME.fault].
+
+    ``where`` is the name of that table for errors. HiddenError for unknown keys, invalid values and missing gyros.
     """
     device, wire = _split(table, (DeviceFaults, WireFaults), where)
     found = _read(DeviceFaults, device, where)
@@ -178,8 +183,10 @@ def wire_faults(table: Mapping[str, object], where: str) -> WireFaults:
 def table_faults(
     table: Mapping[str, object], axes: Collection[str], where: str
 ) -> tuple[TableFault | None, WireFaults]:
-    """Return the fault, if any, of a table with these axes, and those of its wire, from [twin.fault]; HiddenError if
-    invalid.
+    """Return the fault of a table with these axes, None without one, and those of its wire, from the keys of
+    [twin.fault].
+
+    ``where`` is the name of that TOML table for errors. HiddenError for unknown keys, invalid values and missing axes.
     """
     fault, wire = _split(table, (TableFault, WireFaults), where)
     found = _read(TableFault, fault, where) if fault else None
@@ -189,7 +196,7 @@ def table_faults(
 
 
 def damaged(data: bytes, faults: WireFaults, random: np.random.Generator) -> bytes:
-    """Return ``data`` with some bits flipped and some bytes lost."""
+    """Return ``data`` with some bits flipped and some bytes lost, by the shares in ``faults``."""
     if not faults.byte_loss and not faults.bit_flips:
         return data
     octets = np.frombuffer(data, dtype=np.uint8).copy()
@@ -204,9 +211,11 @@ class FaultyWay(Generic[T]):
     def __init__(
         self, hand_on: Callable[[T], None], faults: WireFaults, seed: Any, *, silent_unplugged: bool = False
     ) -> None:
-        """Prepare to pass what arrives to ``hand_on``; needs a running loop.
+        """Prepare to pass what arrives to ``hand_on``; needs a running loop, from whose time now ``faults`` count
+        theirs.
 
-        Nothing arrives while the wire is silent, nor, with ``silent_unplugged``, while the plug is out.
+        Nothing arrives while the wire is silent, nor, with ``silent_unplugged``, while the plug is out. ``seed`` is of
+        any kind that numpy accepts.
         """
         self._hand_on, self._faults = hand_on, faults
         self._random = np.random.default_rng(seed)
@@ -228,10 +237,11 @@ class FaultyWay(Generic[T]):
                 self._put(self._damaged(each))
 
     def _disordered(self, item: T) -> list[T]:
-        """Return the items sent in place of ``item``: a repetition, one of the last second in reverse, or swapped
-        neighbours.
+        """Return the items sent in place of ``item``; the list may be empty.
 
-        An item to be swapped is held back for the next call, so the list may be empty.
+        After ``repeats_s`` the first item of its kind is repeated. After ``backwards_s`` those of the last second
+        before it are sent in reverse, until all have been. Else some are swapped with the next one, and held back for
+        the next call.
         """
         faults, at_s = self._faults, asyncio.get_running_loop().time() - self._began_s
         if at_s >= faults.repeats_s:
@@ -264,7 +274,11 @@ class FaultyWay(Generic[T]):
         return item
 
     def _put(self, item: T) -> None:
-        """Deliver an item, after its delay if the wire has one; items keep their order."""
+        """Deliver an item, at once or after a delay; items keep their order.
+
+        A delay is constant, random, or long for a share of the items, or all three. Of too many under way the oldest
+        are lost.
+        """
         faults = self._faults
         if not faults.delays:
             self._deliver(item)
@@ -326,7 +340,8 @@ def faulty_device(
 ) -> Callable[[Write], ByteDevice]:
     """Return ``make`` with its device behind a wire with ``faults``, unchanged if there are none.
 
-    ``plug`` is the plug of the wire, whose unplugging is scheduled.
+    ``seed`` is that of both directions. ``plug`` is the plug of the wire; it is pulled and put back at the times of
+    ``faults`` once the device is made.
     """
     if not faults.any:
         return make

@@ -41,7 +41,11 @@ class NodeFaults:
     _last: Floats | None = None
 
     def times_to_send(self) -> int:
-        """Return how often to send the present sample: 0, 1 or 2 times."""
+        """Return how often to send the present sample: 0, 1 or 2 times, drawn at random by the shares ``dropped`` and
+        ``doubled``.
+
+        0 while silent, 1 without these faults; then nothing is drawn.
+        """
         if self.silent:
             return 0
         if not self.dropped and not self.doubled:
@@ -59,7 +63,11 @@ class NodeFaults:
         return np.where(self._random.random((len(rates_rps), 1)) < self.huge, most_rps, rates_rps)
 
     def rates(self, rates_rps: Floats) -> Floats:
-        """Return the rates (m,) with stuck and saturated gyros; infinite stands for the end of the range."""
+        """Return the rates (m,) of one sample with the faults of gyros.
+
+        Stuck ones keep the rate of the sample before, or the present one if there is none; saturated ones become
+        infinite, which stands for the end of the range.
+        """
         if not self.stuck and not self.saturated:
             self._last = rates_rps
             return rates_rps

@@ -30,7 +30,10 @@ class LineDevice:
         self._line, self._too_long = b"", False
 
     def received(self, data: bytes) -> None:
-        """Add bytes and handle each line that they complete; characters beyond ``longest`` are dropped and noted."""
+        """Add bytes and handle each line that they complete; characters beyond ``longest`` are dropped and noted.
+
+        Those in ``skipped`` are ignored.
+        """
         for byte in data:
             if byte in self.ends:
                 line, self._line = self._line, b""
@@ -55,7 +58,10 @@ class Watchdog:
     def __init__(
         self, clock: Callable[[], float], silence_s: float | Callable[[], float], expired: Callable[[], None]
     ) -> None:
-        """Watch for ``silence_s`` of silence, a number or a function that gives the present one; 0: never."""
+        """Watch for ``silence_s`` of silence, a number or a function that gives the present one; 0: never.
+
+        ``clock`` gives seconds; ``expired`` is called after the silence. Disarmed at first.
+        """
         self._clock, self._expired = clock, expired
         self._silence_s = silence_s if callable(silence_s) else lambda: silence_s
         self._heard_s = clock()

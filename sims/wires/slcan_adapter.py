@@ -38,8 +38,10 @@ class SlcanAdapter(LineDevice):
         version: str = "1013",
         serial: str = "A123",
     ) -> None:
-        """Start with the channel closed. ``clock`` (s) stamps frames once the host asks for stamps; without one they
-        carry 0.
+        """Start with the channel closed; ``write`` sends to the host, ``on_message`` gets the frames of the host.
+
+        ``clock`` (s) stamps frames once the host asks for stamps; without one they carry 0. ``version`` and ``serial``
+        are reported when asked for.
         """
         super().__init__(write)
         self._on_message, self._clock = on_message, clock
@@ -72,7 +74,9 @@ class SlcanAdapter(LineDevice):
             self.flag(1)
 
     def _obey(self, line: bytes) -> bytes:
-        """Carry out one command and return its answer, BELL for a refusal."""
+        """Carry out one command line and return its answer, BELL for a refusal or an unknown command; CR for an empty
+        line.
+        """
         if not line:
             return CR
         try:
@@ -95,8 +99,10 @@ class SlcanAdapter(LineDevice):
         return BELL if answer is None else answer.encode() + CR
 
     def _set_up(self, name: str, rest: str) -> bytes:
-        """Open or close the channel, or carry out a setting that is allowed only while closed; return CR, or BELL if
-        refused.
+        """Carry out the command ``name`` with its argument ``rest``: open or close the channel, or a setting; return
+        CR.
+
+        Settings are allowed only while the channel is closed. BELL if it is refused, or for closing a closed channel.
         """
         if name == "C":
             was_open, self.is_open = self.is_open, False
@@ -113,8 +119,10 @@ class SlcanAdapter(LineDevice):
         return CR
 
     def _poll(self, name: str, rest: str) -> bytes:
-        """Switch polling on or off (X), or return the queued frames: the next (P) or all (A); BELL if that is not
-        allowed.
+        """Carry out the command ``name`` with its argument ``rest``: switch polling on or off (X), or return queued
+        frames.
+
+        P returns the next, CR if there is none, A all. BELL for a wrong argument, while closed, or without polling.
         """
         if name == "X":
             if rest not in ("0", "1"):
@@ -130,8 +138,9 @@ class SlcanAdapter(LineDevice):
         return waiting + b"A\r"
 
     def _transmit(self, text: str) -> bytes:
-        """Pass a frame of the host to the bus and return the answer; BELL for an invalid frame or a channel not open
-        for it.
+        """Pass a frame of the host, written as in ``text``, to the bus and return the answer.
+
+        BELL for an invalid frame, and while the channel is closed or only listens.
         """
         message = decode_frame(text)
         if message is None or not self.is_open or self._listens_only:
@@ -160,7 +169,10 @@ def encode_frame(msg: can.Message) -> str:
 
 
 def decode_frame(text: str) -> can.Message | None:
-    """Return the frame of a line, with or without a stamp of four digits; None if it is not a valid frame."""
+    """Return the frame of a line, with or without a stamp of four digits; None if it is not a valid frame.
+
+    Classic and FD frames, data and remote ones, with identifiers of 11 or 29 bits.
+    """
     kind, digits = text[:1], 8 if text[:1].isupper() else 3
     if not kind or kind not in _FRAMES or not _is_hex(text[1 : 1 + digits], digits):
         return None

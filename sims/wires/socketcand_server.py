@@ -19,7 +19,7 @@ class SocketcandSession:
     def __init__(
         self, write: Callable[[bytes], None], channel: str, on_message: Callable[[can.Message], None] | None = None
     ) -> None:
-        """Greet the client, which may open the bus ``channel`` only."""
+        """Greet the client, which may open the bus ``channel`` only; ``on_message`` gets its frames."""
         self._write, self._channel, self._on_message = write, channel, on_message
         self._rest = b""
         self._opened = False
@@ -38,7 +38,10 @@ class SocketcandSession:
             self._obey(words)
 
     def _obey(self, words: list[str]) -> None:
-        """Carry out a command and answer it; an unknown or untimely one is counted and answered with an error."""
+        """Carry out a command and answer it, except the sending of a frame, which is not answered.
+
+        An unknown or untimely one, or another channel's, is counted and answered with an error.
+        """
         name = words[0] if words else ""
         if name == "echo":
             self._write(b"< echo >")
@@ -120,7 +123,9 @@ class SocketcandServer:
         task.add_done_callback(self._tasks.discard)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Pass the bytes of one client to its session until it leaves."""
+        """Pass the bytes of one client to its session until it leaves or its connection breaks; forget the session
+        then.
+        """
         try:
             with suppress(OSError):
                 while data := await reader.read(4096):

@@ -82,7 +82,11 @@ class Plug:
 
 @contextmanager
 def in_memory(name: str, make: Callable[[Write], ByteDevice], plug: Plug | None = None) -> Iterator[MemoryLink]:
-    """Connect a device to a wire in memory; yield the link for a station, which knows the device as ``name``."""
+    """Connect a device to a wire in memory; yield the link for a station, which knows the device as ``name``.
+
+    ``make`` builds the device from the function that it writes with. Afterwards the wire is unplugged. ``plug`` can do
+    that earlier.
+    """
     heard: list[ByteDevice] = []
     link = MemoryLink(name, lambda data: heard[0].received(data))
     plug = plug or Plug()
@@ -97,10 +101,10 @@ def in_memory(name: str, make: Callable[[Write], ByteDevice], plug: Plug | None 
 
 @asynccontextmanager
 async def on_pty(make: Callable[[Write], ByteDevice], plug: Plug | None = None) -> AsyncIterator[str]:
-    """Connect a device to a pseudo-terminal; yield its path. ``make`` is given the function that the device writes
-    with.
+    """Connect a device to a pseudo-terminal while this context lasts, and yield its path.
 
-    With a ``plug`` the path is a symbolic link, dangling while unplugged and then leading to a new terminal.
+    ``make`` builds the device from the function that it writes with. With a ``plug`` the path is a symbolic link,
+    dangling while unplugged and then leading to a new terminal.
     """
     with ExitStack() as stack:
         wire = _Pty(stack, plug is not None)
@@ -147,8 +151,9 @@ class _PtyEnd:
     """
 
     def __init__(self, received: Write) -> None:
-        """Open the pseudo-terminal and start reading; close the far end again. Edge-triggered, as it hangs up without a
-        station.
+        """Open the pseudo-terminal and start reading; ``received`` gets the bytes that a station writes.
+
+        The far end is closed again. Reading is edge-triggered, as the terminal is hung up without a station.
         """
         self._descriptor, theirs = os.openpty()
         tty.setraw(self._descriptor)
@@ -181,9 +186,9 @@ class _PtyEnd:
             self._soon = self._loop.call_soon(self._send)
 
     def _send(self) -> None:
-        """Write waiting bytes, as many as the station's buffer should hold; drop all if no station has the port open.
+        """Write waiting bytes, as many as the station's buffer should hold, and try again soon if some are left.
 
-        Bytes beyond the capacity of a real line are dropped; the rest is tried again soon.
+        All are dropped if no station has the port open, and bytes beyond what a real line would hold.
         """
         self._soon = None
         if not self._is_open():
@@ -232,7 +237,11 @@ class _PtyEnd:
 async def on_tcp(
     make: Callable[[Write], ByteDevice], host: str, port: int = 0, plug: Plug | None = None
 ) -> AsyncIterator[tuple[str, int]]:
-    """Connect a device to a TCP port for one station at a time; yield host and port. OSError if the port is taken."""
+    """Connect a device to a TCP port while this context lasts, and yield host and port; OSError if the port is taken.
+
+    ``make`` builds the device from the function that it writes with. Port 0 takes any free one. One station is served
+    at a time, the one that connected last. ``plug`` resets the connection and closes the port until it is put back.
+    """
     wire = _Tcp()
     device = make(wire.write)
     wire.received, wire.hung_up = device.received, getattr(device, "hung_up", _nothing)
@@ -268,7 +277,7 @@ class _Tcp:
         return str(name[0]), int(name[1])
 
     def unplug(self) -> None:
-        """Reset the connection and stop listening."""
+        """Reset the connection, of which the device is told, and stop listening; nothing if neither is there."""
         if self._server is not None:
             self._server.close()
             self._server = None
@@ -301,7 +310,10 @@ class _Tcp:
         self._keep(asyncio.get_running_loop().create_task(self._serve(reader, writer)))
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Pass received bytes to the device until the station leaves."""
+        """Pass received bytes to the device until the station leaves, of which the device is then told.
+
+        It is not told if another station has connected meanwhile.
+        """
         with suppress(OSError):
             while data := await reader.read(_READ):
                 self.received(data)

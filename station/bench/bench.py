@@ -67,7 +67,7 @@ class Limits:
 
     @property
     def stated(self) -> bool:
-        """Whether any limit is given."""
+        """Whether any limit is given, other than the least that any result meets."""
         least = (self.nis_low, 1 - self.lost)
         return (
             any(map(math.isfinite, (*self.sizes, *self.sds)))

@@ -30,9 +30,10 @@ class CanMapping(CanSource):
 
 
 def load_mapping(name_or_path: str, folder: Path | None = None) -> CanMapping:
-    """Return a mapping by name, of those in the package, or by the path of a .toml file; MappingError if it is invalid.
+    """Return a mapping by name, of those in the package, or by the path of a .toml file.
 
-    A relative path counts from ``folder``, the path of a DBC in a mapping from the mapping's folder.
+    A relative path counts from ``folder``, by default the working folder; the path of a DBC in a mapping from the
+    mapping's folder. MappingError if it is missing or invalid.
     """
     path = shipped_or_own(name_or_path, folder, MAPPING_FOLDER, "CAN mapping", MappingError)
     top = Table.load(path, MappingError)
@@ -47,10 +48,10 @@ def load_mapping(name_or_path: str, folder: Path | None = None) -> CanMapping:
 
 
 def shipped_or_own(name_or_path: str, folder: Path | None, shipped: Path, what: str, error: type[UsageError]) -> Path:
-    """Return the path of the file ``name_or_path`` in ``shipped``, or if that ends in .toml, at that path from
-    ``folder``.
+    """Return the path of the file ``name_or_path``.toml in ``shipped``, or, if that ends in .toml, at that path.
 
-    ``error`` is raised if there is none; ``what`` is the kind of file for its message.
+    A relative path counts from ``folder``, by default the working folder. ``error`` is raised if there is no such file;
+    ``what`` is the kind of file for its message.
     """
     path = Path(name_or_path)
     path = (folder or Path()) / path if path.suffix == ".toml" else shipped / f"{name_or_path}.toml"
@@ -61,10 +62,10 @@ def shipped_or_own(name_or_path: str, folder: Path | None, shipped: Path, what: 
 
 
 def channels_of(mapping: CanMapping, device: str, gyros: Sequence[str]) -> tuple[CanChannel, ...]:
-    """Return the mapping's sources with their names on a bench whose array has these gyros; MappingError if counts
-    differ.
+    """Return the mapping's sources with their names on a bench whose device has these gyros.
 
-    The only source is named as the device, a source of one gyro as the gyro, any other DEVICE.SOURCE.
+    The only source is named as the device, a source of one gyro as the gyro, any other DEVICE.SOURCE. MappingError if
+    the mapping has another number of gyros.
     """
     if mapping.gyros != len(gyros):
         raise MappingError(
@@ -91,7 +92,11 @@ def read_source(table: Table, units: tuple[tuple[str, str], ...], name: str) -> 
 
 
 def read_units(table: Table) -> tuple[tuple[str, str], ...]:
-    """Return (quantity, unit) for the units that the DBC does not state; the table's error for an unknown unit."""
+    """Return the stated (quantity, unit) of a mapping, for quantities whose units the DBC lacks; unstated ones are left
+    out.
+
+    The table's error for an unknown unit.
+    """
     units = {quantity: unit for quantity, unit in table.read_all("can_mapping.units").items() if unit is not None}
     for quantity, unit in units.items():
         if plain_unit(unit) not in UNITS[quantity]:

@@ -25,10 +25,10 @@ class DescriptionError(UsageError):
 
 
 def load_description(name_or_path: str, folder: Path | None = None, device: str = "") -> Description:
-    """Return a description by name, of those in the package, or by the path of a .toml file; DescriptionError if
-    invalid.
+    """Return a description by name, of those in the package, or by the path of a .toml file.
 
-    A relative path counts from ``folder``. Its single source is named ``device``.
+    A relative path counts from ``folder``, by default the working folder. Its single source is named ``device``.
+    DescriptionError if it is missing or invalid.
     """
     from cantools.database import Database, Message
     from cantools.database.errors import Error
@@ -58,9 +58,10 @@ def load_description(name_or_path: str, folder: Path | None = None, device: str 
 
 
 def _checked(top: Table, source: CanChannel, signals: dict[str, Any]) -> CanChannel:
-    """Return the source with the full names of its signals; the table's error if one is missing or lacks a unit.
+    """Return the source with the full names of its signals, which are ``signals`` by name.
 
-    Counter and time must be integers, and only one of them may be given.
+    The table's error if one is missing or a quantity lacks a unit (a temperature needs none). Counter and time must be
+    integers, and only one of them may be given.
     """
     full: dict[str, Any] = {}
     for key in ("rate", "acceleration", "temperature", "counter", "time"):
@@ -82,8 +83,9 @@ def _checked(top: Table, source: CanChannel, signals: dict[str, Any]) -> CanChan
 
 
 def _frame(table: Table) -> tuple[Frames, list[Any]]:
-    """Return the framing and the signals of a table [frame]; its error if frames could not be recognised or are too
-    short.
+    """Return the framing and the signals of a table [frame].
+
+    Its error if frames could not be recognised, are shorter than sync and end, or a field or check does not fit.
     """
     own = table.read_all("description.frame", sync=_bytes, end=_known)
     size, order = own["bytes"], own["byte_order"]
@@ -124,7 +126,7 @@ def _line(table: Table, source: CanChannel) -> tuple[Lines, list[Any], CanChanne
     """Return the framing and the signals of a table [line], and the source with its wrap converted to the stored
     integer.
 
-    The table's error if a column occurs twice or the separator is empty.
+    Columns named "-" are skipped. The table's error if a name occurs twice or the separator is empty.
     """
     own, check, first = table.read_all("description.line"), None, 0
     columns = own["columns"]
@@ -151,7 +153,10 @@ def _line(table: Table, source: CanChannel) -> tuple[Lines, list[Any], CanChanne
 
 
 def _check(table: Table) -> tuple[Check, dict[str, Any]]:
-    """Return the checksum of a table, by name or as a CRC, and the values of the table, which say where it stands."""
+    """Return the checksum of a table, by name or as a CRC, and the values of the table, which say where it stands.
+
+    The table's error for an unknown name, none of both, or constants with too many bits.
+    """
     own, known = table.read_all("description.check"), packaged_toml("drivers", "codes.toml")["check"]
     if own["name"] in known:
         return Check(**known[own["name"]]), own

@@ -65,8 +65,9 @@ class DeviceConfig:
 
 
 def read_device(table: Table, folder: Path, kind: DeviceKind, known: Registry[Any]) -> DeviceConfig:
-    """Return the device of a section; the table's error with line and key if it is invalid. Its name defaults to the
-    kind's.
+    """Return the device of a section of kind ``kind``; the table's error with line and key if it is invalid.
+
+    Its protocol is one of ``known``; its name defaults to the kind's. Paths count from ``folder``.
     """
     own = table.read("bench.device", folder, protocol=known_in(known))
     name = own.pop("name") or kind.name

@@ -86,7 +86,8 @@ class ImuConfig:
 def read_imu(table: Table, folder: Path, known: Registry[ImuSpec] = IMUS) -> ImuConfig:
     """Return the device of a section [[imu]]; the table's error with line and key if it is invalid.
 
-    The array must have as many gyros as the protocol or the description.
+    Its protocol is one of ``known``; paths count from ``folder``. The array must have as many gyros as the protocol,
+    the mapping or the description.
     """
     own = table.read("bench.imu", folder, protocol=known_in(known))
     name, spec, sheet = own["name"], own["spec"], own.pop("datasheet")
@@ -125,7 +126,10 @@ def _force_sheet(table: Table) -> ForceSheet:
 
 
 def _described(table: Table, folder: Path, device: str, array: SensorArray) -> Description:
-    """Return the description named by the section; the table's error unless it has as many gyros as the array."""
+    """Return the description named by the section; its source is named ``device``.
+
+    The table's error unless it has as many gyros as the array, and for a description that is missing or invalid.
+    """
     description: Description = table.read(
         "bench.described", folder, description=lambda name, folder: load_description(name, folder, device)
     )["description"]
@@ -135,8 +139,9 @@ def _described(table: Table, folder: Path, device: str, array: SensorArray) -> D
 
 
 def _array(table: Table, device: str) -> tuple[str, SensorArray]:
-    """Return the name of the array and the array: a known kind, a cone, or "explicit" for stated axes; else the table's
-    error.
+    """Return the name of the array and the array: a known kind, a cone, or "explicit" for stated axes.
+
+    The table's error if it cannot be made; ``device`` is for its message.
     """
     explicit = table.has("p")
     try:
@@ -153,7 +158,8 @@ def _array(table: Table, device: str) -> tuple[str, SensorArray]:
 def _can(table: Table, folder: Path, device: str, array: SensorArray) -> CanSource:
     """Return the signals: those of a mapping file, or one channel per gyro as listed in the section.
 
-    The table's error if their number is not that of the gyros. The DBC defaults to the built-in one.
+    Of a listed one the DBC defaults to the built-in one. The table's error, or MappingError, if their number is not
+    that of the gyros of ``array``.
     """
 
     def mapped(name: str, folder: Path) -> CanSource:

@@ -13,8 +13,8 @@ def use_effects(files: Iterable[str] = ()) -> list[str]:
     """Register the effects of packages and plug-in files, replacing those of the same name; return warnings.
 
     ``files`` are added to the environment variable that this process and its children read plug-ins from. A package
-    that fails gives a warning, a file that fails PluginError or EffectError, as somebody has asked for it. Empty,
-    without importing numpy, if there are neither packages nor files.
+    that fails gives a warning, a file that fails PluginError or EffectError, as somebody has asked for it. Without
+    packages and files nothing is done, and numpy not imported.
     """
     given = [os.environ.get(GIVEN, ""), *(str(Path(name).absolute()) for name in files)]
     os.environ[GIVEN] = os.pathsep.join(filter(None, dict.fromkeys(given)))

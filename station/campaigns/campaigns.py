@@ -37,16 +37,16 @@ def run_all(
     quiet: bool = False,
     name_of: Callable[[T], str] = str,
 ) -> tuple[list[R | None], list[Failure]]:
-    """Return ``work(item)`` for each item, in order (None where it failed), and the failures.
+    """Return ``work(item)`` for each item, in order (None where it failed), and the failures, named by ``name_of``.
 
     ``work``, items and results must be picklable. They run in ``workers`` processes (default: one per core; in this
     process if there is one worker or item), or on the cluster at ``scheduler`` (tcp://host:port). The results are the
-    same in each case to the last bit, if this process, too, has one BLAS thread. Progress goes to stderr unless
-    ``quiet``. UsageError if there is no such cluster.
+    same in each case to the last bit, if this process, too, has one BLAS thread. Progress goes to stderr, under
+    ``label``, unless ``quiet``. UsageError if there is no such cluster, or plug-in files are in use with one.
     """
     results: list[R | None] = [None] * len(items)
     reasons: dict[int, str] = {}
-    with closing(_ends(work, items, scheduler, workers)) as ends, _Bar(label, len(items), quiet) as bar:
+    with closing(_results_as_they_end(work, items, scheduler, workers)) as ends, _Bar(label, len(items), quiet) as bar:
         for ended in ends:
             if ended.reason is None:
                 results[ended.index] = ended.value
@@ -56,11 +56,13 @@ def run_all(
     return results, [Failure(name_of(items[i]), reasons[i]) for i in sorted(reasons)]
 
 
-def _ends(
+def _results_as_they_end(
     work: Callable[[T], R], items: Sequence[T], scheduler: str | None, workers: int | None
 ) -> Generator[Ended[R]]:
-    """Yield the result of each item as it ends: from the cluster, from processes, or computed here.
+    """Yield the result of each item as it ends: from the cluster ``scheduler``, from ``workers`` processes, or computed
+    here.
 
+    Without ``workers`` there are as many as cores; a single one, or a single item, is computed here, in order.
     UsageError if plug-in files are in use on a cluster.
     """
     if scheduler is not None:

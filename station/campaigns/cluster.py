@@ -80,9 +80,10 @@ class _Crew:
     def round(
         self, work: Callable[[T], R], items: Sequence[T], indices: Sequence[int], *, alone: bool = False
     ) -> Generator[Ended[R]]:
-        """Yield the result of each of these items as it ends, submitted one at a time if ``alone``.
+        """Yield the result of each item at ``indices`` as it ends, submitted one at a time if ``alone``.
 
-        _GoneError if the scheduler or the last worker is lost. Submitted items are cancelled at the end.
+        Else so many are submitted at once that no thread of the cluster waits. _GoneError if the scheduler or the last
+        worker is lost. Submitted items are cancelled when it ends early.
         """
         left = deque(indices)
         futures: dict[str, tuple[int, Any]] = {}
@@ -110,10 +111,10 @@ class _Crew:
                 self._client.cancel([future for _, future in futures.values()])
 
     def _ended(self, index: int, future: Any) -> Ended[Any]:
-        """Return the result of a finished future; one that died with its workers or could not begin gives an Ended with
-        a reason.
+        """Return the result of the finished ``future`` of item number ``index``.
 
-        TimeoutError if the result cannot be fetched now, _GoneError if the scheduler is lost (it cancelled the future).
+        One that died with its workers or could not begin gives an Ended with a reason. TimeoutError if the result
+        cannot be fetched now, _GoneError if the scheduler is lost (it cancelled the future).
         """
         if future.cancelled():
             raise _GoneError(f"the scheduler at {self._address} no longer answers")
@@ -126,8 +127,9 @@ class _Crew:
         return Ended(index, reason=f"the worker could not begin: {one_line(error)}")
 
     def _look(self) -> None:
-        """Update the number of the cluster's threads from time to time; _GoneError if it is lost or has had none for
-        too long.
+        """Update the number of the cluster's threads, every half second at most.
+
+        _GoneError if the scheduler does not answer, or if it has had no worker for the time of patience.
         """
         now = time.monotonic()
         if self._threads and now - self._looked_at < _LOOK_S:
@@ -144,7 +146,9 @@ class _Crew:
 
 
 def _on_worker(software: tuple[str, ...], work: Callable[[T], R], index: int, item: T) -> Ended[R]:
-    """Do one item on a worker. It fails if versions differ or BLAS has several threads, as the digits would differ,
+    """Do item number ``index`` on a worker, and return its result or the reason of its failure.
+
+    It fails if the worker's versions differ from ``software`` or BLAS has several threads, as the digits would differ,
     too.
     """
     if _software() != software:
@@ -170,7 +174,7 @@ def _distributed() -> Any:
 
 
 def _check_address(address: str) -> None:
-    """Raise UsageError unless ``address`` is tcp://HOST:PORT."""
+    """Raise UsageError unless ``address`` is tcp://HOST:PORT, without a path."""
     try:
         parts = urlsplit(address)
         whole = bool(parts.scheme == "tcp" and parts.hostname and parts.port) and not parts.path
@@ -181,8 +185,9 @@ def _check_address(address: str) -> None:
 
 
 def _check_scheduler(distributed: Any, address: str) -> None:
-    """Raise UsageError unless a Dask scheduler answers at ``address``: a client might wait for anything else for
-    ever.
+    """Raise UsageError unless a Dask scheduler answers at ``address`` within 5 s.
+
+    A client might wait for anything else for ever.
     """
 
     async def ask() -> Any:

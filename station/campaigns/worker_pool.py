@@ -54,17 +54,18 @@ def one_line(error: BaseException) -> str:
 
 def run_in_processes(work: Callable[[T], R], items: Sequence[T], count: int) -> Generator[Ended[R]]:
     """Yield how each item ended, as they end, from ``count`` processes; closing the iterator stops them."""
-    first = _round(work, items, range(len(items)), count)
-    return with_second_try(first, lambda suspects: _round(work, items, suspects, 1))
+    first = _results_of_round(work, items, range(len(items)), count)
+    return with_second_try(first, lambda suspects: _results_of_round(work, items, suspects, 1))
 
 
 def with_second_try(
     first: Generator[Ended[R]], again: Callable[[Sequence[int]], Generator[Ended[R]]]
 ) -> Generator[Ended[R]]:
-    """Yield the result of each item; those whose process died are tried once more when the others are done.
+    """Yield the results of ``first``; items whose process died are tried once more, by ``again``, when the others are
+    done.
 
-    ``again`` does these one at a time: an item that was killed for lack of memory, or because of another, then has the
-    whole machine, and one that kills its process every time is identified.
+    ``again`` gets their numbers and does these one at a time: an item that was killed for lack of memory, or because of
+    another, then has the whole machine, and one that kills its process every time is identified.
     """
     suspects: list[int] = []
     with closing(first):
@@ -77,28 +78,34 @@ def with_second_try(
         yield from second
 
 
-def _round(work: Callable[[T], R], items: Sequence[T], indices: Sequence[int], count: int) -> Generator[Ended[R]]:
-    """Yield the results of the items at ``indices`` from ``count`` new processes, as they end; stop the processes at
-    the end.
+def _results_of_round(
+    work: Callable[[T], R], items: Sequence[T], indices: Sequence[int], count: int
+) -> Generator[Ended[R]]:
+    """Yield the results of the items at ``indices`` from ``count`` new processes, as they end.
+
+    The processes are stopped at the end, also if it is ended early.
     """
     # Pickled once, and unpickled where a failure can be reported: an error in a starting process is only a traceback.
     do = partial(_done, pickle.dumps(work))
     # Spawned: no state of this process, threads and locks least of all.
     spawn = multiprocessing.get_context("spawn")
-    with _one_blas_thread(), ProcessPool(count, context=spawn, initializer=_begin) as pool:
+    with _one_blas_thread(), ProcessPool(count, context=spawn, initializer=_begin_worker) as pool:
         try:
             with _without_ctrl_c():
                 places: dict[Future[Ended[bytes]], int] = {
                     pool.schedule(do, args=(index, items[index])): index for index in indices
                 }
             for future in as_completed(places):
-                yield _taken(places[future], future)
+                yield _result_of(places[future], future)
         finally:
             pool.stop()  # type: ignore[no-untyped-call]
 
 
-def _taken(index: int, future: Future[Ended[bytes]]) -> Ended[Any]:
-    """Return the result of a finished future; a failure if its process died or the result cannot be unpickled."""
+def _result_of(index: int, future: Future[Ended[bytes]]) -> Ended[Any]:
+    """Return the result of the finished ``future`` of item number ``index``.
+
+    A failure with the reason if its process died, or the result could not be pickled or unpickled.
+    """
     try:
         ended = future.result()
     except ProcessExpired as error:
@@ -116,8 +123,8 @@ def _done(packed: bytes, index: int, item: object) -> Ended[bytes]:
         os._exit(1)
 
 
-def _begin() -> None:
-    """Prepare a process of the pool: own process group, no Ctrl-C, orderly end on SIGTERM or with the parent,
+def _begin_worker() -> None:
+    """Prepare a process of the pool: own process group, no Ctrl-C, an orderly end on SIGTERM and with its parent,
     plug-ins.
     """
     # A group of its own: the parent passes on the terminal's Ctrl-C, and child processes can be ended with it.

@@ -15,8 +15,9 @@ _VIRTUAL = ("vcan", "vxcan")
 
 
 def ask_kernel(interface: str) -> dict[str, Any] | None:
-    """Return the description of a network interface by `ip`; {} if there is none of that name, None if `ip` does not
-    run.
+    """Return the description of a network interface by `ip`; {} if there is none of that name.
+
+    None if `ip` is missing or takes more than 5 s.
     """
     try:
         done = subprocess.run([*_COMMAND, "dev", interface], capture_output=True, text=True, timeout=_LIMIT_S)
@@ -30,7 +31,7 @@ def ask_kernel(interface: str) -> dict[str, Any] | None:
 def look_at_can_interface(
     interface: str, ask: Callable[[str], dict[str, Any] | None] = ask_kernel
 ) -> Iterator[Finding]:
-    """Yield what prevents the use of a SocketCAN interface, such as can0; nothing if it is fine.
+    """Yield what prevents or disturbs the use of a SocketCAN interface, such as can0; nothing if it is fine.
 
     ``ask`` returns its description as `ip` does, see ``ask_kernel``.
     """

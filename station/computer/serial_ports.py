@@ -14,10 +14,10 @@ _MOST_LATENCY_MS = 1
 
 
 def look_at_serial_port(port: str, root: Path = Path("/")) -> Iterator[Finding]:
-    """Yield problems of a serial port, such as /dev/ttyUSB0, and advice; a missing port or a regular file ends the
-    list.
+    """Yield problems of a serial port, such as /dev/ttyUSB0, and advice; nothing if it is fine.
 
-    ``root`` is the root of the file system to look at.
+    Looked at are its presence, its permissions, programs that have it open, names that may change, and slow adapters. A
+    missing port, or a path that is none, ends the list. ``root`` is the root of the file system to look at.
     """
     path = root / port.lstrip("/")
     if not path.exists():
@@ -47,7 +47,10 @@ def _missing(port: str, root: Path) -> Finding:
 
 
 def _refused(port: str, path: Path) -> Finding:
-    """Return the finding that this user may not use a port, and the command that changes it."""
+    """Return the finding that this user may not use a port, and the command that changes it.
+
+    It differs for a user who is in the port's group already and only has to log in again.
+    """
     group_id = path.stat().st_gid
     try:
         group = grp.getgrgid(group_id).gr_name
@@ -66,7 +69,10 @@ def _refused(port: str, path: Path) -> Finding:
 
 
 def _held_by_others(port: str, path: Path, root: Path) -> Iterator[Finding]:
-    """Yield each other program that has the port open, as far as this user may see."""
+    """Yield each other program that has the port open, as far as this user may see.
+
+    ``path`` is the port's in the file system whose root is ``root``.
+    """
     device = path.stat().st_rdev
     for process in sorted((root / "proc").glob("[0-9]*")):
         if process.name == str(os.getpid()):
@@ -93,8 +99,9 @@ def _links_by_id(root: Path) -> list[Path]:
 
 
 def _unstable_name(port: str, path: Path, root: Path) -> Iterator[Finding]:
-    """Yield the stable names of a port that may change its number when adapters are plugged in again; none for a
-    link.
+    """Yield the stable names of a port whose number may change when adapters are plugged in again.
+
+    None for a port that is named by a link.
     """
     if path.is_symlink():
         return
@@ -108,7 +115,7 @@ def _unstable_name(port: str, path: Path, root: Path) -> Iterator[Finding]:
 
 
 def _slow_adapter(port: str, path: Path, root: Path) -> Iterator[Finding]:
-    """Yield that a USB adapter delays bytes, if its latency timer is long, as FTDI's 16 ms by default."""
+    """Yield that a USB adapter delays bytes, if its latency timer is above 1 ms, as FTDI's 16 ms by default."""
     name = path.resolve().name
     setting = f"/sys/bus/usb-serial/devices/{name}/latency_timer"
     with suppress(OSError, ValueError):

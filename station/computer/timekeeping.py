@@ -33,7 +33,11 @@ class ClockWatch:
 
 
 def look_at_power_saving(root: Path = Path("/")) -> Iterator[Finding]:
-    """Yield that processors run at their lowest frequency, and that the computer is on battery."""
+    """Yield that processors run at their lowest frequency, and that the computer is on battery; nothing if neither is
+    so.
+
+    Where intel_pstate is at work, powersave does not mean that. ``root`` is the root of the file system to look at.
+    """
     governors = set()
     for path in sorted((root / "sys/devices/system/cpu").glob("cpu[0-9]*/cpufreq/scaling_governor")):
         with suppress(OSError):
@@ -56,7 +60,10 @@ def _on_battery(root: Path) -> bool:
 
 
 def look_at_usb_suspend(port: str, root: Path = Path("/")) -> Iterator[Finding]:
-    """Yield that the kernel may suspend the USB adapter of a serial port; nothing for a port that is not on USB."""
+    """Yield that the kernel may suspend the USB adapter of a serial port; nothing for a port that is not on USB.
+
+    ``root`` is the root of the file system to look at.
+    """
     name = (root / port.lstrip("/")).resolve().name
     device = (root / "sys/class/tty" / name / "device").resolve()
     for folder in (device, *device.parents):
@@ -73,8 +80,9 @@ def look_at_usb_suspend(port: str, root: Path = Path("/")) -> Iterator[Finding]:
 
 
 def look_at_load(cores: int | None = None, load: float | None = None) -> Iterator[Finding]:
-    """Yield that programs want more processors than there are: ``load`` by default of the last minute, ``cores`` of
-    this machine.
+    """Yield that programs want more processors than there are, with what can be done; nothing if not.
+
+    ``load`` is by default that of the last minute, ``cores`` those of this machine.
     """
     available = cores or os.cpu_count() or 1
     used = os.getloadavg()[0] if load is None else load

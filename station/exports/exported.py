@@ -83,8 +83,9 @@ class Exported:
 def exported_of(path: Path, devices: Sequence[str] = (), instance: int = 0) -> Exported:
     """Return what is exported from a recording: the gyros of ``devices``, or of all devices under test.
 
-    RecordingError if there is no calibration, ModelError or CompensationError for effects of another version,
-    UsageError for a device that the recording does not have, or for the file of an error model.
+    ``instance`` is the number of the gyro in an autopilot. RecordingError if there is no calibration, ModelError or
+    CompensationError for effects of another version, UsageError for a device that the recording does not have, or for
+    the file of an error model.
     """
     recording = _read(path)
     calibration = read_calibration(path, trusted=True)
@@ -115,7 +116,9 @@ def _units_of(recording: Recording) -> Units:
 
 
 def _read(path: Path) -> Recording:
-    """Return the recording; UsageError if the file is an error model of a type instead."""
+    """Return the recording; UsageError if the file is an error model of a type instead, RecordingError for any
+    other.
+    """
     try:
         return read_recording(path)
     except RecordingError:
@@ -169,7 +172,10 @@ def file_sha256(path: Path) -> str:
 
 
 def raw_sha256(path: Path) -> str:
-    """Return the hash of the measured data, by ``RAW_RULE``: estimates and attributes do not change it."""
+    """Return the hash of the measured data, by ``RAW_RULE``: names and numbers of their datasets in order of name.
+
+    Estimates and attributes do not change it.
+    """
     found = hashlib.sha256()
     with h5py.File(path, "r") as file:
         names: list[str] = []

@@ -24,7 +24,6 @@ def write_investigation(path: Path, found: Investigation, what: Mapping[str, Any
     Group ``spectrum`` holds by gyro the densities (rad/s)^2/Hz at ``frequency_hz`` of the residual of the fitted
     recordings, before and after, and of the noise model; ``spectrum_verification`` those of the verification run. The
     text of the error model, for the next device of the type, is stored as ``estimator.calibration.error_model`` has it.
-
     UsageError if the file exists or cannot be written; an incomplete file is removed.
     """
     import h5py

@@ -91,7 +91,10 @@ class Terms:
 
 
 def terms_of(compensation: Compensation) -> Terms:
-    """Return the terms of a compensation; effects of the same name get numbered tables."""
+    """Return the terms of a compensation, with their values by gyro; effects of the same name get numbered tables.
+
+    An effect without a law has an empty expression.
+    """
     terms, places = [], 0
     for place, held in enumerate(compensation.effects):
         twice = any(other.name == held.name for other in compensation.effects[:place])
@@ -119,7 +122,8 @@ def terms_of(compensation: Compensation) -> Terms:
 def _of_law(law: str, places: int) -> tuple[str, int]:
     """Return the expression of a law's contribution to gyro ``i``, and the count of state variables used up to now.
 
-    Functions with memory (lag, play, decays) take state variables, counted from ``places``.
+    Functions with memory (lag, play, last) take state variables, counted from ``places``. Placeholders in braces stand
+    for what differs between languages.
     """
 
     def call(name: str, inner: str, constant: str) -> str:
@@ -147,7 +151,7 @@ def law_terms(law: str, names: Mapping[str, str], call: Callable[[str, str, str]
     """
 
     def written(node: ast.expr) -> str:
-        """Return a syntax tree as text for a C-like program; small integer powers become products."""
+        """Return a syntax tree as text for a C-like program; squares and cubes of variables become products."""
         match node:
             case ast.Constant(value=int() | float() as value):
                 return number(float(value))

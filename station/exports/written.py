@@ -97,7 +97,8 @@ def as_triad(exported: Exported, form: str, keep: Collection[str] = ()) -> tuple
     """Return the compensation reduced to the effects ``keep``, for a format of three gyros, and why others are left
     out.
 
-    UsageError, with what to do, if there are not three gyros.
+    Effects of the temperature are included in the constants by their value at the mean of the calibration. UsageError,
+    with what to do, if there are not three gyros; ``form`` names the format in it.
     """
     count = len(exported.gyros)
     if count != 3:

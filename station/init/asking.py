@@ -34,8 +34,8 @@ def ask_key(
 ) -> Data:
     """Return the table ``data`` with the answer for one key, without the key if the answer is empty.
 
-    The present value is proposed unless ``proposed`` is given. ``checked`` raises UsageError for an invalid table, and
-    the question is then repeated.
+    The question defaults to the key's description. The present value is proposed unless ``proposed`` is given.
+    ``checked`` raises UsageError for an invalid table, and the question is then repeated.
     """
 
     def made(text: str) -> Data:
@@ -53,7 +53,10 @@ def ask_key(
 
 
 def _value(key: Key, text: str) -> Any:
-    """Return an answer as a TOML value: a list for several, a number where possible, else the text."""
+    """Return an answer as a TOML value: a list for several, a number where the key asks for one, else the text.
+
+    A text that should be a number and is none stays a text, which the check of the key refuses.
+    """
     if key.kind == "texts" or key.each:
         return [part for part in re.split(r"\s*,\s*" if key.each else r"[\s,]+", text.strip()) if part]
     if key.kind in ("integer", "number"):

@@ -18,7 +18,10 @@ _HEAD = """\
 
 
 def bench_text(bench: Data, others: Iterable[DeviceKind] = ()) -> str:
-    """Return the complete bench file with comments; ``others`` are kinds besides table and IMU."""
+    """Return the complete bench file with comments: what keys mean, the protocols there are, and links to hardware.
+
+    ``others`` are the kinds of its devices besides table and IMU.
+    """
     docs: dict[str, str] = {}
     for kind in (TABLE, IMU, *others):
         for path, device in _devices(bench, kind):

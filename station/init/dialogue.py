@@ -26,8 +26,8 @@ class Dialogue:
     def ask(self, question: str, proposed: str, check: Callable[[str], object] | None = None) -> str:
         """Return an answer that ``check`` accepts; the message of its UsageError is shown and the question repeated.
 
-        An empty line accepts the proposal, a single - is an empty answer. UsageError if nobody is asked and the
-        proposal is wrong, EndedError at the end of the input.
+        An empty line accepts the proposal, a single - is an empty answer. If nobody is asked the proposal is returned;
+        UsageError if it is wrong. EndedError at the end of the input.
         """
         if not self.asks:
             if check is not None:
@@ -47,7 +47,10 @@ class Dialogue:
                 return answer
 
     def choose(self, question: str, options: Mapping[str, str], proposed: str) -> str:
-        """Return one of ``options``, by its name or an unambiguous beginning; all are shown with their descriptions."""
+        """Return the name of one of ``options``, given by name or an unambiguous beginning.
+
+        All are shown with their descriptions, also if nobody is asked.
+        """
         for name, meaning in options.items():
             self.say(f"    {name:<12} {meaning}")
 
@@ -58,7 +61,10 @@ class Dialogue:
         return _meant(self.ask(question, proposed, one_of), options)[0]
 
     def agrees(self, question: str, proposed: bool) -> bool:
-        """Return whether the answer is yes; y, ye, n and so on are accepted."""
+        """Return whether the answer is yes; y, ye, n and so on are accepted, and anything else is asked again.
+
+        ``proposed`` is the answer by default.
+        """
 
         def one_of(answer: str) -> None:
             if not answer or not any(word.startswith(answer.lower()) for word in ("yes", "no")):
@@ -67,7 +73,9 @@ class Dialogue:
         return self.ask(question, "yes" if proposed else "no", one_of).lower().startswith("y")
 
     def _read(self, prompt: str) -> str:
-        """Return a line of stdin, echoed if it is not a terminal; EndedError if there is none or it cannot be read."""
+        """Return a line of stdin after ``prompt``, printed again if stdin is not a terminal; EndedError if none can be
+        read.
+        """
         if sys.stdin is None:  # started with a closed one
             raise EndedError
         try:

@@ -30,9 +30,9 @@ def built_in_channels(count: int) -> list[Data]:
 
 
 def ask_gyros(dialogue: Dialogue, imu: Data, folder: Path, checked: Callable[[Data], object]) -> Data:
-    """Return the device with its array and its signals: a mapping, a DBC with channels, or the built-in DBC.
+    """Return the device ``imu`` with its array and its signals: a mapping, a DBC with channels, or the built-in DBC.
 
-    ``checked`` raises UsageError for an invalid device; the question is then repeated.
+    Paths count from ``folder``. ``checked`` raises UsageError for an invalid device; the question is then repeated.
     """
     dialogue.say("  How are its gyros arranged?")
     bare = {key: value for key, value in imu.items() if key not in ("array", "channels")}
@@ -60,7 +60,10 @@ def ask_gyros(dialogue: Dialogue, imu: Data, folder: Path, checked: Callable[[Da
 
 
 def ask_description(dialogue: Dialogue, imu: Data, folder: Path) -> Data:
-    """Return the device with its description and, if that does not have three gyros, the array."""
+    """Return the device ``imu`` with its description and, if that does not have three gyros, the array.
+
+    Paths count from ``folder``. A description that is invalid is asked for again.
+    """
     shipped = ", ".join(sorted(path.stem for path in DESCRIPTIONS.glob("*.toml")))
     question = f"its description: {shipped}, or the path of a .toml"
     chosen = dialogue.ask(question, "csv", lambda text: load_description(text, folder))
@@ -74,8 +77,9 @@ def ask_description(dialogue: Dialogue, imu: Data, folder: Path) -> Data:
 
 
 def _ask_geometry(dialogue: Dialogue, kind: str, count: int = 0) -> tuple[Data, int]:
-    """Return the keys of an array of this kind, and its number of gyros, which is asked for unless ``count`` is
-    given.
+    """Return the keys of an array of this kind, and its number of gyros.
+
+    The number is that of the kind, else ``count``, else asked for; so are the angle of a cone or the axes of any other.
     """
     if kind in GYROS:
         return {"array": kind}, GYROS[kind]
@@ -91,7 +95,9 @@ def _ask_geometry(dialogue: Dialogue, kind: str, count: int = 0) -> tuple[Data, 
 
 
 def _direction(text: str) -> list[float]:
-    """Return three numbers as a unit vector; UsageError if they are none, or all zero."""
+    """Return three numbers, separated by blanks or commas, as a unit vector; UsageError if they are none, or all
+    zero.
+    """
     try:
         x, y, z = (float(part) for part in re.split(r"[\s,]+", text.strip()))
     except ValueError:
@@ -115,7 +121,11 @@ def _signals(path: Path) -> list[str]:
 
 
 def _ask_channels(dialogue: Dialogue, path: Path, count: int) -> list[Data]:
-    """Return a channel for each of ``count`` gyros: a rate and possibly a temperature, of the DBC's signals."""
+    """Return a channel for each of ``count`` gyros: a rate and possibly a temperature, of the signals of the DBC at
+    ``path``.
+
+    They are shown first; other names are asked for again.
+    """
     signals = _signals(path)
     dialogue.say("  signals: " + ", ".join(signals))
 

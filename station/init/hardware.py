@@ -17,7 +17,7 @@ class SerialFound:
 
 
 def serial_ports() -> list[SerialFound]:
-    """Return the serial ports of this machine, plugged-in adapters first."""
+    """Return the serial ports of this machine, plugged-in adapters before built-in ports, each group by name."""
     from serial.tools import list_ports
 
     found = []

@@ -19,8 +19,10 @@ _KEYS = {key.name: key for section in ("bench.prior", "bench.imu", "bench.noise"
 
 
 def ask_imu(dialogue: Dialogue, links: Links, folder: Path, protocol: str, link: str, names: Sequence[str]) -> Data:
-    """Return a device under test with a name that is not in ``names``; ``protocol`` and ``link`` are proposed if not
-    empty.
+    """Return a device under test with a name that is not in ``names``; asked are its protocol, link, gyros, rate and
+    noise.
+
+    ``protocol`` and ``link`` are proposed if not empty; paths count from ``folder``.
     """
 
     def checked(made: Data) -> None:

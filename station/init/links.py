@@ -24,8 +24,11 @@ class Links:
         return free[0] if free else TWIN
 
     def ask(self, dialogue: Dialogue, spec: DeviceSpec, device: str, proposed: str = "") -> str:
-        """Return the link of a device; if nobody is asked, the proposed one or else the twin. It counts as in use from
-        then on.
+        """Return the link of a device of record ``spec``, after showing the links found; it counts as in use from then
+        on.
+
+        Proposed is ``proposed``, else a link that is found and free. If nobody is asked it is ``proposed``, else the
+        twin.
         """
         found = self.can if spec.on_can else [f"{p.link} {p.description}".rstrip() for p in self.serial]
         if found:

@@ -21,9 +21,9 @@ def other_kinds() -> list[DeviceKind]:
 
 
 def ask_others(dialogue: Dialogue, links: Links, folder: Path, kind: DeviceKind, names: Sequence[str]) -> list[Data]:
-    """Return the devices of a kind on this bench, at most one if the kind is ``single``, with names not in ``names``.
+    """Ask for the devices of a kind on this bench until there are no more; return them.
 
-    Paths count from ``folder``.
+    At most one if the kind is ``single``; their names are not in ``names``. Paths count from ``folder``.
     """
     made: list[Data] = []
     while not (kind.single and made) and dialogue.agrees(f"\nIs {kind.what} on this bench?", False):
@@ -33,8 +33,10 @@ def ask_others(dialogue: Dialogue, links: Links, folder: Path, kind: DeviceKind,
 
 
 def _ask_other(dialogue: Dialogue, links: Links, folder: Path, kind: DeviceKind, names: Sequence[str]) -> Data:
-    """Return one device: protocol, link, then its required keys and those to be asked for; UsageError if it is
-    invalid.
+    """Return one device with a name that is not in ``names``: protocol, link, then its required keys and those to ask
+    for.
+
+    Paths count from ``folder``. UsageError if it is invalid as a whole.
     """
     known = {name: spec for name, spec in kind.protocols.tried().items() if isinstance(spec, DeviceSpec)}
     protocol = dialogue.choose("protocol", {name: spec.said for name, spec in known.items()}, next(iter(known), ""))

@@ -16,9 +16,10 @@ _KNOWN = packaged_toml("station.init", "devices.toml")
 
 
 def ask_rest(dialogue: Dialogue, bench: Data, others: Sequence[str] = ()) -> Data:
-    """Return the complete bench: place, site, limits and twins in addition to the devices in ``bench``.
+    """Return the complete bench: site, limits, place and twins in addition to the devices in ``bench``.
 
-    ``others`` are the sections of devices of other kinds.
+    If all devices under test are twins, it also states that no effects are undeclared. ``others`` are the sections of
+    devices of other kinds in it. Answers that are left empty are left out.
     """
     dialogue.say("\nThe lab. Its latitude is needed to remove Earth rate (15 deg/h); - leaves it in the bias.")
     latitude, heading = keys_of("bench.site")

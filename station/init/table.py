@@ -16,7 +16,10 @@ _KEYS = {key.name: key for section in ("table", "encoder", "axis", "own_link") f
 
 
 def ask_table(dialogue: Dialogue, links: Links, folder: Path, protocol: str, link: str) -> Data:
-    """Return the table; ``protocol`` and ``link`` are proposed if not empty. Paths count from ``folder``."""
+    """Return the table: its protocol, link, options, and each of its axes, outermost first.
+
+    ``protocol`` and ``link`` are proposed if not empty. Paths count from ``folder``.
+    """
 
     def checked(made: Data) -> None:
         read_data({"table": made}, lambda top: read_table(top.table("table"), folder))
@@ -49,7 +52,10 @@ def ask_table(dialogue: Dialogue, links: Links, folder: Path, protocol: str, lin
 
 
 def _axes(spec: TableSpec, names: Sequence[str]) -> dict[str, Data]:
-    """Return the proposed axes by name; addresses are assigned in the order of the names, x first."""
+    """Return the proposed axes by name, with usual limits; addresses are assigned in the order of the names, x first.
+
+    Axes beyond the protocol's addresses get the last one; without addresses all axes are alike.
+    """
     order, last = sorted(names), len(spec.addresses) - 1
     usual: Data = {"counts_per_turn": spec.proposed_counts} if spec.proposed_counts else {}
     usual |= {"max_rate": "100 deg/s", "max_acceleration": "50 deg/s2"}
@@ -59,7 +65,10 @@ def _axes(spec: TableSpec, names: Sequence[str]) -> dict[str, Data]:
 
 
 def _proposed(spec: TableSpec, asked: Data, usual: Data, before: Data) -> Data:
-    """Return the proposal for the next axis: the answers for the one ``before``, with a free address."""
+    """Return the proposal for the next axis of the table ``asked``: the answers for the one ``before``, or ``usual``.
+
+    Its address is the usual one, or a free one if that is taken; a link of its own is not proposed again.
+    """
     kept = {key: value for key, value in before.items() if key != "link"} or usual
     if spec.address is None:
         return kept
@@ -72,8 +81,9 @@ def _proposed(spec: TableSpec, asked: Data, usual: Data, before: Data) -> Data:
 def _ask_axis(
     dialogue: Dialogue, spec: TableSpec, table: Data, name: str, axis: Data, checked: Callable[[Data], object]
 ) -> Data:
-    """Return one axis, given the table so far; ``axis`` is the proposal. ``checked`` raises UsageError for an invalid
-    table.
+    """Return the axis ``name``, given the ``table`` so far; ``axis`` is the proposal.
+
+    ``checked`` raises UsageError for an invalid table; the question is then repeated.
     """
 
     def ask(key: Key, question: str = "") -> Data:

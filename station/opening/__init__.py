@@ -126,10 +126,11 @@ def in_safe_order(devices: Iterable[OpenDevice]) -> list[OpenDevice]:
 
 
 def with_links(bench: Bench, links: dict[str, str], devices: Sequence[str]) -> Bench:
-    """Return the bench with other links, by device name or "table", and with only ``devices`` used, if any is named.
+    """Return the bench with other ``links``, by the name of a device or "table".
 
-    The table's link replaces those of all its axes. Devices with a link here are used, too, unless devices under test
-    are named. BenchError for a name that the bench does not have.
+    The table's link replaces those of all its axes. If ``devices`` names devices under test, only these are used of
+    them; else those that were and those with a link here. Of other kinds, those named and those with a link here are
+    used in addition. BenchError for a name that the bench does not have.
     """
     table = bench.table.name
     for name in (*links, *devices):
@@ -176,17 +177,17 @@ async def open_bench(bench: Bench, *, time_scale: float = 1.0) -> AsyncIterator[
     async with AsyncExitStack() as stack:
         time_scale = max(time_scale, 1.0)
         twins = Twins(bench, stack, time_scale)
-        table, packed = await _table(bench, twins, time_scale)
+        table, packed = await _table_driver(bench, twins, time_scale)
         locks: tuple[int, ...] = ()
         for device in bench.used:
             for link in device.links if device.kind.safe_order is not None else ():
                 if link != TWIN:
                     holding = held(device.name, link, device.spec.tcp_port, f"bench {bench.name}")
                     locks += await stack.enter_async_context(holding)
-        imus = tuple([await _imu(imu, twins, time_scale) for imu in used])
+        imus = tuple([await _imu_driver(imu, twins, time_scale) for imu in used])
         devices = [OpenDevice(bench.table, table, None, packed)]
         devices += [OpenDevice(imu.config, imu.source, imu.counts) for imu in imus]
-        devices += [_other(device, twins, time_scale) for device in bench.others if device.used]
+        devices += [_other_driver(device, twins, time_scale) for device in bench.others if device.used]
         recipes = tuple(device.packed for device in in_safe_order(devices) if device.packed)
         guarded = GuardedDevices(packed=recipes, locks=locks) if recipes else None
         yield OpenBench(
@@ -199,9 +200,11 @@ async def open_bench(bench: Bench, *, time_scale: float = 1.0) -> AsyncIterator[
         )
 
 
-async def _table(bench: Bench, twins: Twins, time_scale: float) -> tuple[Turntable, bytes]:
+async def _table_driver(bench: Bench, twins: Twins, time_scale: float) -> tuple[Turntable, bytes]:
     """Return the driver of the table, and the pickle that rebuilds it in another process; empty for a twin and on
     Windows.
+
+    The twin is started. BenchError for an invalid link.
     """
     config = bench.table
     spec = config.spec
@@ -216,8 +219,11 @@ async def _table(bench: Bench, twins: Twins, time_scale: float) -> tuple[Turntab
     return spec.make(setup, link if spec.opens_links else CountedLink(link)), packed
 
 
-def _other(config: DeviceConfig, twins: Twins, time_scale: float) -> OpenDevice:
-    """Return the driver of a device of another kind, with the pickle that rebuilds it if it has to be made safe."""
+def _other_driver(config: DeviceConfig, twins: Twins, time_scale: float) -> OpenDevice:
+    """Return the driver of a device of another kind, with the pickle that rebuilds it in another process.
+
+    The pickle is empty unless it has to be made safe, and for a twin and on Windows. The twin is started.
+    """
     spec = config.spec
     setup = DeviceSetup(
         name=config.name, timeout_s=config.timeout_s * time_scale, options=config.options, settings=config.settings
@@ -232,8 +238,8 @@ def _other(config: DeviceConfig, twins: Twins, time_scale: float) -> OpenDevice:
     return OpenDevice(config, spec.make(setup, counted), counted.counts, packed)
 
 
-async def _imu(imu: ImuConfig, twins: Twins, time_scale: float) -> OpenImu:
-    """Return the driver of a device under test, with its link counted."""
+async def _imu_driver(imu: ImuConfig, twins: Twins, time_scale: float) -> OpenImu:
+    """Return the driver of a device under test, or of its twin, with its link counted; the link is not yet open."""
     spec = imu.spec
     link: Any
     if imu.link == TWIN:

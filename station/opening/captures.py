@@ -43,7 +43,7 @@ _SAME_SAMPLE = 0.6  # of a message's period: one further away is of another samp
 def _gathered(pieces: Sequence[Mapping[str, Floats]], lead: str) -> Columns:
     """Return the columns of all pieces joined in order, NaN where a piece lacks one.
 
-    Pieces without the column ``lead`` are left out, unless none has it.
+    Pieces without the column ``lead`` are left out, unless none has it; no columns without pieces.
     """
     kept = [piece for piece in pieces if lead in piece] or pieces
     widths = {name: values.shape[1:] for piece in kept for name, values in piece.items()}
@@ -59,7 +59,11 @@ def _damaged(count: int, what: str) -> tuple[str, ...]:
 
 
 def _xbus(raw: bytes, names: Sequence[str]) -> _Decoded:
-    """Return MTData2 packets by the maker's names, and ``time`` (s) of SampleTimeFine; notes on damaged messages."""
+    """Return MTData2 packets by the maker's names, and ``time`` (s) of SampleTimeFine if that is there.
+
+    Messages without the first of ``names`` are left out, unless none has it. Counts go on over their wraps. Also notes
+    on damaged messages.
+    """
     decoder = XbusDecoder()
     pieces: list[Columns] = []
     malformed = 0
@@ -93,11 +97,11 @@ def _stim300(section: StrictTable, _folder: Path) -> Capture:
 
 
 def _read_stim300(code: int | None, range_g: int, raw: bytes, names: Sequence[str]) -> _Decoded:
-    """Return ``gyro`` (rad/s), ``accelerometer`` (m/s2), ``temperature`` (degC) and ``time`` (s) of the counter, and
-    notes.
+    """Return ``gyro`` (rad/s), ``accelerometer`` (m/s2), ``temperature`` (degC) and ``time`` (s), and notes.
 
-    ``code`` is the gyro output, None if not stated, ``range_g`` that of the accelerometers; a configuration sent by the
-    device takes precedence. Nothing if there are fewer than two datagrams.
+    The time is that of the counter. ``code`` is the gyro output, None if not stated, ``range_g`` that of the
+    accelerometers; a configuration sent by the device takes precedence. Datagrams without the first of ``names`` are
+    left out, unless none has it. Nothing if there are fewer than two datagrams.
     """
     decoder = stim300.Stim300Decoder()
     found = decoder.feed(raw)
@@ -136,9 +140,11 @@ def _datagram(data: stim300.Datagrams) -> Columns:
 
 
 def _vectornav(raw: bytes, names: Sequence[str]) -> _Decoded:
-    """Return fields by group.field, those of VNIMU sentences likewise, and ``time`` (s) since start-up.
+    """Return fields by group.field, those of VNIMU sentences likewise, and ``time`` (s) since start-up if that is
+    there.
 
-    Sentences are used only if no frame has the first name. Also notes on damaged messages.
+    Sentences are used only if no frame has the first of ``names``; else frames without that are left out. Also notes on
+    damaged messages.
     """
     decoder = VectorNavDecoder()
     pieces: list[Columns] = []
@@ -169,10 +175,11 @@ def _candump(section: StrictTable, folder: Path) -> Capture:
 
 
 def _read_candump(database: Any, dbc: Path, raw: bytes, names: Sequence[str]) -> _Decoded:
-    """Return signals named MESSAGE.Signal in units of the DBC, and ``time`` (s) of the message of the first name.
+    """Return signals named MESSAGE.Signal in units of the DBC, and ``time`` (s), from the bytes of a candump log.
 
-    Signals of other messages are those of the nearest frame, NaN if that belongs to another sample. RecordingError for
-    an unknown signal; nothing if the first message does not occur. Also notes on damaged frames.
+    The time is that of the message of the first of ``names``. Signals of other messages are those of the nearest frame,
+    NaN if that belongs to another sample. RecordingError for an unknown signal; nothing if the first message does not
+    occur. Also notes on damaged frames.
     """
     try:
         readers = {
@@ -228,8 +235,9 @@ def _nearest(at_s: Floats, t_s: Floats, values: Floats) -> Floats:
 def _read_galil(sample_s: float, raw: bytes, _names: Sequence[str]) -> _Decoded:
     """Return positions of each axis in counts ("A.position", "A.reference", "A.auxiliary"), and ``time`` (s).
 
-    ``time`` counts from the first record; two records must be less than 65536 samples apart. The most frequent header
-    is used whose length fits its blocks in the layout of a controller family. Nothing if there is none.
+    ``time`` counts from the first record in samples of ``sample_s``; two records must be less than 65536 samples apart.
+    The most frequent header is used whose length fits its blocks in the layout of a controller family. Nothing if there
+    is none. Also notes on the family and on what is no record.
     """
     headers = Counter(found[1] for found in _GALIL_HEADER.finditer(raw))
     known = ((header, *_galil_record(header)) for header, _ in headers.most_common())

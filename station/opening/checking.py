@@ -98,11 +98,10 @@ class OtherCheck(DeviceCheck):
 async def check_bench(
     opened: OpenBench, *, time_scale: float = 1.0, tell: Callable[[str], None] = lambda device: None
 ) -> list[DeviceCheck]:
-    """Return the answers of each device of an open bench, the table first. Nothing moves; every driver is closed at the
-    end.
+    """Return the answers of each device of an open bench, the table first; nothing moves.
 
-    ``tell`` gets the name of each device before it is asked. If several send nothing intelligible, swapped links are
-    suggested.
+    ``tell`` gets the name of each device before it is asked. What is wrong with a device is noted in its answers, not
+    raised. Every driver is closed at the end. If several send nothing intelligible, swapped links are suggested.
     """
     found = []
     for device in opened.devices.values():
@@ -124,8 +123,9 @@ async def check_bench(
 
 @contextmanager
 def _errors_noted(check: DeviceCheck, look_at: str) -> Iterator[None]:
-    """Context that turns the errors of a device into entries of ``check.wrong``; ``look_at`` is what to check for a
-    dead one.
+    """Turn errors of a device within this context into entries of ``check.wrong``.
+
+    ``look_at`` is what to check for one that does not answer or whose answers make no sense.
     """
     try:
         yield
@@ -142,7 +142,8 @@ def _errors_noted(check: DeviceCheck, look_at: str) -> Iterator[None]:
 async def _check_table(opened: OpenBench, device: OpenDevice, time_scale: float) -> DeviceCheck:
     """Ask the table for identity, status and readings of each axis, and whether another master commands it.
 
-    Also notes if reading all axes takes longer than the poll rate allows.
+    Returns the answers; faults, axes that turn and errors are noted as wrong, and also if reading all axes takes longer
+    than the poll rate allows.
     """
     bench, table = opened.bench, opened.table
     check = DeviceCheck(device.name, bench.table.protocol, ", ".join(bench.table.links))
@@ -187,7 +188,7 @@ async def _check_table(opened: OpenBench, device: OpenDevice, time_scale: float)
                     elsewhere if status.enabled else f"axis {axis} turns at {dps:.2f} deg/s. Stop it first"
                 )
         if orders and enabled:
-            check.wrong += await _others(table, bench.table.gimbals, orders, time_scale)
+            check.wrong += await _commands_of_others(table, bench.table.gimbals, orders, time_scale)
         slow = sum(axis.round_trip_s for axis in check.axes)
         if slow * bench.table.poll_rate_hz > 1:
             check.wrong.append(sentence("check.too_slow", slow_ms=slow * 1e3, poll_rate_hz=bench.table.poll_rate_hz))
@@ -195,8 +196,9 @@ async def _check_table(opened: OpenBench, device: OpenDevice, time_scale: float)
 
 
 async def _check_other(opened: OpenBench, device: OpenDevice, time_scale: float) -> DeviceCheck:
-    """Ask a device for its identity, one row of its series, and whether it would accept its set point; it is not
-    commanded.
+    """Ask a device for its identity, one row of its series, and whether it would accept its set point.
+
+    Returns the answers; a refusal and errors are noted as wrong. The device is not commanded.
     """
     config, driver = device.config, device.driver
     check = OtherCheck(device.name, config.spec.name, ", ".join(config.links))
@@ -220,12 +222,13 @@ async def _orders(table: Turntable, axes: Sequence[str]) -> dict[str, Mapping[st
     return {axis: await table.orders(axis) for axis in axes} if isinstance(table, TellsOrders) else {}
 
 
-async def _others(
+async def _commands_of_others(
     table: Turntable, axes: Sequence[str], told: Mapping[str, Mapping[str, float]], time_scale: float
 ) -> list[str]:
-    """Return sentences about commands that drives got from another master; empty if there were none.
+    """Return sentences about commands that drives got from another master within a second; empty if there were none.
 
-    The drives are looked at several times, at uneven intervals: a master that moves to and fro may repeat a command.
+    ``told`` are the commands by axis at the beginning. The drives are looked at several times, at uneven intervals: a
+    master that moves to and fro may repeat a command.
     """
     for part in _LOOKS:
         await asyncio.sleep(part * _OTHERS_S * max(time_scale, 1.0))
@@ -247,7 +250,10 @@ def _commanded_by_others(
 
 
 async def _check_imu(opened: OpenBench, device: OpenDevice, time_scale: float) -> DeviceCheck:
-    """Listen to a device for two seconds; return its identity, its sources, and what is wrong with them."""
+    """Listen to a device for two seconds; return its identity, its sources, and what is wrong with them.
+
+    Without sources if opening it, its identity or its samples raise an error.
+    """
     imu = next(imu for imu in opened.imus if imu.config.name == device.name)
     config, source = imu.config, imu.source
     check = DeviceCheck(config.name, config.protocol, config.link, experimental=not config.spec.checked_against)
@@ -256,7 +262,7 @@ async def _check_imu(opened: OpenBench, device: OpenDevice, time_scale: float) -
         async with asyncio.timeout(_OPEN_S * max(time_scale, 1.0)):
             await source.open()
             check.identity = await source.identify()
-        blocks = await _listen(source, LISTEN_S * max(time_scale, 1.0))
+        blocks = await _blocks_received(source, LISTEN_S * max(time_scale, 1.0))
     if check.wrong:
         return check
     silent = [name for name in source.names if not sum(len(block.t_ns) for block in blocks.get(name, []))]
@@ -267,7 +273,7 @@ async def _check_imu(opened: OpenBench, device: OpenDevice, time_scale: float) -
         check.wrong += [complaint, _LOOK_AT_IMU]
     for name in source.names:
         if name not in silent:
-            source_check = _source(source, name, blocks[name], time_scale)
+            source_check = _source_check(source, name, blocks[name], time_scale)
             check.sources.append(source_check)
             check.wrong += _complaints(config, source_check, _counted(blocks[name]))
     return check
@@ -280,7 +286,7 @@ _OF_KIND: Mapping[str, Callable[[OpenBench, OpenDevice, float], Awaitable[Device
 """What looks at the devices of a kind, where a kind has more to show than who it is and what it appends."""
 
 
-async def _listen(source: ImuSource, duration_s: float) -> dict[str, list[ImuBlock]]:
+async def _blocks_received(source: ImuSource, duration_s: float) -> dict[str, list[ImuBlock]]:
     """Return the blocks of each source received within ``duration_s``, held ones included."""
     blocks: dict[str, list[ImuBlock]] = {}
     try:
@@ -294,8 +300,11 @@ async def _listen(source: ImuSource, duration_s: float) -> dict[str, list[ImuBlo
     return blocks
 
 
-def _source(source: ImuSource, name: str, blocks: Sequence[ImuBlock], time_scale: float) -> SourceCheck:
-    """Return rate, losses, jitter, temperature and mean rates of one source; NaN for a gyro without a valid rate."""
+def _source_check(source: ImuSource, name: str, blocks: Sequence[ImuBlock], time_scale: float) -> SourceCheck:
+    """Return rate, losses, jitter, temperature and mean rates of one source; NaN for a gyro without a valid rate.
+
+    ``time_scale`` is how fast the loop's clock runs: the jitter is in real time.
+    """
     t_ns = np.concatenate([block.t_ns for block in blocks])
     arrival_ns = np.concatenate([block.arrival_ns for block in blocks])
     temperature = np.concatenate([block.temperature_c for block in blocks])
@@ -321,10 +330,10 @@ def _counted(blocks: Sequence[ImuBlock]) -> bool:
 
 
 def _sent_hz(t_ns: Stamps, arrival_ns: Stamps, counts: SourceCounts, counted: bool) -> float:
-    """Return the number of samples per second that a device sends; 0 for fewer than two.
+    """Return the number of samples per second that a device sends, lost ones included; 0 for fewer than two.
 
-    Times from the device's own count or clock show it once they have settled, in their second half. Without a count,
-    times follow the rate of the bench file: only arrivals can contradict it.
+    ``counted``: the times are from the device's own count or clock. They show it once they have settled, in their
+    second half. Without a count, times follow the rate of the bench file: only arrivals can contradict it.
     """
     n = len(t_ns)
     if n < 2:
@@ -339,8 +348,10 @@ def _sent_hz(t_ns: Stamps, arrival_ns: Stamps, counts: SourceCounts, counted: bo
 
 
 def _complaints(config: ImuConfig, check: SourceCheck, counted: bool) -> Iterator[str]:
-    """Yield what is wrong with a source that sends: its rate, losses, invalid rates, or rates that are too large at
-    rest.
+    """Yield what is wrong with a source that sends: its rate, else losses; and gyros with invalid rates, or too large
+    ones at rest.
+
+    ``counted``: its samples carry a count or clock; without, losses may explain a wrong rate.
     """
     who, prefix = ("it", "") if check.name == config.name else (check.name, f"{check.name}: ")
     whole = check.samples + check.lost

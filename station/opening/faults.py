@@ -21,7 +21,10 @@ class BenchFaults:
 
 
 def read_faults(of_table: Any, truths: Table, bench: Bench) -> BenchFaults:
-    """Return the faults from [twin.fault] and [twin.NAME.fault]; BenchError if one is invalid."""
+    """Return the faults from [twin.fault], given as ``of_table``, and [twin.NAME.fault]; BenchError if one is invalid.
+
+    ``truths`` is the table [twin].
+    """
     try:
         fault, wire = table_faults(of_table, bench.table.gimbals, "twin.fault")
         devices, wires = {}, {"table": wire}

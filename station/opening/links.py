@@ -23,7 +23,8 @@ _LEAST_GATHER_S = 0.002  # less saves nothing; more, in scaled time, would excee
 def driver_link(spec: DeviceSpec, link: str, device: str, time_scale: float = 1.0, *, gather_s: float = 0.0) -> Any:
     """Return the link for the driver of a device: CAN frames, serial or TCP bytes, not yet open; BenchError if invalid.
 
-    A driver that opens links itself gets the Address. Bytes of a serial stream may be handed over every ``gather_s``.
+    A driver that opens links itself gets the address. Time limits are stretched by ``time_scale``, how fast the loop's
+    clock runs. Bytes of a serial stream may be handed over every ``gather_s``, in s of that clock.
     """
     if spec.on_can:
         return CanLink(device, *can_address(link, device))
@@ -50,8 +51,9 @@ def ends_here(link: str) -> bool:
 
 
 def can_address(link: str, device: str) -> tuple[str, str, dict[str, Any]]:
-    """Split can:INTERFACE:CHANNEL?option=value; numbers among the options are converted. BenchError for any other
-    link.
+    """Split can:INTERFACE:CHANNEL?option=value into interface, channel and options; BenchError for any other link.
+
+    Options that are numbers are converted; slcan gets a short pause after opening by default.
     """
     address, _, query = link.partition("?")
     parts = address.split(":", 2)
@@ -67,7 +69,10 @@ def can_address(link: str, device: str) -> tuple[str, str, dict[str, Any]]:
 
 
 def _serial(url: SplitResult, link: str, device: str, baud: int) -> SerialPort:
-    """Return the serial port of a link, with ``baud`` as its default rate; BenchError for an invalid link or option."""
+    """Return the serial port of a link, with ``baud`` as its default rate, no parity and one stop bit by default.
+
+    BenchError, which names ``device``, for another kind of link, and an unknown or invalid option.
+    """
     options = {key: values[0] for key, values in parse_qs(url.query).items()}
     port = url.path if url.scheme == "serial" else link.partition("?")[0]
     if url.scheme not in ("serial", "socket", "rfc2217") or not (url.path or url.netloc) or not port:

@@ -19,7 +19,10 @@ class Reopening:
     """Reopens lost links, for one run."""
 
     def __init__(self, moving: Callable[[], bool], tell: Callable[[str], None], time_scale: float) -> None:
-        """``moving`` returns whether the table turns or is about to; ``tell`` notes an event in the recording."""
+        """Start without identities; ``moving`` returns whether the table turns or is about to.
+
+        ``tell`` notes an event in the recording; times are stretched by ``time_scale``, how fast the loop's clock runs.
+        """
         self._moving, self._tell, self._scale = moving, tell, time_scale
         self._known: dict[str, Identity] = {}
         self.under_way: set[str] = set()

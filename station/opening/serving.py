@@ -61,8 +61,10 @@ class Serving:
         return await (self.other(device) if serve is None else serve(device))
 
     async def table(self, port: int) -> dict[str, Any]:
-        """Serve the twin of the table on a pseudo-terminal, Modbus TCP or TCP; return its announcement, the link
-        first.
+        """Serve the twin of the table on a pseudo-terminal, Modbus TCP or TCP; return its announcement.
+
+        ``port`` is that of TCP, 0 for a free one. The announcement is its link first, then protocol, addresses and
+        watchdog.
         """
         config, wire = self._twins.bench.table, self._twins.wire("table")
         addresses = {name: axis.address for name, axis in config.axes.items()}
@@ -95,7 +97,11 @@ class Serving:
         return await (self._tcp(device, make, 0) if self._twins.wire(device) == "tcp" else self._pty(device, make))
 
     async def _bus(self, imu: ImuConfig) -> str:
-        """Serve a device on its own CAN bus; return its link. DeviceError if the bus cannot be opened."""
+        """Serve a device on its own CAN bus, of the kind that its wire has; return its link.
+
+        udp_multicast gets a free port; any other wire that is no adapter's is the link itself. DeviceError if the bus
+        cannot be opened.
+        """
         wire = self._twins.wire(imu.name)
         if wire == "slcan":
             return await self._slcan(imu)
@@ -134,7 +140,11 @@ class Serving:
         return f"serial://{name}"
 
     async def _tcp(self, device: str, make: Callable[[Write], ByteDevice], port: int) -> str:
-        """Serve a device on TCP; return its link. DeviceError if the port is taken."""
+        """Serve a device at a ``port`` of the host, 0 for a free one, on TCP with the faults of its wire; return its
+        link.
+
+        DeviceError if the port is taken.
+        """
         plug = Plug()
         try:
             wire = on_tcp(self._twins.faulty(device, make, plug), self._host, port, plug)

@@ -69,11 +69,12 @@ def simulate(
 ) -> Recording:
     """Return the recording of a script on a simulated table with these devices, one source each.
 
-    Steps of open duration take their least. Without ``earth_turns`` there is no Earth rate in the data. ``hidden`` has
-    the errors of devices and table; the recording does not mention them. Stamps begin at 0, when the bench clock, which
-    temperature and hidden effects follow, is at ``started_s``: runs of one session follow each other. ``mounts``
-    replaces the mounting and truth of each device; ``forces`` states the accelerometers of those that have some.
-    ValueError without devices.
+    Steps of open duration take their least. The same ``seed`` gives the same noise. Without a ``site`` the table stands
+    at 45 deg latitude; without ``earth_turns`` there is no Earth rate in the data. ``hidden`` has the errors of devices
+    and table; the recording does not mention them. Stamps begin at 0, when the bench clock, which temperature and
+    hidden effects follow, is at ``started_s``: runs of one session follow each other. ``mounts`` replaces the mounting
+    and truth of each device; ``forces`` states the accelerometers of those that have some. ValueError without
+    devices.
     """
     moves = [
         TimedMove(start_s, turn.axis, turn.to_rad, abs(turn.rate_rps), turn.acceleration_rps2)
@@ -84,7 +85,7 @@ def simulate(
     sources: dict[str, ImuData] = {}
     reference: TableReadings | None = None
     for index, (name, device) in enumerate(devices.items()):
-        mounting, truth = mounts[name] if mounts is not None else _own(device)
+        mounting, truth = mounts[name] if mounts is not None else _stated_truth(device)
         felt = forces.get(name) if forces is not None else None
         first = Mounting(mounting.p[:3], mounting.j[:3], mounting.k[:3])
         run = direct_run(
@@ -173,8 +174,10 @@ def simulate_bench(bench: Bench, script: Script, seed: int) -> Recording:
     return replace(recording, attributes={"bench": bench.text, "seed": seed, "script": script.name})
 
 
-def _own(device: DeviceTruth) -> tuple[Mounting, GyroTruth]:
-    """Return the mounting and the truth that a device states itself."""
+def _stated_truth(device: DeviceTruth) -> tuple[Mounting, GyroTruth]:
+    """Return the mounting and the truth that a device states itself; a kind of array is mounted as that on the bench
+    is.
+    """
     mounting = mounted(MOUNTS_DEG[device.kind]) if device.kind else None
     k, b_rps, sigma_j, sigma_k = device.states.T
     truth = GyroTruth(

@@ -89,8 +89,10 @@ class Twins:
             self._later(fault.at_s, partial(fault.strike, self.table, limits_trip=bench.table.spec.limits_trip))
 
     async def serve_table(self, address: tuple[str, int]) -> Any:
-        """Serve the table's controller on Modbus TCP at a host and port; return pymodbus's server. DeviceError if it is
-        taken.
+        """Serve the table's controller on Modbus TCP at a host and port, with the faults of its wire; return pymodbus's
+        server.
+
+        It ends with the bench. DeviceError if the port is taken.
         """
         faults = self._faults.wires["table"]
         wire = FaultyModbus(faults, self._seed("table")) if faults.any else None
@@ -143,8 +145,9 @@ class Twins:
         return address
 
     def imu_device(self, imu: ImuConfig, out: Write | FrameSink) -> Any:
-        """Return the twin of an IMU, which sends to ``out`` from now on; a fault may replace it later by another
-        one.
+        """Return the twin of an IMU, which sends to ``out`` from now on.
+
+        The faults of the bench begin and end at their times, and at that of ``another_s`` another twin takes its place.
         """
         faults = self._faults.devices[imu.name]
         knobs = NodeFaults(clock_ppm=faults.clock_ppm, seed=self.bench.twin.seed)
@@ -208,9 +211,9 @@ class Twins:
         return self._in_memory(config.name, partial(self.other_device, config))
 
     def gyros(self, imu: ImuConfig, number: int = 0) -> GyroArray:
-        """Return the gyros of a device on the table; each ``number`` of its kind has different scale factors and noise.
+        """Return the gyros of a device on the table; BenchError if the hidden effects do not fit them.
 
-        BenchError if the hidden effects do not fit them.
+        ``number`` counts devices of its kind, of which each has different scale factors and noise; 0 has those stated.
         """
         index = [other.name for other in self.bench.imus].index(imu.name)
         twin, truth = self.bench.twin, self._truths[imu.name]
@@ -245,7 +248,7 @@ class Twins:
         return self._wires[device]
 
     def _read_wires(self, table: Table) -> dict[str, str]:
-        """Return the kind of link to serve each device on, by [twin.wires] or by default; the table's error if
+        """Return the kind of link to serve each device on, by the ``table`` [twin.wires] or by default; its error if
         unknown.
         """
         wires = {"table": table.string("table", "tcp", one_of=("tcp", "serial"))}

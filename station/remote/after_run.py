@@ -17,10 +17,12 @@ _LAST_BYTES = 4096
 
 
 def tell_program(command: Sequence[str], result: Mapping[str, Any], limit_s: float = LIMIT_S) -> str:
-    """Run a program with ``result`` as one JSON object on its standard input; return what went wrong, "" if it gave 0.
+    """Run a program with ``result`` as one JSON object on its standard input; return what went wrong, "" for exit code
+    0.
 
-    The last line that it printed is included only if it failed. Processes that it leaves running are not waited for,
-    but are ended with it at the time limit or Ctrl-C.
+    That is that it could not be started, took more than ``limit_s``, was ended by Ctrl-C, or another exit code, with
+    the last line that it printed. Processes that it leaves running are not waited for, but are ended with it at the
+    time limit or Ctrl-C.
     """
     with tempfile.TemporaryFile() as printed:
         try:

@@ -28,8 +28,9 @@ _LONGEST_NAME = len("4194304.sock.new")
 
 
 def socket_folder() -> Path:
-    """Return this user's folder for sockets, created if missing; UsageError, with the reasons, if no place is
-    suitable.
+    """Return this user's folder for sockets, created if missing.
+
+    The first suitable place is taken; UsageError, with the reasons against each, if there is none.
     """
     refused = []
     for folder in _places():
@@ -54,8 +55,9 @@ def _places() -> list[Path]:
 
 
 def _objection(folder: Path) -> str:
-    """Return why a folder must not be used, "" if it may: in one of another user, a stranger could pose as a
-    session.
+    """Return why a folder must not be used for sockets, "" if it may.
+
+    In one of another user, or accessible to others, a stranger could pose as a session. OSError if it is missing.
     """
     found = folder.lstat()
     if not stat.S_ISDIR(found.st_mode):
@@ -82,7 +84,10 @@ def of_this_user(connection: socket.socket) -> bool:
 
 
 def running_sessions() -> list[Path]:
-    """Return the sockets of this user's running sessions, newest first; sockets of ended ones are removed."""
+    """Return the sockets of this user's running sessions, newest first; sockets of ended ones are removed.
+
+    Folders that are not this user's alone are skipped.
+    """
     found = []
     for folder in _places():
         if not os.path.isdir(folder) or _objection(folder):
@@ -97,7 +102,10 @@ def running_sessions() -> list[Path]:
 
 
 def _answers(path: Path) -> bool:
-    """Return whether a process listens at a socket; one that is busy counts."""
+    """Return whether a process listens at a socket; one that does not answer in time counts.
+
+    FileNotFoundError if there is no socket.
+    """
     with socket.socket(socket.AF_UNIX) as probe:
         probe.settimeout(_PROBE_S)
         try:
@@ -144,10 +152,10 @@ class RemoteSession:
         return cls(transport, inbox, hello)
 
     async def messages(self) -> AsyncIterator[dict[str, Any]]:
-        """Yield the session's messages, by "kind": "event", "snapshot", "course", "refused", "result"; end when it is
-        gone.
+        """Yield the session's messages, by "kind": "event", "snapshot", "course", "refused", "result".
 
-        Only the newest unread snapshot is kept. A session that ends without "result" was killed.
+        Only the newest unread snapshot is kept. It ends when the session is gone; one that ends without "result" was
+        killed.
         """
         while (message := await self._inbox.next()) is not None:
             yield message

@@ -49,7 +49,7 @@ class Host:
     """A socket for one run. Enter it before opening devices: it fails early if the socket cannot be created."""
 
     def __init__(self, time_scale: float = 1.0) -> None:
-        """``time_scale`` is how fast the loop's clock runs."""
+        """Prepare without a socket or a run; ``time_scale`` is how fast the loop's clock runs."""
         self.scale = time_scale
         self.events: list[bytes] = []
         """Lines of all events so far."""
@@ -64,7 +64,9 @@ class Host:
         self._blind = False
 
     async def __aenter__(self) -> Self:
-        """Create the socket under a hidden name; UsageError if that fails or the system has no Unix sockets."""
+        """Create the socket under a hidden name, not yet serving; UsageError if that fails or the system has no Unix
+        sockets.
+        """
         if not hasattr(socket, "AF_UNIX"):
             raise UsageError("--host: this system has no Unix sockets")
         self._path = socket_folder() / f"{os.getpid()}.sock"
@@ -78,7 +80,10 @@ class Host:
         return self
 
     async def begin(self, run: Session, hello: Mapping[str, Any]) -> None:
-        """Admit clients; ``hello`` is their first message, along with version and pid."""
+        """Admit clients, who may watch and control ``run`` from now on; needs the socket of ``__aenter__``.
+
+        ``hello`` is their first message, along with version and pid.
+        """
         assert self._server is not None
         self._run = run
         self._hello = _line("hello", {"version": VERSION, "pid": os.getpid(), **hello})
@@ -106,7 +111,7 @@ class Host:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Stop the updates, abort all connections and remove the socket."""
+        """Stop the updates, stop listening, abort all connections and remove the socket, also the hidden one."""
         if self._showing is not None:
             self._showing.cancel()
             with suppress(asyncio.CancelledError):
@@ -133,10 +138,10 @@ class Host:
             client.transport.write(_line("snapshot", json_object(snapshot)))
 
     def do(self, line: bytes, *, late: bool = False) -> bytes:
-        """Carry out a client's request, a line of JSON; return the answer, empty if there is none; UsageError if
-        invalid.
+        """Carry out a client's request, a line of JSON, and return the answer, empty if there is none.
 
-        With ``late`` requests that move the table are refused.
+        Requests are course, note, stop, pause, resume, and to move by hand jog, go, home, hold and end. With ``late``
+        those that move the table are refused. UsageError if it is invalid or refused.
         """
         assert self._run is not None
         try:
@@ -166,10 +171,10 @@ class Host:
             self._snapshots(keep=looks % _COURSE_EVERY == 0)
 
     def _snapshots(self, *, keep: bool = False) -> None:
-        """Send new events to all clients, and a snapshot to those that have taken all before; ``keep`` stores it as a
-        point.
+        """Send new events to all clients, and a snapshot to those that have taken all that was sent before.
 
-        No snapshot is made if nobody takes it, and none is sent while there is nothing to show.
+        ``keep`` also stores it as a point of the course. No snapshot is made if nobody takes it, and none is sent while
+        there is nothing to show.
         """
         for client in self.clients:
             client.send_events()
@@ -185,8 +190,9 @@ class Host:
                 client.transport.write(line)
 
     def _look(self) -> Snapshot | None:
-        """Return a snapshot of the run; None before it begins, and from the first defect on: watching must not end a
-        run.
+        """Return a snapshot of the run, None before it begins.
+
+        None as well from the first exception on, which is logged: watching must not end a run.
         """
         if self._run is None or self._blind:
             return None
@@ -198,8 +204,9 @@ class Host:
             return None
 
     def _keep(self, snapshot: Snapshot) -> None:
-        """Store the estimates of a snapshot for clients that come later; beyond ``_MOST_POINTS`` every other point is
-        dropped.
+        """Store the estimates of a snapshot, if it has any, for clients that come later.
+
+        Beyond ``_MOST_POINTS`` every other point is dropped.
         """
         gyros = {gyro.name: (_rounded(gyro.values), _rounded(gyro.sds)) for gyro in snapshot.gyros}
         if gyros and snapshot.elapsed_s > 0:
@@ -238,7 +245,10 @@ class _Client(asyncio.Protocol):
         self._heed()
 
     def connection_lost(self, error: Exception | None) -> None:
-        """Handle the lines that are still unread, up to a limit: a STOP counts even if its sender has hung up."""
+        """Handle the lines that are still unread, up to a limit: a STOP counts even if its sender has hung up.
+
+        Requests that move the table are not carried out; those that are refused have no answer.
+        """
         self._host.clients.discard(self)
         with suppress(OSError), self.transport.get_extra_info("socket").dup() as rest:
             self._received += rest.recv(_LONGEST_LINE)
@@ -259,10 +269,10 @@ class _Client(asyncio.Protocol):
         self.transport.close()
 
     def _heed(self, *, late: bool = False) -> None:
-        """Handle up to ``_LINES_AT_ONCE`` of the lines received, and the rest a little later, so that no client takes
-        all time.
+        """Handle up to ``_LINES_AT_ONCE`` of the lines received, and the rest a little later.
 
-        A line that is too long ends the connection.
+        So no client takes all time; meanwhile it is not read. Nothing on a connection that closes; a line that is too
+        long closes it. ``late`` as for ``Host.do``.
         """
         if self.transport.is_closing():
             return
@@ -293,7 +303,10 @@ class _Client(asyncio.Protocol):
 def introduction(
     bench: Bench, bench_file: str | None, script: Script, recording: Path, gyros: tuple[str, ...]
 ) -> dict[str, Any]:
-    """Return the greeting's description of a bench and its run; times in s, limits in SI, null for none."""
+    """Return the greeting's description of a bench and its run; times in s, limits in SI, null for none.
+
+    ``bench_file`` is the path of the bench, None without one; ``gyros`` are the names of all gyros.
+    """
     steps = [_step_object(timed) for timed in script.timeline()]
     found: dict[str, Any] = json_object(
         {
@@ -316,7 +329,10 @@ def introduction(
 
 
 def _step_object(timed: Timed) -> dict[str, Any]:
-    """Return the greeting's description of a step: its earliest times, and the end of its last turn."""
+    """Return the greeting's description of a step: its earliest times, and axis and end of its last turn.
+
+    Without a turn these are null and 0.
+    """
     turn = timed.last_turn
     return {
         "label": timed.step.label,

@@ -96,9 +96,10 @@ class Acquisition:
         reopening: Reopening,
         on_event: Callable[[float, EventKind, str], None] | None,
     ) -> None:
-        """Prepare the live estimate and describe table and sources in the recording; no device is opened.
+        """Describe table and devices under test in the file of ``writer``; no device is opened.
 
-        ``time_scale`` is how fast the loop's clock runs. ``on_event(t_s, kind, text)`` gets every event.
+        ``model`` is for the live estimate; ``time_scale`` is how fast the loop's clock runs; ``reopening`` opens lost
+        devices anew. ``on_event(t_s, kind, text)`` gets every event.
         """
         self._imus, self._others, self._bench = opened.imus, opened.others, opened.bench
         self._devices = tuple(opened.devices.values())
@@ -175,9 +176,7 @@ class Acquisition:
         return found
 
     async def prepare_others(self) -> bool:
-        """Ready the devices of other kinds in turn, again a few times after a lost link; return whether there are
-        any.
-        """
+        """Ready the devices of other kinds; return if there are any. LinkLost for a link that was reopened 5 times."""
         for device in self._others:
             self.monitor.phase = Phase.PREPARING
             for lost in range(_LOST_WHILE_READIED + 1):
@@ -200,7 +199,7 @@ class Acquisition:
     async def follow(self, device: OpenDevice) -> None:
         """Record the series of a device until cancelled; a lost link is reopened while nothing turns.
 
-        A table's or tested device's link is reopened elsewhere. DeviceFault: incomplete row, end, or unexpected
+        The link of a table or tested device is reopened elsewhere. DeviceFault: incomplete row, end, or unexpected
         exception.
         """
         driver = device.driver
@@ -253,7 +252,7 @@ class Acquisition:
         self.live.sources[name].add(block)
 
     def take_row(self, row: TableRow) -> None:
-        """Record a row of table readings and pass it to the live estimate and the monitor."""
+        """Record a row of table readings and pass it to live estimate and monitor; note the widest half width."""
         columns = row._asdict()
         if columns.pop("rate_window_ns") != self._rate_window_ns:
             table, self._rate_window_ns = self._bench.table, row.rate_window_ns
@@ -284,7 +283,7 @@ class Acquisition:
             self.beside.attempt("telling of events", lambda: on_event(now_ns * 1e-9, kind, text), None)
 
     async def first_samples(self) -> None:
-        """Wait until every source has sent samples; LinkLost, naming those that have not, after a time limit."""
+        """Wait until every source has sent samples; LinkLost, naming those that have not, after 3 s."""
         limit_s = _FIRST_SAMPLE_S * self._scale
         names = {name for imu in self._imus for name in imu.source.names}
         deadline = asyncio.get_running_loop().time() + limit_s
@@ -296,7 +295,7 @@ class Acquisition:
             await asyncio.sleep(0.05)
 
     async def watch_silence(self) -> None:
-        """Check until cancelled that samples keep coming; LinkLost if a source is silent but its link open.
+        """Check until cancelled that samples keep coming; LinkLost if a source is silent for 1 s but its link open.
 
         Nothing is concluded after a sleep that took too long, as arrived samples may still be unread.
         """

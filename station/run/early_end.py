@@ -42,7 +42,11 @@ class EarlyEnd:
         live.keep_blocks()
 
     async def wait(self) -> str:
-        """Wait until all required sigmas are confirmed several times in a row; return a sentence about it."""
+        """Wait until all required sigmas are confirmed twice in a row; return a sentence about it.
+
+        The live filters are looked at every second; only what they find sufficient is confirmed, in a thread, every 5
+        s.
+        """
         loop = asyncio.get_running_loop()
         confirmed = 0
         while True:
@@ -60,8 +64,9 @@ class EarlyEnd:
             await asyncio.sleep(_CONFIRM_EVERY_S * self._time_scale)
 
     def _seems_enough(self) -> bool:
-        """Return whether the live filters, which assume white noise, have reached all sigmas, and NIS is within its
-        limits.
+        """Return whether the live filters have reached all sigmas, and NIS is within its limits.
+
+        They assume white noise. False while a source has no block yet.
         """
         sources = self._live.sources.values()
         if not all(source.history.blocks for source in sources):
@@ -88,8 +93,8 @@ class EarlyEnd:
         """Return the largest sigma of a device as a share of its limit, computed as by
         ``estimator.estimation.calibrate``.
 
-        ``own`` are its sources with their blocks and the time offset's sigma known by the live filter. Infinite if the
-        data do not suffice.
+        ``own`` are its sources with their blocks and the time offset's sigma known by the live filter; ``readings`` are
+        those of the table. Infinite if the data do not suffice.
         """
         runs = []
         for number, (source, blocks, _) in enumerate(own):

@@ -27,8 +27,9 @@ def final_estimate(
 ) -> tuple[Calibration, float, dict[str, SourceReport]]:
     """Calibrate a closed recording, and store the results in it; return calibration, agreement and completed reports.
 
-    The agreement is the largest difference between live filter and batch estimate, in sigmas. ``excluded`` as for
-    ``calibrate``. The live estimate must be finished. EstimatorError if the samples do not suffice.
+    The agreement is the largest difference between live filter and batch estimate, in sigmas. ``model`` and
+    ``excluded`` are as for ``calibrate``; ``reports`` get the time offsets found. The live estimate must be finished.
+    EstimatorError if the samples do not suffice or the file cannot be read or written.
     """
     recording = read_recording(path, trusted=True)
     found = calibrate(recording, model=model, excluded=excluded)

@@ -27,7 +27,9 @@ class LiveEstimate:
     """
 
     def __init__(self, gimbals: tuple[str, ...], site: Site | None) -> None:
-        """Start without sources or readings."""
+        """Start without sources or readings; ``gimbals`` are named outermost first, without a ``site`` Earth rate is
+        left out.
+        """
         self.rates = BodyRates(gimbals, site)
         self.sources: dict[str, LiveSource] = {}
         self._rows: deque[TableRow] = deque()
@@ -45,7 +47,9 @@ class LiveEstimate:
             source.keep_blocks()
 
     def readings(self, uncertainty: TableUncertainty | None) -> TableReadings:
-        """Return the readings of the table kept so far; ``keep_blocks`` must have been called before."""
+        """Return the readings of the table kept so far, with this ``uncertainty``; none are kept before
+        ``keep_blocks``.
+        """
         assert self._kept_rows is not None
         with self._keeping:
             kept = [self._kept_rows[name] for name in ("t_ns", "angle", "rate", "half_ns")]
@@ -86,7 +90,9 @@ class LiveEstimate:
                 source.advance(self.rates, everything=True)
 
     def _take_rows(self) -> None:
-        """Move the rows that have arrived into the body rates and the kept readings."""
+        """Move the rows that have arrived into the body rates and the kept readings, if these are kept; nothing without
+        rows.
+        """
         rows = [self._rows.popleft() for _ in range(len(self._rows))]
         if not rows:
             return

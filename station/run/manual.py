@@ -37,7 +37,10 @@ class ManualSequencer(Sequencer):
     def __init__(
         self, table: Turntable, on_step: Callable[[str, int, int], None], tell: Callable[[str], None], time_scale: float
     ) -> None:
-        """``time_scale`` is how fast the loop's clock runs."""
+        """Prepare to drive ``table`` by hand; ``time_scale`` is how fast the loop's clock runs.
+
+        ``on_step(label, start_ns, end_ns)`` is called after each motion, ``tell`` for each event.
+        """
         super().__init__(table, _HOLDING, on_step, tell)
         self._scale, self._zero_s = time_scale, asyncio.get_running_loop().time()
         self._orders: deque[Move] = deque()
@@ -59,7 +62,11 @@ class ManualSequencer(Sequencer):
         return math.nan if abs(angle_rad) == _ENDLESS_RAD else angle_rad
 
     def obey(self, action: str, given: Mapping[str, Any]) -> None:
-        """Accept a command, which replaces the last; UsageError if it is invalid, beyond a limit, or after "end"."""
+        """Accept a command, which replaces the last; ``given`` are its values by name.
+
+        Commands are hold, end, jog, go and home. UsageError if it is invalid or comes after "end", ScriptError beyond a
+        limit.
+        """
         numbers = [value for key, value in given.items() if key != "axis"]
         sound = all(type(value) in (int, float) and (_LEAST <= abs(value) < _MOST or value == 0) for value in numbers)
         match action, given:
@@ -79,7 +86,11 @@ class ManualSequencer(Sequencer):
                 raise UsageError(_WORDS)
 
     def _jog(self, axis: str, rate_rps: float, given: Mapping[str, Any]) -> None:
-        """Start a jog, or extend the present one if it has the same rate; UsageError at the end of the travel."""
+        """Start a jog of an axis, or extend the present one if it has the same rate and acceleration.
+
+        It goes to the end of the travel at most; UsageError if the axis stands there already, ScriptError beyond a
+        limit.
+        """
         limits = self._table.limits.get(axis)
         low, high = (limits and limits.travel_rad) or (-_ENDLESS_RAD, _ENDLESS_RAD)
         end = high if rate_rps > 0 else low
@@ -93,7 +104,10 @@ class ManualSequencer(Sequencer):
             self._order([step], now_s + _FIRST_S * self._scale)
 
     def _checked(self, label: str, axis: str, angle_rad: float, rate_rps: float, given: Mapping[str, Any]) -> Move:
-        """Return the move as the table carries it out; ScriptError if it is beyond a limit."""
+        """Return the move as the table carries it out; ScriptError, which names ``label``, if it is beyond a limit.
+
+        ``given`` may have the acceleration; by default it is the limit of the axis.
+        """
         limits = self._table.limits.get(axis)
         acceleration = given.get("acceleration_rps2", limits.acceleration_rps2 if limits else 1.0)
         step = Move(axis, angle_rad, rate_rps, acceleration, label)
@@ -107,7 +121,10 @@ class ManualSequencer(Sequencer):
         self._word.set()
 
     async def run(self) -> None:
-        """Carry out commands until "end"; DeviceRefused if an axis does not come to rest."""
+        """Carry out commands until "end", except those that come to their turn after they were to be over.
+
+        DeviceRefused if an axis does not come to rest.
+        """
         while not self._ended:
             if self._orders:
                 step = self._orders[0]
@@ -120,7 +137,10 @@ class ManualSequencer(Sequencer):
                 await self._word.wait()
 
     async def _obey(self, step: Move) -> None:
-        """Carry out a move while it is wanted, then halt the axis unless it arrived; a refusal is only reported."""
+        """Carry out a move while it is wanted, then halt the axis unless it arrived; a refusal is only reported.
+
+        An endless move is a jog. The recording gets the move as a step.
+        """
         loop, axis = asyncio.get_running_loop(), step.axis
         from_rad = self._target_rad[axis]
         way_s = abs((step.angle_rad - from_rad) / step.rate_rps)
@@ -151,8 +171,10 @@ class ManualSequencer(Sequencer):
         self._end_turn(axis)
 
     async def _arrives(self, step: Move, due_s: float) -> bool:
-        """Return whether the axis reached its target; False if it is overdue, replaced by another command, or not
-        repeated.
+        """Return whether the axis reached its target.
+
+        False once the move is replaced by another command, a jog is not repeated, or it is overdue at ``due_s`` (loop
+        time), which is told.
         """
         loop = asyncio.get_running_loop()
         while self._orders and self._orders[0] is step and loop.time() < min(self._until_s, due_s):
@@ -165,8 +187,9 @@ class ManualSequencer(Sequencer):
         return False
 
     async def _halt(self, step: Move, turn: Turn) -> float:
-        """Brake an axis along its ramp and hold it; return its angle (rad). DeviceRefused if it does not come to rest
-        in time.
+        """Brake an axis along its ramp and hold it where it stands; return its angle (rad).
+
+        ``turn`` is the planned motion, which is cut short. DeviceRefused if the axis is not at rest 5 s after its ramp.
         """
         axis, angle_rad, now_s = step.axis, math.inf, asyncio.get_running_loop().time()
         ramp_s = abs(step.rate_rps) / step.acceleration_rps2

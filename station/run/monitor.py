@@ -68,7 +68,7 @@ class Beside:
             return otherwise
 
     def failed(self, what: str, error: Exception) -> None:
-        """Log a failure and report it to the operator; only the first one of each ``what``."""
+        """Log the failure of ``what`` and report it to the operator; further ones of the same name are ignored."""
         if what in self._failed:
             return
         self._failed.add(what)
@@ -84,7 +84,7 @@ class Monitor:
     def __init__(
         self, opened: OpenBench, live: LiveEstimate, reopening: Reopening, time_scale: float, beside: Beside
     ) -> None:
-        """Start without data; progress comes from the sequencer once it is set."""
+        """Start without data; progress comes from the sequencer once it is set. Failures go to ``beside``."""
         self._beside = beside
         self._counts: dict[str, SourceCounts] = {}
         self._open, self._live, self._reopening, self._scale = opened, live, reopening, time_scale
@@ -146,7 +146,10 @@ class Monitor:
         return self._beside.attempt("counts of links", self._open.link_counts, nothing)
 
     def newest(self, quantity: str) -> Mapping[str, float]:
-        """Return the newest value of a quantity by source; only "temperature_c" is known, others give nothing."""
+        """Return the newest value of a quantity by source; only "temperature_c" is known, others give nothing.
+
+        Sources without a finite temperature are left out.
+        """
         values = {}
         if quantity == "temperature_c":
             for name, block in self._last.items():
@@ -160,7 +163,10 @@ class Monitor:
         return self.sequencer.label if self.sequencer is not None and self.phase is Phase.RUNNING else ""
 
     def brief(self) -> Snapshot:
-        """Return a snapshot with the values for a progress bar only."""
+        """Return a snapshot for a progress bar: phase, step, times, counts of samples and the mean NIS.
+
+        Before the script begins nothing is done and all that is planned is left.
+        """
         counts = [self.counts(imu.source, name) for imu in self._open.imus for name in imu.source.names]
         sequencer = self.sequencer
         done_s, left = sequencer.times(asyncio.get_running_loop().time()) if sequencer else (0.0, self.planned)
@@ -177,7 +183,7 @@ class Monitor:
         )
 
     def full(self) -> Snapshot:
-        """Return a complete snapshot; meant for ten calls a second, not for each row."""
+        """Return a complete snapshot, after the end as of then; meant for ten calls a second, not for each row."""
         now_s = asyncio.get_running_loop().time() if self._ended_s is None else self._ended_s
         return replace(
             self.brief(),
@@ -192,7 +198,11 @@ class Monitor:
         )
 
     def _axis_snapshots(self, now_s: float) -> Iterator[AxisSnapshot]:
-        """Yield the state of each axis at ``now_s``; NaN where nothing was read yet."""
+        """Yield the state of each axis at ``now_s``; NaN where nothing was read yet.
+
+        Its word is the fault of the table if there is one, the phase before the script, else whether it turns. Before
+        the script the setpoint is 0 and the target NaN.
+        """
         nothing = np.full(len(self._axes), np.nan)
         angles, rates = (self.row.angle_rad, self.row.rate_rps) if self.row else (nothing, nothing)
         for axis, angle, rate in zip(self._axes, angles.tolist(), rates.tolist(), strict=True):
@@ -213,7 +223,10 @@ class Monitor:
             )
 
     def _source_snapshots(self, now_s: float) -> Iterator[SourceSnapshot]:
-        """Yield the state of each source at ``now_s``; NaN where nothing is known yet."""
+        """Yield the state of each source at ``now_s``: rate, counts, latency, jitter, temperature, link.
+
+        NaN where nothing is known yet.
+        """
         for imu in self._open.imus:
             for name in imu.source.names:
                 counts = self.counts(imu.source, name)
@@ -241,7 +254,7 @@ class Monitor:
         """Return the samples per second of a source since its oldest mark, by sample times; until ``now_s`` if it is
         silent.
 
-        NaN while there is no mark.
+        NaN while there is no mark, or no time has passed; ``link`` is the state of its link, "ok" unless silent.
         """
         marks = self._marks[name]
         if not marks:
@@ -251,7 +264,10 @@ class Monitor:
         return (self._rows[name] - marks[0].rows) / span_s if span_s > 0 else math.nan
 
     def _gyro_snapshots(self) -> Iterator[GyroSnapshot]:
-        """Yield the state of each gyro by the live filter; NaN where nothing is known yet."""
+        """Yield the state of each gyro by the live filter, with its latest rate and the rate expected of it.
+
+        NaN where nothing is known yet.
+        """
         w_rps = self._live.body_rate(self.row) if self.row else np.full((1, 3), np.nan)
         for name, source in self._live.sources.items():
             x, states, sd = source.recent()

@@ -49,9 +49,9 @@ _UNSEEN_HINT = sentence("run.unseen")
 def judge(calibration: Calibration, limits: Limits | None, causes: Sequence[str] = ()) -> Verdict:
     """Compare a calibration with the limits of its bench; the reason names every broken limit.
 
-    ESTIMATED without limits. Doubts about the sigmas are always part of the reason; errors that no sigma can cover fail
-    the calibration. ``causes``, possible faults of the run itself, are named only if it fails. Otherwise the reason
-    also says for which axes or times nothing proves constancy.
+    ESTIMATED without limits, else PASS or FAIL. Doubts about the sigmas are always part of the reason; errors that no
+    sigma can cover fail the calibration. ``causes``, possible faults of the run itself, are named only if it fails.
+    Otherwise the reason also says for which axes or times nothing proves constancy.
     """
     unproved = tuple(filter(None, [not_proved(calibration.constancy)]))
     if limits is None or not limits.stated:
@@ -98,7 +98,10 @@ def judge_recorded(
 
 
 def _until_then(judged: Verdict) -> str:
-    """Return in words how the data of an incomplete run compare with the limits."""
+    """Return in words how the data of an incomplete run compare with the limits, by its verdict ``judged``.
+
+    They exceed them (FAIL, with the first), were estimated without limits to compare with (ESTIMATED), or are within.
+    """
     if judged.outcome is Outcome.FAIL:
         first = judged.broken[0].broken if judged.broken else judged.reason
         more = f", and {len(judged.broken) - 1} more limits exceeded" if len(judged.broken) > 1 else ""

@@ -33,8 +33,9 @@ class Sequencer:
         tell: Callable[[str], None] = lambda text: None,
         newest: Callable[[str], Mapping[str, float]] = lambda quantity: {},
     ) -> None:
-        """``on_step(label, start_ns, end_ns)`` is called after each step and pause, ``tell`` for each event.
+        """Prepare to carry out ``script``; the table is at home.
 
+        ``on_step(label, start_ns, end_ns)`` is called after each step, part and pause, ``tell`` for each event.
         ``newest`` returns the newest value of a quantity by source.
         """
         self._table, self._script, self._on_step, self._tell = table, script, on_step, tell
@@ -125,7 +126,9 @@ class Sequencer:
         return self._turn.to_rad if self._turn is not None and self._turn.axis == axis else math.nan
 
     def wanted_hz(self, now_s: float) -> float:
-        """Return how often the table should be read now beyond its usual rate: more on ramps, otherwise 0."""
+        """Return how often the table should be read now beyond its usual rate: more near the ramps of a turn, otherwise
+        0.
+        """
         turn = self._turn
         if turn is None:
             return 0.0
@@ -149,7 +152,9 @@ class Sequencer:
         return f"after {done_s:.1f} s of {planned}, in step {self.label!r}"
 
     async def run(self) -> None:
-        """Carry out the script; DeviceRefused if an axis does not reach its target."""
+        """Carry out the script, recording each step, and pauses asked for between its steps; errors of ``turn`` pass
+        through.
+        """
         loop = asyncio.get_running_loop()
         for index, (step, span) in enumerate(zip(self._script.steps, self._spans, strict=True)):
             self._index, self._step_began_s = index, loop.time()
@@ -200,7 +205,9 @@ class Sequencer:
         self._record(_PAUSE, began_s)
 
     def _overdue(self, turn: Turn, angle_rad: float) -> Overdue:
-        """Return the error for an axis that did not report its arrival in time: it is not there, or does not say so."""
+        """Return the error for an axis that did not report its arrival in time, by its angle: not there, or not saying
+        so.
+        """
         at, to = math.degrees(angle_rad), math.degrees(turn.to_rad)
         if abs(at - to) < math.degrees(ON_TARGET_RAD):
             text = sentence("run.never_arrived", axis=turn.axis, step=self.label, at_deg=at, to_deg=to)

@@ -172,8 +172,10 @@ class Session:
         )
 
     async def _go_through(self) -> Result:
-        """Work, make the devices safe, conclude. Called again after an interruption, it cancels the work and
-        continues.
+        """Work, make the devices safe, conclude; return the result.
+
+        Called again after an interruption, it cancels the work, waits for its end for a limited time, and continues;
+        devices that are safe are left alone. A stop that came before the work cancels that, too.
         """
         if self._running is None:
             self._running = asyncio.get_running_loop().create_task(self._work())
@@ -306,10 +308,9 @@ class Session:
                 service.cancel()
 
     def _check_serial(self, device: str, told: str) -> None:
-        """Record the serial number told by the only device under test; DeviceError if another one was stated without a
-        reason.
+        """Record the serial number ``told`` by the only device under test, unless it is the stated one.
 
-        Ignored if there are several devices or it tells none.
+        DeviceError if another one was stated without a reason. Ignored if there are several devices or it tells none.
         """
         options, attributes = self._options, {}
         if not told or len(self._open.imus) != 1:
@@ -327,7 +328,10 @@ class Session:
         self._acquisition.beside.attempt("progress", lambda: self._on_progress(self._monitor.brief), None)
 
     async def _run_until_enough(self, group: asyncio.TaskGroup, sequencer: Sequencer, early_end: EarlyEnd) -> None:
-        """Run the script to its end, or until enough has been seen; the table may then still turn."""
+        """Run the script to its end, or until enough has been seen; the table may then still turn.
+
+        The end of the script counts, also one by an error; an error of ``early_end`` does not end the script.
+        """
 
         async def enough_seen() -> str:
             reason = await early_end.wait()
@@ -365,8 +369,10 @@ class Session:
         self._event(EventKind.NOTE, text)
 
     async def _conclude(self) -> Result:
-        """Close table and recording, calibrate a run that has no verdict yet, judge it, and store the outcome; return
-        the result.
+        """Close table and recording, calibrate a run that has no verdict yet, judge it, and store the outcome.
+
+        Returns the result. A run by hand is not calibrated; one that cannot be calibrated has failed. Doubts on
+        reopened devices and that the outcome cannot be stored become parts of the reason.
         """
         acquisition = self._acquisition
         if not acquisition.closed:
@@ -409,8 +415,11 @@ class Session:
         )
 
     def _verdict_of(self, error: BaseException) -> Verdict:
-        """Return the verdict for an error: of a device first, else of the estimator, a stop, this computer, or a
-        defect.
+        """Return the verdict for an error or group of errors: FAULT by a device's, else by the estimator's, else
+        ABORTED.
+
+        ABORTED are a stop, a failure of this computer and a defect of the station. A fault of the table is shown as its
+        state, and untrue readings are noted.
         """
         errors = list(leaves(error))
         for device_error in errors:
@@ -443,8 +452,11 @@ class Session:
 
 
 def _attributes(bench: OpenBench, script: Script, options: RunOptions) -> dict[str, Any]:
-    """Return the attributes of the recording: software, bench, script, devices, operator, clock; the outcome is ABORTED
-    so far.
+    """Return the attributes of the recording: software, bench, script, devices, operator, clock; empty ones are left
+    out.
+
+    The outcome is ABORTED so far. In virtual time an identity made of all that takes the place of the clock, so that
+    equal runs are equal.
     """
     config = bench.bench
     links = [axis.link or config.table.link for axis in config.table.axes.values()]

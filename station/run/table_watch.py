@@ -81,7 +81,10 @@ class Aligner:
         return state.angle_t_ns if state.rate_window_ns else state.rate_t_ns
 
     def _row(self, index: int) -> list[TableRow]:
-        """Return the row of a reading in a list, empty if its rates are not known."""
+        """Return the row of reading number ``index`` in a list, with angles and rates of all axes at one instant.
+
+        Empty before the first reading is noted, or if the window over which its rates are means begins before that.
+        """
         at_ns, states = self._at_ns(index), self._readings[index].values()
         half_width_ns, window_ns = (max(getattr(s, key) for s in states) for key in ("half_width_ns", "rate_window_ns"))
         if self._since_ns is None or (window_ns and at_ns - window_ns < self._since_ns):
@@ -97,7 +100,7 @@ class Aligner:
                 # Instants known much worse than this reading's are not used.
                 known = np.array([r.half_width_ns <= 2 * state.half_width_ns + _WELL_NS for r in own])
                 known[index + 2 :] = False
-                rates[column] = _smooth(times[known], series[known])
+                rates[column] = _cubic_at_zero(times[known], series[known])
             else:
                 rates[column] = np.interp(0.0, times, series)
             between_ns = at_ns - state.angle_t_ns
@@ -106,8 +109,11 @@ class Aligner:
         return [TableRow(at_ns, angles, rates, half_width_ns, window_ns)]
 
 
-def _smooth(times_ns: Floats, rates: Floats) -> float:
-    """Return the rate at time 0, or at the nearest end, by the cubic through the last four readings (Lagrange)."""
+def _cubic_at_zero(times_ns: Floats, rates: Floats) -> float:
+    """Return the rate at time 0, or at the nearest end, by the cubic through the last four readings (Lagrange).
+
+    Of readings (n,) at nearly the same time only the last counts; with fewer the polynomial is of lower degree.
+    """
     apart = np.diff(times_ns, append=np.inf) > _WELL_NS  # nearer instants are equivalent
     times, series = times_ns[apart][-4:], rates[apart][-4:]
     at, between = min(max(0.0, times[0]), times[-1]) - times, np.subtract.outer(times, times)
@@ -127,13 +133,13 @@ async def watch_table(
 ) -> None:
     """Read the table and pass rows to ``on_row`` until cancelled.
 
-    DeviceFault when an axis goes to fault, leaves operation, or moves or stands without a command. The table is read at
-    ``rate_hz``, faster if ``sequencer`` wants it, slower if the link is slow. ``on_lost`` reopens a lost link or
-    raises.
+    DeviceFault when an axis goes to fault, leaves operation, or moves or stands without a command; UntrueReadings when
+    its readings contradict each other. The table is read at ``rate_hz``, faster if ``sequencer`` wants it, slower if
+    the link is slow. ``on_lost`` reopens a lost link or raises.
 
     An axis that is driven or turns is read every time. Of the others only the one read longest ago is read, at most
     every 0.4 s, which leaves a slow bus its time for axes that turn: unexpected motion is still seen within a second.
-    The last rows are passed on at the end.
+    The last rows are passed on at the end, unless it is ``on_row`` that failed.
     """
     loop = asyncio.get_running_loop()
     guard = MotionGuard(table, sequencer.commanded)

@@ -87,7 +87,7 @@ class MotionGuard:
         self._readings: dict[str, deque[AxisState]] = {axis: deque() for axis in table.limits}
 
     async def look(self, axis: str, first: AxisState) -> None:
-        """Check a reading of an axis, repeating it while it is suspicious.
+        """Check a reading of an axis; one that is suspicious is repeated twice before it is believed.
 
         DeviceFault if the axis has tripped or does something it was not commanded to do; UntrueReadings if its readings
         contradict its command or each other.
@@ -117,8 +117,10 @@ class MotionGuard:
         raise DeviceFault("table", f"axis {axis} {does}; {_command_text(command)}")
 
     def _off(self, axis: str, state: AxisState) -> bool:
-        """Return whether a reading is outside the commanded angles or rate; its noise and the time since the command
-        count.
+        """Return whether a reading is outside the commanded angles or rate, with its noise and a late start allowed
+        for.
+
+        A reading from before the command does not count. The rates of an axis that is to stand go into its noise.
         """
         command = self._commanded(axis)
         # A mean rate is evidence on this command only if its whole interval came after it.
@@ -159,10 +161,10 @@ class MotionGuard:
         return ""
 
     def _stands(self, axis: str, told: Commanded, late_s: float, way: "_Way") -> str:
-        """Return in words that an axis reads as if it stood, or its rate is wrong, although its course turns it, even
-        if late.
+        """Return in words that an axis stands, by its readings, or its rate is wrong, although its course turns it.
 
-        "" if that is not so, or the course may be over.
+        ``way`` has the readings of the last moments, ``told`` the command, which may begin late by ``late_s``. "" if
+        that is not so, there is no course, or it may be over.
         """
         course = told.course
         if course is None or (course.may_be_over(way.until_s) and abs(way.angle_rad - course.target_rad) < _ANGLE_RAD):
@@ -182,7 +184,10 @@ class MotionGuard:
         return ""
 
     def _rate_is_off(self, axis: str, course: Course, way: "_Way", least_rps: float) -> bool:
-        """Return whether an axis turns at its full rate and none of its reported rates agrees with its position."""
+        """Return whether an axis turns at its full rate and none of its reported rates agrees with its position.
+
+        ``least_rps`` is the least speed of the course in the time of ``way``; False below the full rate.
+        """
         if least_rps < abs(course.rate_rps) or not way.rates_rps:
             return False
         mean_rps = way.turned_rad / way.took_s
@@ -209,7 +214,11 @@ class _Way:
     """What the readings of one time window show; there are at least two, oldest first."""
 
     def __init__(self, readings: tuple[AxisState, ...], resolution_rad: float) -> None:
-        """Compute times, angle turned, length of the path, and the rates averaged entirely within the window."""
+        """Compute times, angle turned and length of the path of the readings, and the rates of which the window has
+        all.
+
+        ``resolution_rad`` is that of the encoder. A rate that is a mean counts if it began after the first reading.
+        """
         first, last = readings[0], readings[-1]
         self._resolution_rad = resolution_rad
         self.from_s, self.until_s = first.angle_t_ns * 1e-9, last.angle_t_ns * 1e-9
@@ -245,7 +254,8 @@ class _Way:
 def _patience_s(told: Commanded, limits: AxisLimits) -> tuple[float, float]:
     """Return how late (s) an axis may start to turn, and for how long (s) it may then read as if it stood.
 
-    Together they leave enough time to bring it to rest: on a gentle ramp it takes longer until the rate matters.
+    Without a course it may not start late. Together they leave enough time to bring it to rest: on a gentle ramp it
+    takes longer until the rate matters.
     """
     to_see_s = AT_REST_S - _SEEN_S
     at_rate_s = to_see_s - told.rate_rps / limits.acceleration_rps2
@@ -272,8 +282,9 @@ async def check_axes(table: Turntable, axes: tuple[str, ...]) -> None:
 
 
 async def watch_homing(table: Turntable) -> None:
-    """Check the readings of all axes until cancelled; DeviceFault if one turns that is not homing, or has
-    finished it.
+    """Check the readings of all axes until cancelled; DeviceFault if one turns that is not homing.
+
+    An axis that is homing may turn at its largest rate; one that has finished counts as standing from then on.
     """
     loop = asyncio.get_running_loop()
     homed_s = dict.fromkeys(table.limits, loop.time())

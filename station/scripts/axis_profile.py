@@ -55,7 +55,10 @@ def _columns_within(motion: PlannedMotion, edges: NDArray[np.int64]) -> str:
 
 
 def _bars(size: Floats, largest: float, blocks: str, rest: str = "") -> str:
-    """Return a bar for each size; columns without rotation get the characters of ``rest``, or blanks."""
+    """Return a bar for each size (columns,), as a character of ``blocks``, relative to ``largest``.
+
+    Columns without rotation get the characters of ``rest``, one each, or blanks.
+    """
     steps = len(blocks) - 1
     share = np.clip(size / largest, 0, 1) if largest else np.zeros_like(size)
     still = rest or " " * len(share)
@@ -68,7 +71,7 @@ def _bars(size: Floats, largest: float, blocks: str, rest: str = "") -> str:
 
 
 def _time_axis(duration_s: float, columns: int) -> list[str]:
-    """Return the ruler and the labels of the time axis."""
+    """Return the ruler and the labels of the time axis, both with the indent of the bars."""
     most = max(columns // _LEAST_TICK, 1)
     step = next((s for s in _STEPS_S if duration_s / s <= most), duration_s)
     ruler, labels = ["─"] * columns, [" "] * columns

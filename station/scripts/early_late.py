@@ -28,9 +28,9 @@ def planned_constancy(script: Script, gimbals: Sequence[str]) -> tuple[AxisCover
 def early_and_late(script: Script, limits: Mapping[str, AxisLimits], gimbals: Sequence[str]) -> Script | None:
     """Return a script of the same length that goes through the steps twice, each time in half of their time.
 
-    In the second pass every turn has the opposite direction, so that it ends where it began. Where axes would then turn
-    at different angles of the others, all axes go home in between and turn the same way again. What exceeds 10 s of the
-    rests at both ends is spent between the passes.
+    In the second pass every turn has the opposite direction, so that it ends where it began. If that does not help, the
+    axes go home in between and turn the same way again. What exceeds 10 s of the rests at both ends is spent between
+    the passes.
 
     None if there is no such script: turns would be shorter than their ramps, moves take too long to be made twice, an
     axis would still not be turned far apart in time, or a step cannot be changed or has an open duration.
@@ -38,7 +38,7 @@ def early_and_late(script: Script, limits: Mapping[str, AxisLimits], gimbals: Se
     if not script.span.is_exact or any(not step.turns and not step.rest_s for step in script.steps):
         return None
     for sign in (-1, 1):
-        offered = _twice(script, limits, sign)
+        offered = _early_and_late(script, limits, sign)
         if offered is None:
             continue
         try:
@@ -51,14 +51,14 @@ def early_and_late(script: Script, limits: Mapping[str, AxisLimits], gimbals: Se
     return None
 
 
-def _twice(script: Script, limits: Mapping[str, AxisLimits], sign: int) -> Script | None:
+def _early_and_late(script: Script, limits: Mapping[str, AxisLimits], sign: int) -> Script | None:
     """Return a script with the steps in half of their time, a rest, and the same steps with their angles times
     ``sign``.
 
-    Moves cannot be faster; their extra time is taken from the rests. None if that is too much, if a turn would be too
-    short for its ramps, or if nothing moves.
+    With ``sign`` 1 the axes go home before the rest. Moves cannot be faster; their extra time is taken from the rests.
+    None if that is too much, if a turn would be too short for its ramps, or if nothing moves.
     """
-    before, between, after = _parts(script.steps)
+    before, between, after = _around_motion(script.steps)
     halves = [step.halved(limits) for step in between]
     once = [step for step in halves if step is not None]
     if not once or len(once) < len(halves):
@@ -102,11 +102,10 @@ def _moves_home(steps: Sequence[Step]) -> list[Move]:
     return found
 
 
-def _parts(steps: Sequence[Step]) -> tuple[tuple[Rest, ...], tuple[Step, ...], tuple[Rest, ...]]:
-    """Return the rest before the first motion, at most 10 s, the steps from the first to the last motion, and the rest
-    after.
+def _around_motion(steps: Sequence[Step]) -> tuple[tuple[Rest, ...], tuple[Step, ...], tuple[Rest, ...]]:
+    """Return the rest before the first motion, the steps from the first to the last motion, and the rest after.
 
-    All are empty if nothing moves.
+    Each rest is a single one of at most 10 s, or none. All are empty if nothing moves.
     """
     moving = [number for number, step in enumerate(steps) if step.turns]
     if not moving:

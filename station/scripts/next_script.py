@@ -44,7 +44,7 @@ class NextScript:
     rivals: tuple[tuple[str, ...], ...]
 
     def words(self) -> str:
-        """Return the script's name, length, aim and probability in one line; a low probability is said first."""
+        """Return the script's name, length, aim and probability in one line; a probability below 20 % is said first."""
         aims = [" and ".join(own) if len(own) > 1 else f"{own[0]} from noise" for own in self.rivals]
         aim = ", ".join(aims).replace("_", " ")
         text = f"{self.script.name}, {self.script.least_s:.0f} s: separates {aim} with probability "
@@ -66,7 +66,10 @@ class Past:
 
     @classmethod
     def of(cls, run: Run) -> Self:
-        """Return the source of a run; without a data sheet, white noise is estimated from the samples."""
+        """Return the source of a run, with its conditions about every 50 ms.
+
+        Without a data sheet, white noise is estimated from the differences of samples.
+        """
         data, noise = run.data, run.data.noise
         if noise is None:
             steps = np.diff(data.rate_rps, axis=0)
@@ -98,7 +101,8 @@ def next_script(
 
     ``rivals`` are sets of effects that explain the same; an effect alone in its set is compared with nothing. ``past``
     was fitted, ``judging`` only verified; ``evidence`` is the log evidence of each effect in both, which gives its
-    likely size. A script must end within ``most_s``.
+    likely size. The script is one that a table with these ``limits``, ``gimbals`` and ``site`` can do, and must end
+    within ``most_s``.
 
     Two rivals are decided when the log of their odds exceeds that of 0.95. Its mean is half the squared misfit, in
     sigmas, that one leaves of the other's effect, plus what the former's greater freedom costs it. The shortest script
@@ -120,8 +124,8 @@ def next_script(
     for script in sorted(possible, key=lambda script: script.least_s):
         if script.least_s > most_s:
             break
-        after = before + _Grams.of(_foreseen(script, [*past, *judging], gimbals, site), effects, origin_s)
-        probability = min(_settled(own, before, after, sizes) for own in contests)
+        after = before + _Grams.of(_foreseen_conditions(script, [*past, *judging], gimbals, site), effects, origin_s)
+        probability = min(_probability_separated(own, before, after, sizes) for own in contests)
         if best is None or probability > best.probability + 0.01:
             best = NextScript(script, probability, tuple(sets))
         if probability >= SETTLED:
@@ -159,9 +163,10 @@ class _Grams:
 
     @classmethod
     def of(cls, runs: Sequence[Past], effects: Mapping[str, Sequence[Effect]], origin_s: float | None) -> Self:
-        """Return the information that ``runs`` give on the states and on each effect.
+        """Return the information that ``runs`` give on the states and on each effect; runs of a gyro are added up.
 
-        ``origin_s`` is the instant at which laws of time begin; None: each run's own beginning.
+        ``origin_s`` is the instant at which laws of time begin; None: each run's own beginning. A bias may differ a
+        little from run to run.
         """
         matrices: dict[tuple[str, str], Floats] = {}
         counts = [sum(len(e.parameters) for e in group) for group in effects.values()]
@@ -169,7 +174,7 @@ class _Grams:
         own = {name: slice(a, b) for name, (a, b) in zip(effects, pairwise(edges), strict=True)}
         for run in runs:
             c = run.conditions
-            seen, keep = _since(c, c.t_s[0] if origin_s is None else origin_s)
+            seen, keep = _conditions_since(c, c.t_s[0] if origin_s is None else origin_s)
             states = np.column_stack([np.ones(len(c.t_s)), c.w_rps])
             for gyro, gyro_map in enumerate(regressor_maps(run.array)):
                 columns = [states @ (gyro_map.T * np.sqrt(run.prior.variances()))]
@@ -189,10 +194,9 @@ class _Grams:
         return replace(self, matrices=matrices)
 
     def beside_states(self, names: Sequence[str]) -> tuple[Floats, list[Floats]]:
-        """Return the information on the parameters of these effects with the states eliminated, and which rows belong
-        to each.
+        """Return the information (k, k) on the parameters of these effects, and which rows belong to each effect.
 
-        An effect that is not shared has parameters for every gyro.
+        The states are eliminated. An effect that is not shared has parameters for every gyro.
         """
         gyros = len(self.matrices)
         spread = [1 if name in self.shared else gyros for name in names]
@@ -219,21 +223,26 @@ def _size(shown: _Grams, name: str, evidence: float) -> float:
     return float(min(2 * max(evidence, _LEAST_EVIDENCE) / max(np.trace(total), 1e-12), 1.0))
 
 
-def _settled(names: Sequence[str], before: _Grams, after: _Grams, sizes: Mapping[str, float]) -> float:
+def _probability_separated(names: Sequence[str], before: _Grams, after: _Grams, sizes: Mapping[str, float]) -> float:
     """Return the probability that the true effect among ``names`` is separated from all others, each equally likely.
 
-    "Nothing" is not one of the true ones: an effect that a script fails to show is settled, too.
+    ``before`` is the information so far, ``after`` that with a further run; ``sizes`` are the squares of likely sizes
+    over the largest plausible ones. "Nothing" is not one of the true ones: an effect that a script fails to show is
+    settled, too.
     """
     chances = dict.fromkeys((name for name in names if name != _NOTHING), 1.0)
     for true, other in permutations(names, 2):
         if true == _NOTHING:
             continue
-        (seen, spared), (new_seen, new_spared) = _apart(before, true, other), _apart(after, true, other)
+        (seen, spared), (new_seen, new_spared) = (
+            _misfit_and_freedom(before, true, other),
+            _misfit_and_freedom(after, true, other),
+        )
         chances[true] = min(chances[true], _decision_probability(sizes[true] * (new_seen - seen), new_spared - spared))
     return float(np.mean(list(chances.values())))
 
 
-def _apart(grams: _Grams, true: str, other: str) -> tuple[float, float]:
+def _misfit_and_freedom(grams: _Grams, true: str, other: str) -> tuple[float, float]:
     """Return the squared misfit that ``other`` leaves of ``true`` at its largest plausible size, and a log of freedom.
 
     The latter is how much more freedom ``other`` has: a model that could explain more is less probable.
@@ -254,8 +263,9 @@ def _decision_probability(gained: float, spared: float) -> float:
 
 
 def _origin_s(past: Sequence[Past]) -> float | None:
-    """Return the beginning of the first recording (s), or None if recordings of a source overlap, so have no common
-    clock.
+    """Return the beginning of the first recording (s).
+
+    None if recordings of a source overlap, so that they have no common clock.
     """
     spans: dict[str, list[tuple[float, float]]] = {}
     for p in past:
@@ -267,8 +277,11 @@ def _origin_s(past: Sequence[Past]) -> float | None:
     return min(span[0] for own in spans.values() for span in own)
 
 
-def _foreseen(script: Script, past: Sequence[Past], gimbals: Sequence[str], site: Site | None) -> list[Past]:
-    """Return the predicted conditions of each source during ``script``, after its last recording."""
+def _foreseen_conditions(script: Script, past: Sequence[Past], gimbals: Sequence[str], site: Site | None) -> list[Past]:
+    """Return the predicted conditions of each source during ``script``, 15 s after its last recording.
+
+    The temperature goes on as it was; the noise and prior are those of that recording.
+    """
     planned = planned_motion(script, gimbals, _PERIOD_S)
     runs = []
     for source in dict.fromkeys(p.source for p in past):
@@ -281,7 +294,10 @@ def _foreseen(script: Script, past: Sequence[Past], gimbals: Sequence[str], site
 
 
 def _temperature(last: Conditions, t_s: Floats) -> Floats | None:
-    """Return the predicted temperature (n,): the best-fitting exponential continued; None if none was recorded."""
+    """Return the predicted temperature (n,) at ``t_s`` (n,): the exponential that fits best, continued.
+
+    None if none was recorded.
+    """
     if last.temperature_c is None:
         return None
     since, target = last.t_s - last.t_s[-1], last.temperature_c
@@ -300,9 +316,11 @@ def _with_own_bias(gram: Floats, share: float) -> Floats:
     return np.asarray(gram - np.outer(bias, bias) * (share**2 / (1 + share**2 * bias[1])))
 
 
-def _since(conditions: Conditions, origin_s: float) -> tuple[Conditions, slice]:
+def _conditions_since(conditions: Conditions, origin_s: float) -> tuple[Conditions, slice]:
     """Return conditions that begin at ``origin_s``, for laws of time, and the slice of their rows that are the given
     ones.
+
+    Two rows at the origin are put before them, unless it is not before their beginning.
     """
     if origin_s >= float(conditions.t_s[0]) - conditions.period_s:
         return conditions, slice(None)

@@ -49,7 +49,7 @@ class PlannedMotion:
 
 
 def planned_motion(script: Script, gimbals: Sequence[str], period_s: float = 0.05) -> PlannedMotion:
-    """Return the motion at the middle of each period when a table at home carries out the script; at least two
+    """Return the motion when a table at home carries out the script, at the middle of each period; at least two
     instants.
 
     Steps of open duration take their least. The script must be one that the table can do (``script.check``).
@@ -72,7 +72,10 @@ def planned_motion(script: Script, gimbals: Sequence[str], period_s: float = 0.0
 
 
 def _trapezoid(since_s: Floats, turn: Turn) -> tuple[Floats, Floats, Floats]:
-    """Return angle, rate and acceleration (N,) at times since the turn began, including times before and after it."""
+    """Return angle since its beginning, rate and acceleration (N,) of a turn, at times ``since_s`` (N,) since it began.
+
+    Before it all are 0; after it the angle stays.
+    """
     limit = turn.acceleration_rps2
     way_rad = turn.way_rad
     peak = min(abs(turn.rate_rps), math.sqrt(abs(way_rad) * limit))

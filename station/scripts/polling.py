@@ -15,7 +15,10 @@ def wanted_hz(length_s: float) -> float:
 
 
 def too_steep(script: Script, read_s: float) -> list[str]:
-    """Return a sentence for each step with a ramp that is too short for a table that takes ``read_s`` to read."""
+    """Return a sentence for each step with a ramp that is too short for a table that takes ``read_s`` to read an axis.
+
+    A ramp needs three readings; of several ramps of steps with the same label the last counts.
+    """
     steep: dict[str, float] = {}
     for timed in script.timeline():
         for _, turn in timed.turns():

@@ -71,7 +71,9 @@ class Script:
         return [timed.span for timed in self.timeline()]
 
     def timeline(self) -> list[Timed]:
-        """Return each step with its earliest beginning and its parts, starting from home with every axis."""
+        """Return each step with its earliest beginning in s, its span and its parts, starting from home with every
+        axis.
+        """
         angles_rad: dict[str, float] = {}
         timeline = []
         at_s = 0.0
@@ -94,7 +96,9 @@ def paper_script() -> Script:
 
 
 def load_script(path: Path, plugins: Iterable[Path] = ()) -> Script:
-    """Return the script of a TOML file, or the shipped one of this name; ScriptError with the line if it is invalid.
+    """Return the script of a TOML file, or the shipped one of this name.
+
+    ScriptError, with the line where there is one, if it is invalid or has no step.
 
     ``plugins`` are Python files of a bench that may define kinds of steps.
     """
@@ -144,9 +148,9 @@ def check(script: Script, limits: Mapping[str, AxisLimits]) -> Script:
 
 
 def check_step(step: S, limits: Mapping[str, AxisLimits], angles_rad: dict[str, float]) -> S:
-    """Return a step as the table carries it out from ``angles_rad``, which are updated to those at its end.
+    """Return a step as the table carries it out, with accelerations that the controller can do.
 
-    ScriptError if the table cannot do it.
+    ``angles_rad``, where the axes stand before, are updated to those at its end. ScriptError if the table cannot do it.
     """
     for demand in step.demands():
         _check_demand(demand, limits)

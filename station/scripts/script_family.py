@@ -49,9 +49,10 @@ class Way:
 
 
 def ways_of(gimbals: Sequence[str], poses_rad: Sequence[float]) -> list[Way]:
-    """Return the ways to turn the body there and back, with the inner axes at any of these angles.
+    """Return the ways to turn the body there and back, with the inner axes at any of the angles ``poses_rad``.
 
-    Of ways of one axis with the same direction only one is kept. Ways that need no move come first.
+    Of ways of one axis with the same direction only the one with the fewest moves is kept. Ways that need no move come
+    first.
     """
     ways: list[Way] = []
     for depth, axis in enumerate(gimbals):
@@ -84,7 +85,9 @@ class Shape:
     def __init__(
         self, ways: Sequence[Way], cycles: int, rest_s: float, limits: Mapping[str, AxisLimits], gimbals: Sequence[str]
     ) -> None:
-        """``rest_s`` is the least rest at each end."""
+        """Prepare for ``ways`` of a table with these ``limits`` and ``gimbals``; ``rest_s`` is the least rest at each
+        end.
+        """
         self.ways, self.cycles = tuple(ways), cycles
         self._limits, self._gimbals = limits, tuple(gimbals)
         self.least = np.array([_SHORTEST_TURN_S] * len(ways) + [rest_s])
@@ -123,7 +126,10 @@ class Shape:
         )
 
     def _steps(self, v: Floats) -> Iterator[Step]:
-        """Yield the steps for variables v: rest, moves and turns of each cycle, moves home, rest."""
+        """Yield the steps for variables v: rest, moves and turns of each cycle, moves home, rest.
+
+        A way with a sign turns that way only, others there and back.
+        """
         yield Rest(float(v[-1]), "rest before")
         angles = dict.fromkeys(self._gimbals, 0.0)
         for _ in range(self.cycles):
@@ -161,7 +167,10 @@ class Shape:
 
 
 def sums(script: Script, gimbals: Sequence[str]) -> Floats:
-    """Return the sum of [1, w][1, w]' (4, 4) over the time of a script, with a base that does not turn."""
+    """Return the sum of [1, w][1, w]' (4, 4) over the time of a script in s, for body rate w without Earth rate.
+
+    Steps of open duration take their least.
+    """
     total = np.zeros((4, 4))
     angles = dict.fromkeys(gimbals, 0.0)
     for timed in script.timeline():

@@ -62,10 +62,11 @@ class Needs:
         return np.asarray(np.log(sds_of(covariances)[wanted] / self.sd[wanted]))
 
     def cost(self, covariances: Floats, criterion: str) -> tuple[float, Floats]:
-        """Return the logarithm of the typical required sigma, and its derivative (n, 4, 4) by the covariances.
+        """Return the logarithm of the typical sigma of required states, and its derivative (n, 4, 4) by
+        ``covariances``.
 
-        Criterion "D" uses the determinants of the covariances, "A" the mean of the variances relative to the required
-        ones.
+        Criterion "D" uses the determinants of the covariances (n, 4, 4), any other the mean of the variances relative
+        to the required ones.
         """
         wanted = np.isfinite(self.sd)
         slope = np.zeros_like(covariances)
@@ -166,7 +167,8 @@ class Search:
         """Return the best script: the shapes best under white noise by ``solve``, settled by ``settle`` under all
         noise.
 
-        More cycles are tried while they gain. None if no shape can be settled.
+        ``settle`` also returns the cost. More cycles are tried while they gain. Among nearly equal ones that with the
+        fewest steps is taken, with ramps as gentle as it costs nothing. None if no shape can be settled.
         """
         ranked = self._ranked(solve)
         found: list[tuple[float, Found, Shape]] = []
@@ -193,8 +195,10 @@ class Search:
     def _eased(
         self, best: Found, shape: Shape, enough: float, settle: Callable[[Shape], tuple[float, Found] | None]
     ) -> Found:
-        """Return the script with the gentlest ramps whose cost is at most ``enough``; ``best`` itself if none is
-        gentler.
+        """Return the script with the gentlest ramps whose cost, by ``settle``, is at most ``enough``; ``best`` if none
+        is gentler.
+
+        The acceleration is lowered in steps, down to ``gentle_rps2`` at most.
         """
         steepest = max(limit.acceleration_rps2 for limit in self.limits.values())
         while steepest > self.gentle_rps2:
@@ -206,10 +210,10 @@ class Search:
         return best
 
     def _ranked(self, solve: Callable[[Shape], _Solved | None]) -> list[_Solved]:
-        """Return the solved shapes that may be the best, by cost; those of nearly the least cost by their number of
-        moves.
+        """Return the shapes that ``solve`` can solve and that may be the best, by cost; empty if there are none.
 
-        Empty if no shape can be solved. If the best turns no axis at a slant, slanted variants of it are tried, too.
+        Those of nearly the least cost are sorted by their number of moves. If the best turns no axis at a slant,
+        slanted variants of it are tried, too.
         """
         solved = [s for ways in self._combinations() if (s := solve(self._shape(ways))) is not None]
         self.on_progress(f"{len(solved)} combinations of turns compared")
@@ -244,6 +248,8 @@ class Search:
     def _settled(self, shape: Shape) -> tuple[float, Found] | None:
         """Return the shortest script of a shape that reaches all sigmas under the complete noise, with its cost; else
         None.
+
+        The cost is the logarithm of its length.
         """
         factor = np.ones_like(self.needs.sd)
         found: Found | None = None
@@ -278,8 +284,9 @@ def _listed(shape: Shape) -> str:
 
 
 def _shortest(shape: Shape, needs: Needs) -> _Solved | None:
-    """Return the variables for the least time in which a shape reaches every sigma under white noise; None if it
-    cannot.
+    """Return the variables for the least time in which a shape reaches every sigma under white noise.
+
+    None if it cannot within ``LONGEST_S``.
     """
 
     def excess(v: Floats) -> Floats:
@@ -301,9 +308,9 @@ def _shortest(shape: Shape, needs: Needs) -> _Solved | None:
 
 
 def _best_within(shape: Shape, needs: Needs, total_s: float, criterion: str, *, keep: bool = False) -> _Solved | None:
-    """Return the variables for the least criterion in ``total_s`` under white noise; ``keep``: with all sigmas kept.
+    """Return the variables for the least criterion in ``total_s`` under white noise.
 
-    None if the shape does not fit into the time or the sigmas cannot be kept.
+    ``keep``: with all sigmas kept. None if the shape does not fit into the time or the sigmas cannot be kept.
     """
     slack = total_s - _time_s(shape, shape.least)
     if slack < 0:
@@ -350,8 +357,9 @@ def _excess_slopes(shape: Shape, needs: Needs, v: Floats) -> Floats:
 
 
 def _first_enough(shape: Shape, enough: Callable[[Floats], bool]) -> Floats | None:
-    """Return the variables with the least common length of turns for which ``enough`` is true; None beyond
-    LONGEST_S.
+    """Return the variables with the least common length of turns for which ``enough`` is true, to ``_COARSE_S``.
+
+    No variable is below the shape's least. None if it is not true at ``LONGEST_S``.
     """
     low, high = 0.0, float(LONGEST_S / shape.slopes(shape.least)[:, 0, 0].sum())
     if not enough(np.maximum(shape.least, high)):
@@ -365,7 +373,11 @@ def _first_enough(shape: Shape, enough: Callable[[Floats], bool]) -> Floats | No
 def _minimum(
     cost: Callable[[Floats], tuple[float, Floats]], start: Floats, least: Floats, limits: Sequence[_Limit]
 ) -> Floats:
-    """Return the variables of least cost, none below ``least``, under the conditions ``limits``."""
+    """Return the variables of least ``cost``, none below ``least``, under the conditions ``limits``, searched from
+    ``start``.
+
+    ``cost`` and the conditions also give their derivatives. That the search ends without convergence is no error.
+    """
     from scipy.optimize import minimize  # slow to import: only where a search is made
 
     def scaled(u: Floats) -> tuple[float, Floats]:

@@ -91,9 +91,9 @@ class Timed:
 
 
 def run_study(seeds: int, **where: Any) -> BaselineStudy:
-    """Run every method on this many seeds. ``where`` goes to ``run_all``: scheduler, workers, quiet.
+    """Run every method on so many seeds, and summarise each; seeds that fail are listed.
 
-    Raises UsageError if every seed fails.
+    ``where`` goes to ``run_all``: scheduler, workers, quiet. UsageError if every seed fails.
     """
     found, failures = run_all(one_seed, range(seeds), label="all methods", **where)
     outcomes = [outcome for outcome in found if outcome is not None]
@@ -109,7 +109,7 @@ def run_study(seeds: int, **where: Any) -> BaselineStudy:
 
 
 def one_seed(seed: int) -> list[Timed]:
-    """Simulate the three scripts once and run every method on its own."""
+    """Simulate the three scripts once, and return what each method finds on its own of them and how long it takes."""
     import filterpy.kalman  # noqa: F401  its 0.8 s of import are no part of the time of a filter
 
     recordings = {script.name: our_recording(MEMS_NOISE, seed, script) for script in _SCRIPTS}
@@ -208,6 +208,7 @@ def _timed(method: Method, recording: Recording) -> Timed:
 
 
 def _summary(name: str, outcomes: Sequence[Timed]) -> MethodSummary:
+    """Return the errors of a method over its outcomes: rms, sigmas that it states, median time, operations a sample."""
     return MethodSummary(
         name=name,
         rms=_rms([from_si(outcome.estimate.states) - TABLE_1 for outcome in outcomes]),
@@ -237,7 +238,9 @@ def _rotations(script: Script) -> Iterator[tuple[float, float]]:
 
 
 def _rows_during(recording: Recording, spans: Iterator[tuple[float, float]]) -> list[Observations]:
-    """Return the rows within each span of time, without its first and last half second."""
+    """Return body rates and outputs within each of ``spans`` (begin and end in s), without the first and last half
+    second.
+    """
     w_rps, y_rps = rows_of(recording)
     t_s = np.arange(1, len(w_rps) + 1) / SAMPLE_HZ
     positions = []
@@ -248,7 +251,7 @@ def _rows_during(recording: Recording, spans: Iterator[tuple[float, float]]) -> 
 
 
 def _combination(direction: Floats) -> str:
-    """Return a direction (n, 4) of x = [k, b, s_j, s_k] as a sum, leaving out what has no share in it."""
+    """Return a direction (n, 4) of x = [k, b, s_j, s_k] of n gyros as a sum, leaving out shares below 0.005."""
     terms = [
         f"{value:+.2f} {name}{gyro + 1}"
         for name, column in zip(("k", "b", "sigma_j", "sigma_k"), direction.T, strict=True)

@@ -46,7 +46,7 @@ def _seen(value: float, form: str) -> str:
 
 
 def baseline_findings(study: BaselineStudy) -> list[str]:
-    """Return what the numbers say, in sentences."""
+    """Return what the numbers say about each group of methods, in sentences."""
     ours = study.named(OURS)
     squares = study.named(LEAST_SQUARES)
     kalman = study.named(FILTER)

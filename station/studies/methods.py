@@ -40,7 +40,11 @@ class BaselineEstimate:
 
 
 def least_squares(w_rps: Floats, y_rps: Floats, array: SensorArray) -> BaselineEstimate:
-    """Fit the output error of each gyro on [1, w] by an orthogonal transform; the noise from the residual."""
+    """Fit the output error of each gyro on [1, w] by an orthogonal transform; return states, sigmas and operations.
+
+    ``w_rps`` (N, 3) are body rates, ``y_rps`` (N, n) the outputs. The noise of each gyro is that of its residual, taken
+    to be white.
+    """
     rows, n = y_rps.shape
     q, r = np.linalg.qr(regressors(w_rps))
     z = y_rps - w_rps @ array.p.T
@@ -59,12 +63,12 @@ def six_position(pairs: Sequence[tuple[Observations, Observations]], array: Sens
 
     A position is the rows at one attitude, or during one steady rotation.
 
-    Half of the difference of a pair is g . (w+ - w-)/2 in each gyro, free of its bias: three pairs give the row
-    g = (1 - k) pbar of any gyro, whatever its direction. With rotation about the axes this is
-    g_axis = (y+ - y-) / 2w. The mean of all six gives the bias. The stated sigma takes the scatter within the
-    positions for white noise, as is the custom.
+    Half of the difference of a pair is g . (w+ - w-)/2 in each gyro, free of its bias: three pairs give the row g = (1
+    - k) pbar of any gyro, whatever its direction. With rotation about the axes this is g_axis = (y+ - y-) / 2w. The
+    mean of all six gives the bias. The stated sigma takes the scatter within the positions for white noise, as is the
+    custom.
 
-    Raises EstimatorError if the half differences of the input do not span space.
+    EstimatorError unless there are three pairs whose half differences of the input span space.
     """
     positions = [position for pair in pairs for position in pair]
     w = np.array([position.w_rps.mean(axis=0) for position in positions])
@@ -87,7 +91,7 @@ def six_position(pairs: Sequence[tuple[Observations, Observations]], array: Sens
 
 def direct_observation(w_rps: Floats, y_rps: Floats, array: SensorArray) -> BaselineEstimate:
     """Observe the three table rates, pinv(P) y, alone: n gyros are seen through three numbers a sample."""
-    return _through(w_rps, y_rps, array, table_rates(array))
+    return _through_transform(w_rps, y_rps, array, table_rates(array))
 
 
 def augmented_observation(w_rps: Floats, y_rps: Floats, array: SensorArray) -> BaselineEstimate:
@@ -96,7 +100,7 @@ def augmented_observation(w_rps: Floats, y_rps: Floats, array: SensorArray) -> B
     Both together are an invertible transform of the n outputs.
     """
     rates = table_rates(array)
-    return _through(w_rps, y_rps, array, np.vstack([rates, _null_rows(rates)]))
+    return _through_transform(w_rps, y_rps, array, np.vstack([rates, _null_rows(rates)]))
 
 
 def table_rates(array: SensorArray) -> Floats:
@@ -121,8 +125,12 @@ def unseen_directions(array: SensorArray, transform: Floats) -> Floats:
     return np.array(directions).reshape(-1, len(array), 4)
 
 
-def _through(w_rps: Floats, y_rps: Floats, array: SensorArray, transform: Floats) -> BaselineEstimate:
-    """Estimate all 4n states together from ``transform`` (m, n) of the output error, weighted for its noise."""
+def _through_transform(w_rps: Floats, y_rps: Floats, array: SensorArray, transform: Floats) -> BaselineEstimate:
+    """Estimate all 4 n states together from ``transform`` (m, n) of the output error, weighted for its noise.
+
+    ``w_rps`` (N, 3) are body rates, ``y_rps`` (N, n) the outputs. States that it does not show are NaN, as are their
+    sigmas; the result also has the directions that it cannot see.
+    """
     rows, (m, n) = len(y_rps), transform.shape
     white = np.linalg.solve(np.linalg.cholesky(transform @ transform.T), transform)
     observed = (y_rps - w_rps @ array.p.T) @ white.T

@@ -123,11 +123,9 @@ class PaperStudy:
 
 
 def run_study(seeds: int, **where: Any) -> PaperStudy:
-    """Run every case to the letter, and this station over this many seeds.
+    """Run every case to the letter, and this station over so many seeds; seeds that fail are listed.
 
-    ``where`` goes to ``run_all``: scheduler, workers, quiet.
-
-    Raises UsageError if a case to the letter fails, or every seed.
+    ``where`` goes to ``run_all``: scheduler, workers, quiet. UsageError if a case to the letter fails, or every seed.
     """
     cases = [Letter(None), Letter(None, noisy=False), *(Letter(heading) for heading in HEADINGS_DEG)]
     letters, failed_letters = run_all(letter_states, cases, label="the paper's runs", **where)
@@ -161,9 +159,10 @@ def truth(array: SensorArray) -> Floats:
 
 
 def letter_recording(letter: Letter) -> Recording:
-    """Return what the paper simulates; the reference is the rate the table was told, without Earth rate.
+    """Return what the paper simulates, with or without Earth rate and noise as ``letter`` says.
 
-    With x outermost and z innermost the three turns are about body x, y and z, wherever the ones before ended.
+    The reference is the rate the table was told, without Earth rate. With x outermost and z innermost the three turns
+    are about body x, y and z, wherever the ones before ended.
     """
     turns = (
         Rotate(axis, math.radians(RATE_DPS), _TURN_S, _JUMP_RPS2, f"{axis} at {RATE_DPS:g} deg/s") for axis in "xyz"
@@ -215,7 +214,7 @@ def our_errors(noise: NoiseModel, seed: int) -> Floats:
 
 
 def our_bound(noise: NoiseModel) -> Floats:
-    """Return the Cramer-Rao bound of one run as sigmas (n, 4), in the paper's units and order."""
+    """Return the Cramer-Rao bound of one run of the 360 s script as sigmas (n, 4), in the paper's units and order."""
     recording = our_recording(replace(noise, arw=0.0, instability=0.0), 0)
     w_rps = rows_of(recording)[0]
     rows = block_rows(recording.sources[SOURCE])
@@ -257,7 +256,7 @@ def our_curve(recording: Recording) -> Curve:
 def write_curves(path: Path, recording: Recording, ours: Curve, letter: Curve) -> None:
     """Write the recording behind our curve, that curve as /estimate/array, the paper's filter's as /study/letter.
 
-    Raises RecordingError if the file is there.
+    RecordingError if the file exists or cannot be written.
     """
     write_recording(path, replace(recording, attributes={"script": paper_script().name, "seed": 0}))
     cases = (

@@ -30,8 +30,9 @@ def covariance_filter(
 ) -> FilterRun:
     """Run the paper's Kalman filter (eq. 8-13) on every sample: 4n states, n outputs, Joseph form.
 
-    ``prior_sd`` (4,) are the roots of P0 for [k, b, s_j, s_k], ``noise_rps`` the root of R. Each ``every``-th
-    row and the last are kept.
+    ``w_rps`` (N, 3) are body rates, ``y_rps`` (N, n) the outputs. ``prior_sd`` (4,) are the roots of P0 for [k, b, s_j,
+    s_k], ``noise_rps`` the root of R. Kept are each ``every``-th row and the last: states, and their covariance by
+    gyro.
     """
     from filterpy.kalman import KalmanFilter  # 0.8 s of import: only where a filter runs
 
@@ -67,8 +68,8 @@ def bound(
 ) -> Floats:
     """Return the Cramer-Rao bound of the states (n, 4) as sigmas, for a noise that is known.
 
-    ``w_rps`` are means over rows of ``row_s``; the noise is white plus Gauss-Markov processes, each given by its
-    standard deviation in rad/s and its correlation time in s.
+    ``w_rps`` (N, 3) are means over rows of ``row_s``, ``states`` (n, 4) the true ones. The noise is white plus
+    Gauss-Markov processes, each given in ``wander`` by its standard deviation in rad/s and its correlation time in s.
     """
     from scipy.linalg import cho_factor, cho_solve, toeplitz  # slow to import
 
@@ -87,7 +88,9 @@ def bound(
 
 
 def _filter_operations(states: int, outputs: int) -> int:
-    """Return the operations of one dense update in Joseph form, as the equations stand."""
+    """Return the operations of one dense update in Joseph form, as the equations stand, for so many states and
+    outputs.
+    """
     x = states
     z = outputs
     innovation = 2 * z * x + 2 * z * x * x + 2 * z * z * x  # y = z - H x, H P, (H P) H' + R

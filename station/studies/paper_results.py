@@ -42,7 +42,7 @@ def print_paper(study: PaperStudy, *, details: bool = False) -> None:
 
     With ``details`` also the errors of each gyro and heading, and what is inconsistent or wrong in the paper.
     """
-    shown: list[Shown] = [(_means(study), {}), *list_of("What this shows", paper_findings(study))]
+    shown: list[Shown] = [(_table_of_means(study), {}), *list_of("What this shows", paper_findings(study))]
     if details:
         shown += [(_errors_by_gyro(study), {}), (_errors_by_heading(study), {})]
         shown += list_of("Inconsistent in the paper", inconsistencies(study.bias_bound_dps))
@@ -52,7 +52,8 @@ def print_paper(study: PaperStudy, *, details: bool = False) -> None:
     print_all(stdout(), shown)
 
 
-def _means(study: PaperStudy) -> Table:
+def _table_of_means(study: PaperStudy) -> Table:
+    """Return the table of mean relative errors: as printed, to the letter, of this station, and the bound."""
     earth = np.array([errors.linear for errors in study.headings.values()])
     printed = {
         "the paper, Table 3": TABLE_3,
@@ -84,6 +85,7 @@ def _percent(value: float) -> str:
 
 
 def _errors_by_gyro(study: PaperStudy) -> Table:
+    """Return the table of absolute errors of each state and gyro: as printed, to the letter, of this station."""
     heads = [
         "state",
         "gyro",
@@ -113,6 +115,7 @@ def _errors_by_gyro(study: PaperStudy) -> Table:
 
 
 def _errors_by_heading(study: PaperStudy) -> Table:
+    """Return the table of errors to the letter for each heading: the bias of each gyro, and the mean of each state."""
     heads = ["heading,\ndeg", *(f"b{gyro + 1},\ndeg/s" for gyro in range(len(TABLE_2)))]
     heads += [f"mean {name},\n{unit}" for name, unit in zip(NAMES, UNITS, strict=True)]
     table = rich_table("To the letter, Earth rate at 45 deg latitude in the data and not in the model", heads, "r")
@@ -193,7 +196,9 @@ def paper_object(study: PaperStudy) -> dict[str, Any]:
 
 
 def draw_convergence(path: Path, ours: Curve, letter: Curve) -> None:
-    """Draw each state of each gyro against time as in the paper's Figures 4 to 7, one row a gyro."""
+    """Draw each state of each gyro against time as in the paper's Figures 4 to 7, one row a gyro, and save it at
+    ``path``.
+    """
     from matplotlib.figure import Figure
 
     gyros = ours.states.shape[1]
@@ -214,6 +219,7 @@ def draw_convergence(path: Path, ours: Curve, letter: Curve) -> None:
 
 
 def _draw_panel(panel: Axes, ours: Curve, letter: Curve, gyro: int, state: int) -> None:
+    """Draw one state of one gyro against time: the set value, both curves, and twice the sigma about ours."""
     set_value = TABLE_1[state]
     half = _SHOWN[state] * abs(set_value)
     value = ours.states[:, gyro, state]

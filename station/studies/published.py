@@ -90,7 +90,7 @@ def _by_state(values: Floats, form: str) -> str:
 
 
 def errata(printed: SensorArray) -> list[str]:
-    """Return what is wrong with the axes as printed (eq. 14-16)."""
+    """Return what is wrong with the axes as printed (eq. 14-16): right angles and handedness, one sentence each."""
     cosines = np.einsum("ij,ij->i", printed.p, printed.j)
     handed = np.linalg.det(np.stack([printed.p, printed.j, printed.k], axis=1))
     skew = [f"p.j = {c:.3f} for {name}" for name, c in zip(printed.names, cosines, strict=True) if abs(c) > 1e-3]

@@ -25,11 +25,11 @@ class AceinnaImu(CanImu):
     """
 
     def __init__(self, setup: ImuSetup, link: FrameLink) -> None:
-        """Expect messages from the J1939 address of the option ``address``.
+        """Expect rate and acceleration messages from the J1939 address of the option ``address``.
 
         The option ``model``, one of ``AXIS_ORDERS``, gives the order of axes unless ``axis_order`` does. With the
-        option ``configure`` the device is set to the rate when the link is opened; ValueError if it does not have that
-        rate.
+        option ``configure`` the device is set to the bench's rate when the link is opened; ValueError if it does not
+        have that rate. Without it nothing is sent but questions. Values at the ends of the range count as missing.
         """
         own = setup.options
         x, y, z = (place + 1 for place in aceinna.COLUMNS[own["axis_order"] or aceinna.AXIS_ORDERS[own["model"]]])
@@ -54,9 +54,10 @@ class AceinnaImu(CanImu):
             await self._set(group, values)
 
     async def identify(self) -> Identity:
-        """Ask for software version, NAME and settings; whatever is not answered within 0.4 s stays empty.
+        """Ask for software version, NAME and settings; whatever is not answered stays empty.
 
-        Settings are asked for only if the NAME was answered, and left empty if one of them is missing.
+        A question is given up after 0.4 s. The settings, filters and orientation in hex, are asked for only if the NAME
+        was answered, and left empty if one of them is missing.
         """
         version = await self._ask(aceinna.SOFTWARE_VERSION)
         claim = await self._ask(aceinna.ADDRESS_CLAIM)
@@ -70,9 +71,10 @@ class AceinnaImu(CanImu):
         )
 
     async def _set(self, group: int, values: bytes) -> None:
-        """Send a set request and read the setting back until it matches: an early answer may still hold the old value.
+        """Send ``values`` as the setting of a parameter group, and read it back until it matches, three times at most.
 
-        LinkLost if there is no answer, DeviceRefused if the device keeps another value.
+        An early answer may still hold the old value. LinkLost if the last question was not answered, DeviceRefused if
+        the device keeps another value.
         """
         self._link.send(aceinna.command(group, self._peer, values, _OWN_ADDRESS))
         answer: bytes | None = None
@@ -88,9 +90,11 @@ class AceinnaImu(CanImu):
         )
 
     async def _ask(self, group: int) -> bytes | None:
-        """Return the device's answer to a request, or None if there is none in time.
+        """Return the data of the device's answer to the request for a parameter group, or None if there is none in
+        time.
 
-        Requests are written in Aceinna's way, then in the standard's; the way that was answered is used from then on.
+        Requests are written in Aceinna's way, then in the standard's, with 0.2 s for each; the way that was answered is
+        used from then on.
         """
         for standard in self._styles:
             self._link.send(aceinna.request(group, self._peer, _OWN_ADDRESS, standard=standard))
@@ -100,7 +104,10 @@ class AceinnaImu(CanImu):
         return None
 
     async def _answer(self, group: int) -> bytes | None:
-        """Return the data of the next frame with this parameter group from the device; None after the time limit."""
+        """Return the data of the next frame with this parameter group from the device; None if none comes within 0.2 s.
+
+        Other frames that arrive meanwhile are dropped. LinkLost if the bus is gone.
+        """
         try:
             async with asyncio.timeout(_ANSWER_S * max(loop_scale(asyncio.get_running_loop()), 1.0)):  # of a host
                 while True:

@@ -84,10 +84,11 @@ class ChannelSignals:
     """The signals of one channel, looked up in the DBC."""
 
     def __init__(self, device: str, database: Any, dbc: Path, channel: CanChannel) -> None:
-        """Look up the signals of ``channel``; DeviceError for one that is missing or unsuitable.
+        """Look up the signals of ``channel`` in cantools' ``database``; DeviceError for one that is missing or
+        unsuitable.
 
         All rates must be in one message, and so must all accelerations; only a counter or a time may be given, and
-        either must be a plain count.
+        either must be a plain count. ``device`` and ``dbc`` are for the error messages.
         """
         units = dict(channel.units)
 
@@ -131,10 +132,10 @@ class CanImu(OneSource[FrameLink]):
     """A device on a CAN bus; each channel is a separate source with its own clock."""
 
     def __init__(self, setup: ImuSetup, link: FrameLink) -> None:
-        """Prepare sources for the channels of ``setup.signals``, a ``CanSource``; DeviceError if the DBC or a signal is
-        missing.
+        """Prepare a source for each channel of ``setup.signals``, a ``CanSource``; nothing is opened.
 
-        J1939 messages are recognised by their parameter group, from any sender unless a source address is given.
+        DeviceError if the DBC cannot be read or a signal is missing or unsuitable. J1939 messages are recognised by
+        their parameter group, from any sender unless a source address is given; other messages by their identifier.
         """
         device, source, rate_hz = setup.name, setup.signals, setup.rate_hz
         super().__init__(device, link)
@@ -179,8 +180,8 @@ class CanImu(OneSource[FrameLink]):
     async def blocks(self) -> AsyncIterator[tuple[str, ImuBlock]]:
         """Yield (source, block) as samples can be timed; LinkLost when the bus is gone.
 
-        Blocks that are still held come first. Called again after a break, the clocks start anew. Frames are gathered
-        and timed in a thread, so that answers of the table do not wait.
+        Blocks that are still held come first. Called again after a break, the clocks of sources without a counter or
+        time start anew. Frames are gathered and timed in a thread, so that answers of the table do not wait.
         """
         for name, held in self.flush():
             yield name, held
@@ -208,7 +209,8 @@ class CanImu(OneSource[FrameLink]):
         """Return source name, arrivals (n,) in ns and rates (n, m) of samples since the last call, before they are
         timed.
 
-        Only sources with new samples are listed. Returns nothing unless early samples were asked for.
+        Only sources with new samples are listed. The first call returns nothing: from it on, samples are kept for the
+        next call.
         """
         frames, self._fresh = self._fresh or [], []
         leading: dict[_Inlet, list[Frame]] = {}
@@ -220,7 +222,7 @@ class CanImu(OneSource[FrameLink]):
         return [(name, *source.rates(came)) for name, source, came in of_sources if came]
 
     def flush(self) -> list[tuple[str, ImuBlock]]:
-        """Return the samples still held back for their timing or for a part to come."""
+        """Return (source, block) for the samples that are still held back for their timing or for a part to come."""
         self._time(everything=True)
         with self._timing:
             last = list(self._timed)
@@ -247,7 +249,10 @@ class CanImu(OneSource[FrameLink]):
                 inlet.take(Piece(self._order, frame.t_ns, frame.data))
 
     def _inlets(self, frame: Frame) -> "Sequence[_Inlet]":
-        """Return the inlets for a frame, by its identifier or its J1939 parameter group; none for other senders."""
+        """Return the inlets for a frame, by its identifier or its J1939 parameter group.
+
+        Empty for messages that no channel uses, and for J1939 messages of other senders if a source address is given.
+        """
         if exact := self._exact.get((frame.identifier, frame.extended)):
             return exact
         if not self._groups or not frame.extended:
@@ -324,9 +329,9 @@ class _Source:
             self._clock.restart()
 
     def block(self, *, everything: bool = False) -> ImuBlock | None:
-        """Return a block of the samples that can be timed, or None; ``everything`` holds none back.
+        """Return a block of the samples that can be timed, or None if there are none; ``everything`` holds none back.
 
-        Where a counter or time signal is given, samples without one are dropped.
+        Where a counter or time signal is given, samples without one and repeated ones are dropped.
         """
         pieces, gyros = self._whole(everything=everything), len(self._signals.rates)
         if isinstance(self._clock, RegularClock):
@@ -341,16 +346,20 @@ class _Source:
         return block_of(t_ns, arrival_ns[new], values[counted][new], gyros, count[counted][new]) if len(t_ns) else None
 
     def rates(self, frames: Sequence[Frame]) -> tuple[Stamps, Floats]:
-        """Return arrivals and rates of leading frames."""
+        """Return arrivals (n,) in ns and rates (n, m) of leading frames; frames that lack a multiplexed rate are left
+        out.
+        """
         rows = self.lead.table([frame.data for frame in frames])
         there = np.logical_and.reduce([signal.present(rows) for signal in self._signals.rates])
         arrival_ns = np.array([frame.t_ns for frame in frames], dtype=np.int64)
         return arrival_ns[there], np.column_stack([signal.values(rows) for signal in self._signals.rates])[there]
 
     def _whole(self, *, everything: bool) -> list[Piece]:
-        """Take the leading frames whose companions have come or will not come any more; ``everything`` waits for none.
+        """Take the waiting leading frames whose companions have come or will not come any more.
 
-        Frames that carry none of the multiplexed rates are dropped.
+        Only the newest may have to wait for one; ``everything`` takes it as well. Frames that carry none of the
+        multiplexed rates are dropped. Empty if no frame waits; companions that nothing can match any more are then
+        dropped.
         """
         waiting = self.lead.waiting
         for signal in self._signals.rates:
@@ -372,7 +381,8 @@ class _Source:
         """Return rows (n, k) of leading frames, as ``block_of`` expects them; which have a count (n,), and the counts
         (n,).
 
-        Values of a missing companion are NaN; the temperature keeps its last value.
+        Values of a missing companion are NaN; the temperature keeps its last value. Without a count signal no row has a
+        count, and all counts are 0. Companions up to the last of these frames are used up.
         """
         n = len(pieces)
         places = [piece.order for piece in pieces]

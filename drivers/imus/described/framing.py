@@ -43,7 +43,8 @@ class Frames:
     def scan(self, view: bytes) -> tuple[list[bytes], int, int]:
         """Return the valid frames, the number of false starts (damaged frames), and how many bytes are consumed.
 
-        A frame that is cut off at the end is not consumed. After a false start the search goes on one byte later.
+        A frame that is cut off at the end is not consumed, nor are the last bytes, where a sync may begin. Bytes
+        between frames are skipped. After a false start (wrong end or check) the search goes on one byte later.
         """
         found: list[bytes] = []
         damaged = at = 0
@@ -64,7 +65,10 @@ class Frames:
         return self._checked(begin + message[len(begin) : self.size - len(self.end)] + self.end)
 
     def _checked(self, frame: bytes) -> bytes:
-        """Return the frame with its check replaced by the correct one; unchanged if there is no check."""
+        """Return the frame with its check, over the bytes from ``first`` to ``last`` without it, made right.
+
+        Unchanged if there is no check.
+        """
         if self.check is None:
             return frame
         stop = self.at + self.check.bits // 8
@@ -95,7 +99,9 @@ class Lines:
         """Return the messages, the number of damaged lines, and how many bytes are consumed.
 
         Text before the first line end is skipped, as it may be half a line; the last line end is therefore not
-        consumed.
+        consumed. A line counts from its last prefix on. Skipped without being counted are blank lines, those without
+        the prefix and those above 4096 bytes. Damaged lines have other columns, a wrong check or a number that is too
+        large. Unfinished text is kept for the next call, unless it is above 4096 bytes.
         """
         _, *lines = view.split(b"\n")
         rest = lines.pop() if lines else view
@@ -164,7 +170,7 @@ class Decoder:
 def signal(name: str, at: int, kind: str, big: bool, scale: float, offset: float) -> Any:
     """Return a cantools signal that starts at byte ``at``; ``kind`` is i, u or f and the number of bits, as in "i16".
 
-    The value is number * scale + offset. ``big``: big-endian. The range is that of the integer; none for floats.
+    The value is number * scale + offset; ``big`` means big-endian. The range is that of the integer; none for floats.
     """
     from cantools.database import Signal
     from cantools.database.conversion import BaseConversion

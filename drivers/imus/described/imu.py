@@ -44,9 +44,10 @@ class FramedLink:
             await asyncio.sleep(pause_s)
 
     async def receive(self) -> list[Frame]:
-        """Return the frames since the last call, waiting for bytes; LinkLost if the link is gone.
+        """Return the frames of all bytes that have arrived, waiting for the first bytes; LinkLost if the link is gone.
 
-        The list may be empty if the bytes complete no frame. Losing the link while draining is left to the next call.
+        The list is empty if the bytes complete no frame. If the link is lost after some bytes were read, the next call
+        says so.
         """
         frames = self._framed(await self._link.receive())
         with suppress(TimeoutError, LinkLost):  # bytes that have arrived already are read without waiting
@@ -60,7 +61,9 @@ class FramedLink:
         self._link.write(self._description.framing.written(frame.data))
 
     def close(self) -> None:
-        """Send the bytes that stop the device, if it was started, and close the link."""
+        """Send the bytes that stop the device, if it was started, without pauses, and close the link; a lost link is no
+        error.
+        """
         with suppress(LinkLost):
             for data, _ in self._description.stop if self._started else ():
                 self._link.write(data)

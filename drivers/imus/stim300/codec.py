@@ -116,7 +116,8 @@ class Stim300Decoder:
         """Return the datagrams completed by ``data``, in order; consecutive normal ones of a kind are returned
         together.
 
-        Damaged datagrams are counted and searched again from their second byte.
+        Bytes that begin no datagram are counted as dropped. Damaged datagrams are counted and searched again from their
+        second byte. An unfinished datagram at the end is kept for the next call.
         """
         view = self._buffer + data
         reversed_view = view.translate(_REVERSED)
@@ -155,10 +156,11 @@ class Stim300Decoder:
         return found
 
     def _run(self, view: bytes, reversed_view: bytes, start: int, layout: Layout) -> tuple[Datagrams, int]:
-        """Return the run of intact datagrams of one kind that begins at ``start``, where the first is known to be
-        intact.
+        """Return the intact datagrams of one kind that follow one another from ``start``, and where the last one ends.
 
-        Also returns the end of the last, without its CR LF.
+        The first is known to be intact and of this ``layout``. The run ends at another kind, a wrong CRC, another line
+        termination or an unfinished datagram. The end is without CR LF. ``reversed_view`` is ``view`` with the bits of
+        each byte reversed.
         """
         size, identifier, padding = layout.size, view[start], _padding(layout.size)
         step = size + 2 if view[start + size : start + size + 2] == _LINE_END else size
@@ -179,8 +181,10 @@ class Stim300Decoder:
 
 
 def encode(datagrams: Datagrams, *, line_termination: bool = False) -> bytes:
-    """Return the bytes of normal datagrams as the device sends them; ValueError if a group of their identifier is
-    missing.
+    """Return the bytes of normal datagrams as the device sends them, each with CR LF if ``line_termination``.
+
+    Counters are reduced to their modulus. ValueError if a group of their identifier is missing, KeyError for another
+    identifier.
     """
     layout = LAYOUTS[datagrams.identifier]
     rows = np.zeros((len(datagrams.counter), layout.size - 4), dtype=np.uint8)
@@ -201,7 +205,9 @@ def encode(datagrams: Datagrams, *, line_termination: bool = False) -> bytes:
 
 
 def encode_special(value: Special, *, line_termination: bool = False) -> bytes:
-    """Return the bytes of a special datagram; ValueError if the value cannot be one."""
+    """Return the bytes of a special datagram, with CR LF if ``line_termination``; ValueError if the value cannot be
+    one.
+    """
     identifier = SPECIAL_IDS[type(value), line_termination]
     body = bytes([identifier]) + value.payload()
     crc = crc32_mpeg2(body + _padding(SPECIAL_LAYOUTS[identifier].size))
@@ -246,7 +252,7 @@ def _intact(reversed_view: bytes, start: int, size: int, padding: bytes) -> bool
 
 
 def _parse(rows: Octets, layout: Layout, ends: Ints) -> Datagrams:
-    """Return the fields of intact datagrams (n, size); ``ends`` are their positions in the stream."""
+    """Return the fields of intact datagrams, rows (n, size) of bytes; ``ends`` (n,) are their ends in the stream."""
     column = 1
     groups = {}
     for name, numbers, width in layout.groups:

@@ -38,10 +38,10 @@ class Stim300Imu(OneSource[ByteLink]):
     """One source of three gyros, with accelerometer and temperatures where the datagram carries them."""
 
     def __init__(self, setup: ImuSetup, link: ByteLink) -> None:
-        """Expect datagrams at 125, 250, 500, 1000 or 2000 Hz.
+        """Expect datagrams at the rate of ``setup``, which is 125, 250, 500, 1000 or 2000 Hz.
 
         The options ``gyro_unit`` (a name of ``UNITS``) and ``accel_range`` (g) are settings that the device must have.
-        None accepts the device's own, and assumes rates and 10 g of a device that does not answer.
+        None accepts the device's own; of a device that does not answer, angular rates and 10 g are assumed.
         """
         super().__init__(setup.name, link)
         self._rate_hz = rate_hz = round(setup.rate_hz)
@@ -78,7 +78,8 @@ class Stim300Imu(OneSource[ByteLink]):
     async def identify(self) -> Identity:
         """Ask for configuration, serial and part number; all empty if the device does not answer the first question.
 
-        Units and ranges are taken from the configuration; DeviceRefused if it contradicts the bench file. Samples that
+        Each question is asked twice at most; an answer that does not come stays empty. Units and ranges are taken from
+        the configuration; DeviceRefused if it contradicts the bench file, LinkLost if the link is gone. Samples that
         arrive meanwhile are kept.
         """
         for question, kind in (
@@ -100,7 +101,10 @@ class Stim300Imu(OneSource[ByteLink]):
         )
 
     async def blocks(self) -> AsyncIterator[tuple[str, ImuBlock]]:
-        """Yield blocks of about 10 ms; LinkLost when the link ends, DeviceRefused if the device is set anew."""
+        """Yield (source, block) of about 10 ms each, the samples that arrived before first.
+
+        LinkLost when the link ends; DeviceRefused if a configuration arrives that contradicts the bench file.
+        """
         while True:
             for block in self._blocks():
                 yield self._device, block
@@ -112,7 +116,10 @@ class Stim300Imu(OneSource[ByteLink]):
         return [(self._device, block) for block in self._blocks()]
 
     async def _ask(self, question: bytes, kind: type) -> None:
-        """Send a question until an answer of type ``kind`` has come, twice at most; no error if none comes."""
+        """Send a question until an answer of type ``kind`` has come, twice at most; no error if none comes.
+
+        Nothing is sent if there is one already. Samples that arrive meanwhile are kept; LinkLost if the link is gone.
+        """
         for _ in range(_TRIES):
             if kind in self._said:
                 return
@@ -151,7 +158,11 @@ class Stim300Imu(OneSource[ByteLink]):
                 self._arrived.append(found)
 
     def _blocks(self) -> list[ImuBlock]:
-        """Return blocks of all decoded datagrams; a configuration among them is checked as by ``identify``."""
+        """Return blocks of the new samples of all decoded datagrams, and forget these.
+
+        Any other item is noted as an answer. A configuration is checked as by ``identify``: DeviceRefused if it
+        contradicts the bench file.
+        """
         blocks = []
         while self._arrived:
             item = self._arrived.popleft()
@@ -168,8 +179,9 @@ class Stim300Imu(OneSource[ByteLink]):
     def _block(self, data: stim300.Datagrams, arrival_ns: Stamps) -> ImuBlock | None:
         """Return a block of the new samples among these datagrams, or None if there are none.
 
-        Arrival times are corrected by the latency that the device states, sample times by the delay of the unit in use.
-        Values that the device declares invalid are NaN.
+        ``arrival_ns`` (n,) is corrected by the latency that the device states, sample times by the delay of the unit in
+        use. Values that the device declares invalid are NaN, as is the temperature where the datagrams carry none; it
+        is the mean of the three gyros'. Losses that an answer caused are not counted.
         """
         # The device states how long it held each sample before it began to send.
         new, t_ns = self._clock.stamp(data.counter, arrival_ns - data.latency_us * 1000)
@@ -197,7 +209,11 @@ class Stim300Imu(OneSource[ByteLink]):
         )
 
     def _forgive_replaced(self, counter: Stamps) -> None:
-        """Subtract from the losses the samples in whose place the device sent an answer."""
+        """Subtract from the losses the samples in whose place the device sent an answer.
+
+        ``counter`` (n,) are those of the next normal datagrams. Only the first gap after an answer, of up to 8 samples,
+        is forgiven.
+        """
         if self._answered and self._last_counter >= 0:
             missing = int(counter[0] - self._last_counter) % stim300.COUNTER_MODULUS // self._ticks - 1
             if 0 < missing <= _MOST_REPLACED:
@@ -206,8 +222,11 @@ class Stim300Imu(OneSource[ByteLink]):
         self._last_counter = int(counter[-1])
 
     def _accept(self, configuration: Configuration) -> None:
-        """Take units and ranges from the configuration; DeviceRefused if it contradicts the bench file or a gyro is
-        off.
+        """Take the units of gyros and accelerometers and the range from the configuration.
+
+        DeviceRefused if the rate, gyro unit or range differs from the bench file's, the gyro unit is unknown, a gyro is
+        off, or the accelerometers have different or unknown ranges. Accelerometers are looked at only if the datagrams
+        carry them.
         """
         unit, ranges = UNITS.get(configuration.gyro_unit), configuration.accel_ranges_g
         if configuration.rate_hz != self._rate_hz:

@@ -26,8 +26,10 @@ class ClusterUnit:
     """Meaning of the raw numbers of one cluster: values, increments over a sample period, or wrapping integrals."""
 
     def __init__(self, code: int, value_lsb: float, integral_lsb: float, rate_hz: int) -> None:
-        """Prepare for the unit ``code``; ``value_lsb`` and ``integral_lsb`` scale to the wanted unit and to its time
-        integral.
+        """Prepare for the unit ``code`` of the configuration datagram, at ``rate_hz`` datagrams a second.
+
+        ``value_lsb`` is the size of one digit where outputs are values, in the unit wanted; ``integral_lsb`` where they
+        are increments or integrals, in that unit times s.
         """
         self._kind = code & _KIND
         integral = self._kind in (_INCREMENT, _INTEGRATED)
@@ -44,8 +46,9 @@ class ClusterUnit:
     def rates(self, raw: Floats, counter: Ints, t_ns: Ints, ticks: int) -> Floats:
         """Return values (n, 3) from raw numbers (n, 3); NaN stays NaN.
 
-        Integrals give the change since the previous sample, also across calls; NaN if that sample, ``ticks`` of the
-        counter (n,) earlier, is missing, since wraps over a gap cannot be counted.
+        Increments are divided by the sample period. Integrals give the change since the previous sample, also across
+        calls; NaN if that sample, ``ticks`` of the counter (n,) earlier, is missing (by the counter or by ``t_ns``,
+        more than 0.1 s later), since wraps over a gap cannot be counted. The first sample is then NaN.
         """
         if self._kind != _INTEGRATED:
             return np.asarray(raw * self._scale)

@@ -142,7 +142,7 @@ def encode_sentence(sentence: Sentence, check: Literal["xor", "crc", "none"] = "
 
 
 def encode_frames(layout: Layout, values: NDArray[Any]) -> bytes:
-    """Return frames as the device sends them; of ``values`` (n,) header and CRC are filled in."""
+    """Return frames as the device sends them: a copy of ``values`` (n,), of ``layout.dtype``, with header and CRC."""
     rows = values.copy()
     rows["header"] = np.void(layout.header)
     raw, body = rows.tobytes(), layout.size - _CRC_SIZE
@@ -173,8 +173,10 @@ class VectorNavDecoder:
         return self._take(ended=True)
 
     def _take(self, *, ended: bool) -> list[Sentence | Frames]:
-        """Return the sentences and frames in the buffer, in order, and keep an unfinished one unless the stream has
-        ``ended``.
+        """Return the sentences and frames in the buffer, in order, and remove them from it.
+
+        Bytes that belong to none are removed and counted, damaged frames and sentences too. An unfinished one is kept,
+        unless the stream has ``ended``: then it is searched for what lies inside.
         """
         found: list[Sentence | Frames] = []
         view, position = self._buffer, 0

@@ -133,10 +133,10 @@ class VectorNavImu(OneSource[ByteLink]):
         self._regular = RegularClock(1 / self._rate_hz, self._counts)
 
     def _of_frames(self, chunk: ByteChunk, frames: vectornav.Frames) -> ImuBlock | None:
-        """Return a block of the new samples in binary frames; None if there are none or the layout is not the one asked
-        for.
+        """Return a block of the new samples in binary frames that arrived with ``chunk``.
 
-        The counter of the block is the device's time since start-up in ns. DeviceFault if that jumped back.
+        None if all are repeats, or if the layout is not the one asked for. The counter of the block is the device's
+        time since start-up in ns. DeviceFault if that jumped back by more than 1 s.
         """
         if frames.layout != LAYOUT:
             return None  # left over from an earlier setting
@@ -160,7 +160,8 @@ class VectorNavImu(OneSource[ByteLink]):
     def _new(self, device_ns: Stamps) -> Flags:
         """Return as flags (n,) which samples are later than all before; the others are counted as repeats.
 
-        DeviceFault if device time jumps back far: the device has restarted.
+        ``device_ns`` (n,) is the device's time since start-up. DeviceFault if it jumps back by more than 1 s: the
+        device has restarted.
         """
         newest = np.maximum.accumulate(np.concatenate([[self._newest_ns], device_ns]))
         if (newest[:-1] - device_ns).max() > _LONGEST_STEP_BACK_NS:
@@ -173,10 +174,10 @@ class VectorNavImu(OneSource[ByteLink]):
         return new
 
     def _of_sentence(self, chunk: ByteChunk, sentence: vectornav.Sentence) -> ImuBlock | None:
-        """Return a block of the samples that a VNIMU sentence makes ready; None for other sentences or if none are
-        ready.
+        """Return a block of the samples that a VNIMU sentence makes ready; None while later ones are needed to time it.
 
-        A sentence with an error of the device raises DeviceFault; one that cannot be read is counted.
+        None also for other sentences and in binary output. DeviceFault if the sentence reports a fault of the device;
+        one that cannot be read is counted and skipped.
         """
         self._complain(sentence)
         if sentence.header != "VNIMU" or self._output != "ascii":
@@ -207,9 +208,10 @@ class VectorNavImu(OneSource[ByteLink]):
         await self._ask(vectornav.Sentence("VNWRG", (register, *values)))
 
     async def _ask(self, command: vectornav.Sentence) -> vectornav.Sentence:
-        """Send a command, twice at most, and return its reply; after a repetition wait for the second reply to pass.
+        """Send a command and return its reply; send it a second time if no reply comes within the time limit.
 
-        DeviceRefused for an error reply, BadReply if only other answers came, LinkLost if none came.
+        After a repetition it waits until the second reply may have passed. DeviceRefused for an error reply, BadReply
+        if only other answers came, LinkLost if none came, DeviceFault if the device reports a fault of its own.
         """
         other: vectornav.Sentence | None = None
         for attempt in range(_TRIES):
@@ -240,6 +242,7 @@ class VectorNavImu(OneSource[ByteLink]):
         """Return the reply to ``command`` if it comes within ``limit_s``, else None; and the last answer that did not
         match it.
 
+        Samples that arrive meanwhile are dropped. A reply that lies within an unfinished frame is found at the end.
         DeviceFault if the device reports an error of its own meanwhile.
         """
         other: vectornav.Sentence | None = None
@@ -262,9 +265,11 @@ class VectorNavImu(OneSource[ByteLink]):
 
 
 def _answers(sentence: vectornav.Sentence, command: vectornav.Sentence) -> bool:
-    """Return whether ``sentence`` is the reply to ``command``; late replies name another register or other values.
+    """Return whether ``sentence`` is the reply to ``command``.
 
-    An error counts as a reply unless it may have come unasked or reports a damaged command.
+    A late reply to another command names another register or other values: a reading must name the register and hold a
+    value, anything else must repeat the fields. An error counts as a reply unless it may have come unasked or reports a
+    damaged command.
     """
     if sentence.header == "VNERR":
         return _code(sentence) not in (*_UNASKED, _DAMAGED)

@@ -32,9 +32,10 @@ class XsensImu(XbusDevice):
     """One source of three gyros, with accelerometer and temperature where the device sends them."""
 
     def __init__(self, setup: ImuSetup, link: ByteLink) -> None:
-        """Prepare for samples at a whole number of Hz up to 2000, in the option ``number_format``, by default FLOAT32.
+        """Prepare for samples at the rate of ``setup``, a whole number of Hz up to 2000.
 
-        With the option ``configure`` false nothing is ever sent: the device already streams at this rate.
+        The option ``number_format`` (one of ``mtdata2``, by default FLOAT32) is that of the outputs to configure. With
+        the option ``configure`` false nothing is ever sent: the device must already stream at this rate.
         """
         super().__init__(setup.name, link, setup.timeout_s)
         self._rate_hz = round(setup.rate_hz)
@@ -56,7 +57,8 @@ class XsensImu(XbusDevice):
     async def identify(self) -> Identity:
         """Ask for product code, serial number and firmware, which stops the output; empty if ``configure`` is false.
 
-        LinkLost if it does not answer.
+        LinkLost if it does not answer, DeviceRefused for an error. Product code and firmware stay empty if the device
+        does not give them.
         """
         if not self._configures:
             return Identity()
@@ -68,7 +70,8 @@ class XsensImu(XbusDevice):
     async def configure(self) -> None:
         """Configure counters, rate of turn, acceleration and temperature as output, and start measuring.
 
-        LinkLost if it does not answer; BadReply for an invalid answer; DeviceRefused, also if it grants another rate.
+        Acceleration and temperature may be granted at another rate or not at all. LinkLost if it does not answer;
+        BadReply for an invalid answer; DeviceRefused for an error, or if rates come at another rate or without times.
         """
         await self._request(Mid.GO_TO_CONFIG)
         wanted = mtdata2.encode_outputs(
@@ -134,8 +137,10 @@ class XsensImu(XbusDevice):
             raise DeviceFault(self._device, "it has restarted. Check its power supply and start again")
 
     def _take_block(self) -> ImuBlock | None:
-        """Return the held messages as one block, or None if they contain no new rate samples; DeviceFault after a
-        restart.
+        """Return the held messages as one block, or None if they contain no new samples of rates.
+
+        Malformed messages and samples with implausible counts are counted and left out. Accelerations are None if the
+        device sends none. DeviceFault if the counts show that the device has restarted; BadReply as ``_batch``.
         """
         held, self._held, self._rows_held = self._held, [], 0
         batches: list[_Batch] = []
@@ -170,7 +175,9 @@ class XsensImu(XbusDevice):
     def _batch(self, samples: mtdata2.Samples, arrival_ns: Stamps) -> _Batch | None:
         """Return counts, arrivals, rates, temperatures and accelerations of ``samples``; None without rates or counts.
 
-        A temperature that is missing keeps its last value; missing accelerations and rates that are not finite are NaN.
+        ``arrival_ns`` (n,) are the arrivals of the n samples. A temperature that is missing keeps its last value;
+        missing accelerations and rates that are not finite are NaN. BadReply for the first samples with rates but no
+        count of time, or if no rates come in 100 messages.
         """
         rate = samples.numbers(mtdata2.RATE_OF_TURN)
         if rate is None:
@@ -207,7 +214,11 @@ class XsensImu(XbusDevice):
             raise BadReply(self._device, f"it sends no RateOfTurn, only {sent}; {_LET_CONFIGURE}")
 
     def _timing_by(self, samples: mtdata2.Samples) -> "_Timing":
-        """Return a clock that uses SampleTimeFine, else PacketCounter; BadReply if ``samples`` have neither."""
+        """Return a clock that uses SampleTimeFine, else PacketCounter, as far as ``samples`` have them; it adds to the
+        device's counts.
+
+        BadReply if they have neither.
+        """
         if samples.has(mtdata2.SAMPLE_TIME_FINE):
             ticks = max(round(1 / (mtdata2.SAMPLE_TIME_TICK_S * self._rate_hz)), 1)
             clock = CounterClock(mtdata2.SAMPLE_TIME_TICK_S, mtdata2.SAMPLE_TIME_MODULUS, ticks, counts=self._counts)
@@ -269,7 +280,10 @@ class _Timing:
         return damaged
 
     def stamp(self, count: Stamps, arrival_ns: Stamps) -> tuple[Flags, Stamps]:
-        """Return as flags (n,) which samples are new and plausible, and the times in ns of these."""
+        """Return as flags (n,) which samples are new and plausible, and the times in ns of these.
+
+        ``count`` (n,) are the wrapping counts, ``arrival_ns`` (n,) the arrivals.
+        """
         sound = self._sound(count, arrival_ns)
         if not sound.any():
             return sound, np.empty(0, dtype=np.int64)
@@ -280,6 +294,9 @@ class _Timing:
     def _sound(self, count: Stamps, arrival_ns: Stamps) -> Flags:
         """Return as flags (n,) which counts continue the ones before and are not ahead of their arrival; count the
         others.
+
+        A count may be up to two samples behind the newest. That it is more than 0.25 s ahead of its arrival is looked
+        at only after 2 s.
         """
         if self._newest is None:
             self._first = self._newest = int(count[0])

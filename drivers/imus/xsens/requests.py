@@ -31,11 +31,12 @@ class XbusDevice(OneSource[ByteLink]):
         return self._inbox.popleft()
 
     async def _request(self, mid: Mid, data: bytes = b"", expected: Callable[[bytes], bool] = lambda _: True) -> bytes:
-        """Send a request, twice at most, and return its answer: the first that is ``expected``, else the last in time.
+        """Send a request with ``data``, twice at most, and return the data of its answer.
 
-        Answers carry no number of their request, and devices answer in order. A late answer can therefore only be
-        mistaken for that to a later request of the same kind; unless it is as expected, the right one is waited for.
-        Other messages are dropped. LinkLost without an answer, DeviceRefused for an Error.
+        That is the first answer that is ``expected``, else the last one within the time limit. Answers carry no number
+        of their request, and devices answer in order. A late answer can therefore only be mistaken for that to a later
+        request of the same kind; unless it is as expected, the right one is waited for. Other messages are dropped.
+        LinkLost without an answer, DeviceRefused for an Error.
         """
         self._inbox.clear()
         dropped, self._hears_data = self._decoder.dropped_bytes, False
@@ -67,10 +68,10 @@ class XbusDevice(OneSource[ByteLink]):
         return answer
 
     def _find_answer(self, mid: Mid) -> bytes | None:
-        """Return the answer in the inbox, dropping messages before it; None if there is none; DeviceRefused for an
-        Error.
+        """Return the data of the first answer to ``mid`` in the inbox; None if there is none.
 
-        Errors of data overflow are skipped, and so is any error while GoToConfig is asked, which is never refused.
+        Messages before it are dropped. DeviceRefused if an Error comes first, except one of data overflow, and any
+        error while GoToConfig is asked, which is never refused.
         """
         while self._inbox:
             t_ns, messages = self._inbox.popleft()
@@ -88,8 +89,10 @@ class XbusDevice(OneSource[ByteLink]):
         return None
 
     def _why_silent(self, mid: Mid, *, noise: bool) -> str:
-        """Return the message for a request without an answer: other data were received, ``noise`` that is not Xbus, or
-        nothing.
+        """Return the error message for a request without an answer.
+
+        It names the likely cause: by whether other messages of data came, else bytes that are not Xbus (``noise``),
+        else nothing.
         """
         silent = f"no answer to {mid.label} within {_TRIES * self._timeout_s:g} s"
         if self._hears_data:

@@ -89,7 +89,12 @@ class XbusDecoder:
         return self._scan(at_end=True)
 
     def _scan(self, *, at_end: bool) -> list[Messages]:
-        """Return the messages in the buffer and keep an unfinished one; ``at_end`` no more bytes are waited for."""
+        """Return the messages in the buffer, in order, and remove them from it.
+
+        Messages with the same header that follow one another are returned together. Bytes of none are removed and
+        counted, damaged messages too. An unfinished message is kept; ``at_end`` no more bytes are waited for, and the
+        search goes on inside it.
+        """
         view, position = self._buffer, 0
         found: list[Messages] = []
         while True:
@@ -117,7 +122,9 @@ class XbusDecoder:
 
 
 def _header(view: bytes, position: int) -> tuple[int, int]:
-    """Return the length of a header and the length of its data; (0, 0) while more bytes are needed to tell."""
+    """Return the length of the header at ``position`` and the length of its data; (0, 0) while more bytes are needed to
+    tell.
+    """
     if len(view) < position + 4:
         return 0, 0
     if view[position + 3] != _EXTENDED:
@@ -128,8 +135,9 @@ def _header(view: bytes, position: int) -> tuple[int, int]:
 
 
 def _valid_run(view: bytes, position: int, head: int, size: int) -> int:
-    """Return how many complete messages with the same header and a valid checksum follow each other from
-    ``position``.
+    """Return how many complete messages follow one another from ``position`` with one header and a valid checksum.
+
+    ``head`` is the length of the header, ``size`` that of a message, both in bytes.
     """
     header = view[position : position + head]
     count = 0
@@ -147,7 +155,10 @@ def encode(mid: int, data: bytes = b"") -> bytes:
 
 
 def frame(mid: int, data: Bytes) -> bytes:
-    """Return messages around their data (n, length), header and checksum added; ValueError if the data are too long."""
+    """Return n messages of type ``mid`` around their data (n, length), with header and checksum.
+
+    ValueError if the data are too long.
+    """
     count, length = data.shape
     if length > LONGEST_DATA:
         raise ValueError(f"a message carries at most {LONGEST_DATA} bytes, not {length}")

@@ -49,10 +49,10 @@ class AcutrolFraming:
     settle_s = 0.0
 
     def __init__(self, axis_number: int, largest_rate_dps: float, prefix_length: int) -> None:
-        """Prepare for axis ``axis_number``, whose limit is written, and which may have at most ``largest_rate_dps`` as
-        one.
+        """Prepare for a token that writes and reads back the rate limit of axis ``axis_number``.
 
-        ``prefix_length`` is the number of bytes before each answer.
+        The numbers written stay below ``largest_rate_dps``, what the axis may have as a limit. ``prefix_length`` is the
+        number of bytes before each answer.
         """
         self._axis, self._prefix = axis_number, prefix_length
         self._largest = min(max(int(largest_rate_dps * 100) - 1, 200), 9999)

@@ -152,9 +152,10 @@ class AcutrolTable(LineTable):
         return await self._read(axis)
 
     async def status(self, axis: str) -> AxisStatus:
-        """Read mode and interlock, and the status byte for the text of a fault.
+        """Read mode and interlock of an axis, and the status byte for the text of a fault.
 
-        Raises what went wrong while watching an earlier command.
+        A fault is one of the interlock. Enabled means any mode but off, with the interlock neither open nor in fault. A
+        DeviceError of a move or jog in progress is raised instead.
         """
         self._raise_failure()
         interlock, mode = await self._interlock(axis), await self._mode(axis)
@@ -169,10 +170,10 @@ class AcutrolTable(LineTable):
         return AxisStatus(enabled, enabled and await self._reached(axis), fault, text, interlock=open_now)
 
     async def stop(self) -> str:
-        """Brake every axis in rate mode with its allowed acceleration, on a new connection if necessary; return what
-        was seen.
+        """Brake every axis in rate mode with its allowed acceleration, on a new connection if necessary.
 
-        An axis that is switched off refuses rate mode, which does no harm. Raises as ``bring_to_rest``.
+        Returns in words what was seen. Moves and jogs in progress are given up. An axis that is switched off refuses
+        rate mode, which does no harm. Raises as ``bring_to_rest``.
         """
         self._drop_tasks()
 
@@ -198,7 +199,10 @@ class AcutrolTable(LineTable):
         await self._tell(f":interlock:reset {self._axes[axis].own.address}")
 
     async def disable(self) -> None:
-        """Switch every axis off and open its interlock; the first failure is raised after all have been tried."""
+        """Switch every axis off and open its interlock; moves and jogs in progress are given up.
+
+        The first DeviceError is raised after all have been tried.
+        """
         failures: list[DeviceError] = []
         for axis in self._axes.values():
             axis.task = None
@@ -220,8 +224,11 @@ class AcutrolTable(LineTable):
         watcher.add_done_callback(self._watchers.discard)
 
     async def _guard(self, axis: str, task: _Task, leg: str) -> None:
-        """Carry out a task until it ends; a DeviceError is kept, for the next call to raise, unless the axis has a new
-        task.
+        """Carry out a task until it ends; ``leg`` is the kind of leg that a move has begun with, as ``_begin_leg``
+        returns it.
+
+        A DeviceError is kept, for the next call to raise, unless the axis has a new task or another error is kept
+        already.
         """
         try:
             if task.target_deg is None:
@@ -247,9 +254,9 @@ class AcutrolTable(LineTable):
             await asyncio.sleep(_TRACK_S / 2)
 
     async def _travel(self, axis: str, task: _Task, leg: str) -> None:
-        """Move on, leg by leg, until the target is reached or the axis has a new task.
+        """Move on, leg by leg, until the target is reached or the axis has a new task; ``leg`` is the one in progress.
 
-        DeviceRefused if it is not reached after ``_MOST_LEGS``; an axis with an open interlock or in fault just ends.
+        DeviceRefused if it is not reached after eight legs; if the interlock is open or in fault then, it just ends.
         """
         changes = 0
         for _ in range(_MOST_LEGS):
@@ -267,10 +274,11 @@ class AcutrolTable(LineTable):
             raise DeviceRefused(self._device, sentence("table.stays", axis=axis, at_deg=angle, to_deg=task.target_deg))
 
     async def _begin_leg(self, axis: str, task: _Task, near_deg: float = _ON_TARGET_DEG) -> str:
-        """Start the next leg of a move and return its kind: brake (while turning), run (far, in rate mode), change or
-        done.
+        """Start the next leg of a move and return its kind: "brake", "run", "change" or "done".
 
-        "change" is a change of position. "done" within ``near_deg`` of the target, or if the axis has a new task.
+        "brake": the axis turns, and is brought to rate zero. "run": the target is more than 170 deg away, and it is
+        approached in rate mode. "change": a change of position is sent. "done": within ``near_deg`` of the target, or
+        the axis has a new task.
         """
         assert task.target_deg is not None
         state = await self._read(axis)
@@ -291,7 +299,7 @@ class AcutrolTable(LineTable):
     async def _run_to_braking(self, axis: str, task: _Task) -> bool:
         """Wait until a run in rate mode has to brake, then set the rate to zero; False if the axis has a new task.
 
-        Also brakes an axis that does not turn for ``_STUCK_S``.
+        True as well if the axis does not turn after 1 s: it is braked, too.
         """
         assert task.target_deg is not None
         own = self._axes[axis]
@@ -313,7 +321,10 @@ class AcutrolTable(LineTable):
         return True
 
     async def _until_rest(self, axis: str, task: _Task) -> bool:
-        """Wait until an axis stands, at once if on its target, else for ``_QUIET_S``; False if it has a new task."""
+        """Wait until an axis stands; False if it has a new task.
+
+        It stands at rate zero on its target, or at rate zero for 0.3 s. Waits without limit.
+        """
         own, loop = self._axes[axis], asyncio.get_running_loop()
         stands_since = math.inf
         while own.task is task:
@@ -329,7 +340,9 @@ class AcutrolTable(LineTable):
         return False
 
     async def _change_position(self, axis: str, way_deg: float, task: _Task) -> None:
-        """Change the position demand by ``way_deg``. If the answer is lost, it is not repeated: the next leg sees the
+        """Set rate and acceleration limits of position mode, enter it, and change the position demand by ``way_deg``.
+
+        If the answer to the change is lost or wrong, it is not repeated and nothing is raised: the next leg sees the
         result.
         """
         number = self._axes[axis].own.address
@@ -348,7 +361,10 @@ class AcutrolTable(LineTable):
         await self._tell(f":demand:rate {number},{rate_dps:.6f}")
 
     async def _enter(self, axis: str, mode: str) -> None:
-        """Change the mode of an axis and wait for it; DeviceRefused if it does not. Rate mode begins with zero rate."""
+        """Change the mode of an axis to ``mode`` and wait for it; nothing is sent if it is in that mode.
+
+        Rate mode begins with zero rate. DeviceRefused if the mode is not entered within 1 s.
+        """
         if await self._mode(axis) == mode:
             return
         number = self._axes[axis].own.address

@@ -103,8 +103,10 @@ class GalilFraming:
         return line.encode("ascii") + b"\r"
 
     def answer(self, line: str, received: bytes) -> Framed | None:
-        """Return the data up to the prompt at the beginning of a line (":" or "?" for a refusal); None without a
+        """Return the text up to the prompt at the beginning of a line (":", or "?" for a refusal); None without a
         prompt.
+
+        A ``line`` that is echoed is skipped, as are empty lines; the length counts all bytes up to the prompt.
         """
         body = received.removeprefix(line.encode("ascii"))
         prompt = _PROMPT.search(body)

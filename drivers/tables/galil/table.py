@@ -65,8 +65,9 @@ class GalilTable(LineTable):
         return Identity(model, serial, firmware)
 
     async def enable(self) -> None:
-        """Switch on every motor that is off, where it stands; DeviceFault if an axis is in fault or its motor stays
-        off.
+        """Switch on every motor that is off, where it stands, with its error limit if that is stated.
+
+        DeviceFault if an axis is in fault or its motor stays off.
         """
         for axis, own in self._axes.items():
             if (await self._sound(axis)).enabled:
@@ -82,7 +83,8 @@ class GalilTable(LineTable):
     async def home(self) -> None:
         """Run the controller's homing on all axes at once, define zero there, and set the travel as soft limits.
 
-        An axis that moves is halted first. DeviceFault or DeviceRefused if an axis does not find home.
+        An axis that moves is halted first; an axis without a travel gets no soft limits. DeviceFault or DeviceRefused
+        if an axis does not find home, DeviceRefused as well if it takes more than a minute.
         """
         self.homing = set(self.limits)
         for axis, own in self._axes.items():
@@ -105,8 +107,9 @@ class GalilTable(LineTable):
         await self.stop()
 
     async def _at_home(self, axis: str) -> bool:
-        """Return whether an axis has ended its homing; DeviceFault for a fault, DeviceRefused if it ended without
-        finding home.
+        """Return whether an axis has ended its homing at home.
+
+        DeviceFault for a fault, DeviceRefused if it ended without finding home.
         """
         switches, stop, fault = await self._condition(axis)
         if fault:
@@ -120,7 +123,8 @@ class GalilTable(LineTable):
     async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
         """Turn an axis at a rate, rounded to counts/s; a jogging axis changes its rate without a halt.
 
-        DeviceRefused beyond the limits of the axis.
+        An axis that moves otherwise, or has ended its jog, is halted first. DeviceRefused beyond the limits of the axis
+        or below half a count/s.
         """
         self._moved, letter = axis, self._axes[axis].address
         rate = self._rate(axis, rate_rps, acceleration_rps2)
@@ -136,7 +140,8 @@ class GalilTable(LineTable):
     async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
         """Start a move to an angle from home; an axis that moves is halted first.
 
-        DeviceRefused beyond the limits of the axis or of the controller's counter.
+        ``rate_rps`` is a speed, of which the sign is ignored. DeviceRefused beyond the limits of the axis or of the
+        controller's counter.
         """
         self._moved, letter = axis, self._axes[axis].address
         target, rate = self._counts(axis, angle_rad), abs(self._rate(axis, rate_rps, acceleration_rps2))
@@ -159,7 +164,12 @@ class GalilTable(LineTable):
         return AxisState.told(angle, rate, 2 * self._velocity_delay_s)
 
     async def status(self, axis: str) -> AxisStatus:
-        """Read TS word and stop code, and TV of a jogging axis; a fault is described with both codes."""
+        """Read TS word and stop code of an axis, and TV of one that jogs.
+
+        A target is reached if the axis stopped there or at home, or jogs within a thousandth (and 1 count/s) of its
+        rate. A fault is described with both codes. The interlock is said to be open if the motor is off and the abort
+        input is active.
+        """
         switches, stop, fault = await self._condition(axis)
         reached = not switches.moving and stop in (galil.AT_TARGET, galil.HOMED)
         if switches.moving and axis in self._jogs:
@@ -218,7 +228,10 @@ class GalilTable(LineTable):
         self._powered.clear()
 
     async def _condition(self, axis: str) -> tuple[galil.Switches, int, str]:
-        """Return TS word, stop code and the fault in words, empty if there is none; acknowledged stop codes are no
+        """Return TS word, stop code and the fault of an axis in words, empty if there is none.
+
+        Faults are a motor that is off after this driver had switched it on, or by a stop code of that kind; too large a
+        following error; and a limit that was run into. Stop codes that were acknowledged by ``reset_fault`` are no
         fault.
         """
         switches = await self._switches(axis)
@@ -260,7 +273,7 @@ class GalilTable(LineTable):
                 raise error
 
     async def _change_jog(self, axis: str, rate: int, acceleration_rps2: float) -> bool:
-        """Change the rate (counts/s) of a jogging axis; return False if it does not jog or move any more."""
+        """Change the rate (counts/s) and ramps of a jogging axis; return False if it does not jog or move any more."""
         await self._set_ramps(axis, acceleration_rps2)
         try:
             await self._tell(f"JG{self._axes[axis].address}={rate}")
@@ -284,8 +297,9 @@ class GalilTable(LineTable):
         return "DC " + ",".join(by_letter.get(letter, "") for letter in _LETTERS[: ord(max(by_letter)) - 64])
 
     async def _set_ramps(self, axis: str, acceleration_rps2: float) -> None:
-        """Set acceleration and deceleration, rounded down to the controller's steps; DeviceRefused if its least is too
-        steep.
+        """Set acceleration and deceleration of an axis, rounded down to the controller's steps.
+
+        DeviceRefused if even its least step is above the limit of the axis.
         """
         own = self._axes[axis]
         acceleration = galil.floor_acceleration(acceleration_rps2 / TURN * own.counts_per_turn)
@@ -297,8 +311,10 @@ class GalilTable(LineTable):
             await self._tell(f"{command}{own.address}={acceleration}")
 
     def _rate(self, axis: str, rate_rps: float, acceleration_rps2: float) -> int:
-        """Return a rate in counts/s; DeviceRefused beyond the limits, which the controller does not know, or below half
-        a count.
+        """Return a rate in counts/s; DeviceRefused beyond the limits of the axis, or for one below half a count/s.
+
+        The controller does not know these limits; ``acceleration_rps2`` is compared with its own. Rate zero is returned
+        as it is.
         """
         limits = self._axes[axis].limits
         if abs(rate_rps) > limits.rate_rps * 1.001 or abs(acceleration_rps2) > limits.acceleration_rps2 * 1.001:

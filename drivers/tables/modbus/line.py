@@ -76,8 +76,9 @@ class ModbusLine:
     def __init__(
         self, device: str, address: Address, timeout_s: float, probes: Mapping[int, Sequence[Request]]
     ) -> None:
-        """Prepare for the peer at ``address``; ``probes`` are harmless reads by unit id, whose RTU replies differ in
-        length.
+        """Prepare for the peer at ``address``, a host and port or a serial port; nothing is opened.
+
+        ``probes`` are harmless reads by unit id, whose RTU replies differ in length.
         """
         self._device, self._address, self._timeout_s = device, address, timeout_s
         self._probes = probes
@@ -101,7 +102,11 @@ class ModbusLine:
         return self._client is not None and bool(self._client.connected) and not failed
 
     async def open(self) -> None:
-        """Connect, closing an open connection first; LinkLost if nobody listens or the port cannot be opened."""
+        """Connect, closing an open connection first; LinkLost if nobody listens or the port cannot be opened.
+
+        On a serial port every unit is taken to have replies under way to an earlier user; DeviceRefused if the probes
+        of one cannot be told apart.
+        """
         self.close()
         self._failed, self._ended, self._unheard_until_s = False, "", 0.0
         gate = self._rtu if isinstance(self._address, SerialPort) else self._tcp
@@ -134,8 +139,9 @@ class ModbusLine:
             self._quiet_until_s = self._now() + self._address.silence_s
 
     def _trace(self, gate: RtuGate | TcpGate, sending: bool, data: bytes) -> bytes:
-        """Count bytes and return those that ``gate`` lets pass; while receiving, the client shows all bytes so far each
-        time.
+        """Count bytes and return those of ``data`` that ``gate`` lets pass; a hook of the client.
+
+        While receiving (not ``sending``), the client shows all bytes so far each time; only new ones are counted.
         """
         if sending:
             self.counts.sent += len(data)
@@ -157,9 +163,9 @@ class ModbusLine:
     async def tell(self, request: Request) -> None:
         """Send once, without waiting for outstanding replies: for stopping, where other axes wait. Raises as ``ask``.
 
-        The time for the echo is half a time-out; twice as long as recent answers took where that is more; doubled again
-        after each missing echo; at most that of ``ask``. On a serial line that worked so far, where two frames could
-        collide, it is at least one time-out.
+        The echo must come within half a time-out; within twice the time of recent answers where that is more. That is
+        doubled after each missing echo, up to the two time-outs of ``ask``. On a serial line that worked so far, where
+        two frames could collide, it is at least one time-out. A busy drive is asked again within this time.
         """
         patient = isinstance(self._address, SerialPort) and not self._failed
         least_s = self._timeout_s if patient else self._timeout_s / 2
@@ -169,7 +175,8 @@ class ModbusLine:
         self._untold = 0
 
     async def _answered(self, request: Request, within_s: float, *, prompt: bool) -> Reply:
-        """Send a request and return its reply; repeat it after growing pauses for up to ``within_s`` if busy.
+        """Send a request and return its reply; repeat it after growing pauses for up to ``within_s`` if the drive is
+        busy.
 
         With ``prompt`` it is sent as for ``tell`` and the reply has to come within ``within_s``; otherwise as for
         ``ask``, at most twice with a time-out each. LinkLost without a reply or connection, BadReply for one that
@@ -207,8 +214,9 @@ class ModbusLine:
                 pause_s *= 2
 
     def _unanswered(self, request: Request, within_s: float, once: bool) -> DeviceError:
-        """Return the error for a request without an answer: what came instead, if anything. ``once``: it was
-        sent once.
+        """Return the error for a request without an answer within ``within_s``; ``once`` if it was sent once.
+
+        BadReply if what came on TCP violates Modbus, else LinkLost, which says what came instead, or which refusal.
         """
         if self._tcp.wrong:
             reason = f"sent an answer for {request.register} that violates Modbus: {self._tcp.wrong}"
@@ -221,10 +229,10 @@ class ModbusLine:
         return LinkLost(self._device, f"{_who(request)} {reason}{heard}")
 
     async def _await_old_reply(self) -> None:
-        """Wait a little for the reply to a request that was cancelled, if one is outstanding, as a stop cancels all of
-        them.
+        """Wait a little for the reply to a request that was cancelled, if one is outstanding.
 
-        A device that has not answered yet may lose the next request, and on a serial line both would collide.
+        A stop cancels all requests. A device that has not answered yet may lose the next one, and on a serial line both
+        would collide; there the line is kept quiet afterwards. The wait ends after a quarter of a time-out.
         """
         if not self._unheard_until_s:
             return
@@ -236,7 +244,7 @@ class ModbusLine:
             self._quiet_until_s = self._now() + self._address.silence_s
 
     def _doubt_all(self) -> None:
-        """Assume that each unit still has replies on their way to an earlier user of the line.
+        """Assume that each unit still has replies to all its probes under way to an earlier user of the line.
 
         DeviceRefused if the probes of a unit cannot be told apart by their length.
         """
@@ -248,9 +256,11 @@ class ModbusLine:
                     self._pending[unit].add(probe.head, self._now())
 
     async def _ask_in_step(self, request: Request, line: SerialPort, began_s: float) -> Reply:
-        """Send a request whose reply cannot be mistaken; probe the unit first while earlier replies may still come.
+        """Send a request on a serial line and return its reply, which cannot be mistaken for another.
 
-        _NoReply after two time-outs.
+        If earlier replies of the unit may look like it, or none comes within a time-out, the unit is probed until no
+        reply is pending; then the request is sent (again). _NoReply once two time-outs after ``began_s`` (loop time)
+        are over.
         """
         deadline_s = began_s + 2 * self._timeout_s
         pending = self._pending[request.unit_id]
@@ -285,10 +295,10 @@ class ModbusLine:
                 raise
 
     async def _exchange(self, request: Request, limit_s: float, line: SerialPort) -> Reply:
-        """Send a request once on RTU and return the first reply that fits, before ``limit_s`` (loop time).
+        """Send a request once on the serial line and return the first reply that fits, before ``limit_s`` (loop time).
 
-        A reply or refusal shows that earlier requests will not be answered any more: they are removed from the pending
-        ones. _NoReply without a reply.
+        The line is kept quiet before and after. A reply or refusal shows that earlier requests will not be answered any
+        more: they are removed from the pending ones. _NoReply without a reply; DeviceRefused, or _Busy, for a refusal.
         """
         pending = self._pending[request.unit_id]
         # A refusal does not name its request; it counts as the answer only if nothing else may be refused.
@@ -306,10 +316,10 @@ class ModbusLine:
         return reply
 
     async def _execute(self, request: Request, limit_s: float | None) -> Reply:
-        """Have the client carry out a request until ``limit_s`` (loop time, None: its own limit); return the checked
-        reply.
+        """Have the client carry out a request, and return the checked reply with its times.
 
-        _NoReply without a reply. If cancelled, the line is left to hear out the reply.
+        ``limit_s`` is a time of the loop; None leaves it to the client. _NoReply without a reply by then;
+        DeviceRefused, or _Busy, for a refusal. If cancelled, the next request will wait a little for the reply.
         """
         cancels = _cancels()
         sent_s = self._now()

@@ -126,7 +126,9 @@ class RtuGate:
     def __call__(self, sending: bool, data: bytes) -> bytes:
         """Return the bytes the client may send, or the awaited frame if it has come, else nothing.
 
-        Other frames count as late; bytes outside frames as corrupt, once the next request is sent.
+        ``data`` are bytes to send if ``sending``, else all bytes received since. Frames that are not awaited count as
+        late; bytes outside frames count as one corrupt frame, once the next request is sent. The code of a refusal is
+        kept.
         """
         if sending:
             self._counts.corrupt += self._damaged
@@ -169,8 +171,10 @@ class TcpGate:
         """What was wrong with what came last in its place."""
 
     def __call__(self, sending: bool, data: bytes) -> bytes:
-        """Return the bytes the client may send, or the complete answer if it has come, else nothing; count other
-        frames.
+        """Return the bytes the client may send, or the complete answer if it has come, else nothing.
+
+        ``data`` are bytes to send if ``sending``, else all bytes received since. Other frames are counted; after the
+        answer nothing passes until the next request.
         """
         if sending:
             if not self.answered:
@@ -194,7 +198,9 @@ class TcpGate:
     def _count(self, data: bytes) -> None:
         """Count complete frames that are not the answer, as late, foreign or corrupt; describe the last in ``wrong``.
 
-        A header that is not Modbus makes all bytes received so far corrupt; an incomplete frame is left for later.
+        Late is an answer to an earlier request, which is not described; foreign one that nobody asked for; corrupt one
+        with the number of the request. A header that is not Modbus makes all bytes received so far corrupt. An
+        incomplete frame is left for later.
         """
         while self._seen + _TCP_HEADER + 1 < len(data):
             frame = data[self._seen :]
@@ -229,7 +235,7 @@ def _tcp_heads(request: bytes) -> Iterator[bytes]:
 
 
 def _difference(frame: bytes, head: bytes) -> str:
-    """Return in words the first difference between a frame and the awaited head."""
+    """Return in words the first field in which a frame differs from the awaited head; else that its data do."""
     if frame[:2] != head[:2]:
         return "transaction numbers that were not requested. Does a gateway change them?"
     for name, start, end in _FIELDS[: None if head[7] == READ else -1]:
@@ -239,7 +245,7 @@ def _difference(frame: bytes, head: bytes) -> str:
 
 
 def rtu_frames(data: bytes) -> Iterator[bytes]:
-    """Yield the frames in ``data`` that are replies with a valid CRC, skipping other bytes."""
+    """Yield the frames in ``data`` that are replies with a valid CRC, skipping other bytes and an unfinished frame."""
     at = 0
     while at + 5 <= len(data):
         size = _reply_size(data, at)

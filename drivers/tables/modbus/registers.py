@@ -39,8 +39,10 @@ class Register:
         return max(_BITS[self.kind] // 16, self.least_words)
 
     def encode(self, value: float, counts_per_turn: int) -> list[int]:
-        """Return the words of a value (turns, turns/s, turns/s2, or a plain number); ValueError if not finite or out of
-        range.
+        """Return the words of a value, in the order in which they are sent.
+
+        The value is in turns, turns/s or turns/s2, of ``counts_per_turn`` of the axis, or a plain number. It is rounded
+        to a whole raw number. ValueError if it is not finite or out of range.
         """
         if not math.isfinite(value):
             raise ValueError(f"{self.name} = {value} is not finite")
@@ -54,7 +56,7 @@ class Register:
         return words if self.low_word_first else words[::-1]
 
     def decode(self, words: Sequence[int], counts_per_turn: int) -> float:
-        """Return the value of ``words``, in turns, turns/s, turns/s2, or as a plain number."""
+        """Return the value of ``words`` in turns, turns/s or turns/s2, or as a plain number; see ``encode``."""
         ordered = words if self.low_word_first else list(words)[::-1]
         raw = sum((word & 0xFFFF) << (16 * i) for i, word in enumerate(ordered))
         bits = _BITS[self.kind]
@@ -87,7 +89,11 @@ class DriveProfile:
     interlock: tuple[str, int] = ("", 0)
 
     def error_text(self, code: int) -> str:
-        """Return the meaning of an error code, code included; combined bits are joined by "and"."""
+        """Return an error code with its meaning in words.
+
+        A code that is not listed is taken apart into bits if all of them are, joined by "and"; others refer to the
+        manual. 0 means that the drive gives no code.
+        """
         if not code:
             return "the drive gives no error code"
         bits = [1 << i for i in range(code.bit_length()) if code >> i & 1]
@@ -104,9 +110,10 @@ class DriveProfile:
 
 
 def load_profile(name_or_path: str) -> DriveProfile:
-    """Return a profile by name, of those in the package, or by the path of a .toml file; ProfileError if it is invalid.
+    """Return a drive profile by name, of those in the package, or by the path of a .toml file; ProfileError if it is
+    invalid.
 
-    For a bench, station/schema/profile.toml has declared the keys and the file was checked against it before.
+    Unknown keys are not looked for: station/schema/profile.toml declares the keys, and a bench checks its file by that.
     """
     path = Path(name_or_path)
     if path.suffix != ".toml":

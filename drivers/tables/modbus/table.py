@@ -57,7 +57,10 @@ class ModbusTable(Table):
     """Turntable driver over a stock pymodbus client."""
 
     def __init__(self, setup: TableSetup, address: Address) -> None:
-        """Prepare for drives whose addresses are unit ids, at ``address`` unless an axis has its own ``link``."""
+        """Prepare for drives whose addresses are unit ids, at ``address`` unless an axis has its own ``link``.
+
+        Axes with the same address share a line. The option ``profile`` describes the drives.
+        """
         super().__init__("table", {name: axis.limits for name, axis in setup.axes.items()}, setup.timeout_s)
         self._profile: DriveProfile = setup.options["profile"]
         self._axes = setup.axes
@@ -77,9 +80,11 @@ class ModbusTable(Table):
         return LinkCounts(*map(sum, zip(*each, strict=True)))
 
     async def open(self) -> None:
-        """Connect, read the state of every drive and write the profile's values; LinkLost if one does not answer.
+        """Connect all lines, read the state of every drive and write the profile's values to those that are not
+        enabled.
 
         A drive that is enabled may be driven by another program: it is not written to before the first command.
+        LinkLost if one does not answer, BadReply if its state is none.
         """
         self._ready.clear()
         for line in dict.fromkeys(self._lines.values()):
@@ -100,8 +105,9 @@ class ModbusTable(Table):
         return Identity(self._profile.name, await self._numbers("serial_number"), await self._numbers("firmware"))
 
     async def enable(self) -> None:
-        """Step every drive to Operation enabled; DeviceFault if it is in fault, DeviceRefused if it does not change
-        state.
+        """Step every drive to Operation enabled; one that is enabled already is left so.
+
+        DeviceFault if it is in fault, DeviceRefused if it does not change state in time.
         """
         for axis in self._axes:
             await self._sound(axis)
@@ -119,7 +125,11 @@ class ModbusTable(Table):
                 await self._hail(list(self._axes)[: list(self._axes).index(axis)])
 
     async def home(self) -> None:
-        """Run the drives' homing on all axes at once and wait for it; DeviceRefused if one does not start or finish."""
+        """Run the drives' homing on all axes at once, by the profile's method, and wait for it.
+
+        DeviceRefused if one does not start, reports an error of homing or takes more than a minute; DeviceFault for a
+        fault.
+        """
         self.homing = set(self._axes)
         self._starts.clear()
         for axis in self._axes:
@@ -140,9 +150,10 @@ class ModbusTable(Table):
         await self._wait_for_home(_POLL_S)
 
     async def _at_home(self, axis: str) -> bool:
-        """Return whether an axis has finished homing; a start that the drive has not accepted in time is repeated.
+        """Return whether an axis has finished homing; one that had is still asked for a fault.
 
-        DeviceFault for a fault, DeviceRefused for a homing error or a start that is never accepted.
+        A finished homing has its start bit taken back. A start that the drive has not accepted within 0.5 s is
+        repeated. DeviceFault for a fault, DeviceRefused for a homing error or a start that is never accepted.
         """
         word = int(await self._read(axis, "statusword"))
         if cia402.state_of(word) in _FAULTS:
@@ -164,8 +175,8 @@ class ModbusTable(Table):
     async def _homed_unseen(self, axis: str, start: _HomingStart) -> bool:
         """Return whether a drive was homed so fast that its bits were never seen to fall.
 
-        That is so if it reads zero now and did not before. A drive that was at home already is believed after
-        ``_STATE_LIMIT_S``; DeviceRefused if it is not at home by then.
+        That is so if it reads zero now and did not at the start. A drive that was at home already is believed 2 s after
+        the first start; DeviceRefused if it is not at home by then.
         """
         loop = asyncio.get_running_loop()
         state = await self.read(axis)
@@ -205,8 +216,10 @@ class ModbusTable(Table):
         await self._command(axis, "enable")
 
     async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
-        """Start a move to an angle from home (profile position mode), and wait until the drive has taken the
-        set point.
+        """Start a move to an angle from home (profile position mode), and wait until the drive has taken the set point.
+
+        ``rate_rps`` is a speed, of which the sign is ignored. A drive that does not show it in time counts as having
+        taken it.
         """
         self._moved = axis
         await self._write(axis, "mode", cia402.MODE_PROFILE_POSITION)
@@ -220,11 +233,11 @@ class ModbusTable(Table):
         await self._wait_for_acknowledgement(axis, set_point_taken=True)
 
     async def _wait_for_acknowledgement(self, axis: str, *, set_point_taken: bool) -> None:
-        """Wait until bit 12 shows that a drive has seen bit 4 of the controlword fall or rise, for one cycle at most;
-        no error.
+        """Wait until bit 12 shows that a drive has taken (``set_point_taken``) or released a set point, 20 ms at most.
 
-        A drive acts on the rise of bit 4 and must have seen it low before; until then, bit 10 belongs to the previous
-        move. A drive that handles bit 12 differently has had one cycle all the same.
+        That it does not show it is no error. A drive acts on the rise of bit 4 of the controlword and must have seen it
+        low before; until then, bit 10 belongs to the previous move. A drive that handles bit 12 differently has had a
+        cycle all the same.
         """
         loop = asyncio.get_running_loop()
         ends_s = loop.time() + _TAKEN_S
@@ -250,7 +263,10 @@ class ModbusTable(Table):
         return found
 
     async def status(self, axis: str) -> AxisStatus:
-        """Read the state and describe a fault in words; BadReply for a statusword that is no CiA 402 state."""
+        """Read the state of an axis and describe a fault in words.
+
+        Quick stop active is no fault but a caution. BadReply for a statusword that is no CiA 402 state.
+        """
         word = int(await self._read(axis, "statusword"))
         state = cia402.state_of(word)
         if state is None:
@@ -309,9 +325,10 @@ class ModbusTable(Table):
             ) from None
 
     async def disable(self) -> None:
-        """Switch the power of every drive off and check that it is off; DeviceRefused if one stays energised.
+        """Switch the power of every drive off and check that it is off.
 
-        The first failure is raised after all have been tried.
+        The first failure is raised after all have been tried: DeviceRefused if a drive stays energised, or what its
+        line raised.
         """
         failures: list[DeviceError] = []
         for axis in self._axes:
@@ -347,7 +364,10 @@ class ModbusTable(Table):
             await asyncio.sleep(_POLL_S)
 
     async def _fault_text(self, axis: str, statusword: int) -> str:
-        """Return state and statusword in words, with the drive's error code if it has that register."""
+        """Return the state and ``statusword`` of an axis in words, with the drive's error code.
+
+        Without the code if the profile has no register for it, or the drive refuses to read it.
+        """
         state = cia402.state_of(statusword)
         text = f"axis {axis} is in {state.text if state else 'no known state'} (statusword 0x{statusword:04X}"
         text += ", internal limit active)" if statusword & cia402.INTERNAL_LIMIT else ")"

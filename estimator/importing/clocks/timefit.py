@@ -57,14 +57,17 @@ def regular_times(position: NDArray[np.int64], rate_hz: float) -> TimeFit:
 
 
 def fit_times(stamps_s: Floats, values: Floats, position: NDArray[np.int64] | None = None) -> TimeFit:
-    """Return instants from stamps (rows,); ``values`` (rows, m) distinguish a replay from a clock that was set back.
+    """Return instants from stamps (rows,), with the rows kept; ``values`` (rows, m) tell a replay from a clock set
+    back.
 
     ``position`` (rows,) numbers the rows, lost ones included. Rows delivered again (stamps in the past, values known)
     and rows written twice (equal stamps and values) are left out. If the rest is near an even grid, the grid replaces
     the stamps, whose scatter is that of delivery; several samples per stamp are spread over it. The same holds if
-    stamps are even over stretches of 101 rows. Otherwise the sampling was uneven and the stamps are kept.
+    stamps are even over stretches of 101 rows. Otherwise the sampling was uneven and the stamps are kept, without rows
+    whose stamp does not increase.
 
-    RecordingError for stamps that are too few, not finite, do not advance, or go back as for two runs in a file.
+    RecordingError for fewer than eight stamps, and for stamps that are not finite, do not advance, or go back as for
+    two runs in a file.
     """
     if len(stamps_s) < 8:
         raise RecordingError(sentence("importing.few_stamps", rows=len(stamps_s)))
@@ -107,7 +110,7 @@ def fit_times(stamps_s: Floats, values: Floats, position: NDArray[np.int64] | No
             on_grid=True,
         )
     other_s = None
-    if (wandering := _wandering(t)) is not None:
+    if (wandering := _even_over_seconds(t)) is not None:
         t, text = wandering, f"even over seconds at {1 / np.median(np.diff(wandering)):.6g} Hz"
         text += "; the clock of the stamps wanders"
     else:
@@ -116,7 +119,7 @@ def fit_times(stamps_s: Floats, values: Floats, position: NDArray[np.int64] | No
         if behind > _BEHIND_SHARE:
             raise RecordingError(f"has stamps earlier than previous ones in {behind:.0%} of its rows: {_CHECK}")
         t, rows = t[~late], rows[~late]
-        other_s = _delivered(best, t, ~late)
+        other_s = _before_delivery(best, t, ~late)
         text = f"as stamped (uneven: off an even grid of {1 / best.period_s:.4g} Hz by {best.away:.1f} periods)"
         text += f", {late.sum()} rows skipped whose stamp does not increase" if late.any() else ""
     scatter_s = best.scatter * best.period_s if other_s is not None else 0.0
@@ -143,10 +146,11 @@ class _Grid:
     even: bool
 
 
-def _delivered(grid: _Grid, t: Floats, kept: NDArray[np.bool_]) -> Floats | None:
-    """Return the instants (kept rows,) of evenly spaced samples if the stamps may be of their arrivals, else None.
+def _before_delivery(grid: _Grid, t: Floats, kept: NDArray[np.bool_]) -> Floats | None:
+    """Return the instants of evenly spaced samples if the stamps may be of their arrivals, else None.
 
-    Arrivals scatter about a grid without leaving it; stamps of uneven sampling leave it.
+    Arrivals scatter about a grid without leaving it; stamps of uneven sampling leave it. ``t`` are the stamps of the
+    rows marked in ``kept``; the instants are of these rows, in s since the first stamp.
     """
     if grid.away > max(grid.scatter, 1.0) or grid.scatter > _MOST_LATE:
         return None
@@ -162,7 +166,9 @@ def _grids(t: Floats, rows: NDArray[np.intp], position: NDArray[np.int64] | None
 
 
 def _grid(t: Floats, number: NDArray[np.int64]) -> _Grid | None:
-    """Return the even grid through stamps of numbered rows; None if they do not advance."""
+    """Return the even grid through stamps ``t`` (rows,) of numbered rows; None if they do not advance, or are fewer
+    than two.
+    """
     if len(t) < 2:
         return None
     half = len(t) // 2
@@ -185,8 +191,11 @@ def _grid(t: Floats, number: NDArray[np.int64]) -> _Grid | None:
     return _Grid(number, period, scatter, max(scatter, drift), even)
 
 
-def _wandering(t: Floats) -> Floats | None:
-    """Return the instants of samples that are even over seconds, but not for ever; None if they are not, or overlap."""
+def _even_over_seconds(t: Floats) -> Floats | None:
+    """Return the instants (rows,) of samples that are even over seconds, but not for ever.
+
+    ``t`` are the stamps. None if they are not even, overlap, or are fewer than 202.
+    """
     if len(t) < 2 * _EVEN_ROWS:
         return None
     steps = np.round(np.diff(t) / max(float(np.median(np.diff(t))), 1e-12))
@@ -210,8 +219,10 @@ def _usual_rows(t: Floats) -> list[int]:
 
 
 def _written_twice(t: Floats, values: Floats, usual: int) -> NDArray[np.bool_]:
-    """Return as flags which rows repeat the row before, stamp and values, where a stamp has more than ``usual``
-    rows.
+    """Return as flags (rows,) which rows repeat the row before, stamp and values.
+
+    Only stamps with more than ``usual`` rows are looked at, and of each no more rows are flagged than it has above
+    that.
     """
     twice = np.zeros(len(t), dtype=bool)
     first = np.flatnonzero(np.diff(t, prepend=t[0] - 1))
@@ -224,8 +235,10 @@ def _written_twice(t: Floats, values: Floats, usual: int) -> NDArray[np.bool_]:
 
 
 def _without_replays(stamps_s: Floats, values: Floats, period_s: float) -> NDArray[np.intp]:
-    """Return the rows that are not a second delivery of earlier rows; RecordingError if stamps go back for another
-    reason.
+    """Return the numbers of the rows that are not a second delivery of earlier rows.
+
+    ``period_s`` is the usual step of stamps. Stamps that go back by ten steps and more are a replay if most of the rows
+    are known already, by ``values`` (rows, m), and it is no longer than 2 s; else RecordingError.
     """
     keep = np.ones(len(stamps_s), dtype=bool)
     start = 0

@@ -34,7 +34,9 @@ class Clocks:
         return np.asarray(self.middle_s + (stamps_s - self.middle_s - self.ahead_s) / (1 + self.drift))
 
     def told(self, name: str, at_s: float) -> str:
-        """Return in words the rate of a file's clock, and how far it is ahead at an instant."""
+        """Return in words how fast the clock of the file ``name`` runs, and how far it is ahead at the instant
+        ``at_s``.
+        """
         ahead_s = self.ahead_s + self.drift * (at_s - self.middle_s)
         sd_s = np.hypot(self.ahead_sd_s, self.drift_sd * (at_s - self.middle_s))
         return (
@@ -47,12 +49,12 @@ class Clocks:
 
 
 def clocks_apart(gyros: Turned, body: Turned, p: Floats, *, signed: bool) -> Clocks | None:
-    """Return how the clock of a reference runs relative to the gyros'; None if they run alike, or the data do not show
-    it.
+    """Return how the clock of a reference runs relative to the gyros'.
 
-    ``p`` (m, 3) are the gyros' axes, ``signed`` if their signs are known. In windows, mean outputs over 0.1 s are
-    fitted with bias and factor at every delay; the line of delays with the least residual in all windows is refined by
-    Newton's method, and its covariance is that of the windows' scores (sandwich).
+    None if they run alike, the body hardly turns, or the files overlap for less than 40 s. ``p`` (m, 3) are the gyros'
+    axes; ``signed``: their signs are known. In windows, mean outputs over 0.1 s are fitted with bias and factor at
+    every delay; the line of delays with the least residual in all windows is refined by Newton's method, and its
+    covariance is that of the windows' scores (sandwich).
     """
     first_s, last_s = max(gyros.t_s[0], body.t_s[0]), min(gyros.t_s[-1], body.t_s[-1])
     step_s = max(_BLOCK_S, *(2 * float(np.median(np.diff(one.t_s))) for one in (gyros, body)))
@@ -66,7 +68,10 @@ def clocks_apart(gyros: Turned, body: Turned, p: Floats, *, signed: bool) -> Clo
     centre_s = np.bincount(number, at_s) / np.bincount(number)
 
     def left(delay_s: Floats | float) -> Floats:
-        """Return the mean squared residuals (windows,) of the outputs if the reference is read later by ``delay_s``."""
+        """Return the mean squared residuals (windows,) of the outputs if the reference is read later by ``delay_s``.
+
+        If signs are known, an output of opposite sign has no part explained.
+        """
         rates = body.means(edges[:-1] + delay_s, edges[1:] + delay_s) @ p.T
         total = np.zeros(windows)
         for u, y in zip(rates.T, outputs.T, strict=True):
@@ -103,10 +108,10 @@ def clocks_apart(gyros: Turned, body: Turned, p: Floats, *, signed: bool) -> Clo
 
 
 def ahead_by_motion(gyros: Turned, body: Turned, p: Floats, *, signed: bool) -> float:
-    """Return by how much (s) the stamps of a reference are ahead, where its rates correlate best with those of the
-    gyros.
+    """Return by how much (s) the stamps of a reference are ahead of the gyros', to 50 ms.
 
-    Over the whole files, to 50 ms; ``p`` and ``signed`` as in ``clocks_apart``.
+    That is where its rates correlate best with the outputs, over the whole files. ``p`` (m, 3) are the gyros' axes;
+    ``signed``: their signs are known.
     """
     from scipy.signal import correlate
 

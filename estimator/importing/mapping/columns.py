@@ -32,10 +32,11 @@ class Columns:
 
 
 def stated_columns(section: StrictTable, quantity: str, key: str = "columns", *, count_needed: bool = True) -> Columns:
-    """Return the columns of a table with their conversion to SI: a unit of ``quantity``, or the size of a count.
+    """Return the columns that a table names under ``key``, with their conversion to SI.
 
-    Unless ``count_needed``, a count without a size is one degree per second. ``offset`` is the value for zero, in the
-    unit of the column.
+    The conversion is a unit of ``quantity``, or the size of a count; unless ``count_needed``, a count without a size is
+    one degree per second. ``offset`` in the table is the value for zero, in the unit of the column. The section's error
+    for a unit or count that is missing or wrong.
     """
     units, names, offset = UNITS[quantity], section.strings(key), section.number("offset", 0.0)
     unit = section.string("unit", one_of=(*units, "raw"))
@@ -55,7 +56,9 @@ def stated_columns(section: StrictTable, quantity: str, key: str = "columns", *,
 
 
 def signed_axis(text: str) -> Vector:
-    """Return the unit vector of x, y or z with its sign; ValueError for anything else."""
+    """Return the unit vector of x, y or z, in either case, with + or - before it or no sign; ValueError for anything
+    else.
+    """
     letter = text.strip().lower()
     sign = -1.0 if letter.startswith("-") else 1.0
     letter = letter.lstrip("+-")

@@ -72,7 +72,10 @@ class Timing:
 
 
 def beside(path: Path, name: str) -> Path:
-    """Return the file ``name`` beside another, whose stem replaces {stem}; RecordingError if it has a path."""
+    """Return the path of file ``name`` in the folder of ``path``; {stem} in it becomes the stem of that.
+
+    RecordingError if it is not a plain name.
+    """
     try:
         return path.with_name(name.replace("{stem}", path.stem))
     except ValueError:
@@ -143,9 +146,10 @@ class Mapping:
 
 
 def read_mapping(path: Path | str, protocols: Protocols | None = None) -> Mapping:
-    """Return the mapping in a file; captures of the ``protocols`` are formats besides csv, tsv, mat and binary.
+    """Return the mapping in a file.
 
-    RecordingError with file, line and what to write if anything is unknown or wrong.
+    Captures of ``protocols``, by name, are formats besides csv, tsv, mat and binary. RecordingError, with file, line
+    and what to write, if a table is missing or anything is unknown or wrong.
     """
     path = Path(path)
     text = read_text(path, RecordingError)
@@ -233,7 +237,11 @@ def _check(mapping: Mapping, section: StrictTable) -> None:
 def _reference_file(
     section: StrictTable, file_format: FileFormat, timing: Timing, protocols: Protocols, folder: Path
 ) -> ReferenceFile:
-    """Return the reference file of a section: by name with the format of the data, or with its own format and time."""
+    """Return the separate file that a section names, with its format, time and offset.
+
+    By name alone it has ``file_format`` and ``timing`` of the data, without limits; as a table it has a format of its
+    own, as has its time. The offset is 0 unless stated, None if it is to be found in the data.
+    """
     offset_s: float | None = 0.0
     if isinstance(section.again().value("file"), str):
         name = section.string("file")
@@ -250,7 +258,10 @@ def _reference_file(
 
 
 def _format(section: StrictTable, protocols: Protocols, folder: Path) -> FileFormat:
-    """Return the file format of a section; its error for invalid limits or delimiters."""
+    """Return the file format of a section; the section's error for invalid limits or delimiters.
+
+    ``protocols`` are further formats, which may look for files in ``folder``.
+    """
     limits = section.stated(KEYS["file"])
     for what in ("row", "s"):
         start, end = limits[f"from_{what}"], limits[f"until_{what}"]
@@ -274,7 +285,7 @@ def _format(section: StrictTable, protocols: Protocols, folder: Path) -> FileFor
 
 
 def _record(section: StrictTable) -> np.dtype[Any]:
-    """Return the structured type of a binary row; the section's error if it is invalid."""
+    """Return the structured type of a binary row; the section's error if it is no list of names and types."""
     order = section.string("byte_order", "little", one_of=("little", "big"))
     fields: dict[str, str] = {}
     if "," in section.text_of("record"):
@@ -288,7 +299,10 @@ def _record(section: StrictTable) -> np.dtype[Any]:
 
 
 def _timing(section: StrictTable, file_format: FileFormat) -> Timing:
-    """Return the timing of a section; its error unless exactly one way is given."""
+    """Return the timing of a section: stamps, a rate, or a variable with the rate.
+
+    The section's error unless exactly one is given, or if it does not go with the format of the file.
+    """
     given = [key for key in ("rate_hz", "rate_variable", "column") if section.has(key)]
     if len(given) != 1:
         raise section.fail(given[0] if given else None, sentence("importing.one_of_times"))
@@ -310,7 +324,11 @@ def _timing(section: StrictTable, file_format: FileFormat) -> Timing:
 
 
 def _gyro(section: StrictTable, file_format: FileFormat) -> GyroColumns:
-    """Return the gyros of a section; its error if their number or axes are invalid."""
+    """Return the gyros of a section; its error if their number or axes are invalid.
+
+    Without axes there are three along x, y, z. Without names they are named by their axes if these differ, else
+    numbered.
+    """
     taken = section.stated(KEYS["gyro"])
     columns = stated_columns(section, "rate", count_needed=not taken["scale_from_data"])
     where = "axes" if section.has("axes") else "columns"

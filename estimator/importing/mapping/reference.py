@@ -103,9 +103,10 @@ ForeignReference = Measured | StatedTurns | Rests
 
 
 def read_reference(section: StrictTable, *, wide: bool = False) -> ForeignReference:
-    """Return the reference of a mapping; in ``wide`` files one name may stand for several columns.
+    """Return the reference of a mapping, by its kind: measured columns, stated turns, or rests.
 
-    RecordingError with file, line and what to write if it is invalid.
+    In ``wide`` files (not text) one name may stand for several columns. RecordingError, with file, line and what to
+    write, if it is invalid.
     """
     kind = section.string("kind", one_of=("attitude", "rate", "angle", "turns", "rest", "gravity"))
     reference: ForeignReference
@@ -126,7 +127,11 @@ def read_reference(section: StrictTable, *, wide: bool = False) -> ForeignRefere
 
 
 def _attitude(section: StrictTable) -> Measured:
-    """Return the columns of an attitude, reordered to w x y z or to a matrix from body to reference."""
+    """Return the columns of an attitude: a quaternion reordered to w x y z, or a matrix by rows, from body to
+    reference.
+
+    If the section's sign says that it turns the other way, it is inverted.
+    """
     stated = section.stated(KEYS["attitude"])
     names = section.strings("columns")
     if not stated["order"]:
@@ -145,7 +150,10 @@ def turn_about(axis: str, angle_deg: float) -> Turn:
 
 
 def _rates(section: StrictTable, wide: bool) -> Columns:
-    """Return the columns of a rate: three, or one with its axis; the section's error otherwise."""
+    """Return the columns of a rate: three, or one with its axis; the section's error otherwise.
+
+    In ``wide`` files one name without an axis may stand for three columns.
+    """
     columns = stated_columns(section, "rate")
     if not section.has("axis"):
         if len(columns.names) == 1 and not wide:
@@ -157,7 +165,9 @@ def _rates(section: StrictTable, wide: bool) -> Columns:
 
 
 def _unit(section: StrictTable, key: str) -> Vector:
-    """Take a direction in body axes as a unit vector; the section's error if it is zero."""
+    """Return the direction in body axes under ``key`` as a unit vector; the section's error if it is missing or
+    zero.
+    """
     v = np.array(section.take(key, None, direction))
     length = float(np.linalg.norm(v))
     if not length > 0:
@@ -212,7 +222,11 @@ def _pattern(value: object) -> re.Pattern[str]:
 
 
 def _rests(section: StrictTable, *, by_gravity: bool) -> Rests:
-    """Return the stated rests; the section's error for keys that exclude each other."""
+    """Return the stated rests; the section's error for keys that exclude each other.
+
+    ``by_gravity``: an accelerometer measures the direction up in them. Rests are those of sections, or found in the
+    data, or everywhere; a pose may be stated for single files.
+    """
     gravity = None
     if by_gravity:
         from_rests = section.string("accelerometer", "from rests", one_of=("from rests", "stated")) == "from rests"
@@ -241,7 +255,11 @@ def _pose(section: StrictTable) -> Pose:
 
 
 def _sections(section: StrictTable) -> tuple[Cuts, dict[str, StrictTable]]:
-    """Return how files are cut, and the table of each section without its limits; the section's error if ambiguous."""
+    """Return how files are cut into sections, and the table of each section without its limits.
+
+    The section's error unless there is exactly one of a section list, a column of labels, and limits in s; or without
+    sections.
+    """
     table = section.table("sections")
     tables = {name: table.table(name) for name in table.remaining()}
     if not tables:

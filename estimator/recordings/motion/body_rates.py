@@ -109,7 +109,10 @@ class BodyRates:
             )
 
     def _add(self, t_ns: Stamps, angle_rad: Floats, rate_rps: Floats, half_s: Floats, rate_window_ns: int) -> None:
-        """Add a few readings, with whole-turn jumps removed, and make rows of what can be judged now."""
+        """Add a few readings, with whole-turn jumps removed, and make rows of what can be judged now.
+
+        RecordingError if times do not increase.
+        """
         step_ns, rates, summed = integrated(self._read, t_ns, rate_rps)
         if np.any(step_ns[not len(self._read) :] <= 0):
             raise RecordingError("the times of the table readings do not increase. Sort them and drop repeats")
@@ -127,7 +130,7 @@ class BodyRates:
             self._let_go()
 
     def _take(self, *, everything: bool) -> None:
-        """Turn readings into rows, up to a ramp whose end is still to come; ``everything`` leaves none."""
+        """Turn readings into rows, except the last few and a ramp without an end yet; ``everything`` leaves none."""
         times, changes = self._read["t_ns"], self._read["change"]
         hold_ns = round(HOLD_S * 1e9) + self._window_ns
         while (taken := self._taken) < len(times):
@@ -207,7 +210,12 @@ class BodyRates:
         return found
 
     def _append(self, start: int, stop: int, found: list[tuple[int, Stamps, Ramp | None]]) -> None:
-        """Append readings as rows, with averaged rates and unmeasured rows for the corners of ramps ``found``."""
+        """Append readings ``start`` to ``stop`` as rows, with averaged rates and unmeasured rows for the corners of
+        ramps.
+
+        ``found`` has the gimbal's column, corners and ramp of each change of rate; one whose ramp is None leaves the
+        steps unknown.
+        """
         self._taken = stop
         ramps = [(column, corners, ramp) for column, corners, ramp in found if ramp is not None]
         part = slice(start, stop)
@@ -236,9 +244,7 @@ class BodyRates:
         *,
         known: bool,
     ) -> None:
-        """Append rows with their integrated rates; ``known``, and a steady rate across a gap, mark a step as
-        understood.
-        """
+        """Append rows with integrated rates; ``known``, and a steady rate across a gap, mark a step as understood."""
         step_ns, rates, summed = integrated(self._rows, t_ns, rate_rps)
         drift = angle - summed
         unexplained = np.diff(np.vstack([drift_of(self._rows, drift), drift]), axis=0)

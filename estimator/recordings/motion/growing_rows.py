@@ -26,7 +26,7 @@ class GrowingRows:
         return self._stores[name][self._first : self._end]
 
     def append(self, *rows: NDArray[Any]) -> None:
-        """Append rows, one array for each column in order. Arrays taken out earlier stay valid."""
+        """Append rows, one array for each column in the order of the columns; arrays taken out earlier stay valid."""
         count = len(rows[0])
         if self._end + count > self._room:  # to new arrays, without forgotten rows: views of the old ones stay valid
             self._room = 2 * (len(self) + count)
@@ -53,7 +53,8 @@ def integrated(before: GrowingRows, t_ns: Stamps, rate_rps: Floats) -> tuple[Sta
     """Return steps (k,) in ns since the previous row, rates (k + 1, gimbals) from it on, and their integral (k,
     gimbals).
 
-    The previous row is the last of ``before``, or the first of these rows if that is empty.
+    ``t_ns`` (k,) and ``rate_rps`` (k, gimbals) are the new rows. The previous row is the last of ``before``, whose
+    integral goes on, or the first of these rows if that is empty.
     """
     last_ns, last_rps, start = t_ns[:1], rate_rps[:1], np.zeros((1, rate_rps.shape[1]))
     if len(before):

@@ -99,9 +99,10 @@ def ends(changes: Flags) -> tuple[int, bool]:
 
 
 def piece_of(t_s: Floats, angle_rad: Floats) -> int:
-    """Return after how many of these readings (n,) to cut a change of rate: within its longest straight part.
+    """Return after how many of these readings (n,), in s and rad, to cut a change of rate: within its longest straight
+    part.
 
-    Only the second half is searched, so that pieces do not become ever shorter.
+    Only the second half is searched, so that pieces do not become ever shorter; at least 1.
     """
     found = list(corners_of(*between_readings(t_s, angle_rad), MOST_CORNERS))
     corners = np.array(found[-1][0] if found else [0, len(t_s) - 1])
@@ -119,9 +120,11 @@ def is_ramp(rate_rps: Floats) -> bool:
 def fitted(readings: Readings, first: int, last: int) -> Ramp | None:
     """Fit a ramp between the readings ``first`` and ``last``; return None if the change is not a ramp.
 
-    Beyond them the rate is constant. With fewer than three readings beyond, the change is cut off there; that is fitted
-    only if rates are means, since other rates are interpolated well enough. Readings are weighted by their half widths
-    and by their deviation. If even the best fit is bad, the instants of its corners count as unknown (large ``sd_s``).
+    ``readings`` are instants (n,) in s, angles, rates and half widths (n,), and the length of the means that rates are
+    (0: none). Beyond the two the rate is constant. With fewer than three readings beyond, the change is cut off there;
+    that is fitted only if rates are means, since other rates are interpolated well enough. Readings are weighted by
+    their half widths and by their deviation. If even the best fit is bad, the instants of its corners count as unknown
+    (large ``sd_s``).
     """
     t_s, angle_rad, rate_rps, _, window_s = readings
     cut = first + 1 < _FEWEST, len(t_s) - last < _FEWEST
@@ -129,7 +132,7 @@ def fitted(readings: Readings, first: int, last: int) -> Ramp | None:
     if any(cut):
         starts = _polylines(readings, first, last, cut, 1) if window_s else iter(())
     else:
-        start = _start(t_s, angle_rad, rate_rps, first, last)
+        start = _start_parameters(t_s, angle_rad, rate_rps, first, last)
         if start is None:
             return None
         free = np.zeros(len(start), dtype=np.bool_)
@@ -152,9 +155,10 @@ def fitted(readings: Readings, first: int, last: int) -> Ramp | None:
 
 
 def _scatter_sd(t_s: Floats, angle_rad: Floats) -> Floats:
-    """Return the standard deviations (2,) of angles and rates; that of angles from their scatter about short parabolas.
+    """Return the standard deviations (2,) of angles and rates (rad, rad/s).
 
-    Most of these contain no corner. Values are limited to the prior ones.
+    That of angles is from their scatter about short parabolas, most of which contain no corner; limited to the prior
+    one, which also holds for too few readings or an axis that stands. That of rates is the prior one.
     """
     most = np.array([_ANGLE_SD_RAD, _RATE_SD_RPS])
     if len(t_s) < _SHORT:
@@ -174,7 +178,7 @@ def _misfit(ramp: Ramp, readings: Readings, first: int, last: int, sd: Floats) -
     """Return how far angles lie off a ramp, in sigmas rms: all of them or, if that is more, those within it."""
     t_s = readings[0]
     p = np.concatenate([ramp.t_s, ramp.rate_rps / ramp.scale, [ramp.angle_rad[0], ramp.scale]])
-    off = _weighed(p, readings, sd, np.inf)[0][: len(t_s)] ** 2
+    off = _weighed_deviations(p, readings, sd, np.inf)[0][: len(t_s)] ** 2
     near = (t_s > t_s[first] - 1e-9) & (t_s < t_s[last] + 1e-9)
     return float(np.sqrt(max(np.mean(off), np.mean(off[near]))))
 
@@ -206,10 +210,11 @@ def with_corners(
 
 
 def corners_of(t_s: Floats, rate_rps: Floats, most: int) -> Iterator[tuple[list[int], float]]:
-    """Yield growing selections of readings that are connected by straight lines, and the largest deviation of the
+    """Yield ever larger selections of readings (n,) that straight lines connect, and the largest deviation of the
     others.
 
-    The first and the last reading are always selected; the selection ends at ``most``, or when nothing deviates.
+    The first and the last reading are always selected; each time the one that deviates most is added. It ends at
+    ``most`` or half of the readings, or when nothing deviates.
     """
     corners = [0, len(t_s) - 1]
     while len(corners) < min(most, len(t_s) // 2):
@@ -228,8 +233,9 @@ def between_readings(t_s: Floats, angle_rad: Floats) -> tuple[Floats, Floats]:
 def _through_rest(readings: Readings, first: int, last: int) -> Iterator[tuple[Floats, Flags]]:
     """Yield at most one start, with four corners, for an axis that brakes, stands, and accelerates again.
 
-    The rate in the middle is held at zero. The lines of both ramps are fitted well between rest and the steady rate,
-    where there is no corner.
+    ``readings`` as for ``fitted``, start and flags of held parameters as for ``_polylines``: the rate in the middle is
+    held at zero. The lines of both ramps are fitted well between rest and the steady rate, where there is no corner.
+    None if the axis does not turn before and after, or a ramp has too few readings.
     """
     t_s, angle_rad, rate_rps, _, _ = readings
     at_s, rates = between_readings(t_s[max(first - 1, 0) : last + 2], angle_rad[max(first - 1, 0) : last + 2])
@@ -262,7 +268,8 @@ def _polylines(
 ) -> Iterator[tuple[Floats, Flags]]:
     """Yield starts for a change of rate with more than ``least`` corners, those with the fewest first; none for noise.
 
-    With each come flags of parameters to hold: the ends of a change that is ``cut`` off, and the rates of corners that
+    ``readings`` as for ``fitted``. A start has k instants, k rates, an angle and a scale. With each come flags of
+    parameters to hold: the ends of a change that is ``cut`` off at its beginning or end, and the rates of corners that
     may be zero, for an axis that stands in between.
     """
     t_s, angle_rad, rate_rps, _, window_s = readings
@@ -305,7 +312,7 @@ def _polylines(
 def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, last: int) -> Ramp | None:
     """Return the ramp fitted from ``start``, with its number of corners; None if it does not fit or is not determined.
 
-    ``held`` flags the parameters that are known.
+    ``held`` flags the parameters that are known; the others are as for ``fitted`` and ``_polylines``.
     """
     t_s, _, _, _, window_s = readings
     k = len(start) // 2 - 1
@@ -318,7 +325,7 @@ def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, las
     for lap in range(_ROUNDS):
         tail = _TAIL if lap else np.inf
         if lap:
-            residual, jacobian, _ = _weighed(p, readings, sd, tail)
+            residual, jacobian, _ = _weighed_deviations(p, readings, sd, tail)
             if lap == 1 and np.mean(residual**2) > _HOPELESS**2:
                 return None
             # The accuracy of angles and rates is seen in their scatter, corrected for the number of fitted parameters.
@@ -327,7 +334,7 @@ def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, las
             squares, freedom = (one.reshape(2, -1).sum(axis=1) for one in (residual**2, 1 - taken))
             sd = np.clip(sd * np.sqrt(squares / np.maximum(freedom, 1e-9)), _LEAST_SD, most)
         for _ in range(_STEPS):
-            residual, jacobian, _ = _weighed(p, readings, sd, tail)
+            residual, jacobian, _ = _weighed_deviations(p, readings, sd, tail)
             rows = np.vstack([jacobian, np.diag(prior)])  # their products may be singular in floating point
             moved = np.linalg.lstsq(rows, np.concatenate([residual, prior * (start - p)]), rcond=None)[0]
             shortest = float(np.diff(p[:k]).min())
@@ -336,11 +343,11 @@ def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, las
                 return None
             if np.abs(moved).max() < _MOVES:
                 break
-    off = _weighed(p, readings, most, np.inf)[0] ** 2
+    off = _weighed_deviations(p, readings, most, np.inf)[0] ** 2
     near = np.tile((t_s > t_s[first] - 1e-9) & (t_s < t_s[last] + 1e-9), 2)
     if not max(float(np.mean(off)), float(np.mean(off[near]))) < _FITS**2:
         return None
-    residual, _, doubt = _weighed(p, readings, sd, _TAIL)
+    residual, _, doubt = _weighed_deviations(p, readings, sd, _TAIL)
     # A reading at a corner says nothing about a shorter ramp, whatever its slopes say about a longer one.
     shorter = p.copy()
     shorter[[0, k - 1]] += _INWARD * (p[k - 1] - p[0]) * np.array([1, -1]) * ~held[[0, k - 1]]
@@ -364,11 +371,13 @@ def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, las
     )
 
 
-def _weighed(p: Floats, readings: Readings, sd: Floats, tail: float) -> tuple[Floats, Floats, Floats]:
-    """Return the deviations of readings from a ramp in sigmas (2 n,), their derivatives, and the sigmas (2 n,).
+def _weighed_deviations(p: Floats, readings: Readings, sd: Floats, tail: float) -> tuple[Floats, Floats, Floats]:
+    """Return the deviations of readings from a ramp in sigmas (2 n,), their derivatives (2 n, parameters), the sigmas
+    (2 n,).
 
-    A sigma includes the half width of the reading, as far as readings deviate by theirs. ``sd`` (2,) is that of angles
-    and rates with known instants; ``tail`` are the degrees of freedom of their distribution (Student's t), infinite for
+    The angles come first, then the rates. A sigma includes the half width of the reading, as far as readings deviate by
+    theirs. ``p`` are the parameters of the ramp, ``readings`` as for ``fitted``. ``sd`` (2,) is that of angles and
+    rates with known instants; ``tail`` are the degrees of freedom of their distribution (Student's t), infinite for
     normal.
     """
     t_s, angle_rad, rate_rps, half_width_s, window_s = readings
@@ -387,7 +396,7 @@ def _weighed(p: Floats, readings: Readings, sd: Floats, tail: float) -> tuple[Fl
     return off / doubt, slopes / doubt[:, None], doubt
 
 
-def _start(t_s: Floats, angle_rad: Floats, rate_rps: Floats, first: int, last: int) -> Floats | None:
+def _start_parameters(t_s: Floats, angle_rad: Floats, rate_rps: Floats, first: int, last: int) -> Floats | None:
     """Return start parameters (corners, rates, angle, scale) suggested by the readings; None if there is no change.
 
     A change that goes up and down again has three corners, any other two.

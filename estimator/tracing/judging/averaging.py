@@ -23,9 +23,10 @@ _SHOWN = {"1": (1e6, "ppm"), "rad/s": (float(np.degrees(3600)), "deg/h"), "rad":
 
 
 def between_recordings(search: Search, terms: Sequence[Term]) -> Floats:
-    """Return the standard deviation (4,) of the states from recording to recording, zero where it may be chance.
+    """Return the standard deviation (4,) of the states from recording to recording, beside the effects ``terms``.
 
-    Zero also with fewer than two complete recordings, or if the noise holds a turn-on bias that already allows for it.
+    Zero where it may be chance, with fewer than two complete recordings, or if the noise holds a turn-on bias that
+    already allows for it.
     """
     evidence = search.evidence
     weight = evidence.noise_weight(terms) * (evidence.shapes.turn_on == 0)  # else runs are expected to differ
@@ -56,10 +57,11 @@ def averaged(
     opened: OpenWorld,
     between: Floats,
 ) -> tuple[GyroErrors, ...]:
-    """Return errors with states averaged over the alternatives: rivals of the effects, and effects without a name.
+    """Return the errors of gyros with their states averaged over the alternatives, and sigmas that cover these.
 
-    ``opened`` is the probability of the latter, ``between`` (4,) the standard deviation between runs, which the sigmas
-    of the states include.
+    Alternatives are rivals of the effects ``parts`` and effects without a name, whose probability is in ``opened``;
+    improbable ones are left out. ``after`` is the model of the gyros' errors. ``between`` (4,) is the standard
+    deviation of the states between runs, which the sigmas include.
     """
     closed = np.log1p(-min(opened.probability, 1 - 1e-12))
     sets = [(terms, value + closed) for terms, value in _alternatives(search, parts)]
@@ -86,9 +88,11 @@ def averaged(
 
 
 def beside_suspect(gyros: Sequence[GyroErrors], with_it: Augmented) -> tuple[GyroErrors, ...]:
-    """Return errors whose states are the mean of the model's and those beside a suspect effect, both equally probable.
+    """Return the errors of ``gyros`` with states that are the mean of the model's and those of ``with_it``, with a
+    suspect.
 
-    It applies if the verification run shows an error that the other recordings cannot; the sigmas cover both.
+    Both are equally probable; the sigmas cover both. It applies if the verification run shows an error that the other
+    recordings cannot.
     """
     known = []
     for gyro in gyros:
@@ -102,10 +106,10 @@ def beside_suspect(gyros: Sequence[GyroErrors], with_it: Augmented) -> tuple[Gyr
 
 
 def _alternatives(search: Search, parts: Sequence[Part]) -> list[tuple[list[Term], float]]:
-    """Return the sets of terms that may be true, each with its log evidence plus log prior.
+    """Return the sets of terms that may be true, each with its log evidence plus log prior; tones are left out.
 
-    Effects that are certain are in all; for each other effect the set has nothing, the effect, or one of its rivals. At
-    most ``_MOST_SETS``.
+    Effects that are certain are in all; for each other effect a set has nothing, the effect, or one of its rivals. At
+    most ``_MOST_SETS`` are returned, the first ones.
     """
     kept = [c for c in parts if c.tone is None and c.probability >= CERTAIN]
     sets = [kept]

@@ -39,8 +39,9 @@ _TONE_BLOCKS = 8.0  # blocks in a period of a tone, where its error is judged
 
 
 def by_step(runs: Sequence[Run]) -> list[Mask]:
-    """Return for each of ``FOLDS`` folds one mask (b,) for each run: every fifth step, counted over all runs, belongs
-    to a fold.
+    """Return for each of ``FOLDS`` folds one mask (b,) over the blocks of each run: those in the fold.
+
+    Steps (phases of a run) are counted over all runs, and dealt to the folds in turn. Blocks outside steps are in none.
     """
     masks: list[Mask] = [[np.zeros(len(run.t_s), dtype=np.bool_) for run in runs] for _ in range(FOLDS)]
     count = 0
@@ -65,11 +66,12 @@ def together(runs: Sequence[Run], model: Augmented, shapes: NoiseShapes) -> tupl
 
 
 def out_of_sample(runs: Sequence[Run], model: Augmented, shapes: NoiseShapes) -> dict[str, OutOfSample]:
-    """Return by effect of a model (tones left out) what data left out of the fit say of it, beside the other effects.
+    """Return by effect of a model what data left out of the fit say of it, beside the other effects; tones are left
+    out.
 
-    Whole recordings are left out one at a time if there are several, then stretches of some steps; between stretches a
-    bias may wander. The data left out are predicted from the rest, with and without the effect. Empty if there are no
-    terms or fewer than two stretches.
+    Whole recordings are left out one at a time if there are several (else that result is None), then stretches of some
+    steps; between stretches a bias may wander. The data left out are predicted from the rest, with and without the
+    effect. Empty if there are no effects or fewer than two stretches.
     """
     evidence, terms = together(runs, model, shapes)
     if not terms:
@@ -77,31 +79,31 @@ def out_of_sample(runs: Sequence[Run], model: Augmented, shapes: NoiseShapes) ->
     orders = list(dict.fromkeys(run.order for run in runs))
     by_run = None
     if len(orders) > 1:
-        by_run = _predicted(evidence, terms, [_of_recordings(runs, [order]) for order in orders])
-    evidence, terms = together([_cut(run) for run in runs], model, shapes)
+        by_run = _log_gains_in_folds(evidence, terms, [_of_recordings(runs, [order]) for order in orders])
+    evidence, terms = together([_divided_at_steps(run) for run in runs], model, shapes)
     count = max(len(gyro.stretches) for gyro in evidence.gyros)
     if count < 2:
         return {}
-    steps = _predicted(evidence, terms, [_of_number(number) for number in range(count)])
+    steps = _log_gains_in_folds(evidence, terms, [_of_number(number) for number in range(count)])
     return {term.name: OutOfSample(None if by_run is None else by_run[term.name], steps[term.name]) for term in terms}
 
 
 def confirmed(search: Search, certain: list[Part], held_back: Sequence[Run]) -> tuple[list[Part], list[str]]:
     """Return the effects that the verification run confirms, and the names of those that it does not.
 
-    An effect must make the verification run more probable and lower its squared residual. The least confirmed effect is
-    removed first, and the rest is judged again. Without a verification run the errors of left-out steps decide, and
-    effects are removed by their probability. Tones are always kept.
+    An effect must make the runs ``held_back`` more probable and lower their squared residual. The least confirmed
+    effect is removed first, and the others are judged again. Without such runs all are confirmed at once if they lower
+    the errors of left-out steps; until then the least probable is removed. Tones are always kept.
     """
     taken_back: list[str] = []
     runs, orders = [*search.runs, *held_back], {run.order for run in held_back}
     while named := [part for part in certain if part.tone is None]:
         if held_back:
             evidence, terms = together(runs, Augmented.of(search.evidence, certain), search.evidence.shapes)
-            told = _predicted(evidence, terms, [_of_recordings(runs, orders)])
+            told = _log_gains_in_folds(evidence, terms, [_of_recordings(runs, orders)])
             worst = min(named, key=lambda part: told[part.term.name])
             if told[worst.term.name] >= _CONFIRMED:
-                grown = [part for part in named if not _lowered(search, certain, part, held_back)]
+                grown = [part for part in named if not _lowers_residual(search, certain, part, held_back)]
                 if not grown:
                     break
                 worst = min(grown, key=lambda part: told[part.term.name])
@@ -114,8 +116,10 @@ def confirmed(search: Search, certain: list[Part], held_back: Sequence[Run]) -> 
     return certain, taken_back
 
 
-def _lowered(search: Search, certain: Sequence[Part], part: Part, held_back: Sequence[Run]) -> bool:
-    """Return whether an effect lowers the squared residual of the verification runs, over all gyros."""
+def _lowers_residual(search: Search, certain: Sequence[Part], part: Part, held_back: Sequence[Run]) -> bool:
+    """Return whether an effect lowers the squared residual of the verification runs, over all gyros, beside the
+    others.
+    """
     weight = search.evidence.noise_weight([one.term for one in certain])
     others = [one for one in certain if one is not part]
     without, together_with = (Augmented.of(search.evidence, own, weight) for own in (others, certain))
@@ -148,8 +152,9 @@ def judged(
 ) -> Judged:
     """Return the errors of two models on the verification runs; without these, cross-validated by step.
 
-    With tones in the model the runs are formed again with blocks short enough for them. ``opened`` is what may act
-    beside the last model; by default it is worked out.
+    ``held_back`` are the runs of ``verification``; with tones in the last model they are formed again with blocks short
+    enough for them. The share of draws in which the error is larger than expected is returned for models with composed
+    laws. ``opened`` is what may act beside the last model; by default it is worked out.
     """
     evidence, terms = together([*search.runs, *held_back], after, search.evidence.shapes)
     true, misfit = after.estimated(evidence.posterior(terms)), evidence.misfit
@@ -177,9 +182,10 @@ def judged(
 
 
 def _noise_beside_anything(search: Search, after: Augmented, opened: OpenWorld | None) -> Augmented:
-    """Return a model with the noise that is left beside any function of measured values.
+    """Return the model ``after`` with the noise that is left beside any function of measured values.
 
-    Beside effects alone, slow errors that they do not explain would count as a wandering bias.
+    Beside effects alone, slow errors that they do not explain would count as a wandering bias. ``opened`` is what may
+    act beside the model; by default it is worked out.
     """
     terms = [part.term for part in after.parts if part.tone is None]
     evidence = search.evidence
@@ -191,10 +197,11 @@ def _noise_beside_anything(search: Search, after: Augmented, opened: OpenWorld |
 
 
 def _cross_validated(search: Search, before: Augmented, after: Augmented, true: Augmented, misfit: Misfit) -> Judged:
-    """Return the errors on each fifth of the steps of models fitted to the others, with noise and tones as estimated on
-    all.
+    """Return the errors of two models, each fifth of the steps predicted by models fitted to the others.
 
-    Without effects there is nothing to cross-validate: the errors are those of the fit.
+    Noise and tones stay as estimated on all steps. ``true`` is the posterior from which errors are drawn, ``misfit``
+    what the model leaves beyond noise. Without effects there is nothing to cross-validate: the errors are those of the
+    fit.
     """
     all_runs, shapes = search.runs, search.evidence.shapes
     if not after.parts:
@@ -238,11 +245,10 @@ def _of_number(out: int) -> Fold:
     return lambda number, _: number == out
 
 
-def _predicted(evidence: Evidence, terms: Sequence[Term], folds: Sequence[Fold]) -> dict[str, float]:
-    """Return by effect the log of how much more probable it makes the data in the folds, summed, beside the other
-    effects.
+def _log_gains_in_folds(evidence: Evidence, terms: Sequence[Term], folds: Sequence[Fold]) -> dict[str, float]:
+    """Return by effect the log of how much more probable it makes the data in the folds, beside the other effects.
 
-    Each fold is predicted from the remaining data.
+    Each fold is predicted from all data outside it; the logs are summed over the folds.
     """
     whole = _gained(evidence, terms)
     total = dict.fromkeys(whole, 0.0)
@@ -258,8 +264,11 @@ def _gained(evidence: Evidence, terms: Sequence[Term]) -> dict[str, float]:
     return {term.name: both - evidence.of([t for t in terms if t is not term]) for term in terms}
 
 
-def _cut(run: Run) -> Run:
-    """Return the run divided into stretches of at least a fifth of its blocks, which begin where a step begins."""
+def _divided_at_steps(run: Run) -> Run:
+    """Return the run divided into further stretches of at least a fifth of its blocks, which begin where a step begins.
+
+    What is left at the end is not cut off if it is less than half of that.
+    """
     stretch = np.array(run.stretch)
     least = max(len(stretch) // FOLDS, 1)
     number, begun = 0, 0
@@ -272,8 +281,9 @@ def _cut(run: Run) -> Run:
 
 
 def _spectra(runs: Sequence[Run], model: Augmented) -> tuple[list[GyroSpectra], list[Term]]:
-    """Return the spectra of runs with the columns of a model's effects, and the terms of these; tones are
-    subtracted.
+    """Return the spectra of runs with the columns of a model's effects, and the terms that name these columns.
+
+    Tones, as the model has them, are subtracted from the data and have no term.
     """
     spectra = gyro_spectra(runs, dict(zip(model.names, model.arw.tolist(), strict=True)))
     terms: list[Term] = []

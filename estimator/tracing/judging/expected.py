@@ -10,10 +10,10 @@ from estimator.types import Floats
 
 
 def expected_squares(runs: Sequence[Run], first: int, model: Augmented, *, forms_known: bool = False) -> float:
-    """Return the sum over blocks of the squared errors of a model on runs that its covariance says, over all gyros.
+    """Return the squared error of a model on runs that its covariance lets expect, summed over blocks and gyros.
 
     ``first`` is the number of the first of the runs among all. ``forms_known``: as if flexible laws were of known form,
-    that which was found, so that of each only the size is open.
+    that which was found, so that of each only the size is open. Blocks without weight do not count.
     """
     total = 0.0
     for g, name in enumerate(model.names):
@@ -32,7 +32,10 @@ def _with_forms_known(model: Augmented, gyro: int) -> Floats:
 
 
 def _open_directions(model: Augmented, gyro: int) -> Floats:
-    """Return the directions (c, k) of the parameters of a gyro that are open if flexible laws are of known form."""
+    """Return the directions (c, k) of a gyro's c parameters that are open if flexible laws are of known form.
+
+    These are each parameter of anything else, and for each flexible law its estimate, unless that is zero.
+    """
     laws = [model.slice_of(part.candidate.name) for part in model.parts if part.candidate.flexible]
     of_laws = np.zeros(len(model.mean[gyro]), dtype=np.bool_)
     forms = []

@@ -79,7 +79,7 @@ class _Phase:
 
 
 def phases_of(run: Run) -> list[Phase]:
-    """Return the phases of a run in order.
+    """Return the phases of a run in order; those that are too short are left out.
 
     On a table they are rests, ramps and steady rates of at least five (ramps: one) blocks; of turns each is one; else
     pieces of equal length.
@@ -148,9 +148,9 @@ def drawn(
 ) -> dict[str, Drawn]:
     """Return by gyro draws of the squared errors of two models over all of runs, without noise.
 
-    ``true`` is the posterior of all recordings, from which the draws are. The misfit adds the same error to both
-    models; its share that is error and not noise is drawn, the same for all gyros. ``first`` is the number of the first
-    run.
+    ``true`` is the posterior of all recordings, from which the draws are. ``misfit``, by gyro and run, adds the same
+    error to both models; its share that is error and not noise is drawn, the same for all gyros. ``first`` is the
+    number of the first run.
     """
     sums: dict[str, Drawn] = {}
     shares = _open_share(1)
@@ -220,7 +220,7 @@ def _lacking(shown: Mapping[str, tuple[Floats, float]], odds: float) -> dict[str
 def _beyond(random: np.random.Generator, shown: Floats, sd: float) -> tuple[Floats, Floats]:
     """Return draws (n,) of a sum of squares that shows as ``shown`` (n,) within ``sd``, given that there is one.
 
-    The log odds (n,) that there is one come with them; the prior is even, and equal for the logarithm of each size.
+    Also returns the log odds (n,) that there is one; the prior is even, and equal for the logarithm of each size.
     """
     largest = max(float(shown.max()), sd)
     sizes = np.geomspace(_LEAST_SEEN * sd, _MOST_SEEN * largest, _SIZES)
@@ -272,7 +272,7 @@ def _shapes(
 def _structure(shapes: Sequence[tuple[Floats, Floats]], orders: int) -> tuple[list[float], float]:
     """Return what phases show beyond noise, squared and summed over blocks, and the standard deviation of that.
 
-    There is one sum for each noise model. ``orders`` is the number of coefficients that count in each phase.
+    There is one sum for each noise model. ``shapes`` are of ``_shapes``; ``orders`` coefficients count in each phase.
     """
     sums, variance = np.zeros(len(shapes[0][1])), 0.0
     for squares, noise in shapes:
@@ -301,8 +301,8 @@ def judge(
 ) -> Judged:
     """Return the errors of two models on runs, of which the first has number ``first`` among all.
 
-    ``errors`` are the drawn errors of the whole runs by gyro. Gyros that the model does not have are left out; without
-    effects the improvement is None.
+    ``errors`` are the drawn errors of the whole runs by gyro; ``held_back`` is noted. Gyros that the model does not
+    have are left out; without effects the improvement is None.
     """
     found: dict[str, list[_Phase]] = {name: [] for name in after.names}
     views = []
@@ -352,9 +352,9 @@ def _phases(
     rests: Sequence[Floats],
     columns: Sequence[Floats],
 ) -> Iterator[_Phase]:
-    """Yield the errors of a gyro of a run in each phase; phases without full blocks are left out.
+    """Yield how gyro number ``i`` errs under two models in each phase with whole blocks, and what their sigmas cover.
 
-    ``rests`` are by model what it leaves of the blocks (b,), ``columns`` by model those of its states and effects.
+    ``rests`` (b,) are by model the outputs less all of it, ``columns`` (b, k) those of its states and parts.
     """
     after = models[-1]
     g = after.names.index(run.array.names[i])
@@ -390,9 +390,9 @@ def _phases(
 
 
 def _basis(difference: Floats, sigma: float) -> Floats:
-    """Return orthonormal directions (b, 1 or 2): the mean, and the shape in which the models differ, if any.
+    """Return orthonormal directions (b, 1 or 2): the mean, and the shape in which two models differ, if any.
 
-    The last column is the direction that tells the models apart: the mean if the difference is nearly constant.
+    The last column is the direction that tells the models apart: the mean if their difference (b,) is nearly constant.
     """
     n = len(difference)
     mean = np.full((n, 1), 1 / np.sqrt(n))
@@ -433,7 +433,7 @@ def _errors(phases: Sequence[_Phase], which: int, whole: Drawn) -> Errors:
 
 
 def _gyro(name: str, before: Augmented, after: Augmented, phases: Sequence[_Phase], errors: Drawn) -> GyroErrors:
-    """Return the errors and states of a gyro before and after."""
+    """Return the errors of a gyro in all and by phase, and its states with sigmas, before and after."""
     g = after.names.index(name)
     (old, old_covariance), (new, covariance) = (decode(m.mean[g, :4], m.covariance[g, :4, :4]) for m in (before, after))
     moved = (new - old) / np.sqrt(np.diag(old_covariance))

@@ -46,11 +46,10 @@ _LAWS = packaged_toml("estimator.tracing.laws", "laws.toml")["length"]
 
 
 def laws_of(runs: Sequence[Run]) -> list[Candidate]:
-    """Return the composed laws that can be tried on runs, as candidates; each constant begins at one of its start
-    values.
+    """Return the composed laws that can be tried on runs, as candidates.
 
-    Longer laws have less prior probability. Laws whose quantities the runs lack, or whose terms do not vary, are left
-    out.
+    A law with a constant begins at one of several start values. Longer laws have less prior probability, flexible ones
+    that of the longest. Laws whose quantities the runs lack, or whose terms do not vary, are left out.
     """
     offers = frozenset.intersection(*(run.grid.offers for run in runs))
     gimbals = runs[0].grid.gimbals if len(runs[0].grid.gimbals) > 1 else ()
@@ -82,11 +81,10 @@ def _on_its_axis(kind: str, law: str) -> str:
 
 
 def _on_axes(text: str, offers: frozenset[str], gimbals: Sequence[str]) -> list[str]:
-    """Return the laws that a text with placeholders gives for the table's axes, without those that need unknown
-    quantities.
+    """Return the laws that a text with placeholders gives for the table's axes ``gimbals``.
 
     ``{axis}`` gives one law for each axis, ``{one}`` and ``{other}`` one for each pair, ``{rates}`` the sum over all
-    axes.
+    axes; a text without these is one law. Laws that need quantities which are not in ``offers`` are left out.
     """
     laws = [text]
     if "{one}" in text:
@@ -99,11 +97,11 @@ def _on_axes(text: str, offers: frozenset[str], gimbals: Sequence[str]) -> list[
 
 
 def _candidate(runs: Sequence[Run], law: str, kind: str, prior: float, *, whole: bool = True) -> Candidate | None:
-    """Return the candidate of a law, with a search for its constant if ``kind`` says of which kind that is ("" for
-    none).
+    """Return the candidate of a law, with a search for its constant {c} if ``kind`` is not empty.
 
-    None if a term of the law does not vary in the runs, or its constant has no range. Of a law that is not needed
-    ``whole`` the terms that do not vary are left out; it is None without any that does.
+    ``kind`` is "lag", or a key of ``_STARTS`` and, after a blank, the variable whose range scales the start values.
+    None if a term of the law does not vary in the runs, or the constant has no range. With ``whole`` false the terms
+    that do not vary are left out instead; None if none does. ``prior`` is the logarithm of the prior probability.
     """
     start = _LAGS_S
     if kind != "lag":
@@ -111,7 +109,7 @@ def _candidate(runs: Sequence[Run], law: str, kind: str, prior: float, *, whole:
         start = _STARTS[what or "share"] * (_range(runs, name) if name else 0.2)
     if not start[0] > 0:
         return None
-    varies = _largest(runs, law.format(c=f"{start[1]:.6g}"))
+    varies = _largest_coefficients(runs, law.format(c=f"{start[1]:.6g}"))
     largest = tuple(size for size in varies if size is not None)
     if not largest or (whole and len(largest) < len(varies)):
         return None
@@ -126,8 +124,11 @@ def _candidate(runs: Sequence[Run], law: str, kind: str, prior: float, *, whole:
     return Candidate.among(f"law: {law}", of, start, 1, log_prior=prior, range_log=range_log)
 
 
-def _largest(runs: Sequence[Run], law: str) -> list[float | None]:
-    """Return for each term of a law the coefficient that makes its rms ``_LARGEST_RPS``, None if it does not vary."""
+def _largest_coefficients(runs: Sequence[Run], law: str) -> list[float | None]:
+    """Return for each term of a law the coefficient at which its largest rms in a run is 0.5 deg/s.
+
+    None for a term that does not vary.
+    """
     effect = constructed(law)
     squares = np.zeros(len(effect.parameters))
     for run in runs:
@@ -149,7 +150,7 @@ def _without(candidate: Candidate, number: int) -> Candidate:
 
 
 def _with_terms(candidate: Candidate, numbers: Sequence[int]) -> Candidate:
-    """Return a law with some of its terms."""
+    """Return a law with the terms of these ``numbers`` alone, for any constant, and the name that goes with it."""
 
     def shorter(effect: Effect) -> Effect:
         terms = [term.strip() for term in effect.law.split(";")]
@@ -181,9 +182,9 @@ class Composer:
     def composed(self, found: Found, most: int) -> Found:
         """Return the result of a search with composed laws added where they explain more than named effects do.
 
-        A law may stand beside the effects found or replace some of them; at most ``most`` effects remain in all. Terms
-        of laws that do not pay for themselves are removed, and so are effects that "nothing" replaces as well. Without
-        any law the result is ``found`` itself.
+        A law may stand beside the effects found or replace some of them; at most ``most`` effects remain in all, two of
+        them laws. Terms of laws that do not pay for themselves are removed, and so are effects that "nothing" replaces
+        as well. Tones stay. Where no law comes near, the result is ``found`` itself.
         """
         search = self._search
         named = [part for part in found.parts if part.tone is None]
@@ -220,7 +221,7 @@ class Composer:
     def _pruned(self, model: Model) -> Model:
         """Return a model whose laws have lost each term without which the model is more probable.
 
-        Laws with a single term, or more than ``_MOST_PRUNED``, stay as they are.
+        Laws with a single term, or more than ``_MOST_PRUNED``, stay as they are. Shorter laws are added to the search.
         """
         search, best = self._search, self._worth(model)
         pruned = list(model)
@@ -246,10 +247,9 @@ class Composer:
         return (evidence.of(terms) if noise is None else float(evidence.by_noise(terms)[noise])) + expected
 
     def _best_law(self, base: Model, known: Model) -> Model:
-        """Return the law that explains most beside ``base``, as a list of one pair; empty if none may explain more than
-        ``known``.
+        """Return the law that explains most beside ``base``, as a list of one pair, and keep it in the search.
 
-        Laws whose fitted size is not sensible are left out.
+        Empty if none may explain clearly more than ``known``, or if none that does has a sensible size.
         """
         search, chosen = self._search, self._likely(base, known, _CLEARLY)
         terms = [term for _, term in base]
@@ -262,12 +262,11 @@ class Composer:
         return [(search.known[best][0], scores[best][1])]
 
     def _likely(self, base: Model, known: Model, least: float) -> list[str]:
-        """Add to the search the laws that may exceed the model ``known`` by ``least`` in log evidence beside ``base``;
-        return their names.
+        """Add to the search the laws that may exceed a model by ``least`` in log evidence; return their names.
 
-        The noise is the one beside ``known``: beside less, the noise would hold what slow laws explain. Constants of
-        the laws are tuned, at most ``_LAWS_TRIED`` laws are taken, the most promising first. Laws that are not kept are
-        removed from the search.
+        They stand beside ``base``, the model to exceed is ``known``. The noise is the one beside ``known``: beside
+        less, the noise would hold what slow laws explain. Constants of the laws are tuned, at most ``_LAWS_TRIED`` laws
+        are taken, the most promising first. Laws of an earlier call that are not kept are removed from the search.
         """
         search = self._search
         noise = int(np.argmax(search.evidence.noise_weight([term for _, term in known])))
@@ -302,7 +301,8 @@ class Composer:
     def _settled(self, scan: Scan, law: Candidate) -> tuple[Candidate, float]:
         """Return a law with its best constant, a flexible one with the terms that are needed, and its worth at most.
 
-        The worth is what it adds to the log evidence, with how much it is expected; inf for laws that are not flexible.
+        The worth is what it adds to the log evidence, with its prior and the cost of the choice; inf for laws that are
+        not flexible.
         """
         law = law if law.start is None else scan.tuned(law)
         if not law.flexible:

@@ -24,8 +24,9 @@ _PLAYS = np.array([0.02, 0.05, 0.1, 0.2, 0.4, 0.8])  # of the range
 def flexible_laws(runs: Sequence[Run], offers: frozenset[str]) -> list[tuple[str, str]]:
     """Return flexible laws, each with the kind of the constant {c} that is still to be found in it ("" for none).
 
-    ``offers`` are the quantities beside rates and times that all runs hold; without a temperature its laws are left
-    out. Laws without terms are left out, too.
+    A flexible law is a sum of terms that together follow any function of a variable. ``offers`` are the quantities
+    beside rates and times that all runs hold; without a temperature its laws are left out. Laws without terms are left
+    out, too.
     """
     size, speed = (_bends(name, _nodes_of_rate(name, runs)) for name in ("abs(u)", "speed"))
     decays = _each("expm1(-t/{})", _TAUS_S)
@@ -61,7 +62,10 @@ def _ends(name: str, runs: Sequence[Run]) -> tuple[float, float]:
 
 
 def _nodes_of_rate(name: str, runs: Sequence[Run]) -> list[float]:
-    """Return nodes at equal distances over the range of a rate, and closer and closer towards rest."""
+    """Return nodes at equal distances over the range of a rate, and closer and closer towards rest.
+
+    Nodes below 0 mirror those above, if the rate is ever negative. Empty without a rate.
+    """
     low, high = _ends(name, runs)
     top = max(abs(low), abs(high))
     if top <= 0:
@@ -73,7 +77,9 @@ def _nodes_of_rate(name: str, runs: Sequence[Run]) -> list[float]:
 
 
 def _nodes(name: str, runs: Sequence[Run]) -> list[float]:
-    """Return nodes at equal distances over the range of a variable."""
+    """Return ``_NODES`` nodes at equal distances over the range of a variable in the runs; empty if it does not
+    vary.
+    """
     low, high = _ends(name, runs)
     if not high > low:
         return []
@@ -83,9 +89,9 @@ def _nodes(name: str, runs: Sequence[Run]) -> list[float]:
 
 
 def _bends(name: str, nodes: Sequence[float]) -> list[str]:
-    """Return terms that each bend at a node, are nothing on the side of it where zero is, and straight on the other.
+    """Return a term for each node, which is zero on the side of the node where 0 is, and a straight line on the other.
 
-    Their sum goes on beyond the last nodes as it came there.
+    ``name`` is the variable. Their sum with any coefficients goes on beyond the last nodes as it came there.
     """
     terms = []
     for node in nodes:

@@ -30,10 +30,12 @@ class Needed:
 
 
 def needed(products: Floats, with_rest: Floats) -> Needed:
-    """Return the terms of a law that the data need: terms are left out one by one, and the most probable set counts.
+    """Return the terms of a law that the data need: the worst is left out again and again, and the most probable set
+    counts.
 
-    ``products`` (gyros, p, p) of the columns of the terms and those ``with_rest`` (gyros, p), of what is to be
-    explained, are beside a model and over the noise. The columns are scaled to the largest plausible coefficients.
+    ``products`` (gyros, p, p) are those of the columns of the p terms, ``with_rest`` (gyros, p) those with what is to
+    be explained, both beside a model and over the noise. The columns are scaled to the largest plausible coefficients.
+    At least one term remains.
     """
     count = products.shape[-1]
     terms = np.arange(count)
@@ -56,7 +58,11 @@ class _Shown:
 
     @classmethod
     def of(cls, products: NDArray[np.float64], with_rest: Floats) -> Self:
-        """Return it for terms with these products (gyros, p, p) and (gyros, p)."""
+        """Return the evidence and the least telling term for terms with these products.
+
+        ``products`` (gyros, p, p) are those of their columns, ``with_rest`` (gyros, p) those with what is to be
+        explained.
+        """
         values, vectors = np.linalg.eigh(products)
         values = np.maximum(values, 0.0)
         along = np.einsum("gij,gi->gj", vectors, with_rest)

@@ -45,7 +45,10 @@ class Regressors:
     """Functions of each variable over the blocks of runs; ``where`` gives the places of each variable's columns."""
 
     def __init__(self, runs: Sequence[Run]) -> None:
-        """Take the candidates that can be tried on these runs, except for nonlinear ones and steps."""
+        """Take the candidates that can be tried on these runs and depend on a known variable.
+
+        Nonlinear ones, unless their setting is a size, and those of single runs, such as steps, are left out.
+        """
         self._runs = [run.coarse() for run in runs]
         candidates = [c for c in candidates_of(runs)[0] if (c.theta is None or c.by_size) and c.run is None]
         of = {c.name: c.depends_on or c.effect.record.depends_on for c in candidates}
@@ -71,18 +74,18 @@ class Regressors:
 def dependences(
     gram: Floats, rest: int, groups: Mapping[str, Group], count: float, doubt: float
 ) -> tuple[float, tuple[Dependence, ...]]:
-    """Return the share of a whitened residual's power beyond the noise, and what that depends on.
+    """Return the share of a whitened residual's power beyond the noise, and what that depends on, by variable.
 
-    ``gram`` holds the products of all columns, of which ``rest`` is the residual with ``count`` degrees of freedom; its
-    squares may exceed that by ``doubt`` as noise. Dependences that are certain count even within that. ``groups`` holds
-    the columns of each variable.
+    ``gram`` holds the products of all columns, of which ``rest`` is the residual with ``count`` degrees of freedom.
+    What its squares exceed ``count`` by is taken for noise up to ``doubt``, but dependences that are no chance count
+    even within that. ``groups`` holds the columns of each variable. A dependence that may be chance has share 0.
     """
     from scipy.special import fdtrc  # of the F distribution; scipy.stats takes a second to import
 
     total = float(gram[rest, rest])
     found = []
     for variable, group in groups.items():
-        power, rank = _taken(gram, group.columns, group.beside, rest)
+        power, rank = _squares_explained(gram, group.columns, group.beside, rest)
         left = max(count - rank, 1.0)
         # So many columns explain so much of noise by chance: the rest is the dependence.
         chance = (rank + group.doubt) * max(total - power, 1e-12 * total) / left
@@ -96,10 +99,11 @@ def dependences(
     )
 
 
-def _taken(gram: Floats, columns: Columns, beside: Columns, rest: int) -> tuple[float, int]:
+def _squares_explained(gram: Floats, columns: Columns, beside: Columns, rest: int) -> tuple[float, int]:
     """Return the squares of the residual that columns explain beside others, and the number of independent columns.
 
-    Columns of zeros do not count; (0.0, 0) if there are no others.
+    ``gram`` holds the products of all columns, of which ``rest`` is the residual. Columns of zeros do not count; (0.0,
+    0) if there are no others.
     """
     size = np.sqrt(np.diag(gram)[columns])
     columns, size = columns[size > 0], size[size > 0]

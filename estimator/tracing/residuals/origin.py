@@ -62,9 +62,11 @@ def shape_of(model: Augmented, stretch: Stretch, span_s: float = 0.0) -> Floats:
 
 
 def split_of(runs: Sequence[Run], rests: Sequence[Floats], model: Augmented) -> tuple[Split | None, str]:
-    """Return the split of the residuals of each run (b, m), or None and the reason why there is none.
+    """Return the split of the residuals of all runs into a part common to the gyros and their own, or None and the
+    reason.
 
-    None for fewer gyros than their axes need, or gyros that rarely measure at the same time.
+    ``rests`` are the residuals (b, m) of each run under ``model``. None for fewer gyros than their axes need, or gyros
+    that rarely measure at the same time.
     """
     names = [name for name in model.names if any(name in run.array.names for run in runs)]
     arw = np.array([model.arw[model.names.index(name)] for name in names])
@@ -75,7 +77,7 @@ def split_of(runs: Sequence[Run], rests: Sequence[Floats], model: Augmented) -> 
         axes = "one axis" if rank == 1 else f"{rank} axes"
         return None, sentence("tracing.too_few_gyros", gyros=count, plural="s" * (count > 1), axes=axes)
     sums = np.zeros((len(_BANDS), 3))
-    for stretch, rest in _together(runs, rests, names):
+    for stretch, rest in _common_stretches(runs, rests, names):
         white = cosines(rest / arw) * np.sqrt(stretch.length_s / shape_of(model, stretch))[:, None]
         squares = np.column_stack([(white @ left) ** 2, np.ones(len(white))])
         squares = np.add.reduceat(squares, [0, rank, count], axis=1)
@@ -85,14 +87,15 @@ def split_of(runs: Sequence[Run], rests: Sequence[Floats], model: Augmented) -> 
     sums = sums[sums[:, 2] >= _FEWEST_IN_BAND]
     if not len(sums):
         return None, "the gyros rarely measure at the same time"
-    return _judged(sums[:, :2], sums[:, 2:], np.array([rank, count - rank]), blocks), ""
+    return _split_from(sums[:, :2], sums[:, 2:], np.array([rank, count - rank]), blocks), ""
 
 
-def _judged(squares: Floats, blocks: Floats, parts: NDArray[np.intp], all_blocks: float) -> Split:
+def _split_from(squares: Floats, blocks: Floats, parts: NDArray[np.intp], all_blocks: float) -> Split:
     """Return the split for squares (bands, 2) of the common and the own part.
 
-    ``blocks`` (bands, 1) are the coefficients in each band, ``parts`` the two numbers of dimensions. The band that is
-    most beyond the noise decides.
+    ``blocks`` (bands, 1) are the coefficients in each band, ``parts`` the numbers of dimensions of both, ``all_blocks``
+    the coefficients of all frequencies. The band that is most beyond the noise decides; if none is clearly beyond it,
+    the origin is noise and there is no share.
     """
     count = int(parts.sum())
     beyond = squares - blocks * parts
@@ -108,7 +111,9 @@ def _judged(squares: Floats, blocks: Floats, parts: NDArray[np.intp], all_blocks
 
 
 def _sense_axes(runs: Sequence[Run], model: Augmented, names: Sequence[str]) -> Floats:
-    """Return the calibrated sense axes (n, 3) of the gyros ``names``, with their scale factors."""
+    """Return the calibrated sense axes (n, 3) of the gyros ``names``, with their scale factors, by the states of a
+    model.
+    """
     axes = {}
     for run in runs:
         for i, name in enumerate(run.array.names):
@@ -118,11 +123,13 @@ def _sense_axes(runs: Sequence[Run], model: Augmented, names: Sequence[str]) -> 
     return np.array([axes[name] for name in names])
 
 
-def _together(runs: Sequence[Run], rests: Sequence[Floats], names: Sequence[str]) -> list[tuple[Stretch, Floats]]:
+def _common_stretches(
+    runs: Sequence[Run], rests: Sequence[Floats], names: Sequence[str]
+) -> list[tuple[Stretch, Floats]]:
     """Return the stretches of recordings in which all gyros measure, with their residuals (b, n) in rad/s.
 
-    Blocks in which a gyro is missing are 0. Recordings whose sources have blocks of different length are left out, and
-    so are short stretches.
+    ``rests`` are the residuals (b, m) of each run, ``names`` the n gyros. Single blocks in which a gyro is missing are
+    0. Recordings whose sources have blocks of different length are left out, and so are short stretches.
     """
     found = []
     for order in dict.fromkeys(run.order for run in runs):

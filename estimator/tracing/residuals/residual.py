@@ -106,7 +106,8 @@ def residuals(
     """Return the residual of runs under each of some models; ``first`` is the number of the first run among all.
 
     The models have the same gyros and noise. ``held_back``: the models were not fitted to these runs, so that states
-    that do not fit them count as a dependence. Gyros without a stretch that is long enough are left out.
+    that do not fit them count as a dependence, and their uncertainty is expected in the residual. Gyros without a
+    stretch that is long enough are left out.
     """
     regressors = Regressors(runs)
     left = [[run.z_rps.copy() for run in runs] for _ in models]
@@ -115,7 +116,7 @@ def residuals(
         gyro = _whitened(name, runs, models, first, left, regressors)
         if gyro is not None:
             for m in range(len(models)):
-                found[m].append(_judged(name, gyro, m, models, regressors, held_back))
+                found[m].append(_gyro_residual(name, gyro, m, models, regressors, held_back))
     splits = [split_of(runs, rest, model) for rest, model in zip(left, models, strict=True)]
     return [Residual(tuple(gyros), *split) for gyros, split in zip(found, splits, strict=True)]
 
@@ -128,9 +129,10 @@ def _whitened(
     left: Sequence[Sequence[Floats]],
     regressors: Regressors,
 ) -> _Gyro | None:
-    """Return the whitened columns and residuals of a gyro in all runs, None without a long enough stretch.
+    """Return the whitened columns and residuals of gyro ``name`` in all runs; None without a long enough stretch.
 
-    The states and effects of each model are subtracted in ``left``, by model and run (b, m).
+    What the states and effects of each model give is subtracted in place from ``left``, arrays (b, m) by model and run.
+    ``first`` is the number of the first run among all; shorter stretches and runs without the gyro are left out.
     """
     g = models[0].names.index(name)
     arw = float(models[0].arw[g])
@@ -157,12 +159,13 @@ def _whitened(
     return gyro if gyro.stretches else None
 
 
-def _judged(
+def _gyro_residual(
     name: str, gyro: _Gyro, m: int, models: Sequence[Augmented], regressors: Regressors, held_back: bool
 ) -> GyroResidual:
     """Return the residual of a gyro under model number ``m``: how large it is, how white, and what it depends on.
 
-    ``held_back``: the models were not fitted to these data, which adds their uncertainty to the squares.
+    ``gyro`` is as ``_whitened`` returns it. ``held_back``: the models were not fitted to these data, which adds their
+    uncertainty to the expected squares, where a fit removes it.
     """
     model, gram = models[m], gyro.gram
     ends = np.cumsum([regressors.count, *(other.mean.shape[1] for other in models)])
@@ -199,8 +202,9 @@ def _doubt(model: Augmented, name: str, gram: Floats, columns: NDArray[np.intp])
 
 
 def _whiteness(parts: Sequence[Floats]) -> tuple[float, float]:
-    """Return the autocorrelation from one block to the next, and the probability that white noise shows as much at 20
-    lags.
+    """Return the autocorrelation from one block to the next, and the probability that white noise shows as much.
+
+    The latter is for the first 20 lags together. ``parts`` are the whitened coefficients of each stretch.
     """
     from scipy.fft import idct
     from scipy.special import chdtrc  # of the chi-square distribution; scipy.stats takes a second to import
@@ -214,7 +218,10 @@ def _whiteness(parts: Sequence[Floats]) -> tuple[float, float]:
 
 
 def _spectrum(gyro: _Gyro, parts: Sequence[Floats]) -> Spectrum:
-    """Return the mean densities of the residual and its noise within bands, over all stretches together."""
+    """Return the mean densities of the residual and its noise within bands, over all stretches together.
+
+    ``parts`` are the whitened coefficients of each stretch; the means of stretches do not count.
+    """
     hz = np.concatenate([s.frequency_hz[1:] for s in gyro.stretches])
     noise = np.concatenate([2 * gyro.arw**2 * shape[1:] for shape in gyro.shapes])
     density = noise * np.concatenate([part[1:] for part in parts]) ** 2

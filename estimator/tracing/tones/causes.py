@@ -17,10 +17,11 @@ _ALIKE = 0.98  # cosine of the angle between the sizes that two lines have in th
 
 
 def images(parts: Sequence[Part], runs: Sequence[Run]) -> dict[str, list[Part]]:
-    """Return by candidate name of a tone the weaker, later ones that sampling makes of it.
+    """Return by candidate name of a tone the other, weaker tones that sampling makes of it; tones without any are left
+    out.
 
     If values are held or interpolated over some samples, a line appears again beside each multiple of their rate, with
-    the same ratio of sizes between gyros.
+    the same ratio of sizes between gyros. Only tones later in ``parts`` count, each for one cause.
     """
     found: dict[str, list[Part]] = {}
     taken: set[str] = set()
@@ -34,8 +35,10 @@ def images(parts: Sequence[Part], runs: Sequence[Run]) -> dict[str, list[Part]]:
 
 
 def _is_image(part: Part, other: Part, runs: Sequence[Run]) -> bool:
-    """Return whether tone ``other`` may be an image of tone ``part``: weaker, similar over gyros, at a sampling
-    frequency.
+    """Return whether tone ``other`` may be an image of tone ``part``.
+
+    It must be no stronger, have the same ratio of sizes between gyros, and the sum or difference of frequencies must be
+    a multiple of the sample rate over 1 to 6.
     """
     assert part.tone is not None
     assert other.tone is not None
@@ -64,8 +67,10 @@ def _sizes(part: Part) -> Floats:
 def faint(
     parts: Sequence[Part], evidence: Evidence, runs: Sequence[Run], model: Augmented, left: Residual
 ) -> list[Part]:
-    """Return the tones that explain next to nothing of the power beyond the noise, compared with what ``model``
-    leaves.
+    """Return the tones that explain less than a tenth of the power beyond the noise, over all gyros of ``evidence``.
+
+    That power is what the tone explains and what ``left``, the residual of ``model``, still has. Parts other than tones
+    are left out.
     """
     beyond = {gyro.name: gyro.nis * gyro.beyond for gyro in left.gyros}
     found = []

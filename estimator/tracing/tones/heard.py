@@ -32,7 +32,10 @@ class Heard:
         return None if full else find_tone(self._runs, self._samples, self._predicted(model))
 
     def take(self, tone: ToneFound, probability: float, model: Sequence[Term]) -> None:
-        """Fit a tone and subtract it from the samples and from the blocks; append it to ``parts``."""
+        """Fit a tone beside a model, subtract it from the samples and the blocks, and append it to ``parts``.
+
+        ``probability`` is noted with it. The evidence is computed anew.
+        """
         fit = fit_tone(tone, self._runs, self._samples, self._predicted(model))
         waves = [tone_columns(tone.frequency_hz, run, own) for run, own in zip(self._runs, self._samples, strict=True)]
 

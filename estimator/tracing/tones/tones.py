@@ -44,18 +44,19 @@ class ToneFound:
 
 
 def find_tone(runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequence[Floats]) -> ToneFound | None:
-    """Return the strongest line beside a model, None if there is none; ``predicted`` (b, m) is what the model gives for
-    each run's blocks.
+    """Return the strongest line in the samples of all runs beside a model, None if there is none.
 
-    None as well beside a reference of another instrument, with too few samples, with sources of different rates, if
-    chance may give such a line, or if it does not last through the runs.
+    ``predicted`` (b, m) is what the model gives for the blocks of each run. Samples on ramps and slow lines, of less
+    than some cycles, are left out. The line is locked (one phase for all runs) or not, whichever is more probable. None
+    as well beside a reference of another instrument, with too few samples, with sources of different rates, if chance
+    may give such a line, or if it does not last through the runs.
     """
     if any(run.by_another for run in runs):
         return None  # the reference moves with the body: a line in their difference may be of either
-    samples = [_steady(run, s) for run, s in zip(runs, samples, strict=True)]
+    samples = [_steady_samples(run, s) for run, s in zip(runs, samples, strict=True)]
     if min(len(s.t_s) for s in samples) < _FEWEST:
         return None
-    rests = [_left(run, s, p) for run, s, p in zip(runs, samples, predicted, strict=True)]
+    rests = [_less_prediction(run, s, p) for run, s, p in zip(runs, samples, predicted, strict=True)]
     even = [_evened(s.t_s, rest) for s, rest in zip(samples, rests, strict=True)]
     longest = max((len(values) for values, _ in even), default=0)
     period_s = min(period for _, period in even)
@@ -67,7 +68,7 @@ def find_tone(runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequen
         if abs(period / period_s - 1) > 1e-3:
             return None  # sources of different rates: each would need its own grid of frequencies
         power = np.abs(np.fft.rfft(values, size, axis=0)) ** 2 / len(rest)  # of the samples that there are
-        floor = _floor(power)
+        floor = _noise_floor(power)
         floors.append(floor)
         total += (power / floor).sum(axis=1)
     span_s = longest * period_s
@@ -106,8 +107,9 @@ def find_tone(runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequen
 def _coherent(
     found: ToneFound, samples: Sequence[Samples], rests: Sequence[Floats], variances: Sequence[Floats]
 ) -> bool:
-    """Return whether a line lasts through each run: a line that comes and goes shows more in parts than in the
-    whole.
+    """Return whether a line lasts through each run: one that comes and goes explains more in parts than in the whole.
+
+    ``rests`` (n, m) are the samples beside the model, ``variances`` (m,) their noise, each for a run.
     """
     parts, part_rests, part_variances = [], [], []
     for s, rest, variance in zip(samples, rests, variances, strict=True):
@@ -116,8 +118,8 @@ def _coherent(
             parts.append(Samples(s.t_s[a:b], s.z_rps[a:b], s.names))
             part_rests.append(rest[a:b])
             part_variances.append(variance)
-    whole, squares, _ = _gain(_turning(found.frequency_hz, samples, rests), samples, variances, found.locked)
-    apart, more, _ = _gain(_turning(found.frequency_hz, parts, part_rests), parts, part_variances, False)
+    whole, squares, _ = _tone_gain(_turning(found.frequency_hz, samples, rests), samples, variances, found.locked)
+    apart, more, _ = _tone_gain(_turning(found.frequency_hz, parts, part_rests), parts, part_variances, False)
     chance = float(len(more) - len(squares))  # half the squares of chance: one for each pair of amplitudes
     return whole > _COHERENT * (apart - chance)
 
@@ -142,10 +144,10 @@ class ToneFit:
 
 
 def fit_tone(found: ToneFound, runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequence[Floats]) -> ToneFit:
-    """Return the tone with the amplitudes that fit samples best beside a model; ``predicted`` (b, m) as in
-    ``find_tone``.
+    """Return the tone with the amplitudes that fit samples best beside a model.
 
-    Its standard deviations assume white noise.
+    ``predicted`` (b, m) is what the model gives for the blocks of each run. A locked tone has one amplitude for all
+    runs, another one for each. The standard deviations assume white noise.
     """
     names = list(dict.fromkeys(name for s in samples for name in s.names))
     width = 1 if found.locked else len(samples)
@@ -153,7 +155,7 @@ def fit_tone(found: ToneFound, runs: Sequence[Run], samples: Sequence[Samples], 
     count = {name: np.zeros(width) for name in names}
     squares = dict.fromkeys(names, 0.0)
     for number, (run, s, p) in enumerate(zip(runs, samples, predicted, strict=True)):
-        rest = _left(run, s, p)
+        rest = _less_prediction(run, s, p)
         turning = np.exp(-2j * np.pi * found.frequency_hz * s.t_s) @ rest
         at = 0 if found.locked else number
         for i, name in enumerate(s.names):
@@ -181,8 +183,11 @@ def without_tone(fit: ToneFit, samples: Sequence[Samples]) -> list[Samples]:
     return cleaned
 
 
-def _steady(run: Run, samples: Samples) -> Samples:
-    """Return the samples of a run in full blocks outside ramps, where block means say enough of each sample."""
+def _steady_samples(run: Run, samples: Samples) -> Samples:
+    """Return the samples of a run in full blocks outside ramps, where block means say enough of each sample.
+
+    Blocks beside a ramp are left out, too. Without a table nothing is a ramp.
+    """
     keep = run.weight > 0
     if run.grid.gimbals:
         steep = run.fold(np.abs(run.grid.acceleration_rps2).max(axis=1, keepdims=True))[:, 0]
@@ -195,9 +200,10 @@ def _steady(run: Run, samples: Samples) -> Samples:
     return Samples(samples.t_s[inside], samples.z_rps[inside], samples.names)
 
 
-def _left(run: Run, samples: Samples, predicted: Floats) -> Floats:
-    """Return samples (n, m) less a model's blocks (b, m), interpolated, and less the mean of each piece without a
-    gap.
+def _less_prediction(run: Run, samples: Samples, predicted: Floats) -> Floats:
+    """Return the samples (n, m) less what a model gives, and less the mean of each piece without a gap.
+
+    ``predicted`` (b, m) is what it gives for blocks, interpolated between those that are full.
     """
     known = run.weight > 0
     rest = samples.z_rps - np.column_stack([np.interp(samples.t_s, run.t_s[known], c) for c in predicted[known].T])
@@ -228,8 +234,10 @@ def _evened(t_s: Floats, values: Floats) -> tuple[Floats, float]:
     return out, period_s
 
 
-def _floor(power: Floats) -> Floats:
-    """Return the noise power at each frequency (f, m): the running median, scaled to a mean of exponential noise."""
+def _noise_floor(power: Floats) -> Floats:
+    """Return the noise power (f, m) about each of f frequencies: the running median of ``power``, scaled to the
+    mean.
+    """
     from scipy.ndimage import median_filter
 
     floor = np.empty_like(power)
@@ -256,15 +264,16 @@ def _gain_at(
     variances: Sequence[Floats],
     locked: bool,
 ) -> tuple[float, list[float], list[float]]:
-    """Return the result of ``_gain`` at a frequency, whose waves ``turning`` gives."""
-    return _gain(turning(frequency_hz), samples, variances, locked)
+    """Return the result of ``_tone_gain`` at a frequency, whose waves ``turning`` gives."""
+    return _tone_gain(turning(frequency_hz), samples, variances, locked)
 
 
-def _gain(
+def _tone_gain(
     turning: Sequence[Waves], samples: Sequence[Samples], variances: Sequence[Floats], locked: bool
 ) -> tuple[float, list[float], list[float]]:
     """Return half the sum of the squares that a tone explains, and by amplitude the squares and the information.
 
+    ``turning`` are the products (m,) of each run's samples with the wave, ``variances`` (m,) the noise of each.
     Amplitudes are one for each gyro, or one for each gyro and run if not ``locked``.
     """
     sums: dict[tuple[str, int], tuple[complex, float]] = {}
@@ -285,7 +294,10 @@ def _peak(gain: Callable[[float], tuple[float, list[float], list[float]]], low: 
 
 
 def _log_evidence(squares: Floats, information: Floats) -> float:
-    """Return the log evidence of amplitudes (cosine and sine each), averaged over the scales of their prior."""
+    """Return the log evidence of amplitudes (cosine and sine each), averaged over the scales of their prior.
+
+    ``squares`` and ``information`` (n,) are as ``_tone_gain`` returns them.
+    """
     largest = TONE.effect(frequency_hz=1.0).largest[0]
     values = []
     for scale in SCALES:

@@ -24,9 +24,11 @@ class GyroChain:
     def __init__(
         self, effects: Iterable[object], world: World, gain: Floats, period_s: float, seed: tuple[int, ...]
     ) -> None:
-        """Prepare the chain of ``effects``; HiddenError if one names a gyro that does not exist.
+        """Prepare the chain of ``effects`` on m gyros, sampled every ``period_s``; ``seed`` is that of biases that
+        walk.
 
-        ``gain`` (m,) is the sensitivity left by the constant scale factor errors.
+        ``gain`` (m,) is the sensitivity left by the constant scale factor errors, ``world`` what effects depend on.
+        HiddenError if an effect names a gyro that does not exist, or has neither one value nor m.
         """
         m = len(gain)
         self._world, self._gain = world, gain

@@ -58,7 +58,12 @@ class Converter:
     last: Floats = field(default_factory=lambda: np.empty(0))
 
     def __call__(self, clock_s: Floats, out: Floats) -> Floats:
-        """Return the outputs (n, m) after limits, holds and stuck gyros, at successive instants of the bench clock."""
+        """Return the outputs (n, m) after limits, holds and stuck gyros, at successive instants of the bench clock in s
+        (n,).
+
+        Holds repeat every ``hold``-th row until the next; a stuck gyro keeps its last value before the time at which it
+        sticks.
+        """
         for limit in self.limits:
             out = np.clip(out, -np.asarray(limit.limit_rps), limit.limit_rps)
         if self.hold > 1:

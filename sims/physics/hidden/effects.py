@@ -27,7 +27,7 @@ class Hidden:
     devices: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
-        """Check effects and temperature; HiddenError for an invalid one."""
+        """Check effects and temperature; HiddenError for an invalid one, and for what is no hidden effect."""
         for effect in self.effects:
             if type(effect) not in KINDS.values():
                 raise HiddenError(f"{effect!r} is no hidden effect")

@@ -34,8 +34,8 @@ class HiddenError(ValueError):
 
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(field,))
 def hidden(kinds: dict[str, type[Any]], name: str) -> Callable[[type[T]], type[T]]:
-    """Return a decorator that makes a class a frozen dataclass and enters it in ``kinds`` under its name in the
-    file.
+    """Return a decorator that makes a class a frozen dataclass and enters it in ``kinds`` as ``name``, its key in
+    files.
     """
 
     def entered(described: type[T]) -> type[T]:
@@ -97,9 +97,9 @@ def refuse_unknown(table: Mapping[str, object], known: Mapping[str, object], whe
 
 
 def for_gyros(effect: T, count: int) -> T:
-    """Return the effect with every number that may differ between gyros as an array (count,).
+    """Return a copy of an effect with every number that may differ between gyros as an array (count,).
 
-    HiddenError if there are neither one nor ``count`` numbers.
+    HiddenError if there are neither one nor ``count`` numbers. An effect without such numbers is returned as it is.
     """
     arrays = {}
     for described in fields(effect):  # type: ignore[arg-type]
@@ -113,7 +113,10 @@ def for_gyros(effect: T, count: int) -> T:
 
 
 def check(effect: object) -> None:
-    """Check every number of an effect; HiddenError if one is not finite, other than by default, or out of its range."""
+    """Check every number of an effect; HiddenError if one is not finite or out of the range of its field.
+
+    A default need not be finite. Fields that are not numbers are not looked at.
+    """
     for described in fields(effect):  # type: ignore[arg-type]
         if "like" not in described.metadata:
             continue
@@ -127,8 +130,10 @@ def check(effect: object) -> None:
 
 
 def _value(raw: object, what: Field[Any]) -> Any:
-    """Return a value of the file in SI, checked by the kind of its field: quantity, flag, integer or choice; else
-    HiddenError.
+    """Return a value of the file in SI, checked by the kind of its field ``what``; HiddenError if it is not of that
+    kind.
+
+    Kinds are a quantity with a unit (a list of them where gyros may differ), a flag, an integer from 1 on, or a choice.
     """
     if "like" in what.metadata:
         if what.metadata.get("each") and isinstance(raw, list | tuple):

@@ -66,7 +66,7 @@ class Scene:
 
     @cached_property
     def axes(self) -> tuple[Floats, Floats]:
-        """Rates (rad/s) and accelerations (rad/s2) of the axes of the table, each (n, axes), by finite differences."""
+        """Rates (rad/s) and accelerations (rad/s2) of the table's axes, each (n, axes), by differences over 1 ms."""
         body = self.world.body
         before, here, after = (
             np.column_stack([body.angle(axis, self.t_s + step) for axis in body.gimbals])

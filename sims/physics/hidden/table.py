@@ -116,8 +116,10 @@ class TableReading(OfTable):
     followed: bool = field(default=False, metadata=FLAG)
 
     def shift(self, angles: Angles, started_s: float) -> Angles:
-        """Return a function of instants (n,) that gives the gain and creep of the angle; ``started_s`` is the bench
-        clock at 0.
+        """Return a function that gives how far the angle has gained and crept at instants (n,), in rad.
+
+        It is 0 before the error begins, and stays at its last value after the end. ``angles`` gives the true motion at
+        instants (n,); ``started_s`` is the bench clock at the instant 0.
         """
         first_s, last_s = self.from_s - started_s, self.until_s - started_s
         at = cache(lambda t_s: float(angles(np.array([t_s]))[0]))  # an axis forgets old segments
@@ -132,8 +134,10 @@ class TableReading(OfTable):
         return shift
 
     def read(self, motion: Motion, started_s: float) -> Motion:
-        """Return the readings (angle, rate) as a function of the instant, given those without the error; 0 is
-        ``started_s``.
+        """Return a function that gives the faulty (angle, rate) at an instant; ``motion`` gives them without the error.
+
+        ``started_s`` is the bench clock at the instant 0. Gain and creep act always, but are left out if the table
+        follows them in its motion; the other faults act within their time span.
         """
         first_s, last_s = self.from_s - started_s, self.until_s - started_s
         before = cache(motion)
@@ -168,7 +172,11 @@ class TableFaults:
         return angle_rad
 
     def true_angles(self, axis: str, angles: Angles, started_s: float) -> Angles:
-        """Return a function that gives the true angles of an axis whose encoder indicates ``angles``."""
+        """Return a function that gives the true angles (n,) of an axis at instants (n,), by those its encoder
+        indicates.
+
+        ``angles`` gives the latter; ``started_s`` is the bench clock at the instant 0.
+        """
         effects = [e for e in self.effects if isinstance(e, TableReading) and e.axis == axis and e.followed]
         shifts = [effect.shift(angles, started_s) for effect in effects]
 

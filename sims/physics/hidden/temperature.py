@@ -28,7 +28,10 @@ class Temperature:
     reference_c: float = field(default=25.0, metadata=given("degC"))
 
     def at(self, t_s: Floats) -> Floats:
-        """Return the temperature in degC at instants (n,) of the bench clock; the start value before 0."""
+        """Return the temperature in degC at instants (n,) of the bench clock; the start value before 0.
+
+        By ``shape`` it rises linearly and stays, rises and falls in cycles, or approaches its end exponentially.
+        """
         t_s = np.maximum(t_s, 0.0)
         if self.shape == LINEAR:
             risen = np.minimum(t_s / self.over_s, 1.0)
@@ -53,8 +56,9 @@ class Temperature:
         return np.asarray(np.where(t_s >= 0, self.rise_c * rising, 0.0))
 
     def lagged(self, t_s: Floats, lag_s: float) -> Floats:
-        """Return the temperature of a body that follows this one with a first-order lag and equals it at the
-        instant 0.
+        """Return the temperature in degC of a body that follows this one with a first-order lag of ``lag_s``.
+
+        At instants (n,) of the bench clock; it equals this one at the instant 0 and before.
         """
         t_s = np.maximum(t_s, 0.0)
         decay = np.exp(-t_s / lag_s)

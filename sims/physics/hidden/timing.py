@@ -66,7 +66,10 @@ class LowPass:
     last: tuple[Floats, Floats] | None = field(default=None)
 
     def __call__(self, x: Floats) -> Floats:
-        """Return successive inputs (n, m) after the low pass, exact for inputs that are linear between samples."""
+        """Return successive inputs (n, m) after the low pass, exact for inputs that are linear between samples.
+
+        The very first input counts as having lasted; a lag of 0 leaves inputs as they are.
+        """
         from scipy.signal import lfilter  # slow to import
 
         if not len(x):
@@ -91,7 +94,7 @@ class LastTurn:
     sign: Floats
 
     def __call__(self, u: Floats) -> Floats:
-        """Return the signs (n, m) of the last rotation above the threshold at successive rates (n, m)."""
+        """Return the signs (n, m) of the last rotation above the threshold, up to each of successive rates (n, m)."""
         if not len(u):
             return u
         turning = np.abs(u) > self.threshold_rps

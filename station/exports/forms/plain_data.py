@@ -42,7 +42,10 @@ def write_matlab(exported: Exported) -> Written:
 
 
 def _matlab(value: Any) -> Any:
-    """Return a JSON value in the form for savemat; None is left out, keys become names that MATLAB allows."""
+    """Return a JSON value in the form for savemat: lists become arrays, or cells if they hold objects or texts.
+
+    None is left out of objects; keys become names that MATLAB allows.
+    """
     if isinstance(value, dict):
         return {re.sub(r"\W", "_", f"{key}", flags=re.ASCII): _matlab(x) for key, x in value.items() if x is not None}
     if not isinstance(value, list) or all(isinstance(x, float | int | list) for x in value):
@@ -53,8 +56,9 @@ def _matlab(value: Any) -> Any:
 
 
 def write_csv(exported: Exported) -> Written:
-    """Return one line per gyro: axes, states, sigmas, row of the sensitivity matrix, effects; headings have SI
-    units.
+    """Return one line per gyro: axes, states, sigmas, row of the sensitivity matrix, effects; headings have SI units.
+
+    Noted as lacking are covariances and uncertainty budget.
     """
     lines = [_line(exported, i, gyro) for i, gyro in enumerate(exported.gyros)]
     file = io.StringIO()
@@ -66,7 +70,7 @@ def write_csv(exported: Exported) -> Written:
 
 
 def _line(exported: Exported, i: int, gyro: GyroCalibration) -> dict[str, str]:
-    """Return one gyro's values as texts by heading."""
+    """Return the values of gyro number ``i`` as texts by heading."""
     array, gain = exported.compensation.array, exported.compensation.sensitivity
     values = {f"{a}_{part}": x for a in "pjk" for part, x in zip("xyz", getattr(array, a)[i], strict=True)}
     for key, unit, state, sd in zip(STATES, GYRO.units, gyro.states, gyro.sd, strict=True):
@@ -117,7 +121,7 @@ def _object(exported: Exported) -> dict[str, Any]:
 
 
 def _gyro(exported: Exported, number_of: int, gyro: GyroCalibration) -> dict[str, Any]:
-    """Return the JSON object of one gyro: axes, states, covariance, budget, noise, effects."""
+    """Return the JSON object of gyro number ``number_of``: axes, states, covariance, budget, noise, effects."""
     array = exported.compensation.array
     return {
         "name": array.names[number_of],

@@ -44,7 +44,8 @@ def _chain(exported: Exported, form: str, called: str) -> Written:
     """Return the file of a model that multiplies a lower triangular matrix and a rotation; UsageError without three
     gyros.
 
-    Held are sensitivity, bias, sensitivity to gravity and noise.
+    ``form`` is the template, ``called`` the name of the format in messages. Held are sensitivity, bias, sensitivity to
+    gravity and noise; the result lists what is not.
     """
     constants, dropped = as_triad(exported, called, (G_SENSITIVITY.name,))
     m, c = _lower_and_rotation(constants.sensitivity, called)
@@ -58,7 +59,7 @@ def _chain(exported: Exported, form: str, called: str) -> Written:
 def _lower_and_rotation(sensitivity: Floats, form: str) -> tuple[Floats, Floats]:
     """Return a lower triangular matrix with positive diagonal and a rotation, whose product is ``sensitivity`` (3, 3).
 
-    UsageError if it is left-handed.
+    UsageError, which names ``form``, if it is left-handed.
     """
     q, r = np.linalg.qr(sensitivity.T)
     signs = np.sign(np.diag(r))

@@ -109,10 +109,11 @@ def _single(found: re.Match[str]) -> str:
 
 
 def _vectors(exported: Exported, terms: Terms) -> tuple[Floats, Floats]:
-    """Return test inputs (8, n + 5) over the conditions of the calibration, and the Python module's results (8, 3) in
+    """Return test inputs (8, n + 5) of n gyros over the conditions of the calibration, and their results (8, 3) in
     rad/s.
 
-    Inputs: outputs in rad/s, specific force in m/s2, temperature in degC, time step in s, as far as they are arguments.
+    Inputs: outputs in rad/s, specific force in m/s2 (3), temperature in degC, time step in s. The results are those of
+    the Python module, which is executed for it.
     """
     made: dict[str, Any] = {}
     exec(write_python(exported).text, made)  # no text of the recording's stands in it but in comments and quotes
@@ -127,7 +128,10 @@ def _vectors(exported: Exported, terms: Terms) -> tuple[Floats, Floats]:
 
 
 def write_python(exported: Exported) -> Written:
-    """Return the Python module; CompensationError for gyros that do not span space."""
+    """Return the Python module, with what it does not correct; CompensationError for gyros that do not span space.
+
+    It has a class instead of a function if effects keep a state.
+    """
     terms = terms_of(exported.compensation)
     not_held = _cautions(exported, terms)
     call = "Correction().correct" if terms.keeps_state else "correct"

@@ -30,7 +30,7 @@ class _LastingStream:
 
     @contextmanager
     def _lasting(self) -> Iterator[None]:
-        """Context that redirects the stream to os.devnull if it raises OSError."""
+        """Redirect the stream to os.devnull if it raises OSError within this context; the error is dropped."""
         try:
             yield
         except OSError:
@@ -74,7 +74,7 @@ class _PatientStream:
         self._thread.join(max(limit_s - time.monotonic(), 0.0))
 
     def _write_all(self) -> None:
-        """Write queued texts until an empty one comes; a far end that is gone is ignored."""
+        """Write queued texts until an empty one comes; texts that cannot be written are dropped."""
         errors = self._stream.errors or "replace"
         while text := self._texts.get():
             with suppress(OSError):  # its reader is gone

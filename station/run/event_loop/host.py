@@ -25,7 +25,7 @@ class HostWatch:
     """Records by how much the loop was late, and how busy the processors were."""
 
     def __init__(self, scale: float) -> None:
-        """``scale`` is how fast the loop's clock runs."""
+        """Start without delays; ``scale`` is how fast the loop's clock runs."""
         self._scale = scale
         self._latest: deque[tuple[float, float]] = deque()
         self._pressure: deque[tuple[float, float]] = deque()
@@ -35,7 +35,9 @@ class HostWatch:
         """The longest delay so far, in seconds of the wall; 0 if none was worth telling."""
 
     def woke(self, due_s: float) -> bool:
-        """Record that a sleep due at ``due_s`` (loop time) has ended; return whether it ended late."""
+        """Record that a sleep due at ``due_s`` (loop time) has ended; return whether it ended more than 30 ms (wall)
+        late.
+        """
         now_s = asyncio.get_running_loop().time()
         late_s = (now_s - due_s) / self._scale
         if late_s <= _LATE_S:
@@ -78,10 +80,10 @@ class HostWatch:
         return loop.waited_s if isinstance(loop, PacedLoop) else 0.0
 
     def blame(self, error: DeviceError, *, served_here: bool) -> DeviceError:
-        """Return an error that blames this computer if it fell behind or is overloaded, else ``error`` itself.
+        """Return an error that blames this computer if it may be at fault, else ``error`` itself.
 
-        Only lost links and late arrivals may be its fault. ``served_here``: a program on this computer answers for the
-        device.
+        Only lost links and late arrivals may be its fault: if it fell behind by 0.1 s shortly before, or if a program
+        of its own answers for the device (``served_here``) and its processors are crowded.
         """
         if not isinstance(error, LinkLost | Overdue):
             return error

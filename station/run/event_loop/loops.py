@@ -42,7 +42,7 @@ class PacedLoop(asyncio.SelectorEventLoop):
     """
 
     def __init__(self, scale: float) -> None:
-        """Start the clock at zero."""
+        """Start the clock at zero, to run at ``scale`` times the speed of the wall's."""
         self.scale = scale
         self.waited_s = 0.0
         """How long the clock has waited for this computer, in seconds of the wall."""
@@ -88,8 +88,9 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         return self._now
 
     def advance(self, seconds: float | None) -> None:
-        """Jump to the next timer; RuntimeError if there is none and ``seconds`` is None, as nothing can happen any
-        more.
+        """Jump to the next timer, if ``seconds`` until it are more than 0; the number itself does not count.
+
+        RuntimeError if it is None: no timer is set, so nothing can happen any more.
         """
         if seconds is None:
             raise RuntimeError("virtual time stands still: every task waits and no timer is set")

@@ -6,7 +6,10 @@ from typing import Any
 
 
 def leaves(error: BaseException) -> Iterator[BaseException]:
-    """Yield the exceptions within exception groups, and those that a cancel carries as its message."""
+    """Yield the exceptions within exception groups, at any depth, and those that a cancel carries as its message.
+
+    Any other exception is yielded itself.
+    """
     if isinstance(error, BaseExceptionGroup):
         for one in error.exceptions:
             yield from leaves(one)
@@ -17,8 +20,9 @@ def leaves(error: BaseException) -> Iterator[BaseException]:
 
 
 def serve(group: asyncio.TaskGroup, service: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
-    """Start a coroutine that must run for the whole run; RuntimeError if it ends without being cancelled by the
-    group.
+    """Start a coroutine that must run for the whole run, as a task of the group.
+
+    RuntimeError, in the task, if it returns or is cancelled from within; its exceptions pass through.
     """
 
     async def served() -> None:

@@ -32,7 +32,10 @@ class Guard:
     def __init__(
         self, devices: GuardedDevices | None, recording: Path, time_scale: float, tell: Callable[[str], None]
     ) -> None:
-        """Prepare without starting; ``devices`` is None if only twins in this process would have to be made safe."""
+        """Prepare without starting; ``devices`` is None if only twins in this process would have to be made safe.
+
+        The log of the guard stands beside ``recording``; ``tell`` gets messages on failures.
+        """
         self._devices, self._tell, self._time_scale = devices, tell, time_scale
         self._log = str(guard_log_of(recording).absolute())
         self._process: subprocess.Popen[bytes] | None = None
@@ -88,10 +91,10 @@ class Guard:
             await self._see_ready()
 
     async def _see_ready(self) -> None:
-        """Wait until a guard is ready, restarting it if it ends, up to ``_MOST_STARTS`` times or the time limit; then
-        arm it.
+        """Wait until a guard is ready, and arm it if that was asked for.
 
-        Each failure is told; no error is raised.
+        One that ends is restarted until it was started five times, and given up then. After 10 s it is armed
+        nevertheless. Each failure is told; no error is raised.
         """
         limit_s = asyncio.get_running_loop().time() + _READY_LIMIT_S * max(self._time_scale, 1.0)
         while self._devices is not None and (self._process is None or not self._ready):
@@ -136,7 +139,9 @@ class Guard:
             self._close()
 
     def _close(self) -> None:
-        """Wait for the guard's end, killing it if necessary, and close its pipes."""
+        """Wait half a second for the guard's end, killing it then, or at once if it was not ready, and close its
+        pipes.
+        """
         process, self._process = self._process, None
         if process is None:
             return

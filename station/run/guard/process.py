@@ -45,7 +45,7 @@ def main() -> None:
     size = int.from_bytes(_read(4), "big")
     order: Order = pickle.loads(_read(size))
     with asyncio.Runner(loop_factory=lambda: ScaledLoop(order.time_scale)) as runner:
-        runner.run(_guard(order))
+        runner.run(_stand_guard(order))
         os._exit(0)  # the station may wait for it
 
 
@@ -79,10 +79,10 @@ def _ask_to_be_continued() -> None:
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGCONT), 0, 0, 0)
 
 
-async def _guard(order: Order) -> None:
+async def _stand_guard(order: Order) -> None:
     """Build the drivers, report that the guard is ready, and make the devices safe if the station dies while armed.
 
-    A driver that cannot be built is reported on stderr and left out.
+    A driver that cannot be built is reported on stderr and left out; without any it ends at once, and is never ready.
     """
     devices: list[_Device] = []
     for packed in order.devices:
@@ -96,7 +96,7 @@ async def _guard(order: Order) -> None:
     os.write(1, READY)
     if await _station_dies(order.pid):
         with inherited(order.locks, f"guard of {order.who}, which has died: stopping {_named(devices)}"):
-            await _act(order, devices, log)
+            await _make_devices_safe(order, devices, log)
         log.close()
 
 
@@ -122,7 +122,7 @@ async def _station_dies(pid: int) -> bool:
     while True:
         await woken.wait()
         woken.clear()
-        words, closed = _words()
+        words, closed = _heard_so_far()
         if DISMISS in words:
             return False
         armed = armed or ARM in words
@@ -147,7 +147,7 @@ def _process(pid: int) -> int:
     return process
 
 
-def _words() -> tuple[bytes, bool]:
+def _heard_so_far() -> tuple[bytes, bool]:
     """Return all that the station has sent so far, and whether the pipe is closed; does not wait."""
     words = b""
     with suppress(BlockingIOError):
@@ -161,8 +161,8 @@ def _named(devices: Sequence[_Device]) -> str:
     return " and ".join(kind.what for kind, _ in devices)
 
 
-async def _act(order: Order, devices: Sequence[_Device], say: "_Log") -> None:
-    """Make devices safe: the table first, then all others at once; each is tried repeatedly for a minute."""
+async def _make_devices_safe(order: Order, devices: Sequence[_Device], say: "_Log") -> None:
+    """Make devices safe: the table first, then, once it was tried, all others at once; each is tried for a minute."""
     say(f"{order.who} died while it controlled {_named(devices)}: the guard stops {'them' if devices[1:] else 'it'}")
     first_tried = asyncio.Event()
     async with asyncio.TaskGroup() as tasks:
@@ -175,8 +175,8 @@ async def _act(order: Order, devices: Sequence[_Device], say: "_Log") -> None:
 async def _until_safe(order: Order, kind: DeviceKind, device: Any, say: "_Log", tried: Callable[[], None]) -> None:
     """Make one device safe, trying again for a minute, then give up; progress and outcome go to ``say``.
 
-    ``tried`` is called after every attempt. Before a new attempt the device is closed. A driver without ``make_safe``
-    leaves its device as it is.
+    ``tried`` is called after every attempt. Before a new attempt the device is closed, as a new connection is made
+    then. A driver without ``make_safe`` leaves its device as it is.
     """
     loop = asyncio.get_running_loop()
     began_s = loop.time()

@@ -20,7 +20,8 @@ class WayOut:
     async def go(self, *, untrue_readings: bool) -> list[str]:
         """Make safe all devices that are not yet, in their order; return the troubles so far, in words.
 
-        With ``untrue_readings`` nothing that the table reports of its stop is believed.
+        With ``untrue_readings`` nothing that the table reports of its stop is believed. An exception of the table's
+        driver is raised; then it can be called again.
         """
         for device in self._open.in_safe_order():
             if device.name in self._done:
@@ -37,8 +38,9 @@ class WayOut:
         return list(self._troubles)
 
     async def _made_safe(self, device: OpenDevice, *, is_table: bool, untrue_readings: bool) -> SafeState:
-        """Make one device safe; an exception of a driver becomes a trouble, except that of the table, which is
-        raised.
+        """Make one device safe, and return its state and trouble; attempts that were not confirmed are told.
+
+        An exception of a driver becomes a trouble, except that of the table, which is raised.
         """
 
         def unconfirmed(trouble: str) -> None:

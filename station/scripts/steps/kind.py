@@ -96,7 +96,9 @@ class Turn:
 
 
 def turn_to(axis: str, from_rad: float, to_rad: float, rate_rps: float, acceleration_rps2: float) -> Turn:
-    """Return the turn of an axis between two angles; its duration is 0 if they are equal."""
+    """Return the turn of an axis between two angles, with the duration of its trapezoid of rate; 0 if they are
+    equal.
+    """
     way_rad = abs(to_rad - from_rad)
     peak_rps = min(abs(rate_rps), math.sqrt(way_rad * acceleration_rps2))
     duration_s = way_rad / peak_rps + peak_rps / acceleration_rps2 if peak_rps > 0 else 0.0

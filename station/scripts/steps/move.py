@@ -63,7 +63,7 @@ class Move(Step):
         return replace(mirrored, label=mirrored.words())
 
     def written(self, duration_s: float) -> Sequence[str]:
-        """Return the lines of kind, axis, rate, angle and acceleration."""
+        """Return the lines of a script file for this step; ``duration_s`` is told in a comment."""
         return (
             'kind = "move"',
             f'axis = "{self.axis}"',

@@ -61,7 +61,9 @@ class Rotate(Step):
         return replace(self, acceleration_rps2=acceleration_rps2, duration_s=duration_s)
 
     def parts(self, angles_rad: Mapping[str, float]) -> Sequence[Part]:
-        """Return one part: the turn by the angle of the trapezoid."""
+        """Return one part: the turn by the angle of the trapezoid, from where the axis stands in ``angles_rad`` (else
+        0).
+        """
         from_rad = angles_rad.get(self.axis, 0.0)
         turn = Turn(
             axis=self.axis,
@@ -91,7 +93,7 @@ class Rotate(Step):
         return replace(mirrored, label=mirrored.words())
 
     def written(self, duration_s: float) -> Sequence[str]:
-        """Return the lines of kind, axis, rate, duration and acceleration."""
+        """Return the lines of a script file for this step, with ``duration_s`` as its duration."""
         return (
             'kind = "rotate"',
             f'axis = "{self.axis}"',

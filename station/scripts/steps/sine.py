@@ -43,7 +43,10 @@ class Sine(Step):
         return replace(self, acceleration_rps2=acceleration_rps2)
 
     def parts(self, angles_rad: Mapping[str, float]) -> Sequence[Part]:
-        """Return the turns: to one end and the other for each cycle, then to the middle."""
+        """Return the turns: to one end and the other for each cycle, then to the middle.
+
+        The middle is where the axis stands in ``angles_rad``, else 0.
+        """
         middle_rad = angles_rad.get(self.axis, 0.0)
         ends_rad = [middle_rad + self.amplitude_rad, middle_rad - self.amplitude_rad] * self.cycles
         angle_rad = middle_rad
@@ -56,7 +59,9 @@ class Sine(Step):
 
 
 def _make(*, axis: str, amplitude_rad: float, frequency_hz: float, cycles: int, label: str) -> Sine:
-    """Return a swing from the keys of a script file."""
+    """Return a swing from the keys of a script file, with the largest rate of the sine; ``amplitude_rad`` is to each
+    side.
+    """
     rate_rps = 2 * math.pi * frequency_hz * amplitude_rad
     half_cycle_s = 0.5 / frequency_hz
     ramp_s = half_cycle_s - 2 * amplitude_rad / rate_rps
