@@ -9,7 +9,7 @@ from estimator.calibration.accelerometer import ForceCalibration
 from estimator.calibration.values import unseen_notes
 from estimator.errors import RecordingError
 from estimator.estimation.accelerometers.estimate import estimate_forces
-from estimator.estimation.accelerometers.samples import checked
+from estimator.estimation.accelerometers.samples import Checked, checked
 from estimator.observations.health import Excluded
 from estimator.recordings.recording import Recording
 from estimator.sensors.accelerometers import ACCELEROMETER
@@ -20,22 +20,18 @@ def calibrate_forces(recording: Recording) -> tuple[tuple[ForceCalibration, ...]
 
     Calibrated are those with a data sheet, on a table. A source of which too little was recorded has a note only.
     """
-    table = recording.table
     found: list[ForceCalibration] = []
     notes: list[str] = []
-    if table is None:
-        return (), notes
-    for source, data in recording.sources.items():
-        if data.accel_mps2 is None or data.accel_sheet is None:
-            continue
-        seen = checked(data, table)
+    for source, seen in usable_forces(recording):
+        data = recording.sources[source]
         notes += seen.notes
         doubts = [f"{one.name} is not calibrated: {one.reason}" for one in seen.excluded]
         if seen.samples is None:
             found.append(_none(source, data.device, seen.excluded, doubts))
             continue
         try:
-            own = estimate_forces(recording, source, seen.samples, data.accel_sheet.noise)
+            noise = data.accel_sheet.noise if data.accel_sheet is not None else None
+            own = estimate_forces(recording, source, seen.samples, noise)
         except RecordingError as error:
             notes += doubts
             notes.append(f"{source}: the accelerometers are not calibrated: {error}")
@@ -44,6 +40,19 @@ def calibrate_forces(recording: Recording) -> tuple[tuple[ForceCalibration, ...]
             notes += unseen_notes(one.name, one.covariance, seen.samples.prior, ACCELEROMETER.states)
         found.append(replace(own, excluded=seen.excluded, doubts=tuple(doubts)))
     return tuple(found), notes
+
+
+def usable_forces(recording: Recording) -> list[tuple[str, Checked]]:
+    """Return by source what can be used of its accelerometers; none without a table or a data sheet for them."""
+    table = recording.table
+    if table is None:
+        return []
+    stated = {
+        source: data
+        for source, data in recording.sources.items()
+        if data.accel_mps2 is not None and data.accel_sheet is not None
+    }
+    return [(source, checked(data, table)) for source, data in stated.items()]
 
 
 def _none(source: str, device: str, excluded: Sequence[Excluded], doubts: Sequence[str]) -> ForceCalibration:

@@ -44,13 +44,14 @@ _LINES = (LEVEL, ORTHOGONALITY, GRAVITY)
 
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
-class _Settled:
-    """The joint estimate at the end, and the arm (3,) and the delay that were subtracted before it."""
+class Settled:
+    """The joint estimate at the end, and the arm (3,), delay and gravity that were subtracted before it."""
 
     joint: Joint
     run: ForceRun
     arm_m: Floats
     delay_s: float
+    gravity_mps2: float
 
 
 def estimate_forces(
@@ -60,8 +61,7 @@ def estimate_forces(
 
     Raises TooShort for too few samples beside readings of the table.
     """
-    gravity_mps2 = GRAVITY_MPS2 if recording.site is None else recording.site.local_gravity_mps2
-    settled = _settled(recording, source, samples, gravity_mps2, noise)
+    settled = settle(recording, source, samples, noise)
     joint = settled.joint
     laws = {law.called: number for number, law in enumerate(joint.laws)}
     delay, delay_variance = _parameters(joint, laws[DELAY], 0)
@@ -96,15 +96,18 @@ def estimate_forces(
         covariance=_covariance(joint, rounded),
         arm_m=np.mean([one.place_m for one in found], axis=0),
         arm_covariance_m2=_middle_covariance(joint, laws),
-        gravity_mps2=gravity_mps2,
+        gravity_mps2=settled.gravity_mps2,
         offset=TimeOffset(settled.delay_s + float(delay[0]), float(np.sqrt(delay_variance[0, 0]))),
     )
 
 
-def _settled(
-    recording: Recording, source: str, samples: ForceSamples, gravity_mps2: float, noise: NoiseModel | None
-) -> _Settled:
-    """Return the joint estimate about the lever arm and the delay that it finds itself."""
+def settle(recording: Recording, source: str, samples: ForceSamples, noise: NoiseModel | None) -> Settled:
+    """Return the joint estimate of the accelerometers of a source about the lever arm and the delay that it finds.
+
+    The arm and the delay are subtracted and estimated again until neither changes. Raises TooShort for too few samples
+    beside readings of the table.
+    """
+    gravity_mps2 = GRAVITY_MPS2 if recording.site is None else recording.site.local_gravity_mps2
     arm_m = np.zeros(3)
     delay_s = 0.0
     for step in range(_MOST_STEPS):
@@ -119,10 +122,10 @@ def _settled(
             break
         arm_m = arm_m + arm_step
         delay_s += float(delay_step[0])
-    return _Settled(joint=joint, run=run, arm_m=arm_m, delay_s=delay_s)
+    return Settled(joint=joint, run=run, arm_m=arm_m, delay_s=delay_s, gravity_mps2=gravity_mps2)
 
 
-def _rounded(settled: _Settled, noise: NoiseModel | None) -> Floats:
+def _rounded(settled: Settled, noise: NoiseModel | None) -> Floats:
     """Return the covariance (4 a, 4 a) of the states x of all accelerometers that comes from rounded angles."""
     table = settled.run.recording.table
     law = rest_angle_law(table) if table is not None else None

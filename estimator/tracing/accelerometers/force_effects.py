@@ -1,0 +1,256 @@
+"""The effects of accelerometers that are looked for, and the functions that stand for all others.
+
+The model equation of IEEE 1293 without what a rate table cannot excite. Columns are in m/s2 per unit of a parameter; a
+is the specific force along the sense axis, a_j and a_k that along the tilt axes, w the body rate.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.effects.conditions import Axes, Conditions
+from estimator.effects.effect import Effect, Parameter, Record
+from estimator.estimation.noise_evidence import Law
+from estimator.geometry.kinematics import GRAVITY_MPS2
+from estimator.types import Floats
+
+_G = GRAVITY_MPS2
+Columns = Callable[[Conditions, Axes], Floats]
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class ForceEffect:
+    """An effect of single accelerometers.
+
+    ``parameters`` are their names; each has the ``unit`` and the ``largest`` plausible size. ``columns`` returns the
+    regressors (N, parameters) of one accelerometer. ``needs`` names data beyond the motion: "temperature". ``named`` is
+    False for functions that stand for effects nobody has named. ``shown`` is the factor to the unit for people,
+    ``shown_unit``.
+    """
+
+    name: str
+    words: str
+    unit: str
+    largest: float
+    columns: Columns
+    parameters: tuple[str, ...] = ("coefficient",)
+    needs: str = ""
+    named: bool = True
+    shown: float = 1.0
+    shown_unit: str = ""
+    shown_by: str = ""
+
+    def law(self) -> Law:
+        """Return the law of the effect, each accelerometer with its own parameters, at the largest plausible size."""
+        parameters = tuple(Parameter(name, self.unit, self.largest) for name in self.parameters)
+        effect = Effect(
+            name=self.name,
+            parameters=parameters,
+            regressors=self.columns,
+            needs=frozenset(),
+            record=Record(name=self.name, parameters=parameters, shared=False),
+        )
+        sd = np.full(len(parameters), self.largest)
+        return Law(called=self.name, effect=effect, mean=np.zeros(len(parameters)), sd=sd)
+
+
+def _along(conditions: Conditions, axes: Axes) -> tuple[Floats, Floats, Floats]:
+    """Return the specific force (N,) along the sense axis and along both tilt axes."""
+    force = conditions.specific_force_mps2
+    return force @ axes.p, force @ axes.j, force @ axes.k
+
+
+def _of_force(function: Callable[[Floats, Floats, Floats], Floats]) -> Columns:
+    """Return columns (N, 1) of a function of the forces along sense and tilt axes."""
+
+    def columns(conditions: Conditions, axes: Axes) -> Floats:
+        """Return the column of one accelerometer."""
+        return function(*_along(conditions, axes))[:, None]
+
+    return columns
+
+
+def _rectified(conditions: Conditions, axes: Axes) -> Floats:
+    """Return the square of the rate (N, 1): the motor's vibration, rectified."""
+    return np.asarray(np.sum(conditions.w_rps**2, axis=1)[:, None])
+
+
+def _warmth_k(conditions: Conditions) -> Floats:
+    """Return the temperature (N,) less the reference; 0 where none was measured."""
+    if conditions.temperature_c is None:
+        return np.zeros(len(conditions.t_s))
+    return np.asarray(conditions.temperature_c - conditions.reference_c)
+
+
+def _thermal_bias(conditions: Conditions, axes: Axes) -> Floats:
+    return _warmth_k(conditions)[:, None]
+
+
+def _thermal_scale(conditions: Conditions, axes: Axes) -> Floats:
+    return (_warmth_k(conditions) * _along(conditions, axes)[0])[:, None]
+
+
+def _drift(conditions: Conditions, axes: Axes) -> Floats:
+    return np.asarray((conditions.t_s - conditions.t_s[0])[:, None])
+
+
+def _functions_of_force(conditions: Conditions, axes: Axes) -> Floats:
+    """Return functions (N, 6) of the force along the sense axis that are none of the named ones: fourth to ninth order.
+
+    Legendre polynomials over +-1.2 g.
+    """
+    x = np.clip(_along(conditions, axes)[0] / (1.2 * _G), -1.0, 1.0)
+    return np.column_stack([np.polynomial.legendre.Legendre.basis(order)(x) for order in range(4, 10)])
+
+
+def _functions_of_rate(conditions: Conditions, axes: Axes) -> Floats:
+    """Return the rates, their sizes and their products about the axes of the accelerometer (N, 9)."""
+    rates = [conditions.w_rps @ axis for axis in (axes.p, axes.j, axes.k)]
+    products = [rates[0] * rates[1], rates[0] * rates[2], rates[1] * rates[2]]
+    return np.column_stack([*rates, *(np.abs(rate) for rate in rates), *products])
+
+
+def _functions_of_time(conditions: Conditions, axes: Axes) -> Floats:
+    """Return bends of the bias over the run (N, 5): cosines of half a period to three periods."""
+    begun_s = conditions.t_s[0]
+    share = (conditions.t_s - begun_s) / max(float(conditions.t_s[-1] - begun_s), 1.0)
+    return np.column_stack([np.cos(np.pi * count * share) for count in range(2, 7)])
+
+
+_PER_MILLION = 1e6
+_MICRO_G = 1e6 / _G
+
+EFFECTS: tuple[ForceEffect, ...] = (
+    ForceEffect(
+        name="asymmetry",
+        words="scale factors differ for positive and negative forces",
+        unit="1",
+        largest=5e-3,
+        columns=_of_force(lambda a, a_j, a_k: 0.5 * np.abs(a)),
+        shown=_PER_MILLION,
+        shown_unit="ppm",
+        shown_by="poses at 0, +1 and -1 g",
+    ),
+    ForceEffect(
+        name="second_order",
+        words="second order (K2)",
+        unit="1/g",
+        largest=2e-3,
+        columns=_of_force(lambda a, a_j, a_k: a**2 / _G),
+        shown=_PER_MILLION,
+        shown_unit="ug/g2",
+        shown_by="poses at 0, +-1 g and between",
+    ),
+    ForceEffect(
+        name="third_order",
+        words="third order (K3)",
+        unit="1/g2",
+        largest=2e-3,
+        columns=_of_force(lambda a, a_j, a_k: a**3 / _G**2),
+        shown=_PER_MILLION,
+        shown_unit="ug/g3",
+        shown_by="poses at 0, +-1 g and between: in poses of 0 and 1 g it is the scale factor",
+    ),
+    ForceEffect(
+        name="cross_j",
+        words="product of the forces along the sense axis and along j",
+        unit="1/g",
+        largest=2e-3,
+        columns=_of_force(lambda a, a_j, a_k: a * a_j / _G),
+        shown=_PER_MILLION,
+        shown_unit="ug/g2",
+        shown_by="poses between the axes",
+    ),
+    ForceEffect(
+        name="cross_k",
+        words="product of the forces along the sense axis and along k",
+        unit="1/g",
+        largest=2e-3,
+        columns=_of_force(lambda a, a_j, a_k: a * a_k / _G),
+        shown=_PER_MILLION,
+        shown_unit="ug/g2",
+        shown_by="poses between the axes",
+    ),
+    ForceEffect(
+        name="cross_axis_square",
+        words="squares of the forces across the sense axis (Koo, Kpp)",
+        unit="1/g",
+        largest=2e-3,
+        columns=lambda conditions, axes: np.column_stack([a**2 / _G for a in _along(conditions, axes)[1:]]),
+        parameters=("along j", "along k"),
+        shown=_PER_MILLION,
+        shown_unit="ug/g2",
+        shown_by="poses at 0 and 1 g, and a second mounting",
+    ),
+    ForceEffect(
+        name="vibration_rectification",
+        words="output in proportion to the square of the rate (rectified vibration)",
+        unit="(m/s2)/(rad/s)2",
+        largest=5e-3,
+        columns=_rectified,
+        shown=_MICRO_G,
+        shown_unit="ug/(rad/s)2",
+        shown_by="turns at two rates about two axes",
+    ),
+    ForceEffect(
+        name="thermal_bias",
+        words="bias over temperature",
+        unit="m/s2/K",
+        largest=0.01,
+        columns=_thermal_bias,
+        needs="temperature",
+        shown=_MICRO_G,
+        shown_unit="ug/degC",
+        shown_by="a run that warms up",
+    ),
+    ForceEffect(
+        name="thermal_scale",
+        words="scale factor over temperature",
+        unit="1/K",
+        largest=5e-4,
+        columns=_thermal_scale,
+        needs="temperature",
+        shown=_PER_MILLION,
+        shown_unit="ppm/degC",
+        shown_by="a run that warms up, with poses early and late",
+    ),
+    ForceEffect(
+        name="bias_drift",
+        words="bias that drifts with time",
+        unit="m/s2/s",
+        largest=1e-5,
+        columns=_drift,
+        shown=3600 * _MICRO_G,
+        shown_unit="ug/h",
+        shown_by="poses early and late",
+    ),
+    ForceEffect(
+        name="function_of_force",
+        words="another function of the force along the sense axis",
+        unit="m/s2",
+        largest=0.02,
+        columns=_functions_of_force,
+        parameters=tuple(f"order {order}" for order in range(4, 10)),
+        named=False,
+    ),
+    ForceEffect(
+        name="function_of_rate",
+        words="another function of the rates",
+        unit="m/s2 per (rad/s)",
+        largest=0.01,
+        columns=_functions_of_rate,
+        parameters=tuple(f"{kind} {axis}" for kind in ("rate", "size", "product") for axis in "pjk"),
+        named=False,
+    ),
+    ForceEffect(
+        name="function_of_time",
+        words="a bias that changes with time",
+        unit="m/s2",
+        largest=0.02,
+        columns=_functions_of_time,
+        parameters=tuple(f"wave {count}" for count in range(2, 7)),
+        named=False,
+    ),
+)
+BY_NAME: Mapping[str, ForceEffect] = {effect.name: effect for effect in EFFECTS}

@@ -1,0 +1,257 @@
+"""Find which effect accelerometers have beside their states, and what it changes on a run that was not used.
+
+Every effect is judged by how much more probable it makes the runs that are fitted, averaged over its size, beside those
+that were added before. Functions that nobody has named are rivals of the named effects: where one of them explains the
+rest better, there is an effect, but no name.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from estimator.estimation.accelerometers.calibrate_forces import usable_forces
+from estimator.estimation.accelerometers.estimate import Settled, settle
+from estimator.estimation.accelerometers.force_runs import ForceRun, ForceSamples, force_run
+from estimator.estimation.evidence import SCALES, Term, log_mean
+from estimator.estimation.noise_evidence import Joint, columns_of, expected_of, joint_estimate, terms_of
+from estimator.estimation.spectra import Z
+from estimator.recordings.recording import Recording
+from estimator.tracing.accelerometers.force_effects import BY_NAME, EFFECTS, ForceEffect
+from estimator.types import Floats
+
+CERTAIN = 0.95
+"""Probability from which on an effect is named."""
+_EXPECTED = 0.2  # probability, before the data, that accelerometers have any of the effects in a size that shows
+_RIVAL = 0.05
+_MEAN_S = 2.0  # of the means whose scatter is compared before and after
+_MOST = 3
+
+
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
+class FoundEffect:
+    """An effect that was added: by accelerometer its parameters (a, p) with standard deviations, and its probability.
+
+    ``rivals`` are other effects that may be it, with their probabilities, the most probable first.
+    """
+
+    effect: ForceEffect
+    probability: float
+    values: Floats
+    sd: Floats
+    rivals: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
+class ForceFinding:
+    """What accelerometers of one source lack: the effects added, and the error before and after.
+
+    ``names`` are the accelerometers. ``before_mps2`` and ``after_mps2`` (a,) are the rms errors of means over
+    ``_MEAN_S`` on the verification runs, noise included, after a constant for each run; on the fitted runs if there are
+    none (``verified`` False). ``suspects`` are effects, with their probabilities, of a rest that none explains for
+    certain. ``dropped`` are effects that made the fitted runs more probable and the verification runs worse.
+    """
+
+    source: str
+    names: tuple[str, ...]
+    effects: tuple[FoundEffect, ...]
+    before_mps2: Floats
+    after_mps2: Floats
+    verified: bool
+    suspects: Mapping[str, float] = field(default_factory=dict)
+    dropped: tuple[str, ...] = ()
+
+
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
+class _Fitted:
+    """One fitted run with all effects that are looked for beside its laws, and the columns of each effect."""
+
+    settled: Settled
+    rich: Joint
+    shared: Sequence[Term]
+    own: tuple[int, ...]
+    columns: Mapping[str, tuple[int, ...]]
+
+    def log_evidence(self, effects: Sequence[str], tried: str = "") -> float:
+        """Return the log evidence with some effects at their largest plausible size, and one over all sizes."""
+        own = [Term("own", self._columns(effects), shared=False)]
+        if not tried:
+            return self.rich.evidence.of([*own, *self.shared])
+        logs = [
+            self.rich.evidence.of([*own, Term(tried, self.columns[tried], shared=False, scale=scale), *self.shared])
+            for scale in SCALES.tolist()
+        ]
+        return log_mean(np.array(logs))
+
+    def _columns(self, effects: Sequence[str]) -> tuple[int, ...]:
+        """Return the columns of the laws of single accelerometers and of some effects."""
+        return (*self.own, *(column for name in effects for column in self.columns[name]))
+
+
+def trace_forces(fitted: Sequence[Recording], judging: Sequence[Recording] = ()) -> list[ForceFinding]:
+    """Return what the accelerometers of each source lack, by runs on a table that are fitted and runs that verify.
+
+    A source is looked at if it states a data sheet for its accelerometers. Nothing without such sources.
+    """
+    sources = dict.fromkeys(name for recording in fitted for name, _ in _usable(recording))
+    return [finding for source in sources if (finding := _trace(source, fitted, judging)) is not None]
+
+
+def _usable(recording: Recording) -> list[tuple[str, ForceSamples]]:
+    """Return the sources of a recording on a table whose accelerometers can be calibrated, with their samples."""
+    return [(source, seen.samples) for source, seen in usable_forces(recording) if seen.samples is not None]
+
+
+def _trace(source: str, fitted: Sequence[Recording], judging: Sequence[Recording]) -> ForceFinding | None:
+    """Return what the accelerometers of one source lack; None if no run has enough of their samples."""
+    runs = [_fitted(r, source, samples) for r in fitted for name, samples in _usable(r) if name == source]
+    if not runs:
+        return None
+    added: list[str] = []
+    found: dict[str, tuple[float, dict[str, float]]] = {}
+    suspects: dict[str, float] = {}
+    while len(added) < _MOST:
+        chances = _chances(runs, added)
+        best = max(chances, key=lambda name: chances[name])
+        if best == "":
+            break
+        if chances[best] < CERTAIN or not BY_NAME[best].named:
+            suspects = {name: chance for name, chance in chances.items() if name and chance > _RIVAL}
+            break
+        rivals = {name: chance for name, chance in chances.items() if name not in ("", best) and chance > _RIVAL}
+        found[best] = (chances[best], rivals)
+        added.append(best)
+    return _judged(source, runs, judging, added, found, suspects)
+
+
+def _fitted(recording: Recording, source: str, samples: ForceSamples) -> _Fitted:
+    """Return a run with all effects as laws beside its own."""
+    sheet = recording.sources[source].accel_sheet
+    assert sheet is not None
+    settled = settle(recording, source, samples, sheet.noise)
+    laws = settled.joint.laws
+    own_laws = [law for law in laws if not law.effect.shared]
+    shared_laws = [law for law in laws if law.effect.shared]
+    tried = [effect for effect in EFFECTS if effect.needs in ("", *settled.run.grid.offers)]
+    rich = joint_estimate([settled.run], [*own_laws, *(effect.law() for effect in tried), *shared_laws], sheet.noise)
+    width = sum(len(law.sd) for law in own_laws)
+    columns: dict[str, tuple[int, ...]] = {}
+    first = Z + 1 + width
+    for effect in tried:
+        columns[effect.name] = tuple(range(first, first + len(effect.parameters)))
+        first += len(effect.parameters)
+    shared = [term for term in terms_of(rich.laws) if term.shared]
+    own = tuple(range(Z + 1, Z + 1 + width))
+    return _Fitted(settled=settled, rich=rich, shared=shared, own=own, columns=columns)
+
+
+def _chances(runs: Sequence[_Fitted], added: Sequence[str]) -> dict[str, float]:
+    """Return the probability of each effect that is left, and of "" for none, beside those that were added."""
+    left = [name for name in runs[0].columns if name not in added and all(name in run.columns for run in runs)]
+    base = sum(run.log_evidence(added) for run in runs)
+    logs = {"": np.log(1 - _EXPECTED)}
+    for name in left:
+        gain = sum(run.log_evidence(added, name) for run in runs) - base
+        logs[name] = np.log(_EXPECTED / len(left)) + gain
+    most = max(logs.values())
+    weights = {name: float(np.exp(log - most)) for name, log in logs.items()}
+    total = sum(weights.values())
+    return {name: weight / total for name, weight in weights.items()}
+
+
+def _judged(
+    source: str,
+    runs: Sequence[_Fitted],
+    judging: Sequence[Recording],
+    added: Sequence[str],
+    found: Mapping[str, tuple[float, dict[str, float]]],
+    suspects: Mapping[str, float],
+) -> ForceFinding:
+    """Return the finding, without those effects that make the verification runs worse."""
+    checks = [(recording, samples) for recording in judging for name, samples in _usable(recording) if name == source]
+    kept = list(added)
+    dropped: list[str] = []
+    before = _errors(runs, [], checks)
+    after = _errors(runs, kept, checks)
+    while kept and np.sum(after**2) > np.sum(before**2):
+        dropped.append(kept.pop())
+        after = _errors(runs, kept, checks)
+    effects = []
+    for name in kept:
+        probability, rivals = found[name]
+        values, sd = _parameters(runs, kept, name)
+        effects.append(FoundEffect(effect=BY_NAME[name], probability=probability, values=values, sd=sd, rivals=rivals))
+    return ForceFinding(
+        source=source,
+        names=runs[0].settled.run.array.names,
+        effects=tuple(effects),
+        before_mps2=before,
+        after_mps2=after,
+        verified=bool(checks),
+        suspects=suspects,
+        dropped=tuple(dropped),
+    )
+
+
+def _with_effects(run: _Fitted, effects: Sequence[str]) -> Joint:
+    """Return the joint estimate of a fitted run with some effects."""
+    joint = run.settled.joint
+    if not effects:
+        return joint
+    laws = [*joint.laws, *(BY_NAME[name].law() for name in effects)]
+    sheet = run.settled.run.data.accel_sheet
+    return joint_estimate([run.settled.run], laws, sheet.noise if sheet is not None else None)
+
+
+def _parameters(runs: Sequence[_Fitted], effects: Sequence[str], name: str) -> tuple[Floats, Floats]:
+    """Return the parameters (a, p) of an effect and their standard deviations, combined over the fitted runs."""
+    shape = len(runs[0].settled.run.array), len(BY_NAME[name].parameters)
+    weights, sums = np.zeros(shape), np.zeros(shape)
+    for run in runs:
+        joint = _with_effects(run, effects)
+        number = next(n for n, law in enumerate(joint.laws) if law.called == name)
+        where = joint.slice_of(number)
+        sd = joint.laws[number].sd
+        values = np.array([mean[where] for mean in joint.means]) * sd
+        precision = 1 / (np.array([np.diag(c)[where] for c in joint.covariances]) * sd**2)
+        weights = weights + precision
+        sums = sums + precision * values
+    return np.asarray(sums / weights), np.asarray(1 / np.sqrt(weights))
+
+
+def _errors(
+    runs: Sequence[_Fitted], effects: Sequence[str], checks: Sequence[tuple[Recording, ForceSamples]]
+) -> Floats:
+    """Return the rms errors (a,) of predictions with some effects on the verification runs, else on the fitted ones."""
+    first = runs[0]
+    joint = _with_effects(first, effects)
+    squares = []
+    if not checks:
+        squares = [_squares(_with_effects(run, effects), run.settled.run) for run in runs]
+    for recording, samples in checks:
+        run = force_run(
+            recording,
+            first.settled.run.source,
+            samples,
+            arm_m=first.settled.arm_m,
+            delay_s=first.settled.delay_s,
+            gravity_mps2=first.settled.gravity_mps2,
+        )
+        squares.append(_squares(joint, run))
+    return np.asarray(np.sqrt(np.mean(squares, axis=0)))
+
+
+def _squares(joint: Joint, run: ForceRun) -> Floats:
+    """Return the mean squares (a,) of what an estimate leaves of a run, in means, after a constant."""
+    columns = columns_of(run, joint.laws)
+    values = [mean[4:] + expected_of(joint.laws) for mean in joint.means]
+    states = run.state_columns()
+    width = max(round(_MEAN_S / run.length_s), 1)
+    good = np.flatnonzero(run.weight > 0)
+    found = []
+    for number, mean in enumerate(joint.means):
+        left = run.z_rps[:, number] - states[number] @ mean[:4] - columns[number] @ values[number]
+        count = len(good) // width
+        means = left[good[: count * width]].reshape(count, width).mean(axis=1)
+        found.append(float(np.mean((means - means.mean()) ** 2)))
+    return np.array(found)
