@@ -15,6 +15,7 @@ from estimator.effects.catalogue import records
 from estimator.estimation.runs.making import runs_of
 from estimator.recordings.reading import read_recording
 from estimator.recordings.recording import Recording
+from estimator.tracing.accelerometers.trace_forces import trace_forces
 from estimator.tracing.investigate import investigate
 from estimator.tracing.investigation import Finding, Investigation
 from station.atomic_write import check_new_file, check_picture, free_path, write_whole
@@ -23,11 +24,13 @@ from station.commands.calibrate import recordings_of
 from station.commands.improve import script_text
 from station.errors import UsageError
 from station.exports.investigation_file import write_investigation
+from station.render.force_findings_printed import print_force_findings
 from station.render.investigation_printed import exit_code_of, print_investigation
 from station.render.progress import TracingProgress
 from station.report.pictures import draw_investigation
 from station.schema.tables import Table
 from station.scripts.next_script import NextScript, Past, next_script
+from station.views.force_findings import finding_object
 from station.views.investigation import investigation_view
 
 _NEXT_FILE = "next-script.toml"
@@ -57,6 +60,7 @@ def command_investigate(arguments: argparse.Namespace) -> int:
     with TracingProgress(arguments.json) as progress:
         found = investigate(recordings, verification, most_effects=arguments.most_effects, progress=progress.show)
         following = following_script(found, recordings, verification, limits)
+        of_forces = trace_forces(recordings, verification)
     if following is not None:
         script_file = script_file or free_path(Path(_NEXT_FILE))
         write_next(script_file, following, limits)
@@ -67,9 +71,11 @@ def command_investigate(arguments: argparse.Namespace) -> int:
     if picture is not None:
         draw_investigation(picture, found)
     if arguments.json:
-        print(json.dumps({**view, "output": arguments.output, "plot": arguments.plot}))
+        forces = {"accelerometers": [finding_object(one) for one in of_forces]} if of_forces else {}
+        print(json.dumps({**view, **forces, "output": arguments.output, "plot": arguments.plot}))
     else:
         print_investigation(found, following, written)
+        print_force_findings(of_forces)
         if following is None and exit_code_of(found.finding):
             print(f"no next script: {_why_none(recordings, limits)}")
             for line in view.get("record_next", []):
@@ -77,7 +83,7 @@ def command_investigate(arguments: argparse.Namespace) -> int:
         for kind, path in (("picture", picture), ("results", model)):
             if path is not None:
                 print(f"{kind}: {path}")
-    return exit_code_of(found.finding)
+    return max(exit_code_of(found.finding), int(any(one.suspects for one in of_forces)))
 
 
 def refused(reason: str, arguments: argparse.Namespace) -> dict[str, Any]:

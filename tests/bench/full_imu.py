@@ -1,6 +1,8 @@
 """A whole IMU on the shipped script: coverage of the intervals of all states and of the lever arm, and speed.
 
 python tests/bench/full_imu.py coverage --runs 200       gyros and accelerometers with other true errors in each run
+python tests/bench/full_imu.py effects --runs 60         one hidden effect of accelerometers in each run: is it named?
+python tests/bench/full_imu.py clean --runs 40           none: is anything named?
 python tests/bench/full_imu.py speed                     360 s at 4 kHz with six channels, against three
 """
 
@@ -18,6 +20,7 @@ import numpy as np
 
 from estimator.estimation.calibrate import calibrate
 from estimator.recordings.recording import Recording
+from estimator.tracing.accelerometers.trace_forces import trace_forces
 from station.bench.bench import Bench, load_bench, read_bench
 from station.opening.simulate import simulate_bench
 from station.scripts.script import load_script
@@ -95,6 +98,44 @@ def coverage(runs: int, first: int) -> None:
         print(f"{what:15} {runs} runs: " + ", ".join(cells), flush=True)
 
 
+# What a twin may hide, at the size that data sheets of MEMS accelerometers state: by the key of the twin the name that
+# an investigation gives it, and the size of one standard deviation.
+PLANTED = {
+    "asymmetry": ("asymmetry", 1000.0, "ppm"),
+    "second_order": ("second_order", 150.0, "ppm/g"),
+    "third_order": ("third_order", 250.0, "ppm/g2"),
+    "cross": ("cross_j", 150.0, "ppm/g"),
+    "vibration": ("vibration_rectification", 100.0, "ug/(rad/s)2"),
+    "b_slope": ("thermal_bias", 200.0, "ug/degC"),
+    "k_slope": ("thermal_scale", 100.0, "ppm/degC"),
+}
+
+
+def effects(runs: int, first: int, planted: bool) -> None:
+    """Print how many effects are named with the certainty that is stated, and how many of these names are right."""
+    named = right = added = 0
+    keys = list(PLANTED)
+    for seed in range(first, first + runs):
+        key = keys[seed % len(keys)]
+        name, size, unit = PLANTED[key]
+        random = np.random.default_rng([seed, 31])
+        values = size * random.choice([-1.0, 1.0], 3) * random.uniform(0.5, 1.5, 3)
+        line = f"{key} = [" + ", ".join(f'"{value:.6f} {unit}"' for value in values) + "]\n" if planted else ""
+        bench = read_bench(drawn_bench(seed).text + line, f"seed {seed}")
+        run, check = (simulate_bench(bench, load_script(Path("full-imu")), seed + number) for number in (0, 5000))
+        (found,) = trace_forces([run], [check])
+        told = [effect.effect.name for effect in found.effects]
+        named += bool(told)
+        added += len(told)
+        right += told == [name]
+        print(
+            f"{seed}: {name if planted else 'none'}: {', '.join(told) or 'nothing'} {dict(found.suspects)}", flush=True
+        )
+    print(
+        f"named in {named} of {runs} runs, {added} names; right in {right}" if planted else f"{added} names in {runs}"
+    )
+
+
 def speed() -> None:
     """Print the processor time of ``calibrate`` with and without the accelerometers of a fast device."""
     text = BENCH.read_text(encoding="utf-8").replace('rate = "100 Hz"', 'rate = "4000 Hz"')
@@ -128,12 +169,14 @@ def _cut(recording: Recording, length_s: float) -> Recording:
 def main() -> None:
     """Run the part that is asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", choices=("coverage", "speed"))
+    parser.add_argument("part", choices=("coverage", "effects", "clean", "speed"))
     parser.add_argument("--runs", type=int, default=200)
     parser.add_argument("--first", type=int, default=0, help="seed of the first run")
     arguments = parser.parse_args()
     if arguments.part == "coverage":
         coverage(arguments.runs, arguments.first)
+    elif arguments.part in ("effects", "clean"):
+        effects(arguments.runs, arguments.first, planted=arguments.part == "effects")
     else:
         speed()
 

@@ -84,15 +84,18 @@ def _warmth_k(conditions: Conditions) -> Floats:
 
 
 def _thermal_bias(conditions: Conditions, axes: Axes) -> Floats:
-    return _warmth_k(conditions)[:, None]
+    """Return the column (N, 1) of the slope of the bias b over temperature."""
+    return -_warmth_k(conditions)[:, None]
 
 
 def _thermal_scale(conditions: Conditions, axes: Axes) -> Floats:
-    return (_warmth_k(conditions) * _along(conditions, axes)[0])[:, None]
+    """Return the column (N, 1) of the slope of the scale factor error k over temperature."""
+    return -(_warmth_k(conditions) * _along(conditions, axes)[0])[:, None]
 
 
 def _drift(conditions: Conditions, axes: Axes) -> Floats:
-    return np.asarray((conditions.t_s - conditions.t_s[0])[:, None])
+    """Return the column (N, 1) of the slope of the bias b over time."""
+    return np.asarray(-(conditions.t_s - conditions.t_s[0])[:, None])
 
 
 def _functions_of_force(conditions: Conditions, axes: Axes) -> Floats:

@@ -13,6 +13,7 @@ import numpy as np
 from estimator.estimation.accelerometers.calibrate_forces import usable_forces
 from estimator.estimation.accelerometers.estimate import Settled, settle
 from estimator.estimation.accelerometers.force_runs import ForceRun, ForceSamples, force_run
+from estimator.estimation.accelerometers.laws import rest_angle_law
 from estimator.estimation.evidence import SCALES, Term, log_mean
 from estimator.estimation.noise_evidence import Joint, columns_of, expected_of, joint_estimate, terms_of
 from estimator.estimation.spectra import Z
@@ -113,7 +114,7 @@ def _trace(source: str, fitted: Sequence[Recording], judging: Sequence[Recording
     while len(added) < _MOST:
         chances = _chances(runs, added)
         best = max(chances, key=lambda name: chances[name])
-        if best == "":
+        if 1 - chances[""] < CERTAIN:
             break
         if chances[best] < CERTAIN or not BY_NAME[best].named:
             suspects = {name: chance for name, chance in chances.items() if name and chance > _RIVAL}
@@ -126,12 +127,15 @@ def _trace(source: str, fitted: Sequence[Recording], judging: Sequence[Recording
 
 def _fitted(recording: Recording, source: str, samples: ForceSamples) -> _Fitted:
     """Return a run with all effects as laws beside its own."""
-    sheet = recording.sources[source].accel_sheet
+    sheet, table = recording.sources[source].accel_sheet, recording.table
     assert sheet is not None
+    assert table is not None
     settled = settle(recording, source, samples, sheet.noise)
     laws = settled.joint.laws
     own_laws = [law for law in laws if not law.effect.shared]
     shared_laws = [law for law in laws if law.effect.shared]
+    rest_angles = rest_angle_law(table)  # rounded angles are errors that depend on the pose, as effects are
+    shared_laws += [] if rest_angles is None else [rest_angles]
     tried = [effect for effect in EFFECTS if effect.needs in ("", *settled.run.grid.offers)]
     rich = joint_estimate([settled.run], [*own_laws, *(effect.law() for effect in tried), *shared_laws], sheet.noise)
     width = sum(len(law.sd) for law in own_laws)

@@ -1,0 +1,80 @@
+"""What an investigation found of accelerometers, as a person reads it."""
+
+from collections.abc import Sequence
+
+from rich.markup import escape
+from rich.table import Table
+
+from estimator.geometry.kinematics import GRAVITY_MPS2
+from estimator.tracing.accelerometers.force_effects import BY_NAME
+from estimator.tracing.accelerometers.trace_forces import ForceFinding
+from station.render.terminal import Shown, print_all, rich_table, stdout
+
+_MICRO_G = 1e6 / GRAVITY_MPS2
+
+
+def print_force_findings(findings: Sequence[ForceFinding]) -> None:
+    """Print what the accelerometers of each source lack, and the error before and after."""
+    for one in findings:
+        shown: list[Shown] = [(_verdict(one), {"highlight": False})]
+        if one.effects:
+            shown.append((_effects_table(one), {}))
+            shown.append((_errors_table(one), {}))
+        shown += [(line, {"highlight": False}) for line in _remarks(one)]
+        print_all(stdout(), shown)
+
+
+def _verdict(one: ForceFinding) -> str:
+    """Return in one sentence what was found."""
+    who = f"accelerometers of {escape(one.source)}"
+    if one.effects:
+        names = ", ".join(effect.effect.words for effect in one.effects)
+        return f"[bold]{who}: added {escape(names)}[/bold]"
+    if one.suspects:
+        return f"[bold]{who}: there is an effect, but no run decides which[/bold]"
+    return f"[bold]{who}: nothing to add[/bold]"
+
+
+def _effects_table(one: ForceFinding) -> Table:
+    """Return the parameters of the effects that were added, with standard deviations."""
+    rows = []
+    for effect in one.effects:
+        for number, parameter in enumerate(effect.effect.parameters):
+            label = effect.effect.name.replace("_", " ")
+            cells = [label if len(effect.effect.parameters) == 1 else f"{label}, {parameter}"]
+            for value, sd in zip(effect.values[:, number], effect.sd[:, number], strict=True):
+                cells.append(f"{value * effect.effect.shown:.3g} ± {sd * effect.effect.shown:.2g}")
+            cells += [effect.effect.shown_unit, f"{effect.probability:.1%}"]
+            rows.append(cells)
+    heads = ["effect", *(escape(name) for name in one.names), "unit", "probability"]
+    return rich_table("Effects added to the model", heads, "l" + len(one.names) * "r" + "lr", rows)
+
+
+def _errors_table(one: ForceFinding) -> Table:
+    """Return the rms errors before and after."""
+    where = "the verification runs" if one.verified else "the fitted runs: give --verify for runs that were not used"
+    rows = [
+        [escape(name), f"{before * _MICRO_G:.1f}", f"{after * _MICRO_G:.1f}", f"{before / after:.2f}"]
+        for name, before, after in zip(one.names, one.before_mps2, one.after_mps2, strict=True)
+    ]
+    heads = ["sensor", "before, ug", "after, ug", "times smaller"]
+    return rich_table(f"Error of means over 2 s, noise included, on {where}", heads, "lrrr", rows)
+
+
+def _remarks(one: ForceFinding) -> list[str]:
+    """Return sentences on rivals, suspects and effects that were dropped."""
+    lines = []
+    for effect in one.effects:
+        rivals = ", ".join(f"{BY_NAME[name].words} ({chance:.0%})" for name, chance in effect.rivals.items())
+        if rivals:
+            lines.append(f"{effect.effect.name.replace('_', ' ')} may also be: {escape(rivals)}")
+    if one.suspects:
+        ordered = sorted(one.suspects.items(), key=lambda pair: -pair[1])
+        suspects = ", ".join(f"{BY_NAME[name].words} ({chance:.0%})" for name, chance in ordered)
+        lines.append(f"suspects: {escape(suspects)}")
+        shown_by = dict.fromkeys(BY_NAME[name].shown_by for name, _ in ordered if BY_NAME[name].shown_by)
+        if shown_by:
+            lines.append(f"next, record a run with: {escape('; '.join(shown_by))}")
+    for name in one.dropped:
+        lines.append(f"{name.replace('_', ' ')} fits the fitted runs and makes the verification runs worse: not added")
+    return lines

@@ -1,0 +1,87 @@
+"""Effects of accelerometers: what a twin hides is named, and nothing where it hides nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from estimator.recordings.recording import Recording
+from estimator.tracing.accelerometers.trace_forces import ForceFinding, trace_forces
+from station.bench.bench import read_bench
+from station.opening.simulate import simulate_bench
+from station.scripts.script import load_script
+
+BENCH = Path(__file__).parents[1] / "data" / "benches" / "full_imu.toml"
+DEVICE = "mti"
+HIDDEN = {
+    "asymmetry": ('asymmetry = ["1000 ppm", "-1200 ppm", "900 ppm"]', [1e-3, -1.2e-3, 9e-4]),
+    "second_order": ('second_order = ["200 ppm/g", "-150 ppm/g", "180 ppm/g"]', [2e-4, -1.5e-4, 1.8e-4]),
+    "third_order": ('third_order = ["300 ppm/g2", "-250 ppm/g2", "350 ppm/g2"]', [3e-4, -2.5e-4, 3.5e-4]),
+    "cross_j": ('cross = ["200 ppm/g", "-150 ppm/g", "180 ppm/g"]', [2e-4, -1.5e-4, 1.8e-4]),
+    "thermal_scale": ('k_slope = ["150 ppm/degC", "-120 ppm/degC", "140 ppm/degC"]', [1.5e-4, -1.2e-4, 1.4e-4]),
+}
+VIBRATION = 'vibration = ["150 ug/(rad/s)2", "-120 ug/(rad/s)2", "140 ug/(rad/s)2"]'
+
+
+@cache
+def run(hidden: str, seed: int) -> Recording:
+    text = BENCH.read_text(encoding="utf-8").replace('rate = "100 Hz"', 'rate = "50 Hz"')
+    return simulate_bench(read_bench(f"{text}{hidden}\n", "bench"), load_script(Path("full-imu")), seed)
+
+
+def traced(hidden: str) -> ForceFinding:
+    (found,) = trace_forces([run(hidden, 1)], [run(hidden, 2)])
+    return found
+
+
+def test_nothing_is_added_where_nothing_is_hidden() -> None:
+    found = traced("")
+    assert found.effects == ()
+    assert not found.suspects
+    np.testing.assert_array_equal(found.before_mps2, found.after_mps2)
+
+
+def test_rectified_vibration_is_named_beside_a_lever_arm_and_lowers_the_error_of_another_run() -> None:
+    """Both grow with the square of the rate; only that of the arm has a direction, and a part on ramps."""
+    found = traced(VIBRATION)
+    assert [effect.effect.name for effect in found.effects] == ["vibration_rectification"]
+    (effect,) = found.effects
+    true = np.array([150.0, -120.0, 140.0]) * 9.80665e-6
+    assert np.all(np.abs(effect.values[:, 0] - true) < 4.5 * effect.sd[:, 0])
+    assert found.verified
+    assert np.all(found.after_mps2 < 0.95 * found.before_mps2)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("name", HIDDEN)
+def test_a_hidden_effect_is_named_with_its_size(name: str) -> None:
+    line, true = HIDDEN[name]
+    found = traced(line)
+    assert [effect.effect.name for effect in found.effects] == [name]
+    (effect,) = found.effects
+    assert np.all(np.abs(effect.values[:, 0] - true) < 4.5 * effect.sd[:, 0])
+
+
+@pytest.mark.full
+def test_an_effect_that_nobody_has_named_gets_no_name() -> None:
+    """A dead band of 0.1 m/s2 about a force of 0.5 g is none of the effects that there are names for."""
+    recordings = []
+    for seed in (1, 2):
+        plain = run("", seed)
+        data = plain.sources[DEVICE]
+        assert data.accel_mps2 is not None
+        bent = data.accel_mps2 + 0.05 * np.tanh((data.accel_mps2 - 5.0) / 0.5)
+        recordings.append(replace(plain, sources={DEVICE: replace(data, accel_mps2=bent)}))
+    (found,) = trace_forces(recordings[:1], recordings[1:])
+    assert found.suspects
+    assert "function_of_force" in found.suspects
+
+
+def test_a_recording_without_accelerometers_has_no_finding() -> None:
+    plain = run("", 1)
+    bare = replace(plain, sources={DEVICE: replace(plain.sources[DEVICE], accel_sheet=None)})
+    assert trace_forces([bare]) == []
