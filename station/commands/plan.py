@@ -14,8 +14,10 @@ from station.bench.bench import load_bench
 from station.commands.improve import improve, quantity, script_text
 from station.errors import UsageError, sentence
 from station.opening import with_links
+from station.opening.planned_forces import planned_forces
 from station.render.lines import tell
 from station.render.plan_printed import print_early_late, print_plan
+from station.render.planned_forces_printed import print_planned_forces
 from station.render.template import rendered
 from station.render.terminal import stdout
 from station.run.outcome import Outcome
@@ -24,6 +26,7 @@ from station.scripts.plan import TEMPERATURE_RISE_K, WARMING_TIME_S, Plan, make_
 from station.scripts.script import Timed, load_script, paper_script
 from station.scripts.steps.kind import Span
 from station.views.json_values import by_state, json_object
+from station.views.planned_forces import planned_object
 
 EARLY_LATE_FILE = "early-late.toml"
 
@@ -47,10 +50,13 @@ def command_plan(arguments: argparse.Namespace) -> int:
         return _write_early_late(arguments, make_plan(script, bench, effects=()))
     plan = make_plan(script, bench, temperature_rise_k=rise_k)
     early_late = None if plan.proves_constancy else early_late_plan(plan)
+    of_forces = planned_forces(plan.script, bench)
     if arguments.json:
-        print(json.dumps(plan_object(plan) | {"early_late": early_late and _early_late_object(early_late)}))
+        forces = {"accelerometers": [planned_object(one) for one in of_forces]} if of_forces else {}
+        print(json.dumps(plan_object(plan) | {"early_late": early_late and _early_late_object(early_late)} | forces))
     else:
         print_plan(plan, stdout(), early_late)
+        print_planned_forces(of_forces)
     return (Outcome.PASS if plan.reached.all() else Outcome.FAIL).exit_code
 
 

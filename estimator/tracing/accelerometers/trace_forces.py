@@ -98,6 +98,23 @@ def trace_forces(fitted: Sequence[Recording], judging: Sequence[Recording] = ())
     return [finding for source in sources if (finding := _trace(source, fitted, judging)) is not None]
 
 
+def effect_sigmas(recording: Recording, source: str) -> dict[str, Floats]:
+    """Return by named effect the standard deviations (p,) of its parameters in a recording, each effect alone.
+
+    They are rms over the accelerometers of the source; those of effects that need what was not measured are missing.
+    """
+    found: dict[str, Floats] = {}
+    for name, samples in _usable(recording):
+        if name != source:
+            continue
+        run = _fitted(recording, source, samples)
+        for effect in run.columns:
+            if BY_NAME[effect].named:
+                _, sd = _parameters([run], [effect], effect)
+                found[effect] = np.asarray(np.sqrt(np.mean(sd**2, axis=0)))
+    return found
+
+
 def _usable(recording: Recording) -> list[tuple[str, ForceSamples]]:
     """Return the sources of a recording on a table whose accelerometers can be calibrated, with their samples."""
     return [(source, seen.samples) for source, seen in usable_forces(recording) if seen.samples is not None]

@@ -1,0 +1,74 @@
+"""What a script shows of accelerometers, found by a simulated run of it with the noise of the data sheet."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimator.calibration.accelerometer import ForceCalibration
+from estimator.estimation.accelerometers.calibrate_forces import calibrate_forces
+from estimator.geometry.kinematics import GRAVITY_MPS2
+from estimator.tracing.accelerometers.trace_forces import effect_sigmas
+from estimator.types import Floats
+from sims.physics.accelerometer import AccelerometerTruth
+from station.bench.bench import Bench
+from station.bench.imu import ImuConfig
+from station.opening.simulate import DeviceTruth, SimulatedForces, simulate
+from station.scripts.script import Script
+
+_SEED = 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PlannedForces:
+    """What a script shows of the accelerometers of one device.
+
+    ``found`` has the sigmas that a run will have; its values are those of a simulated run without errors. ``notes`` say
+    what the script does not show. ``effects`` are by name the standard deviations (p,) of the parameters of each
+    effect, looked for alone, rms over the accelerometers.
+    """
+
+    device: str
+    found: ForceCalibration
+    notes: tuple[str, ...]
+    effects: Mapping[str, Floats]
+
+
+def planned_forces(script: Script, bench: Bench) -> list[PlannedForces]:
+    """Return what a script shows of the accelerometers of each used device that states a data sheet for them."""
+    return [one for imu in bench.imus if imu.used and imu.force_sheet and (one := _planned(script, bench, imu))]
+
+
+def _planned(script: Script, bench: Bench, imu: ImuConfig) -> PlannedForces | None:
+    """Return what a script shows of one device; None if it is too short to show anything."""
+    sheet = imu.force_sheet
+    assert sheet is not None
+    count = len(imu.array.p[:3])
+    none = np.zeros(count)
+    truth = AccelerometerTruth(
+        k=none,
+        b_mps2=none,
+        sigma_j_rad=none,
+        sigma_k_rad=none,
+        places_m=np.zeros((count, 3)),
+        vrw_mps2_rthz=sheet.noise.arw,
+        bias_instability_mps2=sheet.noise.instability,
+    )
+    gravity_mps2 = GRAVITY_MPS2 if bench.site is None else bench.site.local_gravity_mps2
+    device = DeviceTruth(imu.array, np.zeros((len(imu.array), 4)), imu.noise.arw, rate_hz=imu.rate_hz)
+    recording = simulate(
+        script,
+        {imu.name: device},
+        _SEED,
+        site=bench.site,
+        gimbals=bench.table.gimbals,
+        forces={imu.name: SimulatedForces(truth=truth, gravity_mps2=gravity_mps2, sheet=sheet)},
+    )
+    table = recording.table
+    assert table is not None
+    recording = replace(recording, reference=replace(table, uncertainty=bench.table.uncertainty))
+    forces, notes = calibrate_forces(recording)
+    if not forces:
+        return None
+    effects = effect_sigmas(recording, imu.name)
+    return PlannedForces(device=imu.name, found=forces[0], notes=tuple(notes), effects=effects)

@@ -1,0 +1,60 @@
+"""What a script will show of accelerometers, as a person reads it."""
+
+from collections.abc import Sequence
+
+from rich.markup import escape
+from rich.table import Table
+
+from estimator.tracing.accelerometers.force_effects import BY_NAME
+from station.opening.planned_forces import PlannedForces
+from station.render.terminal import Shown, print_all, rich_table, stdout
+from station.views.figures import number
+from station.views.forces import PLACE, fitted_forces, place_figure
+from station.views.planned_forces import DETECTED
+
+
+def print_planned_forces(planned: Sequence[PlannedForces]) -> None:
+    """Print the predicted sigmas of the accelerometers of each device, and the effects that a run would detect."""
+    for one in planned:
+        shown: list[Shown] = [(_sigmas(one), {}), (_effects(one), {})]
+        shown += [(escape(line), {"highlight": False}) for line in (*_not_shown(one), *one.notes)]
+        print_all(stdout(), shown)
+
+
+def _sigmas(one: PlannedForces) -> Table:
+    """Return the predicted sigmas of states and places by accelerometer."""
+    figures, place = fitted_forces(one.found), place_figure(one.found)
+    heads = ["\nsensor", *(f"± {f.name}\n{f.unit}" for f in figures), *(f"± {axis}\n{PLACE.unit}" for axis in "xyz")]
+    rows = []
+    for accelerometer in one.found.accelerometers:
+        cells = [escape(accelerometer.name)]
+        cells += [figure.text(sd) for figure, sd in zip(figures, accelerometer.sd.tolist(), strict=True)]
+        cells += [place.text(sd) for sd in accelerometer.place_sd_m.tolist()]
+        rows.append(cells)
+    title = f"Predicted standard deviations of the accelerometers of {escape(one.device)}"
+    return rich_table(title, heads, "l" + 7 * "r", rows)
+
+
+def _effects(one: PlannedForces) -> Table:
+    """Return the smallest size of each effect that a run detects."""
+    rows = []
+    for name, sd in one.effects.items():
+        effect = BY_NAME[name]
+        for parameter, own in zip(effect.parameters, sd.tolist(), strict=True):
+            least = DETECTED * own
+            label = name.replace("_", " ") if len(effect.parameters) == 1 else f"{name.replace('_', ' ')}, {parameter}"
+            shown = least < effect.largest
+            size = f"{least * effect.shown:.3g}" if shown else "not shown"
+            rows.append([label, size, number(effect.largest * effect.shown, 0), effect.shown_unit])
+    heads = ["effect", "smallest detected", "largest plausible", "unit"]
+    return rich_table("Effects of accelerometers, each alone, at 1 % false alarms", heads, "lrrl", rows)
+
+
+def _not_shown(one: PlannedForces) -> list[str]:
+    """Return a sentence on each effect that a run would not detect at its largest plausible size."""
+    lines = []
+    for name, sd in one.effects.items():
+        effect = BY_NAME[name]
+        if DETECTED * float(sd.max()) >= effect.largest:
+            lines.append(f"{name.replace('_', ' ')} is not shown. It needs {effect.shown_by}")
+    return lines
