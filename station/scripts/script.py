@@ -102,10 +102,12 @@ def load_script(path: Path, plugins: Iterable[Path] = ()) -> Script:
 
     ``plugins`` are Python files of a bench that may define kinds of steps.
     """
-    if path.name in SHIPPED and not path.exists():
+    if path.suffix or path.exists():
+        top = Table.load(path, ScriptError, "a script. Give a .toml file")
+    elif path.name in SHIPPED:
         top = Table.parse(packaged_text("station.scripts.shipped", f"{path.name}.toml"), path.name, ScriptError)
     else:
-        top = Table.load(path, ScriptError, f"a script. Give a .toml file, or one of {', '.join(SHIPPED)}")
+        raise ScriptError(f"{path}: there is no such script. Give a .toml file, or one of {', '.join(SHIPPED)}")
     own = top.read_all("script.script")
     try:
         known = known_steps(plugins)

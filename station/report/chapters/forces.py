@@ -126,6 +126,6 @@ def _budget(one: ForceCalibration) -> ForceTable:
     rows.append(["combined", *(f.text(v) for v, f in zip(combined, figures, strict=True))])
     heads = [
         "standard uncertainty",
-        *(f"{s}, {typographic(f.unit)}" for s, f in zip(SYMBOLS, FORCE_FIGURES, strict=True)),
+        *(_headed(symbol, figure) for symbol, figure in zip(SYMBOLS, FORCE_FIGURES, strict=True)),
     ]
     return ForceTable(caption="Sources of uncertainty, rms", heads=heads, align="lrrrr", rows=rows)

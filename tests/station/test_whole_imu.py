@@ -1,0 +1,108 @@
+"""A whole IMU by the commands that a user types: calibrate, report, plan, and a run over the wires of its twin."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from estimator.calibration.calibration_file import read_calibration
+from estimator.recordings.reading import read_recording
+from estimator.recordings.writing import write_recording
+from station.bench.bench import read_bench
+from station.cli import main
+from station.opening.simulate import simulate_bench
+from station.scripts.script import load_script
+
+BENCH = Path(__file__).parents[1] / "data" / "benches" / "full_imu.toml"
+TRUE_K = (800e-6, -500e-6, 300e-6)
+TRUE_B_MPS2 = tuple(9.80665e-3 * b for b in (5.0, -8.0, 3.0))
+TRUE_PLACES_MM = ((42.0, -25.0, 15.0), (40.0, -26.0, 15.0), (40.0, -25.0, 16.0))
+TILTS = """
+name = "tilts"
+[[step]]
+kind = "rest"
+duration = "3 s"
+[[step]]
+kind = "pose"
+x = "90 deg"
+rate = "60 deg/s"
+acceleration = "45 deg/s2"
+settle = "1 s"
+duration = "3 s"
+"""
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a recording of the shipped script with its calibration."""
+    path = tmp_path_factory.mktemp("imu") / "imu.h5"
+    bench = read_bench(BENCH.read_text(encoding="utf-8").replace('rate = "100 Hz"', 'rate = "50 Hz"'), "bench")
+    write_recording(path, simulate_bench(bench, load_script(Path("full-imu")), 1))
+    assert main(["calibrate", "--write", str(path)]) == 0
+    return path
+
+
+def test_calibrate_prints_states_and_places(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["calibrate", str(recorded), "--details"]) == 0
+    text = capsys.readouterr().out
+    assert "Accelerometers of mti" in text
+    (found,) = read_calibration(recorded).forces
+    for one in found.accelerometers:
+        row = next(line for line in text.splitlines() if one.name in line)
+        assert float(re.findall(r"-?[\d.]+", row.replace(one.name, ""))[0]) == pytest.approx(1e6 * one.states[0], abs=1)
+    for words in ("Places from where", "delay:", "gravity: 9.80620", "Intrinsic parameters", "local gravity"):
+        assert words in text
+
+
+def test_json_has_the_values_in_si(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["calibrate", str(recorded), "--json"]) == 0
+    (found,) = json.loads(capsys.readouterr().out)["accelerometers"]
+    for one, k, b, place in zip(found["accelerometers"], TRUE_K, TRUE_B_MPS2, TRUE_PLACES_MM, strict=True):
+        assert one["k"] == pytest.approx(k, abs=5 * one["sd"]["k"])
+        assert one["b_mps2"] == pytest.approx(b, abs=5 * one["sd"]["b_mps2"])
+        assert 1e3 * np.array(one["place_m"]) == pytest.approx(place, abs=1.0)
+    assert found["delay"]["value_s"] == pytest.approx(1.5e-3, abs=5 * found["delay"]["sd_s"])
+    assert found["intrinsic"]["pairs"][0] == ["accel x", "accel y"]
+
+
+def test_the_report_has_a_chapter_of_them(recorded: Path, tmp_path: Path) -> None:
+    assert main(["report", str(recorded), "-o", str(tmp_path / "report.html")]) == 0
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    chapter = text[text.index("Accelerometers</h2>") :]
+    for words in ("Lever arm", "sensitivity of accel x", "angle of accel y to accel z", "local gravity"):
+        assert words in chapter
+    assert "&lt;" not in chapter[: chapter.index("</section>")]
+
+
+@pytest.mark.full
+def test_a_plan_foretells_the_sigmas_of_a_run(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main(["plan", "full-imu", "--bench", str(BENCH), "--json"])
+    (planned,) = json.loads(capsys.readouterr().out)["accelerometers"]
+    (found,) = read_calibration(recorded).forces
+    for one, own in zip(planned["accelerometers"], found.accelerometers, strict=True):
+        assert list(one["sd"].values()) == pytest.approx(own.sd.tolist(), rel=0.5)
+        assert one["place_sd_m"] == pytest.approx(own.place_sd_m.tolist(), rel=0.5)
+    assert 1e-5 < planned["detected"]["asymmetry"][0] < 1e-3
+
+
+def test_a_twin_puts_its_errors_on_the_wire(tmp_path: Path) -> None:
+    (tmp_path / "tilts.toml").write_text(TILTS)
+    path = tmp_path / "tilts.h5"
+    main(["run", "--bench", str(BENCH), "--script", str(tmp_path / "tilts.toml"), "-o", str(path)])
+    data = read_recording(path).sources["mti"]
+    assert data.accel_mps2 is not None
+    assert data.accel_sheet is not None
+    lying = data.accel_mps2[-200:].mean(axis=0)  # y points up
+    assert lying[1] == pytest.approx((1 - TRUE_K[1]) * 9.8062 - TRUE_B_MPS2[1], abs=2e-3)
+    assert data.accel_mps2[-200:].std(axis=0) == pytest.approx([60e-6 * 9.80665 * 10] * 3, rel=0.3)
+
+
+def test_an_unknown_script_names_those_that_come_with_the_station(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["plan", str(tmp_path / "none")]) == 2
+    assert "full-imu" in capsys.readouterr().err
