@@ -26,11 +26,34 @@ from station.schema.tables import Table, keys_of
 _LONGEST_NAME = 100  # characters of an operator's name or a serial number
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ForceLimits:
+    """The limits of accelerometers for PASS, in SI: sizes of the states and their sigmas, infinite where none is given.
+
+    ``written`` has them as in the bench file, by their fields.
+    """
+
+    k: float = math.inf
+    b_mps2: float = math.inf
+    sigma_rad: float = math.inf
+    sd_k: float = math.inf
+    sd_b_mps2: float = math.inf
+    sd_sigma_rad: float = math.inf
+    written: Mapping[str, str] = field(default_factory=dict)
+
+    def of_state(self, number: int) -> tuple[float, str, float, str]:
+        """Return the largest size of a state as a number and as written, and the largest sigma likewise."""
+        key = ("k", "b_mps2", "sigma_rad", "sigma_rad")[number]
+        size, sd = getattr(self, key), getattr(self, f"sd_{key}")
+        return size, self.written.get(key, ""), sd, self.written.get(f"sd_{key}", "")
+
+
 @dataclass(frozen=True, slots=True)
 class Limits:
     """The limits for PASS, in SI: sizes of the states, their sigmas, mean NIS, share of samples lost.
 
     ``written`` has sizes and sigmas as in the bench file, by their fields; ``units`` are those of comparisons.
+    ``forces`` are the limits of accelerometers.
     """
 
     k: float
@@ -44,6 +67,7 @@ class Limits:
     lost: float
     written: Mapping[str, str] = field(default_factory=dict)
     units: Units = USUAL
+    forces: ForceLimits = ForceLimits()
 
     @property
     def sizes(self) -> tuple[float, ...]:
@@ -257,7 +281,16 @@ def _limits(table: Table, units: Table) -> Limits:
     """Return the limits of the section with this name, to be compared in the units of another."""
     texts = {key.field or key.name: text for key in keys_of("bench.limits") if (text := table.text_of(key.name))}
     shown = Units(**units.read_all("bench.units"))
-    return Limits(**table.read_all("bench.limits"), written=texts, units=shown)
+    own = table.read_all("bench.limits")
+    forces = own.pop("accelerometers")
+    return Limits(**own, written=texts, units=shown, forces=_force_limits(forces) if forces else ForceLimits())
+
+
+def _force_limits(table: Table) -> ForceLimits:
+    """Return the limits of the section [limits.accelerometers]."""
+    keys = keys_of("bench.force_limits")
+    texts = {key.field or key.name: text for key in keys if (text := table.text_of(key.name))}
+    return ForceLimits(**table.read_all("bench.force_limits"), written=texts)
 
 
 def read_excluded(text: str, plugins: Sequence[str] = ()) -> frozenset[str] | None:

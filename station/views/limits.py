@@ -7,10 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.units import split_quantity
+from estimator.calibration.accelerometer import AccelerometerCalibration
 from estimator.calibration.values import Calibration
-from station.bench.bench import Limits
+from station.bench.bench import ForceLimits, Limits
 from station.errors import sentence
 from station.views.figures import StateUnit, state_figures
+from station.views.forces import FORCE_FIGURES
 
 
 @dataclass(kw_only=True, frozen=True, slots=True)
@@ -167,6 +169,9 @@ def limit_lines(found: Calibration, limits: Limits, labels: Sequence[str] | None
                     written=of_sd,
                 )
             )
+    for source in found.forces:
+        for accelerometer in source.accelerometers:
+            lines += _force_lines(accelerometer, limits.forces)
     if math.isfinite(found.nis_mean):
         lines.append(
             LimitLine(gyro="all", what=MEAN_NIS, value=found.nis_mean, low=limits.nis_low, high=limits.nis_high)
@@ -176,3 +181,35 @@ def limit_lines(found: Calibration, limits: Limits, labels: Sequence[str] | None
         written = limits.written.get("lost", "")
         lines.append(LimitLine(gyro="all", what=SAMPLES_LOST, value=share, low=0.0, high=limits.lost, written=written))
     return [line for line in lines if line.stated]
+
+
+def _force_lines(one: AccelerometerCalibration, limits: ForceLimits) -> list[LimitLine]:
+    """Return the limits of the states of an accelerometer and of their sigmas, with what was found."""
+    lines = []
+    for number, figure in enumerate(FORCE_FIGURES):
+        size, written_size, sd, written_sd = limits.of_state(number)
+        value, found_sd = float(one.states[number]), float(one.sd[number])
+        lines.append(
+            LimitLine(
+                gyro=one.name,
+                what=figure.name,
+                value=value,
+                low=-size,
+                high=size,
+                unit=figure,
+                written=written_size,
+            )
+        )
+        lines.append(
+            LimitLine(
+                gyro=one.name,
+                what=figure.name,
+                value=found_sd,
+                low=0.0,
+                high=sd,
+                of_u=True,
+                unit=figure,
+                written=written_sd,
+            )
+        )
+    return lines

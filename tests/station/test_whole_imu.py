@@ -69,6 +69,19 @@ def test_json_has_the_values_in_si(recorded: Path, capsys: pytest.CaptureFixture
     assert found["intrinsic"]["pairs"][0] == ["accel x", "accel y"]
 
 
+def test_limits_of_accelerometers_fail_a_run_and_say_by_how_much(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The truth of accel x is 800 ppm."""
+    limits = '[limits.accelerometers]\nscale_factor_error = "600 ppm"\nbias = "10 mg"\n\n[undeclared]'
+    (tmp_path / "bench.toml").write_text(BENCH.read_text(encoding="utf-8").replace("[undeclared]", limits))
+    assert main(["calibrate", str(recorded), "--bench", str(tmp_path / "bench.toml")]) == 1
+    text = capsys.readouterr().out
+    assert "1 limit of the bench exceeded" in text
+    assert "accel x k" in text
+    assert "600 ppm" in text
+
+
 def test_the_report_has_a_chapter_of_them(recorded: Path, tmp_path: Path) -> None:
     assert main(["report", str(recorded), "-o", str(tmp_path / "report.html")]) == 0
     text = (tmp_path / "report.html").read_text(encoding="utf-8")

@@ -71,6 +71,8 @@ def quantity(line: LimitLine) -> tuple[str, Unit, str | None]:
     if line.state is not None and line.unit is not None:
         unit = Unit(typographic(line.unit.unit), line.unit.factor)
         return SYMBOLS[line.state], unit, f"calibration/{'sd' if line.of_u else 'states'}[{line.row},{line.state}]"
+    if line.unit is not None:  # of an accelerometer
+        return line.what, Unit(typographic(line.unit.unit), line.unit.factor), None
     if line.what == SAMPLES_LOST:
         return line.what, PERCENT, None
     return line.what, ONE, "calibration@nis_mean" if line.what == MEAN_NIS else None
