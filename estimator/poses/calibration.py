@@ -1,0 +1,106 @@
+"""What an accelerometer calibration by hand gives: parameters with sigmas, every rest, and what cannot be said."""
+
+from dataclasses import dataclass
+
+from estimator.poses.intrinsic import NAMES, Intrinsic
+from estimator.types import Flags, Floats
+
+STANDARD_GRAVITY_MPS2 = 9.80665
+"""Gravity where none is stated."""
+UNSTATED_SD = 1.5e-3
+"""Standard uncertainty, relative, of gravity at an unstated place: it is 9.780 to 9.832 m/s2 at sea level."""
+SITE_SD = 5e-5
+"""Standard uncertainty, relative, of gravity by the formula for a site: local anomalies."""
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class Gravity:
+    """Local gravity and its relative standard uncertainty, and where it comes from."""
+
+    value_mps2: float
+    sd: float
+    source: str
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class PoseRest:
+    """One rest: ``number`` from 1, the time it lasts (None for means), and the length of its mean before and after.
+
+    ``sd_mps2`` is the standard deviation expected of the length after. ``refused`` is the reason why it was left out,
+    empty if it was used.
+    """
+
+    number: int
+    start_s: float | None
+    duration_s: float | None
+    mean: tuple[float, float, float]
+    before_mps2: float
+    after_mps2: float | None
+    sd_mps2: float | None
+    refused: str = ""
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class Parameter:
+    """One parameter of ``intrinsic.NAMES`` with its standard uncertainty and the half width of its 95 % interval.
+
+    Scales are relative, or in counts per m/s2; biases are in m/s2, or in counts; angles between sense axes are less
+    90 deg, in rad. The numbers are None if the rests do not show it.
+    """
+
+    name: str
+    value: float | None
+    sd: float | None
+    u95: float | None
+
+    @property
+    def shown(self) -> bool:
+        """Whether the rests determine it."""
+        return self.value is not None
+
+
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
+class PoseCalibration:
+    """Nine parameters (in the order of ``intrinsic.NAMES``) from rests, with gravity as reference.
+
+    ``covariance`` (9, 9) includes that of gravity; ``shown`` (9,). ``before_mps2`` and ``after_mps2`` are the standard
+    deviations of the lengths over the rests that were used. ``between_mps2`` is the scatter of rests beyond the noise
+    within them; ``freedom`` counts rests less parameters, 0 if nothing is left over to test the model by. ``unit`` is
+    that of the outputs, m/s2 or counts. ``factor`` is that of a 95 % interval.
+    """
+
+    intrinsic: Intrinsic
+    covariance: Floats
+    shown: Flags
+    factor: float
+    freedom: int
+    gravity: Gravity
+    unit: str
+    before_mps2: float
+    after_mps2: float
+    between_mps2: float
+    rests: tuple[PoseRest, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The nine parameters with their uncertainties."""
+        found = []
+        for at, name in enumerate(NAMES):
+            if not self.shown[at]:
+                found.append(Parameter(name=name, value=None, sd=None, u95=None))
+                continue
+            sd = float(self.covariance[at, at]) ** 0.5
+            value = float(self.intrinsic.vector[at])
+            found.append(Parameter(name=name, value=value, sd=sd, u95=self.factor * sd))
+        return tuple(found)
+
+    @property
+    def used(self) -> tuple[PoseRest, ...]:
+        """The rests that were used."""
+        return tuple(rest for rest in self.rests if not rest.refused)
+
+    @property
+    def refused(self) -> tuple[PoseRest, ...]:
+        """The rests that were left out, each with its reason."""
+        return tuple(rest for rest in self.rests if rest.refused)

@@ -1,0 +1,213 @@
+"""One session by hand: rests are found, judged and fitted, and the result says what it does not know."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimator.errors import RecordingError
+from estimator.poses.calibration import Gravity, PoseCalibration, PoseRest
+from estimator.poses.gross import check_alive, check_responding, check_unit, faults_at_rest, gross_errors
+from estimator.poses.intrinsic import NAMES, Intrinsic, Lengths
+from estimator.poses.noise import variance_of_means
+from estimator.poses.norm_fit import PARAMETERS, Doubtful, NormFit, Rests, fit_robustly, start_of
+from estimator.poses.resting import StillSpan, find_rests
+from estimator.types import Flags, Floats
+
+_FEWEST = 3  # rests; fewer show not even the scale of each axis
+_MEANS_SD = 1e-3  # assumed of given means, in g, until residuals show their noise
+_ROUNDED = 12**-0.5  # standard deviation of a rounded value, in steps
+
+
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
+class PoseSamples:
+    """Outputs (n, 3) of accelerometers about x, y, z at instants (n,), in m/s2, or in counts unless ``scale_known``.
+
+    ``name`` is that of the file. ``t_s`` is None if each row is the mean of one rest.
+    """
+
+    name: str
+    t_s: Floats | None
+    outputs: Floats
+    scale_known: bool = True
+
+
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
+class _Means:
+    """Means (n, 3) of rests, their covariances (n, 3, 3), spans (none for data that are means) and faults (n,)."""
+
+    outputs: Floats
+    covariance: Floats
+    spans: Sequence[StillSpan]
+    faults: list[str]
+
+
+def calibrate_poses(samples: PoseSamples, gravity: Gravity, least_s: float) -> PoseCalibration:
+    """Return the nine parameters of a session, with rests of at least ``least_s``.
+
+    RecordingError, naming the file, for gross errors and for sessions without rests.
+    """
+    check_alive(samples.name, samples.outputs)
+    means = _means_of(samples, least_s)
+    good = np.array([not fault for fault in means.faults])
+    if good.sum() < _FEWEST:
+        wrong = "; ".join(sorted({fault for fault in means.faults if fault}))
+        raise RecordingError(
+            f"{samples.name} has {good.sum()} usable rests: lay the body in at least {PARAMETERS} poses in general "
+            f"position{': ' if wrong else ''}{wrong}"
+        )
+    rests = Rests(outputs=means.outputs[good], covariance=means.covariance[good], gravity_mps2=gravity.value_mps2)
+    if samples.scale_known:
+        check_unit(samples.name, rests.outputs, gravity.value_mps2)
+    start = start_of(rests, scale_known=samples.scale_known)
+    check_responding(samples.name, rests.outputs, start.scale * gravity.value_mps2)
+    fit, doubtful = fit_robustly(rests, start)
+    if not fit.shown.any():
+        raise RecordingError(
+            f"{samples.name}: at least {PARAMETERS} poses in general position are needed; these {len(rests)} show "
+            "neither scale nor bias nor angles"
+        )
+    errors = gross_errors(fit.parameters, fit.shown, gravity.value_mps2, scale_known=samples.scale_known)
+    if errors:
+        raise RecordingError(f"{samples.name}: gross error, not a calibration: {'; '.join(errors)}")
+    return _result(samples, gravity, means, good, start, fit, doubtful)
+
+
+def _means_of(samples: PoseSamples, least_s: float) -> _Means:
+    """Return the means of the rests of a session; RecordingError if nothing rests."""
+    outputs = samples.outputs
+    if samples.t_s is None:
+        whole: Flags = np.asarray(np.isfinite(outputs).all(axis=1))
+        size = np.median(np.linalg.norm(outputs[whole], axis=1)) if whole.any() else 1.0
+        covariance = np.broadcast_to((_MEANS_SD * size) ** 2 * np.eye(3), (len(outputs), 3, 3))
+        faults = ["" if good else "a value is missing" for good in whole.tolist()]
+        return _Means(outputs=outputs, covariance=covariance, spans=(), faults=faults)
+    try:
+        spans = find_rests(samples.t_s, outputs, least_s)
+    except RecordingError as error:
+        raise RecordingError(f"{samples.name}: {error}") from None
+    means = np.array([outputs[span.first : span.stop].mean(axis=0) for span in spans])
+    radial = [
+        (outputs[span.first : span.stop] - mean) @ (mean / np.linalg.norm(mean))
+        for span, mean in zip(spans, _centred(means, scale_known=samples.scale_known), strict=True)
+    ]
+    period_s = float(np.median(np.diff(samples.t_s)))
+    session_s = float(samples.t_s[-1] - samples.t_s[0])
+    variance, _ = variance_of_means(radial, spans, period_s, session_s)
+    variance = variance + _rounding(outputs, radial) ** 2
+    covariance = variance[:, None, None] * np.eye(3)
+    return _Means(outputs=means, covariance=covariance, spans=spans, faults=faults_at_rest(outputs, spans))
+
+
+def _centred(means: Floats, *, scale_known: bool) -> Floats:
+    """Return means (n, 3) of which the zero is known at least roughly: raw counts are taken from their middle."""
+    return means if scale_known else means - 0.5 * (means.min(axis=0) + means.max(axis=0))
+
+
+def _rounding(outputs: Floats, radial: Sequence[Floats]) -> float:
+    """Return the standard deviation by which steps that noise does not smooth displace a mean, in the output's unit."""
+    steps = np.abs(np.diff(outputs, axis=0))
+    step = float(np.min(steps, where=steps > 0, initial=np.inf))
+    noise = float(np.median([own.std() for own in radial]))
+    return step * _ROUNDED if np.isfinite(step) and noise < step * _ROUNDED else 0.0
+
+
+def _result(
+    samples: PoseSamples,
+    gravity: Gravity,
+    means: _Means,
+    good: Flags,
+    start: Intrinsic,
+    fit: NormFit,
+    doubtful: Sequence[Doubtful],
+) -> PoseCalibration:
+    """Return the result with every rest and the notes."""
+    numbers = np.flatnonzero(good)
+    reasons = dict(enumerate(means.faults))
+    for rest in doubtful:
+        reasons[int(numbers[rest.rest])] = (
+            f"its force is {abs(rest.off_mps2):.3g} m/s2 {'more' if rest.off_mps2 > 0 else 'less'} than gravity by the "
+            f"others ({rest.sigmas:.3g} sigma): bumped, moving, or pushed"
+        )
+    used = np.array([not reasons[at] for at in range(len(means.outputs))])
+    before = Lengths.of(start, means.outputs).length_mps2
+    after = Lengths.of(fit.parameters, means.outputs).length_mps2
+    sds = iter((fit.sd_mps2 * fit.scale).tolist())
+    rests = []
+    for at, mean in enumerate(means.outputs):
+        span = means.spans[at] if means.spans else None
+        fitted = not means.faults[at]
+        rests.append(
+            PoseRest(
+                number=at + 1,
+                start_s=span.start_s if span else None,
+                duration_s=span.duration_s if span else None,
+                mean=(float(mean[0]), float(mean[1]), float(mean[2])),
+                before_mps2=float(before[at]),
+                after_mps2=float(after[at]) if fitted else None,
+                sd_mps2=next(sds) if used[at] else None,
+                refused=reasons[at],
+            )
+        )
+    scale = np.concatenate([fit.parameters.scale, np.zeros(6)])
+    result = PoseCalibration(
+        intrinsic=fit.parameters,
+        covariance=fit.covariance + gravity.sd**2 * np.outer(scale, scale),
+        shown=fit.shown,
+        factor=fit.factor,
+        freedom=fit.freedom,
+        gravity=gravity,
+        unit="m/s2" if samples.scale_known else "counts",
+        before_mps2=float(np.std(before[used])),
+        after_mps2=float(np.std(fit.residual_mps2)),
+        between_mps2=fit.between_mps2,
+        rests=tuple(rests),
+        notes=(),
+    )
+    return replace(result, notes=tuple(_notes(result)))
+
+
+def _notes(result: PoseCalibration) -> list[str]:
+    """Return sentences on what the result does not show and what it rests on."""
+    notes = []
+    count = len(result.used)
+    timed = result.rests[0].start_s is not None
+    if not result.shown.all():
+        notes.append(
+            f"at least {PARAMETERS} poses in general position are needed; these {count} show {_shown_words(result)}"
+        )
+    elif result.freedom == 0:
+        notes.append(
+            f"{count} rests for {PARAMETERS} parameters leave nothing to test the model by: the sigmas rest on "
+            f"{'the noise within the rests' if timed else 'an assumed noise of 1 mg'}. Record 12 to 18 poses"
+        )
+    elif result.freedom < PARAMETERS // 3:
+        notes.append(f"{count} rests test the model hardly, so the intervals are wide. Record 12 to 18 poses")
+    if 4 * len(result.refused) >= len(result.rests):
+        notes.append("a quarter of the rests or more disagree with the others: do not use the result without a look")
+    notes.append("order and handedness of the axes are not shown by the length of gravity alone")
+    return notes
+
+
+def _shown_words(result: PoseCalibration) -> str:
+    """Return which parameters are shown and which are not, by kind where a kind is complete."""
+    kinds = {"scale": NAMES[:3], "bias": NAMES[3:6], "angles": NAMES[6:]}
+    shown: list[str] = []
+    hidden: list[str] = []
+    flags = dict(zip(NAMES, result.shown.tolist(), strict=True))
+    for kind, names in kinds.items():
+        seen = [name for name in names if flags[name]]
+        if len(seen) == len(names):
+            shown.append(kind)
+        elif not seen:
+            hidden.append(kind)
+        else:
+            shown += seen
+            hidden += [name for name in names if not flags[name]]
+    return f"{_listed(shown, 'and')} but no {_listed(hidden, 'and')}"
+
+
+def _listed(words: Sequence[str], last: str) -> str:
+    if len(words) < 2:
+        return "".join(words)
+    return f"{', '.join(words[:-1])} {last} {words[-1]}"
