@@ -22,20 +22,22 @@ class Gravity:
     source: str
 
 
-@dataclass(kw_only=True, frozen=True, slots=True)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class PoseRest:
-    """One rest: ``number`` from 1, the time it lasts (None for means), and the length of its mean before and after.
+    """One rest: ``number`` from 1, its file, when it begins and how long it lasts, and its mean output (3,).
 
-    ``sd_mps2`` is the standard deviation expected of the length after. ``refused`` is the reason why it was left out,
-    empty if it was used.
+    Times are None for given means. ``before_mps2`` and ``after_mps2`` are the lengths of the specific force before and
+    after calibration, ``sd_mps2`` is the standard deviation expected of the latter, None if the rest was not used.
+    ``refused`` is the reason for that, empty if it was used.
     """
 
     number: int
+    file: str
     start_s: float | None
     duration_s: float | None
-    mean: tuple[float, float, float]
+    mean: Floats
     before_mps2: float
-    after_mps2: float | None
+    after_mps2: float
     sd_mps2: float | None
     refused: str = ""
 
@@ -104,3 +106,20 @@ class PoseCalibration:
     def refused(self) -> tuple[PoseRest, ...]:
         """The rests that were left out, each with its reason."""
         return tuple(rest for rest in self.rests if rest.refused)
+
+
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
+class PoseSession:
+    """A calibration by hand as it is kept: device, licence and source of the data, the mapping's text, the files.
+
+    ``notes`` are of the files; ``refused_files`` are those left out, each with its reason.
+    """
+
+    device: str
+    licence: str
+    source: str
+    mapping: str
+    files: tuple[str, ...]
+    notes: tuple[str, ...]
+    refused_files: tuple[str, ...]
+    accelerometer: PoseCalibration

@@ -34,54 +34,69 @@ class PoseSamples:
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class _Means:
-    """Means (n, 3) of rests, their covariances (n, 3, 3), spans (none for data that are means) and faults (n,)."""
+    """Means (n, 3) of rests, their covariances (n, 3, 3), files, spans (None for given means) and faults (n,)."""
 
     outputs: Floats
     covariance: Floats
-    spans: Sequence[StillSpan]
-    faults: list[str]
+    files: Sequence[str]
+    spans: Sequence[StillSpan | None]
+    faults: Sequence[str]
+
+    def __len__(self) -> int:
+        return len(self.files)
 
 
-def calibrate_poses(samples: PoseSamples, gravity: Gravity, least_s: float) -> PoseCalibration:
-    """Return the nine parameters of a session, with rests of at least ``least_s``.
+def calibrate_poses(sessions: Sequence[PoseSamples], gravity: Gravity, least_s: float) -> PoseCalibration:
+    """Return the nine parameters of one device from the rests of all its files, each of at least ``least_s``.
 
-    RecordingError, naming the file, for gross errors and for sessions without rests.
+    RecordingError, naming the file, for gross errors and for files without rests.
     """
-    check_alive(samples.name, samples.outputs)
-    means = _means_of(samples, least_s)
+    for samples in sessions:
+        check_alive(samples.name, samples.outputs)
+    means = _joined([_means_of(samples, least_s) for samples in sessions])
+    name = ", ".join(samples.name for samples in sessions)
+    scale_known = all(samples.scale_known for samples in sessions)
     good = np.array([not fault for fault in means.faults])
     if good.sum() < _FEWEST:
         wrong = "; ".join(sorted({fault for fault in means.faults if fault}))
         raise RecordingError(
-            f"{samples.name} has {good.sum()} usable rests: lay the body in at least {PARAMETERS} poses in general "
+            f"{name} has {good.sum()} usable rests: lay the body in at least {PARAMETERS} poses in general "
             f"position{': ' if wrong else ''}{wrong}"
         )
     rests = Rests(outputs=means.outputs[good], covariance=means.covariance[good], gravity_mps2=gravity.value_mps2)
-    if samples.scale_known:
-        check_unit(samples.name, rests.outputs, gravity.value_mps2)
-    start = start_of(rests, scale_known=samples.scale_known)
-    check_responding(samples.name, rests.outputs, start.scale * gravity.value_mps2)
+    if scale_known:
+        check_unit(name, rests.outputs, gravity.value_mps2)
+    start = start_of(rests, scale_known=scale_known)
+    check_responding(name, rests.outputs, start.scale * gravity.value_mps2)
     fit, doubtful = fit_robustly(rests, start)
     if not fit.shown.any():
         raise RecordingError(
-            f"{samples.name}: at least {PARAMETERS} poses in general position are needed; these {len(rests)} show "
+            f"{name}: at least {PARAMETERS} poses in general position are needed; these {len(rests)} show "
             "neither scale nor bias nor angles"
         )
-    errors = gross_errors(fit.parameters, fit.shown, gravity.value_mps2, scale_known=samples.scale_known)
+    errors = gross_errors(fit.parameters, fit.shown, gravity.value_mps2, scale_known=scale_known)
     if errors:
-        raise RecordingError(f"{samples.name}: gross error, not a calibration: {'; '.join(errors)}")
-    return _result(samples, gravity, means, good, start, fit, doubtful)
+        raise RecordingError(f"{name}: gross error, not a calibration: {'; '.join(errors)}")
+    unit = "m/s2" if scale_known else "counts"
+    return _result(unit, gravity, means, good, start, fit, doubtful)
+
+
+def _joined(parts: Sequence[_Means]) -> _Means:
+    """Return the rests of all files, one after the other."""
+    return _Means(
+        outputs=np.vstack([part.outputs for part in parts]),
+        covariance=np.concatenate([part.covariance for part in parts]),
+        files=[file for part in parts for file in part.files],
+        spans=[span for part in parts for span in part.spans],
+        faults=[fault for part in parts for fault in part.faults],
+    )
 
 
 def _means_of(samples: PoseSamples, least_s: float) -> _Means:
-    """Return the means of the rests of a session; RecordingError if nothing rests."""
+    """Return the means of the rests of a file; RecordingError if nothing rests."""
     outputs = samples.outputs
     if samples.t_s is None:
-        whole: Flags = np.asarray(np.isfinite(outputs).all(axis=1))
-        size = np.median(np.linalg.norm(outputs[whole], axis=1)) if whole.any() else 1.0
-        covariance = np.broadcast_to((_MEANS_SD * size) ** 2 * np.eye(3), (len(outputs), 3, 3))
-        faults = ["" if good else "a value is missing" for good in whole.tolist()]
-        return _Means(outputs=outputs, covariance=covariance, spans=(), faults=faults)
+        return _given_means(samples.name, outputs)
     try:
         spans = find_rests(samples.t_s, outputs, least_s)
     except RecordingError as error:
@@ -95,8 +110,26 @@ def _means_of(samples: PoseSamples, least_s: float) -> _Means:
     session_s = float(samples.t_s[-1] - samples.t_s[0])
     variance, _ = variance_of_means(radial, spans, period_s, session_s)
     variance = variance + _rounding(outputs, radial) ** 2
-    covariance = variance[:, None, None] * np.eye(3)
-    return _Means(outputs=means, covariance=covariance, spans=spans, faults=faults_at_rest(outputs, spans))
+    return _Means(
+        outputs=means,
+        covariance=variance[:, None, None] * np.eye(3),
+        files=[samples.name] * len(spans),
+        spans=spans,
+        faults=faults_at_rest(outputs, spans),
+    )
+
+
+def _given_means(name: str, outputs: Floats) -> _Means:
+    """Return rests of which only the means (n, 3) are known."""
+    whole: Flags = np.asarray(np.isfinite(outputs).all(axis=1))
+    size = np.median(np.linalg.norm(outputs[whole], axis=1)) if whole.any() else 1.0
+    return _Means(
+        outputs=outputs,
+        covariance=np.tile((_MEANS_SD * size) ** 2 * np.eye(3), (len(outputs), 1, 1)),
+        files=[name] * len(outputs),
+        spans=[None] * len(outputs),
+        faults=["" if good else "a value is missing" for good in whole.tolist()],
+    )
 
 
 def _centred(means: Floats, *, scale_known: bool) -> Floats:
@@ -113,7 +146,7 @@ def _rounding(outputs: Floats, radial: Sequence[Floats]) -> float:
 
 
 def _result(
-    samples: PoseSamples,
+    unit: str,
     gravity: Gravity,
     means: _Means,
     good: Flags,
@@ -121,34 +154,33 @@ def _result(
     fit: NormFit,
     doubtful: Sequence[Doubtful],
 ) -> PoseCalibration:
-    """Return the result with every rest and the notes."""
+    """Return the result with every rest and the notes; ``good`` (n,) are the rests without a fault of an axis."""
     numbers = np.flatnonzero(good)
-    reasons = dict(enumerate(means.faults))
+    reasons = list(means.faults)
     for rest in doubtful:
         reasons[int(numbers[rest.rest])] = (
             f"its force is {abs(rest.off_mps2):.3g} m/s2 {'more' if rest.off_mps2 > 0 else 'less'} than gravity by the "
             f"others ({rest.sigmas:.3g} sigma): bumped, moving, or pushed"
         )
-    used = np.array([not reasons[at] for at in range(len(means.outputs))])
+    used = np.array([not reason for reason in reasons])
     before = Lengths.of(start, means.outputs).length_mps2
     after = Lengths.of(fit.parameters, means.outputs).length_mps2
-    sds = iter((fit.sd_mps2 * fit.scale).tolist())
-    rests = []
-    for at, mean in enumerate(means.outputs):
-        span = means.spans[at] if means.spans else None
-        fitted = not means.faults[at]
-        rests.append(
-            PoseRest(
-                number=at + 1,
-                start_s=span.start_s if span else None,
-                duration_s=span.duration_s if span else None,
-                mean=(float(mean[0]), float(mean[1]), float(mean[2])),
-                before_mps2=float(before[at]),
-                after_mps2=float(after[at]) if fitted else None,
-                sd_mps2=next(sds) if used[at] else None,
-                refused=reasons[at],
-            )
+    sds = np.full(len(means), np.nan)
+    sds[used] = fit.sd_mps2 * fit.scale
+    rests = [
+        PoseRest(
+            number=at + 1,
+            file=means.files[at],
+            start_s=span.start_s if span else None,
+            duration_s=span.duration_s if span else None,
+            mean=means.outputs[at],
+            before_mps2=float(before[at]),
+            after_mps2=float(after[at]),
+            sd_mps2=float(sds[at]) if used[at] else None,
+            refused=reasons[at],
         )
+        for at, span in enumerate(means.spans)
+    ]
     scale = np.concatenate([fit.parameters.scale, np.zeros(6)])
     result = PoseCalibration(
         intrinsic=fit.parameters,
@@ -157,7 +189,7 @@ def _result(
         factor=fit.factor,
         freedom=fit.freedom,
         gravity=gravity,
-        unit="m/s2" if samples.scale_known else "counts",
+        unit=unit,
         before_mps2=float(np.std(before[used])),
         after_mps2=float(np.std(fit.residual_mps2)),
         between_mps2=fit.between_mps2,

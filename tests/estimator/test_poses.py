@@ -17,7 +17,7 @@ GRAVITY = Gravity(value_mps2=G, sd=5e-5, source="stated")
 
 def calibrated(log: Log, *, scale_known: bool = True) -> PoseCalibration:
     samples = PoseSamples(name="log.csv", t_s=log.t_s, outputs=log.accel, scale_known=scale_known)
-    return calibrate_poses(samples, GRAVITY, 1.0)
+    return calibrate_poses([samples], GRAVITY, 1.0)
 
 
 def session(seed: int, poses: int = 20, **changed: float) -> tuple[Truth, Log]:
@@ -63,7 +63,7 @@ def test_counts_of_unknown_size_and_zero_are_calibrated_too() -> None:
 def test_the_sigmas_hold_what_is_not_known_of_gravity() -> None:
     _, log = session(6)
     samples = PoseSamples(name="log.csv", t_s=log.t_s, outputs=log.accel)
-    wide = calibrate_poses(samples, Gravity(value_mps2=G, sd=1e-3, source="unstated"), 1.0)
+    wide = calibrate_poses([samples], Gravity(value_mps2=G, sd=1e-3, source="unstated"), 1.0)
     assert wide.parameters[0].sd == pytest.approx(1e-3, rel=0.05)
     assert wide.parameters[3].sd == pytest.approx(calibrated(log).parameters[3].sd)
 

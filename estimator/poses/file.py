@@ -1,0 +1,150 @@
+"""The HDF5 file of a calibration by hand, which opens again with all that was printed."""
+
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from estimator.errors import MISSHAPEN, RecordingError, first_line
+from estimator.poses.calibration import Gravity, PoseCalibration, PoseRest, PoseSession
+from estimator.poses.intrinsic import NAMES, Intrinsic
+from estimator.recordings.safe_open import probe
+
+FORMAT = "turntable-pose-calibration"
+"""Attribute "format" of such a file."""
+FORMAT_VERSION = 1
+_TEXTS = ("device", "licence", "source", "mapping")
+_LISTS = ("files", "notes", "refused_files")
+_NUMBERS = ("factor", "freedom", "before_mps2", "after_mps2", "between_mps2")
+
+
+def write_pose_session(path: Path, session: PoseSession) -> None:
+    """Write a calibration by hand to a new file; RecordingError if it exists or cannot be written."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with h5py.File(path, "x") as file:
+            file.attrs.update({"format": FORMAT, "format_version": FORMAT_VERSION})
+            file.attrs.update({key: getattr(session, key) for key in _TEXTS})
+            for key in _LISTS:
+                _put_texts(file, key, getattr(session, key))
+            _put_accelerometer(file.create_group("accelerometer"), session.accelerometer)
+    except (OSError, ValueError) as error:
+        raise RecordingError(f"cannot create {path}: {first_line(error)}") from None
+
+
+def read_pose_session(path: Path) -> PoseSession:
+    """Return the calibration in a file; RecordingError if it is damaged, or of another format."""
+    probe(path)
+    try:
+        with h5py.File(path, "r") as file:
+            if file.attrs.get("format") != FORMAT:
+                raise RecordingError(f"{path} is not a calibration by poses: station import writes one, kind = poses")
+            if int(file.attrs["format_version"]) > FORMAT_VERSION:
+                raise RecordingError(f"{path} was written by a newer station: update this one")
+            return PoseSession(
+                device=str(file.attrs["device"]),
+                licence=str(file.attrs["licence"]),
+                source=str(file.attrs["source"]),
+                mapping=str(file.attrs["mapping"]),
+                files=_texts(file, "files"),
+                notes=_texts(file, "notes"),
+                refused_files=_texts(file, "refused_files"),
+                accelerometer=_accelerometer(file["accelerometer"]),
+            )
+    except MISSHAPEN as error:
+        raise RecordingError(f"{path} is damaged: {first_line(error)}") from None
+
+
+def is_pose_session(path: Path) -> bool:
+    """Return whether a file is an HDF5 file of this format."""
+    try:
+        if not path.is_file() or not h5py.is_hdf5(path):
+            return False
+        probe(path)
+        with h5py.File(path, "r") as file:
+            return bool(file.attrs.get("format") == FORMAT)
+    except (RecordingError, OSError):
+        return False
+
+
+def _put_texts(group: Any, name: str, texts: tuple[str, ...]) -> None:
+    group.create_dataset(name, data=np.array(texts, dtype=object), dtype=h5py.string_dtype())
+
+
+def _texts(group: Any, name: str) -> tuple[str, ...]:
+    return tuple(str(text) for text in group[name].asstr()[:])
+
+
+def _put_accelerometer(group: Any, result: PoseCalibration) -> None:
+    """Write parameters and covariance in the order of their names, and the rests as columns."""
+    group.attrs.update({key: getattr(result, key) for key in _NUMBERS})
+    group.attrs["unit"] = result.unit
+    group.attrs["gravity_mps2"] = result.gravity.value_mps2
+    group.attrs["gravity_sd"] = result.gravity.sd
+    group.attrs["gravity_source"] = result.gravity.source
+    _put_texts(group, "names", NAMES)
+    group["value"] = np.where(result.shown, result.intrinsic.vector, np.nan)
+    group["fitted"] = result.intrinsic.vector
+    group["covariance"] = result.covariance
+    group["shown"] = result.shown
+    _put_texts(group, "notes", result.notes)
+    rests = group.create_group("rests")
+    for key in ("start_s", "duration_s", "before_mps2", "after_mps2", "sd_mps2"):
+        values = [getattr(rest, key) for rest in result.rests]
+        rests[key] = np.array([np.nan if value is None else value for value in values])
+    rests["mean"] = np.array([rest.mean for rest in result.rests])
+    _put_texts(rests, "file", tuple(rest.file for rest in result.rests))
+    _put_texts(rests, "refused", tuple(rest.refused for rest in result.rests))
+
+
+def _accelerometer(group: Any) -> PoseCalibration:
+    """Return the result in a group; KeyError or ValueError if something is missing or has another shape."""
+    vector = np.asarray(group["fitted"][:], dtype=np.float64).reshape(len(NAMES))
+    covariance = np.asarray(group["covariance"][:], dtype=np.float64).reshape(len(NAMES), len(NAMES))
+    numbers = {key: float(group.attrs[key]) for key in _NUMBERS}
+    freedom = int(numbers.pop("freedom"))
+    return PoseCalibration(
+        intrinsic=Intrinsic.of_vector(vector),
+        covariance=covariance,
+        shown=np.asarray(group["shown"][:], dtype=bool).reshape(len(NAMES)),
+        freedom=freedom,
+        gravity=Gravity(
+            value_mps2=float(group.attrs["gravity_mps2"]),
+            sd=float(group.attrs["gravity_sd"]),
+            source=str(group.attrs["gravity_source"]),
+        ),
+        unit=str(group.attrs["unit"]),
+        rests=_rests(group["rests"]),
+        notes=_texts(group, "notes"),
+        **numbers,
+    )
+
+
+def _rests(group: Any) -> tuple[PoseRest, ...]:
+    """Return the rests in the columns of a group; ValueError if they differ in length."""
+    columns = {key: np.asarray(group[key][:], dtype=np.float64).tolist() for key in group if key not in _REST_TEXTS}
+    files, reasons = _texts(group, "file"), _texts(group, "refused")
+    rests = []
+    for at, mean in enumerate(np.asarray(group["mean"][:], dtype=np.float64).reshape(len(files), 3)):
+        rests.append(
+            PoseRest(
+                number=at + 1,
+                file=files[at],
+                start_s=_known(columns["start_s"][at]),
+                duration_s=_known(columns["duration_s"][at]),
+                mean=mean,
+                before_mps2=columns["before_mps2"][at],
+                after_mps2=columns["after_mps2"][at],
+                sd_mps2=_known(columns["sd_mps2"][at]),
+                refused=reasons[at],
+            )
+        )
+    return tuple(rests)
+
+
+_REST_TEXTS = ("file", "refused")
+
+
+def _known(value: float) -> float | None:
+    return None if np.isnan(value) else value

@@ -1,0 +1,22 @@
+"""A calibration by poses on the terminal: parameters, the length of gravity before and after, refused rests."""
+
+from rich.markup import escape
+
+from estimator.poses.calibration import PoseSession
+from station.render.terminal import Shown, print_all, rich_table, stdout
+from station.views.poses import gravity_words, norm_words, parameter_rows, rest_words
+
+
+def print_pose_session(session: PoseSession) -> None:
+    """Print a calibration by poses."""
+    result = session.accelerometer
+    rows = [[own.name, own.value, own.u95, own.unit] for own in parameter_rows(result)]
+    title = escape(f"{session.device}: accelerometers")
+    shown: list[Shown] = [(rich_table(title, ["parameter", "value", "U (95 %)", "unit"], "lrrl", rows), {})]
+    shown += [(escape(line), {"highlight": False}) for line in (norm_words(result), gravity_words(result))]
+    if result.refused:
+        refused = [[escape(rest_words(rest)), escape(rest.refused)] for rest in result.refused]
+        shown.append((rich_table("Refused rests", ["rest", "reason"], "ll", refused, fold=True), {}))
+    notes = [*session.notes, *result.notes]
+    shown += [(escape(f"note: {note}"), {"highlight": False}) for note in notes]
+    print_all(stdout(), shown)

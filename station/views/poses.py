@@ -1,0 +1,124 @@
+"""A calibration by poses as people read it, and as one JSON object."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from estimator.geometry.kinematics import GRAVITY_MPS2
+from estimator.poses.calibration import Parameter, PoseCalibration, PoseRest, PoseSession
+
+_MG = 1000 / GRAVITY_MPS2
+NOT_SHOWN = "not shown"
+"""In place of the number of a parameter that the rests do not determine."""
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class ParameterRow:
+    """One parameter as text: its name, its value with the half width of the 95 % interval, and the unit."""
+
+    name: str
+    value: str
+    u95: str
+    unit: str
+
+
+def parameter_rows(result: PoseCalibration) -> list[ParameterRow]:
+    """Return the nine parameters in everyday units; biases in mg stand beside those in m/s2."""
+    counts = result.unit == "counts"
+    rows = []
+    for own in result.parameters:
+        kind = own.name.split()[0]
+        if kind == "scale":
+            rows.append(_row(own, "counts/(m/s2)" if counts else "", 1.0))
+        elif kind == "bias":
+            rows.append(_row(own, "counts" if counts else "m/s2", 1.0))
+            if not counts:
+                rows.append(_row(own, "mg", _MG))
+        else:
+            rows.append(_row(own, "deg from 90", math.degrees(1)))
+    return rows
+
+
+def _row(own: Parameter, unit: str, factor: float) -> ParameterRow:
+    """Return a parameter in a unit, with digits down to the second that counts of its half width."""
+    if own.value is None or own.u95 is None:
+        return ParameterRow(name=own.name, value=NOT_SHOWN, u95="", unit=unit)
+    digits = _digits(own.u95 * factor)
+    return ParameterRow(
+        name=own.name, value=f"{own.value * factor:.{digits}f}", u95=f"{own.u95 * factor:.{digits}f}", unit=unit
+    )
+
+
+def _digits(size: float) -> int:
+    """Return the decimals that show two significant digits of a size, 0 to 8."""
+    if not 0 < size < math.inf:
+        return 6
+    return min(max(1 - math.floor(math.log10(size)), 0), 8)
+
+
+def norm_words(result: PoseCalibration) -> str:
+    """Return the scatter of the length of gravity over the rests, before and after."""
+    before, after = result.before_mps2, result.after_mps2
+    return (
+        f"length of gravity over {len(result.used)} rests, standard deviation: {before:.4f} m/s2 "
+        f"({before * _MG:.2f} mg) before, {after:.4f} m/s2 ({after * _MG:.2f} mg) after"
+    )
+
+
+def gravity_words(result: PoseCalibration) -> str:
+    """Return gravity with its uncertainty and source."""
+    gravity = result.gravity
+    return f"gravity: {gravity.value_mps2:.5f} m/s2, sigma {gravity.sd * 1e6:.3g} ppm, {gravity.source}"
+
+
+def rest_words(rest: PoseRest) -> str:
+    """Return which rest it is: its number, and when it was."""
+    if rest.start_s is None or rest.duration_s is None:
+        return f"rest {rest.number}"
+    return f"rest {rest.number} ({rest.start_s:.1f} to {rest.start_s + rest.duration_s:.1f} s)"
+
+
+def session_object(session: PoseSession, path: str) -> dict[str, Any]:
+    """Return a session for --json, in SI; numbers of parameters that are not shown are null.
+
+    ``matrix`` is A in output = A f + bias, for a body whose x is the sense axis x, and y in the plane of x and y.
+    """
+    result = session.accelerometer
+    complete = bool(result.shown.all())
+    return {
+        "calibration": path,
+        "device": session.device,
+        "files": list(session.files),
+        "refused_files": list(session.refused_files),
+        "notes": [*session.notes, *result.notes],
+        "accelerometer": {
+            "unit": result.unit,
+            "parameters": [
+                {"name": own.name, "value": own.value, "sd": own.sd, "u95": own.u95} for own in result.parameters
+            ],
+            "covariance": result.covariance.tolist() if complete else None,
+            "matrix": result.intrinsic.matrix.tolist() if complete else None,
+            "gravity_mps2": result.gravity.value_mps2,
+            "gravity_sd": result.gravity.sd,
+            "gravity_source": result.gravity.source,
+            "freedom": result.freedom,
+            "norm_before_mps2": result.before_mps2,
+            "norm_after_mps2": result.after_mps2,
+            "between_rests_mps2": result.between_mps2,
+            "rests": [_rest_object(rest) for rest in result.rests],
+        },
+    }
+
+
+def _rest_object(rest: PoseRest) -> dict[str, Any]:
+    return {
+        "number": rest.number,
+        "file": rest.file,
+        "start_s": rest.start_s,
+        "duration_s": rest.duration_s,
+        "mean": rest.mean.tolist(),
+        "before_mps2": rest.before_mps2,
+        "after_mps2": rest.after_mps2,
+        "sd_mps2": rest.sd_mps2,
+        "refused": rest.refused,
+    }

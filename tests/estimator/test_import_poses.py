@@ -1,0 +1,123 @@
+"""Recordings of others by kind = "poses": what was published of them is found again, and the file opens again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from handheld import Session, device, general_poses, make
+
+from estimator.errors import RecordingError
+from estimator.importing.hands.mapping import read_pose_mapping
+from estimator.importing.hands.session import calibrate_by_hand
+from estimator.poses.calibration import PoseCalibration, PoseSession
+from estimator.poses.file import read_pose_session, write_pose_session
+
+DATA = Path(__file__).parents[1] / "data" / "poses"
+MG = 9.80665e-3
+MAPPING = """\
+[device]
+name = "by hand"
+[file]
+format = "csv"
+[time]
+column = "t"
+unit = "s"
+[accelerometer]
+columns = ["ax", "ay", "az"]
+unit = "m/s2"
+[reference]
+kind = "poses"
+"""
+
+
+def imported(name: str, data: str) -> PoseSession:
+    return calibrate_by_hand(read_pose_mapping(DATA / f"{name}.toml"), [DATA / data])
+
+
+def upper_form(result: PoseCalibration) -> tuple[np.ndarray, np.ndarray]:
+    """Return the scales K (3,) of x = T K (raw - b), T upper triangular with ones, and b in m/s2."""
+    inverse = np.linalg.inv(result.intrinsic.matrix)
+    _, upper = np.linalg.qr(inverse)
+    return np.abs(np.diag(upper)), result.intrinsic.offset
+
+
+def test_means_of_24_poses_give_the_published_scales_and_biases() -> None:
+    result = imported("poses24", "poses24.mat").accelerometer
+    scales, biases = upper_form(result)
+    assert scales == pytest.approx([1.0079, 0.9968, 0.9923], abs=2e-4)
+    assert biases[0] == pytest.approx(0.9 * MG, abs=0.5 * MG)
+    assert -5.7 * MG - 0.5 * MG < biases[1] < -5.2 * MG + 0.5 * MG
+    assert 13.6 * MG - 0.5 * MG < biases[2] < 14.1 * MG + 0.5 * MG
+    assert result.before_mps2 == pytest.approx(15.4 * MG, rel=0.02)
+    assert result.after_mps2 < 0.5 * MG
+    assert len(result.used) == 24
+
+
+def test_a_phone_with_coarse_steps_is_calibrated_as_published() -> None:
+    result = imported("phone", "phone_lis3dh_30_poses.mat").accelerometer
+    assert 0.1 < result.before_mps2 < 0.12
+    assert result.after_mps2 < 0.033
+    assert len(result.used) >= 28
+
+
+def test_a_session_by_hand_without_a_list_of_rests_is_calibrated() -> None:
+    result = imported("imu0", "imu0_50hz.log").accelerometer
+    assert result.before_mps2 == pytest.approx(0.207, abs=0.01)
+    assert result.after_mps2 < 0.004
+    assert 19 <= len(result.used) <= 26
+    assert result.shown.all()
+
+
+def test_the_written_file_opens_again_with_everything(tmp_path: Path) -> None:
+    session = imported("phone", "phone_lis3dh_30_poses.mat")
+    write_pose_session(tmp_path / "phone.h5", session)
+    again = read_pose_session(tmp_path / "phone.h5")
+    assert again.device == "LIS3DH in a phone"
+    assert again.notes == session.notes
+    first, second = session.accelerometer, again.accelerometer
+    assert second.parameters == first.parameters
+    assert second.covariance == pytest.approx(first.covariance)
+    assert second.gravity == first.gravity
+    assert [rest.refused for rest in second.rests] == [rest.refused for rest in first.rests]
+    assert [rest.duration_s for rest in second.rests] == [rest.duration_s for rest in first.rests]
+    with pytest.raises(RecordingError, match="cannot create"):
+        write_pose_session(tmp_path / "phone.h5", session)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('kind = "poses"', 'kind = "poses"\ngravity_mps2 = 980', "line 13: reference.gravity_mps2: .*write 9.7 to 9.9"),
+        ('kind = "poses"', 'kind = "poses"\nheight_m = 100', "height_m: needs gravity_mps2, or a table .site."),
+        ('kind = "poses"', 'kind = "poses"\ndata = "means"', 'is not for data = "means"'),
+        ('kind = "poses"', 'kind = "poses"\nrests = 1', "rests: unknown key; did you mean rest_s?"),
+        ('[time]\ncolumn = "t"\nunit = "s"\n', "", "has no table .time.: add it"),
+        ('unit = "m/s2"', 'unit = "raw"\noffset = 1\ncount_unit = "g"', "count_unit: cannot be combined"),
+    ],
+)
+def test_a_wrong_mapping_is_refused_with_its_line(tmp_path: Path, old: str, new: str, message: str) -> None:
+    path = tmp_path / "mapping.toml"
+    path.write_text(MAPPING.replace(old, new), encoding="utf-8")
+    with pytest.raises(RecordingError, match=message):
+        read_pose_mapping(path)
+
+
+def test_rests_of_several_files_are_joined_and_a_broken_file_costs_only_itself(tmp_path: Path) -> None:
+    rng = np.random.default_rng(21)
+    truth = device(rng)
+    poses = general_poses(rng, 18)
+    for number, own in enumerate((poses[:9], poses[9:])):
+        make(rng, truth, Session(up=own)).write(tmp_path / f"{number}.csv")
+    (tmp_path / "2.csv").write_text("nothing\n", encoding="utf-8")
+    (tmp_path / "mapping.toml").write_text(MAPPING + "gravity_mps2 = 9.81\n", encoding="utf-8")
+    session = calibrate_by_hand(
+        read_pose_mapping(tmp_path / "mapping.toml"), [tmp_path / f"{number}.csv" for number in range(3)]
+    )
+    result = session.accelerometer
+    assert len(result.used) == 18
+    assert {rest.file for rest in result.rests} == {"0.csv", "1.csv"}
+    assert session.refused_files[0].startswith("2.csv: ")
+    errors = [(own.value - true) / own.u95 for own, true in zip(result.parameters, truth.nine, strict=True)]
+    assert np.abs(errors).max() < 2
