@@ -12,26 +12,34 @@ _FLOOR = 2 * np.log(2) / np.pi  # Allan variance of a unit bias instability (IEE
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class NoiseShape:
-    """Noise of samples with unit variance: ``white_s`` / tau and ``floor`` are the parts of its Allan variance."""
+    """Noise of samples with unit variance: parts of its Allan variance over tau.
 
+    They are ``swing_s2`` / tau^2 of a hand's tremor, which swings about its mean, ``white_s`` / tau, and ``floor``.
+    """
+
+    swing_s2: float
     white_s: float
     floor: float
 
-    def of_mean(self, duration_s: Floats, session_s: float) -> Floats:
-        """Return the variance (n,) of means over ``duration_s`` (n,) about that of a session.
+    def white(self, duration_s: Floats) -> Floats:
+        """Return the variance (n,) of means over ``duration_s`` (n,) by the parts that average out."""
+        # Of white noise of an integral, the Allan variance is 3 and that of the mean 2 of its variance over tau^2.
+        return np.asarray(self.white_s / duration_s + 2 / 3 * self.swing_s2 / duration_s**2)
 
-        The floor grows with the number of rests that fit into the session: B1 of flicker noise (Barnes 1969).
+    def wander(self, duration_s: Floats, session_s: float) -> Floats:
+        """Return the variance (n,) of means about that of a session by the floor.
+
+        It grows with the number of rests that fit into the session: B1 of flicker noise (Barnes 1969).
         """
         count = np.maximum(session_s / duration_s, 2.0)
-        wander = self.floor * count * np.log(count) / (2 * (count - 1) * np.log(2))
-        return np.asarray(self.white_s / duration_s + wander)
+        return np.asarray(self.floor * count * np.log(count) / (2 * (count - 1) * np.log(2)))
 
 
 def noise_shape(series: list[Floats], period_s: float) -> NoiseShape:
     """Return the shape of the noise common to series of one rest each, (n,) of zero mean and unit variance.
 
-    Allan variances are pooled over all rests, from the length of a window on, and divided into both parts by weighted
-    least squares with no part below zero.
+    Allan variances are pooled over all rests, from the length of a window on, and divided into its parts by weighted
+    least squares with none below zero.
     """
     from scipy.optimize import nnls
 
@@ -53,18 +61,19 @@ def noise_shape(series: list[Floats], period_s: float) -> NoiseShape:
             continue
         variance = squares / (2 * count)
         weight = np.sqrt(count) / variance
-        rows.append([weight / (width * period_s), weight * _FLOOR])
+        tau_s = width * period_s
+        rows.append([weight / tau_s**2, weight / tau_s, weight * _FLOOR])
         values.append(weight * variance)
     if not rows:
-        return NoiseShape(white_s=period_s, floor=0.0)
-    (white_s, floor), _ = nnls(np.array(rows), np.array(values))
-    return NoiseShape(white_s=float(white_s), floor=float(floor) * _FLOOR)
+        return NoiseShape(swing_s2=0.0, white_s=period_s, floor=0.0)
+    (swing_s2, white_s, floor), _ = nnls(np.array(rows), np.array(values))
+    return NoiseShape(swing_s2=float(swing_s2), white_s=float(white_s), floor=float(floor) * _FLOOR)
 
 
 def variance_of_means(
     radial: list[Floats], spans: list[StillSpan], period_s: float, session_s: float
-) -> tuple[Floats, NoiseShape]:
-    """Return the variance (n,) of the mean over each rest of the force along gravity, and the common shape.
+) -> tuple[Floats, Floats]:
+    """Return the variances (n,) of the mean over each rest of the force along gravity: white, and by the floor.
 
     ``radial`` are the samples of that component by rest, in m/s2. Each rest has its own size of noise, as a hand
     trembles more than a table.
@@ -75,4 +84,4 @@ def variance_of_means(
     size = np.maximum(size, 1e-3 * usual + 1e-12)
     shape = noise_shape([own / sd for own, sd in zip(centred, size, strict=True)], period_s)
     duration_s = np.array([span.duration_s for span in spans])
-    return size**2 * shape.of_mean(duration_s, session_s), shape
+    return size**2 * shape.white(duration_s), size**2 * shape.wander(duration_s, session_s)

@@ -3,7 +3,8 @@
 Each rest gives one equation, the length of its specific force. What the rests do not determine is stated as that.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -21,18 +22,29 @@ _LARGEST_SHARE = 0.25  # of the rests that are refused at most
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Rests:
-    """Mean outputs (n, 3) of rests and the covariance of each mean (n, 3, 3), and local gravity in m/s2."""
+    """Mean outputs (n, 3) of rests, the covariance of each mean (n, 3, 3) by white noise, and gravity in m/s2.
+
+    ``wander`` (n,) is the variance of a mean, in outputs, by noise that does not average out; it counts where residuals
+    cannot show it. Without ``noise_known`` the covariances are right but for a common factor.
+    """
 
     outputs: Floats
     covariance: Floats
+    wander: Floats
     gravity_mps2: float
+    noise_known: bool = True
 
     def __len__(self) -> int:
         return len(self.outputs)
 
-    def only(self, kept: Flags) -> "Rests":
+    def only(self, kept: Flags) -> Self:
         """Return the rests of which ``kept`` (n,) is true."""
-        return Rests(outputs=self.outputs[kept], covariance=self.covariance[kept], gravity_mps2=self.gravity_mps2)
+        return replace(
+            self,
+            outputs=self.outputs[kept],
+            covariance=self.covariance[kept],
+            wander=self.wander[kept],
+        )
 
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
@@ -41,8 +53,11 @@ class NormFit:
 
     ``shown`` (9,) tells which parameters the rests determine; the values of the others are not to be used.
     ``residual_mps2`` (n,) are lengths less gravity, ``between_mps2`` the standard deviation of rests beyond the noise
-    of their means, ``scale`` the ratio of residuals to what is expected of them (1 without degrees of freedom).
-    ``freedom`` counts rests less parameters. ``leverage`` (n,) is the share of each rest in its own fit.
+    of their means. ``freedom`` counts rests less parameters, 0 if the residuals cannot show the noise.
+
+    ``factor`` is the ratio of the half width of an interval of 95 % to the standard uncertainty: Student's if the
+    residuals give the noise, normal if they are no larger than the noise within the rests says. Together both cover
+    93 to 97 % for any scatter of rests from two degrees of freedom on.
     """
 
     parameters: Intrinsic
@@ -50,17 +65,9 @@ class NormFit:
     shown: Flags
     residual_mps2: Floats
     sd_mps2: Floats
-    leverage: Floats
     between_mps2: float
-    scale: float
     freedom: int
-
-    @property
-    def factor(self) -> float:
-        """Ratio of the half width of an interval of 95 % to the standard uncertainty."""
-        from scipy.stats import t
-
-        return float(t.ppf(0.975, self.freedom)) if self.freedom > 0 else 1.96
+    factor: float
 
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
@@ -74,11 +81,15 @@ class Doubtful:
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class _Linear:
-    """Residuals (n,), their derivatives (n, 9) by scaled parameters, and their variances (n,), at some parameters."""
+    """Residuals (n,), their derivatives (n, 9) by scaled parameters, and their variances (n,), at some parameters.
+
+    ``wander`` (n,) are the variances by noise that does not average out.
+    """
 
     residual: Floats
     slopes: Floats
     variance: Floats
+    wander: Floats
 
 
 def start_of(rests: Rests, *, scale_known: bool) -> Intrinsic:
@@ -134,31 +145,32 @@ def fit(rests: Rests, start: Intrinsic) -> NormFit:
     The variance between rests follows from the residuals (Paule and Mandel 1982). If the rests do not determine all
     parameters, plausible sizes stand in for the rest of the information.
     """
+    from scipy.stats import norm, t
+
     parameters = _minimised(rests, start, 0.0)
-    freedom = len(rests) - PARAMETERS
     shown = _shown(rests, parameters)
+    freedom = max(len(rests) - PARAMETERS, 0) if shown.all() else 0
     between = 0.0
-    if freedom > 0 and shown.all():
+    if freedom and rests.noise_known:
         parameters, between = _with_between(rests, parameters, freedom)
     linear = _linear(rests, parameters)
-    variance = linear.variance + between**2
+    variance = linear.variance + (between**2 if freedom else linear.wander)
+    if freedom and not rests.noise_known:
+        variance = variance * float(np.sum(linear.residual**2 / variance)) / freedom
     information = (linear.slopes / variance[:, None]).T @ linear.slopes
     prior = np.zeros(PARAMETERS) if shown.all() else np.ones(PARAMETERS)
     scaled = np.linalg.pinv(information + np.diag(prior), hermitian=True)
-    chi_square = float(np.sum(linear.residual**2 / variance))
-    ratio = chi_square / freedom if freedom > 0 and shown.all() else 1.0
     sizes = _sizes(rests, parameters)
-    leverage = np.einsum("ni,ij,nj->n", linear.slopes, scaled, linear.slopes) / variance
+    from_residuals = freedom > 0 and (between > 0 or not rests.noise_known)
     return NormFit(
         parameters=parameters,
-        covariance=ratio * scaled * np.outer(sizes, sizes),
+        covariance=scaled * np.outer(sizes, sizes),
         shown=shown,
         residual_mps2=linear.residual,
         sd_mps2=np.sqrt(variance),
-        leverage=leverage,
         between_mps2=between,
-        scale=float(np.sqrt(ratio)),
-        freedom=max(freedom, 0) if shown.all() else 0,
+        freedom=freedom,
+        factor=float(t.ppf(0.975, freedom) if from_residuals else norm.ppf(0.975)),
     )
 
 
@@ -178,6 +190,7 @@ def _linear(rests: Rests, parameters: Intrinsic) -> _Linear:
         residual=lengths.length_mps2 - excess - rests.gravity_mps2,
         slopes=lengths.by_parameter * _sizes(rests, parameters),
         variance=np.maximum(variance, 1e-18 * rests.gravity_mps2**2),
+        wander=rests.wander * np.sum(lengths.by_output**2, axis=1),
     )
 
 
@@ -261,11 +274,7 @@ def _near(rests: Rests, start: Intrinsic, least: int) -> Flags:
     weights = np.ones(len(rests))
     parameters = start
     for _ in range(30):
-        weighted = Rests(
-            outputs=rests.outputs,
-            covariance=rests.covariance / weights[:, None, None],
-            gravity_mps2=rests.gravity_mps2,
-        )
+        weighted = replace(rests, covariance=rests.covariance / weights[:, None, None])
         parameters = _minimised(weighted, parameters, 0.0)
         linear = _linear(rests, parameters)
         size = np.abs(linear.residual) / np.sqrt(linear.variance)
@@ -290,6 +299,8 @@ def _deleted(rests: Rests, kept: Flags, current: NormFit) -> Floats:
     remaining = np.maximum(1 - leverage, 1e-9)
     inside = (total - squares / remaining) / max(freedom - 1, 1)
     scale = np.where(kept, inside, total / freedom)
+    if rests.noise_known:
+        scale = np.maximum(scale, 1.0)
     spread = np.where(kept, remaining, 1 + leverage)
     usable = np.where(kept & (leverage > 1 - 1e-6), 0.0, 1.0)
     return np.asarray(

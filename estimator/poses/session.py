@@ -34,10 +34,14 @@ class PoseSamples:
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class _Means:
-    """Means (n, 3) of rests, their covariances (n, 3, 3), files, spans (None for given means) and faults (n,)."""
+    """Means (n, 3) of rests, covariances (n, 3, 3), variances by what does not average out, and faults (n,).
+
+    ``spans`` are None for given means.
+    """
 
     outputs: Floats
     covariance: Floats
+    wander: Floats
     files: Sequence[str]
     spans: Sequence[StillSpan | None]
     faults: Sequence[str]
@@ -63,7 +67,13 @@ def calibrate_poses(sessions: Sequence[PoseSamples], gravity: Gravity, least_s: 
             f"{name} has {good.sum()} usable rests: lay the body in at least {PARAMETERS} poses in general "
             f"position{': ' if wrong else ''}{wrong}"
         )
-    rests = Rests(outputs=means.outputs[good], covariance=means.covariance[good], gravity_mps2=gravity.value_mps2)
+    rests = Rests(
+        outputs=means.outputs[good],
+        covariance=means.covariance[good],
+        wander=means.wander[good],
+        gravity_mps2=gravity.value_mps2,
+        noise_known=any(span is not None for span in means.spans),
+    )
     if scale_known:
         check_unit(name, rests.outputs, gravity.value_mps2)
     start = start_of(rests, scale_known=scale_known)
@@ -86,6 +96,7 @@ def _joined(parts: Sequence[_Means]) -> _Means:
     return _Means(
         outputs=np.vstack([part.outputs for part in parts]),
         covariance=np.concatenate([part.covariance for part in parts]),
+        wander=np.concatenate([part.wander for part in parts]),
         files=[file for part in parts for file in part.files],
         spans=[span for part in parts for span in part.spans],
         faults=[fault for part in parts for fault in part.faults],
@@ -108,11 +119,12 @@ def _means_of(samples: PoseSamples, least_s: float) -> _Means:
     ]
     period_s = float(np.median(np.diff(samples.t_s)))
     session_s = float(samples.t_s[-1] - samples.t_s[0])
-    variance, _ = variance_of_means(radial, spans, period_s, session_s)
+    variance, wander = variance_of_means(radial, spans, period_s, session_s)
     variance = variance + _rounding(outputs, radial) ** 2
     return _Means(
         outputs=means,
         covariance=variance[:, None, None] * np.eye(3),
+        wander=wander,
         files=[samples.name] * len(spans),
         spans=spans,
         faults=faults_at_rest(outputs, spans),
@@ -126,6 +138,7 @@ def _given_means(name: str, outputs: Floats) -> _Means:
     return _Means(
         outputs=outputs,
         covariance=np.tile((_MEANS_SD * size) ** 2 * np.eye(3), (len(outputs), 1, 1)),
+        wander=np.zeros(len(outputs)),
         files=[name] * len(outputs),
         spans=[None] * len(outputs),
         faults=["" if good else "a value is missing" for good in whole.tolist()],
@@ -166,7 +179,7 @@ def _result(
     before = Lengths.of(start, means.outputs).length_mps2
     after = Lengths.of(fit.parameters, means.outputs).length_mps2
     sds = np.full(len(means), np.nan)
-    sds[used] = fit.sd_mps2 * fit.scale
+    sds[used] = fit.sd_mps2
     rests = [
         PoseRest(
             number=at + 1,
