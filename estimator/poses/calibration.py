@@ -1,6 +1,9 @@
 """What an accelerometer calibration by hand gives: parameters with sigmas, every rest, and what cannot be said."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from estimator.poses.intrinsic import NAMES, Intrinsic
 from estimator.types import Flags, Floats
@@ -87,15 +90,7 @@ class PoseCalibration:
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The nine parameters with their uncertainties."""
-        found = []
-        for at, name in enumerate(NAMES):
-            if not self.shown[at]:
-                found.append(Parameter(name=name, value=None, sd=None, u95=None))
-                continue
-            sd = float(self.covariance[at, at]) ** 0.5
-            value = float(self.intrinsic.vector[at])
-            found.append(Parameter(name=name, value=value, sd=sd, u95=self.factor * sd))
-        return tuple(found)
+        return parameters_of(NAMES, self.intrinsic.vector, self.covariance, self.shown, self.factor)
 
     @property
     def used(self) -> tuple[PoseRest, ...]:
@@ -108,11 +103,75 @@ class PoseCalibration:
         return tuple(rest for rest in self.rests if rest.refused)
 
 
+GYRO_NAMES = (
+    *(f"gyro scale {axis}" for axis in "xyz"),
+    *(f"gyro bias {axis}" for axis in "xyz"),
+    *(f"gyro {axis} towards {other}" for axis in "xyz" for other in "xyz" if axis != other),
+)
+"""Names of what turns show of gyros: scales, biases in rad/s, tilts of the sense axes in rad."""
+
+
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
+class RefusedTurn:
+    """A turn from one rest to the next, by their numbers, that was left out, and why."""
+
+    before: int
+    after: int
+    reason: str
+
+
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
+class GyroTurnCalibration:
+    """Gyros by the turns between rests: output = G w + bias, w in the frame of the accelerometers' matrix.
+
+    ``matrix`` (3, 3) is G, ``bias_rps`` (3,). ``covariance`` (12, 12) and ``shown`` (12,) are of ``parameters``, in the
+    order of ``GYRO_NAMES``. ``before_rad`` and ``after_rad`` are the rms angles by which a turn misses gravity.
+    """
+
+    matrix: Floats
+    bias_rps: Floats
+    covariance: Floats
+    shown: Flags
+    factor: float
+    turns: int
+    before_rad: float
+    after_rad: float
+    refused: tuple[RefusedTurn, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Scales, biases and tilts with their uncertainties; a tilt is the part of a sense axis along another axis."""
+        values = gyro_vector(self.matrix, self.bias_rps)
+        return parameters_of(GYRO_NAMES, values, self.covariance, self.shown, self.factor)
+
+
+def gyro_vector(matrix: Floats, bias_rps: Floats) -> Floats:
+    """Return the values (12,) of ``GYRO_NAMES`` of a matrix G (3, 3) and biases (3,)."""
+    scale = np.linalg.norm(matrix, axis=1)
+    tilts = [matrix[i, j] / scale[i] for i in range(3) for j in range(3) if i != j]
+    return np.concatenate([scale, bias_rps, tilts])
+
+
+def parameters_of(
+    names: Sequence[str], values: Floats, covariance: Floats, shown: Flags, factor: float
+) -> tuple[Parameter, ...]:
+    """Return parameters with their uncertainties, without numbers where they are not ``shown``."""
+    found = []
+    for at, name in enumerate(names):
+        if not shown[at]:
+            found.append(Parameter(name=name, value=None, sd=None, u95=None))
+            continue
+        sd = float(covariance[at, at]) ** 0.5
+        found.append(Parameter(name=name, value=float(values[at]), sd=sd, u95=factor * sd))
+    return tuple(found)
+
+
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class PoseSession:
     """A calibration by hand as it is kept: device, licence and source of the data, the mapping's text, the files.
 
-    ``notes`` are of the files; ``refused_files`` are those left out, each with its reason.
+    ``gyro`` is None without gyros. ``notes`` are of the files; ``refused_files`` are those left out, with reasons.
     """
 
     device: str
@@ -123,3 +182,4 @@ class PoseSession:
     notes: tuple[str, ...]
     refused_files: tuple[str, ...]
     accelerometer: PoseCalibration
+    gyro: GyroTurnCalibration | None = None

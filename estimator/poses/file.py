@@ -7,7 +7,15 @@ import h5py
 import numpy as np
 
 from estimator.errors import MISSHAPEN, RecordingError, first_line
-from estimator.poses.calibration import Gravity, PoseCalibration, PoseRest, PoseSession
+from estimator.poses.calibration import (
+    GYRO_NAMES,
+    Gravity,
+    GyroTurnCalibration,
+    PoseCalibration,
+    PoseRest,
+    PoseSession,
+    RefusedTurn,
+)
 from estimator.poses.intrinsic import NAMES, Intrinsic
 from estimator.recordings.safe_open import probe
 
@@ -16,6 +24,7 @@ FORMAT = "turntable-pose-calibration"
 FORMAT_VERSION = 1
 _TEXTS = ("device", "licence", "source", "mapping")
 _LISTS = ("files", "notes", "refused_files")
+_GYRO_NUMBERS = ("factor", "turns", "before_rad", "after_rad")
 _NUMBERS = ("factor", "freedom", "before_mps2", "after_mps2", "between_mps2")
 
 
@@ -29,6 +38,8 @@ def write_pose_session(path: Path, session: PoseSession) -> None:
             for key in _LISTS:
                 _put_texts(file, key, getattr(session, key))
             _put_accelerometer(file.create_group("accelerometer"), session.accelerometer)
+            if session.gyro is not None:
+                _put_gyro(file.create_group("gyro"), session.gyro)
     except (OSError, ValueError) as error:
         raise RecordingError(f"cannot create {path}: {first_line(error)}") from None
 
@@ -51,6 +62,7 @@ def read_pose_session(path: Path) -> PoseSession:
                 notes=_texts(file, "notes"),
                 refused_files=_texts(file, "refused_files"),
                 accelerometer=_accelerometer(file["accelerometer"]),
+                gyro=_gyro(file["gyro"]) if "gyro" in file else None,
             )
     except MISSHAPEN as error:
         raise RecordingError(f"{path} is damaged: {first_line(error)}") from None
@@ -148,3 +160,36 @@ _REST_TEXTS = ("file", "refused")
 
 def _known(value: float) -> float | None:
     return None if np.isnan(value) else value
+
+
+def _put_gyro(group: Any, result: GyroTurnCalibration) -> None:
+    """Write matrix, biases and covariance, and the turns that were refused."""
+    group.attrs.update({key: getattr(result, key) for key in _GYRO_NUMBERS})
+    _put_texts(group, "names", GYRO_NAMES)
+    for key in ("matrix", "bias_rps", "covariance", "shown"):
+        group[key] = getattr(result, key)
+    group["refused_turns"] = np.array([(turn.before, turn.after) for turn in result.refused], dtype=np.int64)
+    _put_texts(group, "refused", tuple(turn.reason for turn in result.refused))
+    _put_texts(group, "notes", result.notes)
+
+
+def _gyro(group: Any) -> GyroTurnCalibration:
+    """Return the result in a group; KeyError or ValueError if something is missing or has another shape."""
+    size = len(GYRO_NAMES)
+    numbers = {key: float(group.attrs[key]) for key in _GYRO_NUMBERS}
+    turns = int(numbers.pop("turns"))
+    reasons = _texts(group, "refused")
+    ends = np.asarray(group["refused_turns"][:], dtype=np.int64).reshape(len(reasons), 2).tolist()
+    return GyroTurnCalibration(
+        matrix=np.asarray(group["matrix"][:], dtype=np.float64).reshape(3, 3),
+        bias_rps=np.asarray(group["bias_rps"][:], dtype=np.float64).reshape(3),
+        covariance=np.asarray(group["covariance"][:], dtype=np.float64).reshape(size, size),
+        shown=np.asarray(group["shown"][:], dtype=bool).reshape(size),
+        turns=turns,
+        refused=tuple(
+            RefusedTurn(before=before, after=after, reason=reason)
+            for (before, after), reason in zip(ends, reasons, strict=True)
+        ),
+        notes=_texts(group, "notes"),
+        **numbers,
+    )

@@ -5,7 +5,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from estimator.geometry.kinematics import GRAVITY_MPS2
-from estimator.poses.calibration import Parameter, PoseCalibration, PoseRest, PoseSession
+from estimator.poses.calibration import (
+    GyroTurnCalibration,
+    Parameter,
+    PoseCalibration,
+    PoseRest,
+    PoseSession,
+    RefusedTurn,
+)
 
 _MG = 1000 / GRAVITY_MPS2
 NOT_SHOWN = "not shown"
@@ -37,6 +44,34 @@ def parameter_rows(result: PoseCalibration) -> list[ParameterRow]:
         else:
             rows.append(_row(own, "deg from 90", math.degrees(1)))
     return rows
+
+
+def gyro_rows(result: GyroTurnCalibration) -> list[ParameterRow]:
+    """Return the twelve parameters of gyros in everyday units."""
+    rows = []
+    for own in result.parameters:
+        kind = own.name.split()[1]
+        if kind == "scale":
+            rows.append(_row(own, "", 1.0))
+        elif kind == "bias":
+            rows.append(_row(own, "deg/s", math.degrees(1)))
+        else:
+            rows.append(_row(own, "deg", math.degrees(1)))
+    return rows
+
+
+def turns_words(result: GyroTurnCalibration) -> str:
+    """Return how far turns carry gravity astray, before and after."""
+    before, after = math.degrees(result.before_rad), math.degrees(result.after_rad)
+    return (
+        f"gravity carried by the gyros over {result.turns} turns, rms error: {before:.3f} deg before, "
+        f"{after:.3f} deg after"
+    )
+
+
+def turn_words(turn: RefusedTurn) -> str:
+    """Return which turn it is."""
+    return f"rest {turn.before} to {turn.after}"
 
 
 def _row(own: Parameter, unit: str, factor: float) -> ParameterRow:
@@ -82,32 +117,54 @@ def session_object(session: PoseSession, path: str) -> dict[str, Any]:
     """Return a session for --json, in SI; numbers of parameters that are not shown are null.
 
     ``matrix`` is A in output = A f + bias, for a body whose x is the sense axis x, and y in the plane of x and y.
+    That of the gyro is G in output = G w + bias for the same body.
     """
-    result = session.accelerometer
-    complete = bool(result.shown.all())
+    gyro = session.gyro
+    notes = [*session.notes, *session.accelerometer.notes, *(gyro.notes if gyro else ())]
     return {
         "calibration": path,
         "device": session.device,
         "files": list(session.files),
         "refused_files": list(session.refused_files),
-        "notes": [*session.notes, *result.notes],
-        "accelerometer": {
-            "unit": result.unit,
-            "parameters": [
-                {"name": own.name, "value": own.value, "sd": own.sd, "u95": own.u95} for own in result.parameters
-            ],
-            "covariance": result.covariance.tolist() if complete else None,
-            "matrix": result.intrinsic.matrix.tolist() if complete else None,
-            "gravity_mps2": result.gravity.value_mps2,
-            "gravity_sd": result.gravity.sd,
-            "gravity_source": result.gravity.source,
-            "freedom": result.freedom,
-            "norm_before_mps2": result.before_mps2,
-            "norm_after_mps2": result.after_mps2,
-            "between_rests_mps2": result.between_mps2,
-            "rests": [_rest_object(rest) for rest in result.rests],
-        },
+        "notes": notes,
+        "accelerometer": _accelerometer_object(session.accelerometer),
+        "gyro": None if gyro is None else _gyro_object(gyro),
     }
+
+
+def _accelerometer_object(result: PoseCalibration) -> dict[str, Any]:
+    complete = bool(result.shown.all())
+    return {
+        "unit": result.unit,
+        "parameters": [_parameter_object(own) for own in result.parameters],
+        "covariance": result.covariance.tolist() if complete else None,
+        "matrix": result.intrinsic.matrix.tolist() if complete else None,
+        "gravity_mps2": result.gravity.value_mps2,
+        "gravity_sd": result.gravity.sd,
+        "gravity_source": result.gravity.source,
+        "freedom": result.freedom,
+        "norm_before_mps2": result.before_mps2,
+        "norm_after_mps2": result.after_mps2,
+        "between_rests_mps2": result.between_mps2,
+        "rests": [_rest_object(rest) for rest in result.rests],
+    }
+
+
+def _gyro_object(result: GyroTurnCalibration) -> dict[str, Any]:
+    complete = bool(result.shown.all())
+    return {
+        "parameters": [_parameter_object(own) for own in result.parameters],
+        "covariance": result.covariance.tolist() if complete else None,
+        "matrix": result.matrix.tolist() if complete else None,
+        "turns": result.turns,
+        "gravity_before_rad": result.before_rad,
+        "gravity_after_rad": result.after_rad,
+        "refused": [{"from": turn.before, "to": turn.after, "reason": turn.reason} for turn in result.refused],
+    }
+
+
+def _parameter_object(own: Parameter) -> dict[str, Any]:
+    return {"name": own.name, "value": own.value, "sd": own.sd, "u95": own.u95}
 
 
 def _rest_object(rest: PoseRest) -> dict[str, Any]:

@@ -6,13 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from handheld import Session, device, general_poses, make
+from handheld import Session, Truth, device, general_poses, make
 
 from estimator.errors import RecordingError
 from estimator.importing.hands.mapping import read_pose_mapping
 from estimator.importing.hands.session import calibrate_by_hand
-from estimator.poses.calibration import PoseCalibration, PoseSession
+from estimator.poses.calibration import PoseCalibration, PoseSession, gyro_vector
 from estimator.poses.file import read_pose_session, write_pose_session
+from estimator.poses.intrinsic import Intrinsic
 
 DATA = Path(__file__).parents[1] / "data" / "poses"
 MG = 9.80665e-3
@@ -121,3 +122,48 @@ def test_rests_of_several_files_are_joined_and_a_broken_file_costs_only_itself(t
     assert session.refused_files[0].startswith("2.csv: ")
     errors = [(own.value - true) / own.u95 for own, true in zip(result.parameters, truth.nine, strict=True)]
     assert np.abs(errors).max() < 2
+
+
+GYRO = '[gyro]\ncolumns = ["gx", "gy", "gz"]\nunit = "rad/s"\n'
+
+
+def turned(tmp_path: Path, seed: int = 31, change: str = "") -> tuple[Truth, PoseSession]:
+    """Return the truth and the calibration of a session with gyros; ``change`` replaces their columns."""
+    rng = np.random.default_rng(seed)
+    truth = device(rng)
+    path = make(rng, truth, Session(up=general_poses(rng, 18))).write(tmp_path / "log.csv")
+    text = MAPPING + "gravity_mps2 = 9.81\n" + (change or GYRO)
+    (tmp_path / "mapping.toml").write_text(text, encoding="utf-8")
+    return truth, calibrate_by_hand(read_pose_mapping(tmp_path / "mapping.toml"), [path])
+
+
+def test_gyros_are_calibrated_by_the_turns_between_rests(tmp_path: Path) -> None:
+    truth, session = turned(tmp_path)
+    result = session.gyro
+    assert result is not None
+    assert result.turns == 17
+    # The frame of the accelerometers' matrix is turned against the body in which the truth is stated.
+    frame = np.linalg.solve(Intrinsic.of_matrix(truth.accel, truth.bias).matrix, truth.accel)
+    expected = gyro_vector(truth.gyro @ frame.T, truth.gyro_bias)
+    errors = [(own.value - true) / own.u95 for own, true in zip(result.parameters, expected, strict=True)]
+    assert np.abs(errors).max() < 2
+    assert result.after_rad < 0.2 * result.before_rad
+    write_pose_session(tmp_path / "session.h5", session)
+    again = read_pose_session(tmp_path / "session.h5").gyro
+    assert again is not None
+    assert again.parameters == result.parameters
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('["gx", "gy", "gz"]', '["gy", "gx", "gz"]', r"gyros taken as \(y, x, z\)"),
+        ('["gx", "gy", "gz"]', '["gx", "gy", "gz"]\naxes = ["x", "y", "-z"]', r"\(x, y, -z\); one .* is left-handed"),
+        ("rad/s", "deg/s", "gyros taken to be in rad/s"),
+    ],
+)
+def test_gyros_that_contradict_the_accelerometers_are_a_gross_error(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
+    with pytest.raises(RecordingError, match=message):
+        turned(tmp_path, change=GYRO.replace(old, new))

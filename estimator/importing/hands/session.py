@@ -13,8 +13,9 @@ from estimator.importing.log import timed, wanted
 from estimator.importing.mapping.mapping import Timing
 from estimator.importing.table import Wanted
 from estimator.observations.defects.faults import updates
-from estimator.poses.calibration import PoseSession
+from estimator.poses.calibration import GyroTurnCalibration, PoseCalibration, PoseSession
 from estimator.poses.session import PoseSamples, calibrate_poses
+from estimator.poses.turns import FewTurns, GyroSamples, calibrate_turns
 from estimator.types import Floats
 
 
@@ -48,16 +49,45 @@ def calibrate_by_hand(mapping: PoseMapping, data_paths: Sequence[Path]) -> PoseS
     samples = [
         PoseSamples(name=log.name, t_s=log.t_s, outputs=log.force, scale_known=mapping.scale_known) for log in logs
     ]
+    accelerometer = calibrate_poses(samples, mapping.gravity, mapping.least_s)
+    gyro, gyro_notes = _gyro(mapping, logs, accelerometer)
     return PoseSession(
         device=mapping.device,
         licence=mapping.licence,
         source=mapping.source,
         mapping=mapping.text,
         files=tuple(log.name for log in logs),
-        accelerometer=calibrate_poses(samples, mapping.gravity, mapping.least_s),
-        notes=tuple(note for log in logs for note in log.notes),
+        accelerometer=accelerometer,
+        gyro=gyro,
+        notes=(*(note for log in logs for note in log.notes), *gyro_notes),
         refused_files=tuple(refused),
     )
+
+
+def _gyro(
+    mapping: PoseMapping, logs: Sequence[_HandLog], accelerometer: PoseCalibration
+) -> tuple[GyroTurnCalibration | None, list[str]]:
+    """Return the calibration of the gyros by the turns, None without gyros, and why there is none.
+
+    RecordingError if gyros and accelerometers contradict each other.
+    """
+    if mapping.gyro is None:
+        return None, []
+    p = mapping.gyro.array.p
+    if p.shape != (3, 3) or np.linalg.matrix_rank(p, tol=0.1) < 3:
+        return None, ["gyros are calibrated by the turns between rests only if there are three, about three axes"]
+    if not accelerometer.shown.all():
+        return None, ["the gyros are not calibrated: the rests do not show the direction of gravity to them"]
+    into_body = np.linalg.inv(p).T
+    samples = [
+        GyroSamples(name=log.name, t_s=log.t_s, rate_rps=log.rate_rps @ into_body)
+        for log in logs
+        if log.t_s is not None and log.rate_rps is not None
+    ]
+    try:
+        return calibrate_turns(samples, accelerometer), []
+    except FewTurns as error:
+        return None, [f"the gyros are not calibrated: {error}"]
 
 
 def _read(mapping: PoseMapping, path: Path) -> _HandLog:
