@@ -65,13 +65,16 @@ class _Directions:
 class _Noise:
     """Noise of gyros at rest: variance of a mean over 1 s by white noise, variance from rest to rest beyond it, bias.
 
-    ``of_rest`` (k, 3) are the means over the rests, ``duration_s`` (k,) their lengths.
+    ``of_rest`` (k, 3) are biases at the rests, ``duration_s`` (k,) their lengths. ``bias_rps`` (3,) is that of all
+    rests, with the variance ``of_bias``.
     """
 
     white: float
     wander: float
     of_rest: Floats
     duration_s: Floats
+    bias_rps: Floats
+    of_bias: float
 
 
 def calibrate_turns(sessions: Sequence[GyroSamples], accelerometer: PoseCalibration) -> GyroTurnCalibration:
@@ -178,6 +181,8 @@ def _rows(samples: GyroSamples, rest: PoseRest) -> slice:
 
 def _noise(sessions: Sequence[GyroSamples], rests: Sequence[PoseRest]) -> _Noise:
     """Return the noise of the gyros at rest, common to all axes."""
+    from scipy.stats import chi2, norm
+
     by_name = {samples.name: samples for samples in sessions}
     means, durations, white = [], [], []
     for rest in rests:
@@ -193,10 +198,22 @@ def _noise(sessions: Sequence[GyroSamples], rests: Sequence[PoseRest]) -> _Noise
         white.append(np.diff(blocks, axis=0) ** 2 / 2 * _MEAN_S)
     of_rest, duration_s = np.array(means), np.array(durations)
     per_second = float(np.mean(np.concatenate(white)))
-    scatter = np.diff(of_rest, axis=0) ** 2 / 2
-    expected = 0.5 * per_second * (1 / duration_s[1:] + 1 / duration_s[:-1])
-    wander = max(float(np.mean(scatter - expected[:, None])), 0.0)
-    return _Noise(white=per_second, wander=wander, of_rest=of_rest, duration_s=duration_s)
+    scatter = np.median(np.diff(of_rest, axis=0) ** 2 / 2) / float(chi2.median(1))
+    wander = max(float(scatter) - per_second / float(np.median(duration_s)), 0.0)
+    variance = per_second / duration_s + wander + 1e-30
+    off = np.abs(of_rest - np.median(of_rest, axis=0)).max(axis=1) / np.sqrt(variance)
+    still = off <= float(norm.isf(_FALSE / off.size / 6))  # a hand that turns slowly meanwhile is no bias
+    weight = np.where(still, 1 / variance, 0.0)
+    bias = weight @ of_rest / weight.sum()
+    return _Noise(
+        white=per_second,
+        wander=wander,
+        of_rest=np.where(still[:, None], of_rest, bias),
+        duration_s=duration_s,
+        bias_rps=np.asarray(bias),
+        # Earth rate adds to the outputs of all rests; what of it averages out is not known.
+        of_bias=float(1 / weight.sum()) + _EARTH_RPS**2 / 3,
+    )
 
 
 def _turns(
@@ -322,10 +339,7 @@ def _result(
     from scipy.stats import norm, t
 
     matrix: Floats = np.asarray(np.linalg.inv(inverse))
-    weight = 1 / (noise.white / noise.duration_s + noise.wander + 1e-30)
-    bias = np.asarray(weight @ noise.of_rest / weight.sum())
-    # Earth rate adds to the outputs of all rests; what of it averages out is not known.
-    bias_variance = 1 / weight.sum() + _EARTH_RPS**2 / 3
+    bias = noise.bias_rps
     slopes = np.zeros((12, 9))
     values = gyro_vector(matrix, bias)
     for at in range(9):
@@ -333,7 +347,7 @@ def _result(
         changed.flat[at] += _STEP
         slopes[:, at] = (gyro_vector(np.asarray(np.linalg.inv(changed)), bias) - values) / _STEP
     whole = slopes @ covariance @ slopes.T * max(excess, 1.0)
-    whole[range(3, 6), range(3, 6)] = bias_variance
+    whole[range(3, 6), range(3, 6)] = noise.of_bias
     rows = shown.reshape(3, 3)
     tilts = [bool(rows[i, j]) for i in range(3) for j in range(3) if i != j]
     notes = []
