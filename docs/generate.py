@@ -333,7 +333,7 @@ def _mapping() -> dict[str, Any]:
         "turns": turns | {"anyOf": [{"required": [key]} for key in ("angle_deg", "file_name", "sections")]},
         "rest": _table(rest | pose | cuts, (), "rest"),
         "gravity": _table(rest | pose | cuts | by_gravity, (), "rest"),
-        "poses": _table(local_gravity, (), "poses"),
+        "poses": _by_poses(local_gravity | cuts | {"sections": _each(_table(pose | turn | limits))}),
     }
     for kind in kinds.values():
         kind["properties"] = {"kind": {}, **kind["properties"]}
@@ -363,6 +363,13 @@ def _mapping() -> dict[str, Any]:
         },
         ["device", "file", "reference"],
     ) | {"if": by_poses, "then": {"required": ["accelerometer"]}, "else": others}
+
+
+def _by_poses(properties: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema of [reference] of kind poses; the accuracy of stated poses goes with sections."""
+    known = _table({}, (), "known_poses")["properties"]
+    sections = {"dependencies": {key: ["sections"] for key in known}}
+    return _table(properties | known, (), "poses") | sections
 
 
 def _said(line: str, schema: Mapping[str, Any] | None = None, **more: Any) -> dict[str, Any]:

@@ -167,11 +167,38 @@ def parameters_of(
     return tuple(found)
 
 
+ACCELEROMETER, GYRO = "accelerometer", "gyro"
+TRIAD_NAMES = tuple(name.removeprefix("gyro ") for name in GYRO_NAMES)
+"""Names of the twelve states of a triad whose frame is stated."""
+
+
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
+class Triad:
+    """Twelve states in a stated frame: output = matrix (3, 3) times input, plus bias (3,).
+
+    ``kind`` is ACCELEROMETER, with biases in m/s2, or GYRO, with biases in rad/s. ``covariance`` (12, 12) and ``shown``
+    (12,) are of ``parameters``, in the order of ``TRIAD_NAMES``.
+    """
+
+    kind: str
+    matrix: Floats
+    bias: Floats
+    covariance: Floats
+    shown: Flags
+    factor: float
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Scales, biases and tilts with their uncertainties; a tilt is the part of a sense axis along another axis."""
+        return parameters_of(TRIAD_NAMES, gyro_vector(self.matrix, self.bias), self.covariance, self.shown, self.factor)
+
+
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class PoseSession:
     """A calibration by hand as it is kept: device, licence and source of the data, the mapping's text, the files.
 
-    ``gyro`` is None without gyros. ``notes`` are of the files; ``refused_files`` are those left out, with reasons.
+    ``gyro`` is None unless gyros are calibrated by gravity; ``triads`` are there if poses are stated. ``notes``
+    are of the files; ``refused_files`` are those left out, with reasons.
     """
 
     device: str
@@ -183,3 +210,4 @@ class PoseSession:
     refused_files: tuple[str, ...]
     accelerometer: PoseCalibration
     gyro: GyroTurnCalibration | None = None
+    triads: tuple[Triad, ...] = ()

@@ -9,12 +9,14 @@ import numpy as np
 from estimator.errors import MISSHAPEN, RecordingError, first_line
 from estimator.poses.calibration import (
     GYRO_NAMES,
+    TRIAD_NAMES,
     Gravity,
     GyroTurnCalibration,
     PoseCalibration,
     PoseRest,
     PoseSession,
     RefusedTurn,
+    Triad,
 )
 from estimator.poses.intrinsic import NAMES, Intrinsic
 from estimator.recordings.safe_open import probe
@@ -40,6 +42,8 @@ def write_pose_session(path: Path, session: PoseSession) -> None:
             _put_accelerometer(file.create_group("accelerometer"), session.accelerometer)
             if session.gyro is not None:
                 _put_gyro(file.create_group("gyro"), session.gyro)
+            for triad in session.triads:
+                _put_triad(file.create_group(f"triads/{triad.kind}"), triad)
     except (OSError, ValueError) as error:
         raise RecordingError(f"cannot create {path}: {first_line(error)}") from None
 
@@ -63,6 +67,7 @@ def read_pose_session(path: Path) -> PoseSession:
                 refused_files=_texts(file, "refused_files"),
                 accelerometer=_accelerometer(file["accelerometer"]),
                 gyro=_gyro(file["gyro"]) if "gyro" in file else None,
+                triads=tuple(_triad(kind, group) for kind, group in file.get("triads", {}).items()),
             )
     except MISSHAPEN as error:
         raise RecordingError(f"{path} is damaged: {first_line(error)}") from None
@@ -192,4 +197,25 @@ def _gyro(group: Any) -> GyroTurnCalibration:
         ),
         notes=_texts(group, "notes"),
         **numbers,
+    )
+
+
+def _put_triad(group: Any, triad: Triad) -> None:
+    """Write the twelve states of a triad in the order of their names."""
+    group.attrs["factor"] = triad.factor
+    _put_texts(group, "names", TRIAD_NAMES)
+    for key in ("matrix", "bias", "covariance", "shown"):
+        group[key] = getattr(triad, key)
+
+
+def _triad(kind: str, group: Any) -> Triad:
+    """Return the triad in a group; KeyError or ValueError if something is missing or has another shape."""
+    size = len(TRIAD_NAMES)
+    return Triad(
+        kind=kind,
+        matrix=np.asarray(group["matrix"][:], dtype=np.float64).reshape(3, 3),
+        bias=np.asarray(group["bias"][:], dtype=np.float64).reshape(3),
+        covariance=np.asarray(group["covariance"][:], dtype=np.float64).reshape(size, size),
+        shown=np.asarray(group["shown"][:], dtype=bool).reshape(size),
+        factor=float(group.attrs["factor"]),
     )

@@ -10,6 +10,7 @@ from station.views.poses import (
     norm_words,
     parameter_rows,
     rest_words,
+    triad_rows,
     turn_words,
     turns_words,
 )
@@ -28,6 +29,9 @@ def print_pose_session(session: PoseSession) -> None:
         refused = [[escape(rest_words(rest)), escape(rest.refused)] for rest in result.refused]
         shown.append((rich_table("Refused rests", ["rest", "reason"], "ll", refused, fold=True), {}))
     shown += _gyro(session)
+    for triad in session.triads:
+        own = [[row.name, row.value, row.u95, row.unit] for row in triad_rows(triad)]
+        shown.append((rich_table(f"Twelve states of the {triad.kind}s in the stated frame", _HEADS, "lrrl", own), {}))
     notes = [*session.notes, *result.notes, *(session.gyro.notes if session.gyro else ())]
     shown += [(escape(f"note: {note}"), {"highlight": False}) for note in notes]
     print_all(stdout(), shown)

@@ -6,12 +6,14 @@ from typing import Any
 
 from estimator.geometry.kinematics import GRAVITY_MPS2
 from estimator.poses.calibration import (
+    ACCELEROMETER,
     GyroTurnCalibration,
     Parameter,
     PoseCalibration,
     PoseRest,
     PoseSession,
     RefusedTurn,
+    Triad,
 )
 
 _MG = 1000 / GRAVITY_MPS2
@@ -58,6 +60,14 @@ def gyro_rows(result: GyroTurnCalibration) -> list[ParameterRow]:
         else:
             rows.append(_row(own, "deg", math.degrees(1)))
     return rows
+
+
+def triad_rows(triad: Triad) -> list[ParameterRow]:
+    """Return the twelve states of a triad in everyday units."""
+    degrees = math.degrees(1)
+    bias = ("m/s2", 1.0) if triad.kind == ACCELEROMETER else ("deg/s", degrees)
+    units = {"scale": ("", 1.0), "bias": bias}
+    return [_row(own, *units.get(own.name.split()[0], ("deg", degrees))) for own in triad.parameters]
 
 
 def turns_words(result: GyroTurnCalibration) -> str:
@@ -129,6 +139,7 @@ def session_object(session: PoseSession, path: str) -> dict[str, Any]:
         "notes": notes,
         "accelerometer": _accelerometer_object(session.accelerometer),
         "gyro": None if gyro is None else _gyro_object(gyro),
+        "triads": {triad.kind: _triad_object(triad) for triad in session.triads},
     }
 
 
@@ -160,6 +171,15 @@ def _gyro_object(result: GyroTurnCalibration) -> dict[str, Any]:
         "gravity_before_rad": result.before_rad,
         "gravity_after_rad": result.after_rad,
         "refused": [{"from": turn.before, "to": turn.after, "reason": turn.reason} for turn in result.refused],
+    }
+
+
+def _triad_object(triad: Triad) -> dict[str, Any]:
+    complete = bool(triad.shown.all())
+    return {
+        "parameters": [_parameter_object(own) for own in triad.parameters],
+        "covariance": triad.covariance.tolist() if complete else None,
+        "matrix": triad.matrix.tolist() if complete else None,
     }
 
 

@@ -2,6 +2,7 @@
 
 python tests/bench/poses.py                        200 simulated sessions: coverage of the 95 % intervals
 python tests/bench/poses.py --sessions 0 --mpu imu0.log imu1.log --means poses24.mat --phone phone.mat
+                                                   --ferraris mapping_poses.toml session.csv
 
 Exit code 1 if a figure misses its bar.
 """
@@ -22,13 +23,20 @@ import numpy as np
 from handheld import G, Log, Session, Truth, device, general_poses, make
 from scipy.io import loadmat
 
-from estimator.poses.calibration import STANDARD_GRAVITY_MPS2, Gravity, PoseCalibration
+from estimator.importing.hands.mapping import read_pose_mapping
+from estimator.importing.hands.session import calibrate_by_hand
+from estimator.poses.calibration import STANDARD_GRAVITY_MPS2, Gravity, PoseCalibration, gyro_vector
 from estimator.poses.intrinsic import NAMES
 from estimator.poses.session import PoseSamples, calibrate_poses
 
 EXACT = Gravity(value_mps2=G, sd=0.0, source="simulated")
 STANDARD = Gravity(value_mps2=STANDARD_GRAVITY_MPS2, sd=0.0, source="standard")
 MG = 9.80665e-3
+IMUCAL_MATRICES = (
+    [[0.996608, -0.014782, -0.007457], [0.008598, 1.002399, 0.001848], [0.013643, 0.00205, 1.023302]],
+    [[1.027903, -0.000467, -0.006591], [-0.000218, 0.982424, -0.002735], [0.009698, 0.007628, 0.998234]],
+)
+IMUCAL_BIASES = ([0.537117, -0.616203, 0.398867], np.radians([-0.599669, -0.369843, 0.058774]))
 LARGEST_CHI_SQUARE = 16.9  # of nine parameters, at 95 %
 LEAST_COVERAGE, MOST_COVERAGE = 0.93, 0.97
 MPU_MPS2, PHONE_MPS2, MEANS_MPS2 = 0.0022, 0.033, 0.5 * MG
@@ -148,6 +156,21 @@ def measured(bars: Bars, mpu: Sequence[str], means: str | None, phone: str | Non
         bars.see(f"{text}, {len(result.used)} rests, {len(result.refused)} refused", after <= PHONE_MPS2)
 
 
+def ferraris(bars: Bars, mapping: str, data: str) -> None:
+    """Print how far a Ferraris session is from what imucal 2.6 gives for it, in half widths of the 95 % intervals."""
+    session = calibrate_by_hand(read_pose_mapping(Path(mapping)), [Path(data)])
+    for triad, matrix, bias in zip(session.triads, IMUCAL_MATRICES, IMUCAL_BIASES, strict=True):
+        others = gyro_vector(np.array(matrix), np.array(bias))
+        shares = {
+            own.name: abs(own.value - other) / own.u95
+            for own, other in zip(triad.parameters, others, strict=True)
+            if own.value is not None and own.u95 is not None
+        }
+        worst = max(shares, key=shares.__getitem__)
+        text = f"Ferraris, {triad.kind}: {len(shares)} states within {shares[worst]:.2f} U of imucal's ({worst})"
+        bars.see(f"{text} (12 within 1)", len(shares) == 12 and shares[worst] <= 1)
+
+
 def main() -> int:
     """Print all figures that are asked for; return 1 if one misses its bar."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -155,9 +178,12 @@ def main() -> int:
     parser.add_argument("--mpu", nargs="*", default=[], help="imu0.log, imu1.log")
     parser.add_argument("--means", help="poses24.mat")
     parser.add_argument("--phone", help="phone_lis3dh_30_poses.mat")
+    parser.add_argument("--ferraris", nargs=2, metavar=("MAPPING", "SESSION"), help="a session with its mapping")
     asked = parser.parse_args()
     bars = Bars()
     measured(bars, asked.mpu, asked.means, asked.phone)
+    if asked.ferraris:
+        ferraris(bars, *asked.ferraris)
     if asked.sessions:
         coverage(bars, asked.sessions)
     return int(bars.missed > 0)

@@ -167,3 +167,55 @@ def test_gyros_that_contradict_the_accelerometers_are_a_gross_error(
 ) -> None:
     with pytest.raises(RecordingError, match=message):
         turned(tmp_path, change=GYRO.replace(old, new))
+
+
+FERRARIS = Path(__file__).parents[1] / "data" / "ferraris"
+IMUCAL_ACC = np.array([[0.996608, -0.014782, -0.007457], [0.008598, 1.002399, 0.001848], [0.013643, 0.00205, 1.023302]])
+IMUCAL_GYR = np.array(
+    [[1.027903, -0.000467, -0.006591], [-0.000218, 0.982424, -0.002735], [0.009698, 0.007628, 0.998234]]
+)
+"""K R of imucal 2.6 for this session; its biases follow."""
+IMUCAL_BIAS = [0.537117, -0.616203, 0.398867]
+IMUCAL_GYR_BIAS = np.radians([-0.599669, -0.369843, 0.058774])
+
+
+def test_a_ferraris_session_gives_what_imucal_gives_within_its_uncertainty(tmp_path: Path) -> None:
+    session = calibrate_by_hand(read_pose_mapping(FERRARIS / "mapping_poses.toml"), [FERRARIS / "session.csv"])
+    force, gyro = session.triads
+    published = (
+        (force, gyro_vector(IMUCAL_ACC, np.array(IMUCAL_BIAS))),
+        (gyro, gyro_vector(IMUCAL_GYR, IMUCAL_GYR_BIAS)),
+    )
+    for triad, values in published:
+        for own, other in zip(triad.parameters, values, strict=True):
+            assert own.value == pytest.approx(other, abs=own.u95), own.name
+    assert force.parameters[0].u95 < 1e-3
+    assert gyro.parameters[0].u95 < 0.015
+    assert session.accelerometer.after_mps2 < 0.002
+    write_pose_session(tmp_path / "session.h5", session)
+    again = read_pose_session(tmp_path / "session.h5").triads
+    assert [triad.parameters for triad in again] == [triad.parameters for triad in session.triads]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"acc_x", "acc_y"', '"acc_y", "acc_x"', "gross error.*x_p: x is stated to point up, but y does"),
+        ('x_p = { up = "x" }', 'x_p = { up = "-x" }', "gross error.*x_p: -x is stated to point up, but x does"),
+        (
+            'axis = "x", angle_deg = -360',
+            'axis = "x", angle_deg = 360',
+            "x_rot is stated to turn by 360 deg, but .* -37",
+        ),
+        ('unit = "m/s2"', 'unit = "g"', "its values look like m/s2 given as g"),
+        ('x_p = { up = "x" }', "x_p = {}", "x_p: states nothing: write up"),
+    ],
+)
+def test_a_stated_pose_or_turn_that_is_another_is_a_gross_error(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
+    text = (FERRARIS / "mapping_poses.toml").read_text(encoding="utf-8")
+    assert old in text
+    (tmp_path / "mapping.toml").write_text(text.replace(old, new), encoding="utf-8")
+    with pytest.raises(RecordingError, match=message):
+        calibrate_by_hand(read_pose_mapping(tmp_path / "mapping.toml"), [FERRARIS / "session.csv"])

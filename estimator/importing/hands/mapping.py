@@ -19,8 +19,10 @@ from estimator.importing.mapping.mapping import (
     read_gyro,
     read_timing,
 )
+from estimator.importing.mapping.reference import KnownSections, Pose, Turn, read_pose, read_sections, read_turn
 from estimator.poses.calibration import SITE_SD, STANDARD_GRAVITY_MPS2, UNSTATED_SD, Gravity
 from estimator.poses.gravity import normal_gravity_mps2
+from estimator.poses.known import Accuracy
 from estimator.strict_toml import StrictTable
 from estimator.untrusted import read_text
 
@@ -33,6 +35,7 @@ class PoseMapping:
     """The description of files of kind poses; ``text`` is that of the mapping file.
 
     ``timing`` is None if each row is the mean of one rest. ``scale_known`` is false for raw counts without a size.
+    ``known`` are sections with stated poses and turns, of ``accuracy``, if there are any.
     """
 
     name: str
@@ -44,6 +47,8 @@ class PoseMapping:
     gyro: GyroColumns | None
     gravity: Gravity
     least_s: float
+    known: KnownSections | None
+    accuracy: Accuracy
     device: str
     licence: str
     source: str
@@ -97,7 +102,13 @@ def read_pose_mapping(path: Path, protocols: Protocols | None = None) -> PoseMap
     gyro = top.table("gyro").whole(partial(read_gyro, file_format=file_format)) if top.has("gyro") else None
     site = top.table("site").whole(lambda table: table.stated(KEYS["site"])) if top.has("site") else None
     gravity = _gravity(reference, None if site is None else site["latitude_rad"])
-    reference.done()
+    known = _known(reference) if reference.has("sections") else None
+    if known is not None and timing is None:
+        raise reference.fail("sections", 'cannot be combined with data = "means"')
+    if known is not None and not scale_known:
+        raise reference.fail("sections", "needs accelerometers with a known unit: state count and count_unit")
+    accuracy = reference.stated(KEYS["known_poses"]) if known else {"pose_rad": 0.0, "angle_rad": 0.0}
+    reference.done(also=KEYS["known_poses"])
     top.done(also=("time", "gyro", "site"))
     return PoseMapping(
         name=path.name,
@@ -109,6 +120,8 @@ def read_pose_mapping(path: Path, protocols: Protocols | None = None) -> PoseMap
         gyro=gyro,
         gravity=gravity,
         least_s=stated["least_s"],
+        known=known,
+        accuracy=Accuracy(**accuracy),
         **named,
     )
 
@@ -123,6 +136,21 @@ def _accelerometer(section: StrictTable) -> tuple[Columns, bool]:
     offset = section.number("offset", 0.0)
     section.done(also=("count", "count_unit", "axes"))
     return Columns(names=tuple(names), raw=True, offset=offset, width=3, axes=np.eye(3)), False
+
+
+def _known(reference: StrictTable) -> KnownSections:
+    """Return the sections with their poses and turns; the table's error if one states neither."""
+    cuts, tables = read_sections(reference)
+    sections: dict[str, Pose | Turn] = {}
+    for name, table in tables.items():
+        if table.has("angle_deg"):
+            sections[name] = table.whole(read_turn)
+            continue
+        pose = table.whole(read_pose)
+        if pose.up is None:
+            raise table.fail(None, 'states nothing: write up = "x" for a rest, or axis and angle_deg for a turn')
+        sections[name] = pose
+    return KnownSections(cuts, sections)
 
 
 def _gravity(section: StrictTable, latitude_rad: float | None) -> Gravity:

@@ -1,33 +1,17 @@
 """Sessions in which hands laid a device in many poses: external files and a mapping become a calibration."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from estimator.errors import RecordingError
-from estimator.importing.columns import read_table
+from estimator.importing.hands.known import known_session
+from estimator.importing.hands.log import HandLog, read_log
 from estimator.importing.hands.mapping import PoseMapping
-from estimator.importing.log import timed, wanted
-from estimator.importing.mapping.mapping import Timing
-from estimator.importing.table import Wanted
-from estimator.observations.defects.faults import updates
 from estimator.poses.calibration import GyroTurnCalibration, PoseCalibration, PoseSession
 from estimator.poses.session import PoseSamples, calibrate_poses
 from estimator.poses.turns import FewTurns, GyroSamples, calibrate_turns
-from estimator.types import Floats
-
-
-@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
-class _HandLog:
-    """Samples of one file: instants (n,) or None for given means, accelerometers (n, 3), gyros (n, m) if there are."""
-
-    name: str
-    t_s: Floats | None
-    force: Floats
-    rate_rps: Floats | None
-    notes: Sequence[str]
 
 
 def calibrate_by_hand(mapping: PoseMapping, data_paths: Sequence[Path]) -> PoseSession:
@@ -37,15 +21,17 @@ def calibrate_by_hand(mapping: PoseMapping, data_paths: Sequence[Path]) -> PoseS
     """
     if not data_paths:
         raise RecordingError("no data file is given. Name at least one after the mapping")
-    logs: list[_HandLog] = []
+    logs: list[HandLog] = []
     refused: list[str] = []
     for path in data_paths:
         try:
-            logs.append(_read(mapping, path))
+            logs.append(read_log(mapping, path))
         except RecordingError as error:
             refused.append(f"{path.name}: {str(error).removeprefix(path.name).removeprefix(':').strip()}")
     if not logs:
         raise RecordingError("nothing to import: " + "; ".join(refused))
+    if mapping.known is not None:
+        return known_session(mapping, mapping.known, logs, refused)
     samples = [
         PoseSamples(name=log.name, t_s=log.t_s, outputs=log.force, scale_known=mapping.scale_known) for log in logs
     ]
@@ -65,7 +51,7 @@ def calibrate_by_hand(mapping: PoseMapping, data_paths: Sequence[Path]) -> PoseS
 
 
 def _gyro(
-    mapping: PoseMapping, logs: Sequence[_HandLog], accelerometer: PoseCalibration
+    mapping: PoseMapping, logs: Sequence[HandLog], accelerometer: PoseCalibration
 ) -> tuple[GyroTurnCalibration | None, list[str]]:
     """Return the calibration of the gyros by the turns, None without gyros, and why there is none.
 
@@ -88,35 +74,3 @@ def _gyro(
         return calibrate_turns(samples, accelerometer), []
     except FewTurns as error:
         return None, [f"the gyros are not calibrated: {error}"]
-
-
-def _read(mapping: PoseMapping, path: Path) -> _HandLog:
-    """Return the samples of a file; RecordingError if it cannot be used."""
-    if mapping.timing is None:
-        table = read_table(path, mapping.format, Wanted((), tuple(mapping.names)))
-        force = table.values(mapping.accelerometer, "[accelerometer] columns")
-        return _HandLog(name=path.name, t_s=None, force=force, rate_rps=None, notes=table.notes)
-    return _timed(mapping, mapping.timing, path)
-
-
-def _timed(mapping: PoseMapping, timing: Timing, path: Path) -> _HandLog:
-    """Return the samples of a file of samples, without held values and without rows that lack the accelerometers."""
-    table = read_table(path, mapping.format, wanted(timing, mapping.names))
-    force = table.values(mapping.accelerometer, "[accelerometer] columns")
-    rate = table.values(mapping.gyro.columns, "[gyro] columns") if mapping.gyro else None
-    if rate is not None and len(rate) != len(force):
-        raise RecordingError(f"{path.name} has {len(rate)} gyro rows but {len(force)} accelerometer rows")
-    log = timed(path, table, timing, mapping.format, force if rate is None else np.hstack([force, rate]))
-    rows, t_s = log.time.rows, log.time.t_s
-    notes = [f"{path.name}: {note}" for note in [log.time.text, *log.notes]]
-    seen = np.isfinite(force[rows]).any(axis=1)
-    kept = np.flatnonzero(seen)
-    if len(kept) < 2:
-        raise RecordingError(f"{path.name} has no number of the accelerometer. Check [accelerometer] columns")
-    fresh = updates(force[rows[kept]])
-    if fresh is not None and len(fresh) > 1:
-        share = len(kept) / len(fresh)
-        notes.append(f"{path.name}: the accelerometer is new in one row of {share:.2g}; rows between were skipped")
-        kept = kept[fresh]
-    rates = None if rate is None else rate[rows[kept]]
-    return _HandLog(name=path.name, t_s=t_s[kept], force=force[rows[kept]], rate_rps=rates, notes=notes)
