@@ -349,7 +349,15 @@ def _mapping() -> dict[str, Any]:
     accelerometer = _columns("acceleration", {"axes": square})
     sized = accelerometer.pop("allOf")
     by_poses = {"properties": {"reference": {"properties": {"kind": {"const": "poses"}}, "required": ["kind"]}}}
-    others = {"required": ["time", "gyro"], "properties": {"accelerometer": {"allOf": sized}}}
+    imu = _table(
+        {
+            "name": _TEXT,
+            "accelerometer": _columns("acceleration", {"axes": square}),
+            "gyro": _columns("rate", names, where="gyro"),
+        },
+        ["name", "accelerometer", "gyro"],
+    )
+    others = {"required": ["time", "gyro"], "properties": {"imu": False, "accelerometer": {"allOf": sized}}}
     return _table(
         {
             "device": _table({}, (), "device"),
@@ -357,12 +365,13 @@ def _mapping() -> dict[str, Any]:
             "time": time,
             "gyro": _columns("rate", names, where="gyro"),
             "accelerometer": accelerometer,
+            "imu": _said("IMUs of one board", type="array", minItems=1, items=imu),
             "temperature": _columns("temperature", {}, key="column"),
             "site": _table({}, (), "site"),
             "reference": reference,
         },
         ["device", "file", "reference"],
-    ) | {"if": by_poses, "then": {"required": ["accelerometer"]}, "else": others}
+    ) | {"if": by_poses, "then": {"anyOf": [{"required": [key]} for key in ("accelerometer", "imu")]}, "else": others}
 
 
 def _by_poses(properties: dict[str, Any]) -> dict[str, Any]:

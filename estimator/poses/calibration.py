@@ -194,10 +194,44 @@ class Triad:
 
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
+class BoardImu:
+    """One IMU on a board, against the first: ``rotation`` (3, 3) turns vectors of its frame into that of the first.
+
+    ``rotation_sd_rad`` is the standard uncertainty of it about any axis. ``arm_m`` (3,) leads from the accelerometers
+    of the first to its own, ``covariance_m2`` (3, 3) is that of it; ``distance_m`` is its length with the half width of
+    its 95 % interval.
+    """
+
+    name: str
+    accelerometer: PoseCalibration
+    gyro: GyroTurnCalibration
+    rotation: Floats
+    rotation_sd_rad: float
+    arm_m: Floats
+    covariance_m2: Floats
+    distance_m: float
+    distance_u95_m: float
+
+
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
+class Board:
+    """IMUs on a board, the first one first; ``saturated`` samples were left out, ``used`` ones give the arms.
+
+    ``misfit_mps2`` is the rms of what arms and motion leave of the accelerometers.
+    """
+
+    imus: tuple[BoardImu, ...]
+    used: int
+    saturated: int
+    misfit_mps2: float
+
+
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class PoseSession:
     """A calibration by hand as it is kept: device, licence and source of the data, the mapping's text, the files.
 
-    ``gyro`` is None unless gyros are calibrated by gravity; ``triads`` are there if poses are stated. ``notes``
+    ``gyro`` is None unless gyros are calibrated by gravity; ``triads`` are there if poses are stated.
+    ``board`` has all IMUs of a board, the first of which is ``accelerometer`` and ``gyro``. ``notes``
     are of the files; ``refused_files`` are those left out, with reasons.
     """
 
@@ -211,3 +245,4 @@ class PoseSession:
     accelerometer: PoseCalibration
     gyro: GyroTurnCalibration | None = None
     triads: tuple[Triad, ...] = ()
+    board: Board | None = None

@@ -10,6 +10,8 @@ from estimator.errors import MISSHAPEN, RecordingError, first_line
 from estimator.poses.calibration import (
     GYRO_NAMES,
     TRIAD_NAMES,
+    Board,
+    BoardImu,
     Gravity,
     GyroTurnCalibration,
     PoseCalibration,
@@ -42,6 +44,8 @@ def write_pose_session(path: Path, session: PoseSession) -> None:
             _put_accelerometer(file.create_group("accelerometer"), session.accelerometer)
             if session.gyro is not None:
                 _put_gyro(file.create_group("gyro"), session.gyro)
+            if session.board is not None:
+                _put_board(file.create_group("board"), session.board)
             for triad in session.triads:
                 _put_triad(file.create_group(f"triads/{triad.kind}"), triad)
     except (OSError, ValueError) as error:
@@ -67,6 +71,7 @@ def read_pose_session(path: Path) -> PoseSession:
                 refused_files=_texts(file, "refused_files"),
                 accelerometer=_accelerometer(file["accelerometer"]),
                 gyro=_gyro(file["gyro"]) if "gyro" in file else None,
+                board=_board(file["board"]) if "board" in file else None,
                 triads=tuple(_triad(kind, group) for kind, group in file.get("triads", {}).items()),
             )
     except MISSHAPEN as error:
@@ -218,4 +223,41 @@ def _triad(kind: str, group: Any) -> Triad:
         covariance=np.asarray(group["covariance"][:], dtype=np.float64).reshape(size, size),
         shown=np.asarray(group["shown"][:], dtype=bool).reshape(size),
         factor=float(group.attrs["factor"]),
+    )
+
+
+def _put_board(group: Any, board: Board) -> None:
+    """Write the IMUs of a board as groups by their number."""
+    group.attrs.update({"used": board.used, "saturated": board.saturated, "misfit_mps2": board.misfit_mps2})
+    for number, imu in enumerate(board.imus):
+        own = group.create_group(f"{number:03d}")
+        own.attrs.update({"name": imu.name, "rotation_sd_rad": imu.rotation_sd_rad})
+        own.attrs.update({"distance_m": imu.distance_m, "distance_u95_m": imu.distance_u95_m})
+        for key in ("rotation", "arm_m", "covariance_m2"):
+            own[key] = getattr(imu, key)
+        _put_accelerometer(own.create_group("accelerometer"), imu.accelerometer)
+        _put_gyro(own.create_group("gyro"), imu.gyro)
+
+
+def _board(group: Any) -> Board:
+    """Return the board in a group; KeyError or ValueError if something is missing or has another shape."""
+    imus = [
+        BoardImu(
+            name=str(own.attrs["name"]),
+            accelerometer=_accelerometer(own["accelerometer"]),
+            gyro=_gyro(own["gyro"]),
+            rotation=np.asarray(own["rotation"][:], dtype=np.float64).reshape(3, 3),
+            rotation_sd_rad=float(own.attrs["rotation_sd_rad"]),
+            arm_m=np.asarray(own["arm_m"][:], dtype=np.float64).reshape(3),
+            covariance_m2=np.asarray(own["covariance_m2"][:], dtype=np.float64).reshape(3, 3),
+            distance_m=float(own.attrs["distance_m"]),
+            distance_u95_m=float(own.attrs["distance_u95_m"]),
+        )
+        for own in group.values()
+    ]
+    return Board(
+        imus=tuple(imus),
+        used=int(group.attrs["used"]),
+        saturated=int(group.attrs["saturated"]),
+        misfit_mps2=float(group.attrs["misfit_mps2"]),
     )

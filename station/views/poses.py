@@ -7,6 +7,8 @@ from typing import Any
 from estimator.geometry.kinematics import GRAVITY_MPS2
 from estimator.poses.calibration import (
     ACCELEROMETER,
+    Board,
+    BoardImu,
     GyroTurnCalibration,
     Parameter,
     PoseCalibration,
@@ -68,6 +70,32 @@ def triad_rows(triad: Triad) -> list[ParameterRow]:
     bias = ("m/s2", 1.0) if triad.kind == ACCELEROMETER else ("deg/s", degrees)
     units = {"scale": ("", 1.0), "bias": bias}
     return [_row(own, *units.get(own.name.split()[0], ("deg", degrees))) for own in triad.parameters]
+
+
+def board_rows(board: Board) -> list[list[str]]:
+    """Return for each IMU its name, arm, distance and U of it in mm, and the turn against the first in deg."""
+    rows = []
+    for imu in board.imus:
+        arm = " ".join(f"{1e3 * part:.2f}" for part in imu.arm_m)
+        turn = " ".join(f"{math.degrees(part):.2f}" for part in rotation_vector(imu.rotation))
+        rows.append([imu.name, arm, f"{1e3 * imu.distance_m:.2f}", f"{1e3 * imu.distance_u95_m:.2f}", turn])
+    return rows
+
+
+def rotation_vector(matrix: Any) -> list[float]:
+    """Return the vector in rad of a rotation matrix (3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    vector: list[float] = Rotation.from_matrix(matrix).as_rotvec().tolist()
+    return vector
+
+
+def board_words(board: Board) -> str:
+    """Return what the arms rest on."""
+    return (
+        f"{board.used} samples of fast turns, {board.saturated} saturated ones left out; arms and motion leave "
+        f"{board.misfit_mps2:.2f} m/s2 (rms)"
+    )
 
 
 def turns_words(result: GyroTurnCalibration) -> str:
@@ -139,6 +167,7 @@ def session_object(session: PoseSession, path: str) -> dict[str, Any]:
         "notes": notes,
         "accelerometer": _accelerometer_object(session.accelerometer),
         "gyro": None if gyro is None else _gyro_object(gyro),
+        "board": None if session.board is None else _board_object(session.board),
         "triads": {triad.kind: _triad_object(triad) for triad in session.triads},
     }
 
@@ -171,6 +200,29 @@ def _gyro_object(result: GyroTurnCalibration) -> dict[str, Any]:
         "gravity_before_rad": result.before_rad,
         "gravity_after_rad": result.after_rad,
         "refused": [{"from": turn.before, "to": turn.after, "reason": turn.reason} for turn in result.refused],
+    }
+
+
+def _board_object(board: Board) -> dict[str, Any]:
+    return {
+        "used": board.used,
+        "saturated": board.saturated,
+        "misfit_mps2": board.misfit_mps2,
+        "imus": [_imu_object(imu) for imu in board.imus],
+    }
+
+
+def _imu_object(imu: BoardImu) -> dict[str, Any]:
+    return {
+        "name": imu.name,
+        "arm_m": imu.arm_m.tolist(),
+        "covariance_m2": imu.covariance_m2.tolist(),
+        "distance_m": imu.distance_m,
+        "distance_u95_m": imu.distance_u95_m,
+        "rotation": imu.rotation.tolist(),
+        "rotation_sd_rad": imu.rotation_sd_rad,
+        "accelerometer": _accelerometer_object(imu.accelerometer),
+        "gyro": _gyro_object(imu.gyro),
     }
 
 

@@ -2,7 +2,7 @@
 
 python tests/bench/poses.py                        200 simulated sessions: coverage of the 95 % intervals
 python tests/bench/poses.py --sessions 0 --mpu imu0.log imu1.log --means poses24.mat --phone phone.mat
-                                                   --ferraris mapping_poses.toml session.csv
+    --ferraris mapping_poses.toml session.csv --board mimu4444.toml exp_1.bin exp_2.bin exp_3.bin
 
 Exit code 1 if a figure misses its bar.
 """
@@ -37,6 +37,8 @@ IMUCAL_MATRICES = (
     [[1.027903, -0.000467, -0.006591], [-0.000218, 0.982424, -0.002735], [0.009698, 0.007628, 0.998234]],
 )
 IMUCAL_BIASES = ([0.537117, -0.616203, 0.398867], np.radians([-0.599669, -0.369843, 0.058774]))
+LAYOUT_MM = np.array([2.0, 18.9, 19.0, 18.9, 19.0, 26.7, 26.8])
+LEAST_SQUARES_MM = np.array([2.3, 18.2, 18.7, 19.2, 18.9, 25.7, 25.8])
 LARGEST_CHI_SQUARE = 16.9  # of nine parameters, at 95 %
 LEAST_COVERAGE, MOST_COVERAGE = 0.93, 0.97
 MPU_MPS2, PHONE_MPS2, MEANS_MPS2 = 0.0022, 0.033, 0.5 * MG
@@ -171,6 +173,24 @@ def ferraris(bars: Bars, mapping: str, data: str) -> None:
         bars.see(f"{text} (12 within 1)", len(shares) == 12 and shares[worst] <= 1)
 
 
+def boards(bars: Bars, mapping: str, data: Sequence[str]) -> None:
+    """Print the distances of accelerometers from the first in several runs, against the layout and each other."""
+    runs = [calibrate_by_hand(read_pose_mapping(Path(mapping)), [Path(path)]).board for path in data]
+    found = [run for run in runs if run is not None]
+    mm = np.array([[1e3 * imu.distance_m for imu in run.imus[1:]] for run in found])
+    u95 = np.array([[1e3 * imu.distance_u95_m for imu in run.imus[1:]] for run in found])
+    mean = mm.mean(axis=0)
+    for path, own, half, run in zip(data, mm, u95, found, strict=True):
+        print(f"{Path(path).name}: {np.round(own, 2)} +- {np.round(half, 2)} mm, {run.saturated} saturated samples")
+    share = float((np.abs(mm - mean) / u95).max())
+    bars.see(f"board: runs are within {share:.2f} of their 95 % half widths of the mean (1)", share <= 1)
+    print(f"  mean {np.round(mean, 2)} mm")
+    print(f"  off the nominal layout by {np.round(mean - LAYOUT_MM, 2)} mm, which is good to 1 mm")
+    off = np.abs(mean - LEAST_SQUARES_MM)
+    text = f"board: off plain least squares by {np.round(mean - LEAST_SQUARES_MM, 2)} mm (0.5)"
+    bars.see(text, bool((off <= 0.5).all()))
+
+
 def main() -> int:
     """Print all figures that are asked for; return 1 if one misses its bar."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -179,11 +199,14 @@ def main() -> int:
     parser.add_argument("--means", help="poses24.mat")
     parser.add_argument("--phone", help="phone_lis3dh_30_poses.mat")
     parser.add_argument("--ferraris", nargs=2, metavar=("MAPPING", "SESSION"), help="a session with its mapping")
+    parser.add_argument("--board", nargs="+", metavar=("MAPPING", "RUN"), help="runs of one board with its mapping")
     asked = parser.parse_args()
     bars = Bars()
     measured(bars, asked.mpu, asked.means, asked.phone)
     if asked.ferraris:
         ferraris(bars, *asked.ferraris)
+    if asked.board:
+        boards(bars, asked.board[0], asked.board[1:])
     if asked.sessions:
         coverage(bars, asked.sessions)
     return int(bars.missed > 0)

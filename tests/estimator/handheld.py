@@ -94,6 +94,41 @@ SIX = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, 
 
 def make(rng: np.random.Generator, truth: Truth, session: Session) -> Log:
     """Return the log of a session: a rest in each pose, and a turn by hand from each to the next."""
+    f, w, rests = _moved(rng, session)
+    return _sensed(rng, truth, session, f, w, rests)
+
+
+def on_board(
+    rng: np.random.Generator, truths: list[Truth], arms_m: Array, session: Session, limit_rps: float
+) -> list[Log]:
+    """Return the log of each IMU of a board: a session, and 30 s in which hands shake it; arms (m, 3) from a corner.
+
+    Gyros put out no more than ``limit_rps``.
+    """
+    f, w, rests = _moved(rng, session)
+    n = int(30 * session.rate_hz)
+    t = np.arange(n) / session.rate_hz
+    shake, change, push = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3))
+    for axis in range(3):
+        for hz in rng.uniform(0.5, 3.0, 3):
+            phase, size = rng.uniform(0, 2 * np.pi), rng.uniform(3, 7)
+            omega = 2 * np.pi * hz
+            shake[:, axis] += size * np.sin(omega * t + phase)
+            change[:, axis] += size * omega * np.cos(omega * t + phase)
+            push[:, axis] += rng.uniform(2, 6) * np.sin(omega * t + rng.uniform(0, 6))
+    logs = []
+    step_s = 1 / session.rate_hz
+    slopes = np.vstack([np.gradient(w, step_s, axis=0), change])
+    rates = np.vstack([w, shake])
+    for truth, arm in zip(truths, arms_m, strict=True):
+        at_arm = np.vstack([f, push]) + np.cross(slopes, arm) + np.cross(rates, np.cross(rates, arm))
+        log = _sensed(rng, truth, session, at_arm, rates, rests)
+        logs.append(replace(log, gyro=np.clip(log.gyro, -limit_rps, limit_rps)))
+    return logs
+
+
+def _moved(rng: np.random.Generator, session: Session) -> tuple[Array, Array, list[tuple[int, int]]]:
+    """Return specific force and rate (n, 3) in the body, and the rests."""
     step_s = 1 / session.rate_hz
     force, rate, rests = [], [], []
     attitude = _to_up(session.up[0])
@@ -126,11 +161,17 @@ def make(rng: np.random.Generator, truth: Truth, session: Session) -> Log:
         rate.append(rates)
         rows += turn_rows
         del up
-    f, w = np.vstack(force), np.vstack(rate)
+    return np.vstack(force), np.vstack(rate), rests
+
+
+def _sensed(
+    rng: np.random.Generator, truth: Truth, session: Session, f: Array, w: Array, rests: list[tuple[int, int]]
+) -> Log:
+    """Return what a device puts out under specific force and rate (n, 3)."""
     n = len(f)
     accel = f @ truth.accel.T + truth.bias + session.noise * rng.normal(size=(n, 3))
     gyro = w @ truth.gyro.T + truth.gyro_bias + session.gyro_noise * rng.normal(size=(n, 3))
-    return Log(np.arange(n) * step_s, accel, gyro, rests)
+    return Log(np.arange(n) / session.rate_hz, accel, gyro, rests)
 
 
 def saturated(log: Log, limit: float) -> Log:

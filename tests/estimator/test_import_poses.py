@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from handheld import Session, Truth, device, general_poses, make
+from handheld import Session, Truth, device, general_poses, make, on_board
 
 from estimator.errors import RecordingError
 from estimator.importing.hands.mapping import read_pose_mapping
@@ -219,3 +219,39 @@ def test_a_stated_pose_or_turn_that_is_another_is_a_gross_error(
     (tmp_path / "mapping.toml").write_text(text.replace(old, new), encoding="utf-8")
     with pytest.raises(RecordingError, match=message):
         calibrate_by_hand(read_pose_mapping(tmp_path / "mapping.toml"), [FERRARIS / "session.csv"])
+
+
+ARMS_MM = np.array([[0.0, 0.0, 0.0], [20.0, 0.0, 1.0], [0.0, 15.0, -1.0], [-10.0, 8.0, 2.0]])
+
+
+def test_imus_on_one_board_are_located_by_fast_turns_and_saturated_samples_left_out(tmp_path: Path) -> None:
+    rng = np.random.default_rng(41)
+    truths = [device(rng) for _ in ARMS_MM]
+    limit = 10.0
+    logs = on_board(rng, truths, ARMS_MM * 1e-3, Session(up=general_poses(rng, 18), rate_hz=100.0), limit)
+    columns = ["t"]
+    text = '[device]\nname = "board"\n[file]\nformat = "csv"\n[time]\ncolumn = "t"\nunit = "s"\n'
+    text += '[reference]\nkind = "poses"\ngravity_mps2 = 9.81\n'
+    for number in range(len(logs)):
+        force, rate = ([f"{what}{number}{axis}" for axis in "xyz"] for what in "ag")
+        columns += [*force, *rate]
+        text += f'[[imu]]\nname = "IMU {number + 1}"\naccelerometer = {{ columns = {force}, unit = "m/s2" }}\n'
+        text += f'gyro = {{ columns = {rate}, unit = "rad/s" }}\n'
+    rows = np.column_stack([logs[0].t_s, *(part for log in logs for part in (log.accel, log.gyro))])
+    np.savetxt(tmp_path / "board.csv", rows, "%.9g", ",", header=",".join(columns), comments="")
+    (tmp_path / "mapping.toml").write_text(text.replace("'", '"'), encoding="utf-8")
+    session = calibrate_by_hand(read_pose_mapping(tmp_path / "mapping.toml"), [tmp_path / "board.csv"])
+    board = session.board
+    assert board is not None
+    held = np.any([np.abs(log.gyro) == limit for log in logs], axis=(0, 2))
+    assert board.saturated == held.sum() > 50
+    for imu, arm in zip(board.imus[1:], ARMS_MM[1:], strict=True):
+        true_m = float(np.linalg.norm(arm)) * 1e-3
+        assert imu.distance_m == pytest.approx(true_m, abs=2e-4), imu.name
+        assert abs(imu.distance_m - true_m) < 1.5 * imu.distance_u95_m
+    # The device's own frames differ by what its matrices do not show.
+    assert max(np.abs(imu.rotation - np.eye(3)).max() for imu in board.imus) < 0.1
+    write_pose_session(tmp_path / "board.h5", session)
+    again = read_pose_session(tmp_path / "board.h5").board
+    assert again is not None
+    assert [imu.distance_m for imu in again.imus] == [imu.distance_m for imu in board.imus]

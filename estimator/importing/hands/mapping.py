@@ -31,11 +31,21 @@ KIND = "poses"
 
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
+class ImuColumns:
+    """Columns of one of several IMUs on a board."""
+
+    name: str
+    accelerometer: Columns
+    gyro: GyroColumns
+
+
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class PoseMapping:
     """The description of files of kind poses; ``text`` is that of the mapping file.
 
     ``timing`` is None if each row is the mean of one rest. ``scale_known`` is false for raw counts without a size.
-    ``known`` are sections with stated poses and turns, of ``accuracy``, if there are any.
+    ``known`` are sections with stated poses and turns, of ``accuracy``, if there are any. ``imus`` are all IMUs of a
+    board, the first of which is ``accelerometer`` and ``gyro``; empty for one device.
     """
 
     name: str
@@ -49,6 +59,7 @@ class PoseMapping:
     least_s: float
     known: KnownSections | None
     accuracy: Accuracy
+    imus: tuple[ImuColumns, ...]
     device: str
     licence: str
     source: str
@@ -57,7 +68,8 @@ class PoseMapping:
     def names(self) -> list[str]:
         """Names of the columns of a data file, but for its time."""
         gyro = self.gyro.columns.names if self.gyro else ()
-        return [*self.accelerometer.names, *gyro]
+        others = [(*imu.accelerometer.names, *imu.gyro.columns.names) for imu in self.imus[1:]]
+        return [*self.accelerometer.names, *gyro, *(name for own in others for name in own)]
 
 
 def is_poses(path: Path) -> bool:
@@ -77,7 +89,8 @@ def read_pose_mapping(path: Path, protocols: Protocols | None = None) -> PoseMap
     """
     text = read_text(path, RecordingError)
     top = StrictTable.parse(text, path.name, RecordingError)
-    for name in ("device", "file", "accelerometer", "reference"):
+    needed = ("device", "file", "reference") if top.has("imu") else ("device", "file", "accelerometer", "reference")
+    for name in needed:
         if not top.has(name):
             raise RecordingError(f"{path.name} has no table [{name}]: add it")
     named = top.table("device").whole(lambda table: table.stated(KEYS["device"]))
@@ -85,31 +98,22 @@ def read_pose_mapping(path: Path, protocols: Protocols | None = None) -> PoseMap
     reference = top.table("reference")
     reference.string("kind", one_of=(KIND,))
     stated = reference.stated(KEYS[KIND])
-    timing = None
-    if stated["means"]:
-        if top.has("time"):
-            raise top.table("time").fail(None, 'is not for data = "means", where each row is a rest: leave it out')
-        if top.has("gyro"):
-            raise top.table("gyro").fail(None, 'is not for data = "means", which holds no turns: leave it out')
-    elif not top.has("time"):
-        raise RecordingError(
-            f"{path.name} has no table [time]: add it, with column and unit of the stamps, or rate_hz if there are "
-            'none; if each row is already the mean of one rest, write data = "means" in [reference]'
-        )
+    timing = _timing(top, path.name, file_format, means=stated["means"])
+    imus = tuple(table.whole(partial(_imu, file_format=file_format)) for table in top.tables("imu"))
+    gyro: GyroColumns | None
+    if imus:
+        accelerometer, scale_known, gyro = imus[0].accelerometer, True, imus[0].gyro
     else:
-        timing = read_timing(top.table("time"), file_format)
-    accelerometer, scale_known = _accelerometer(top.table("accelerometer"))
-    gyro = top.table("gyro").whole(partial(read_gyro, file_format=file_format)) if top.has("gyro") else None
+        accelerometer, scale_known = _accelerometer(top.table("accelerometer"))
+        gyro = top.table("gyro").whole(partial(read_gyro, file_format=file_format)) if top.has("gyro") else None
     site = top.table("site").whole(lambda table: table.stated(KEYS["site"])) if top.has("site") else None
     gravity = _gravity(reference, None if site is None else site["latitude_rad"])
-    known = _known(reference) if reference.has("sections") else None
-    if known is not None and timing is None:
-        raise reference.fail("sections", 'cannot be combined with data = "means"')
-    if known is not None and not scale_known:
-        raise reference.fail("sections", "needs accelerometers with a known unit: state count and count_unit")
+    known = _known(reference, timing, scale_known=scale_known) if reference.has("sections") else None
+    if imus and (known is not None or timing is None):
+        raise reference.fail(None, "of several IMUs on a board needs samples with rests in unknown poses")
     accuracy = reference.stated(KEYS["known_poses"]) if known else {"pose_rad": 0.0, "angle_rad": 0.0}
     reference.done(also=KEYS["known_poses"])
-    top.done(also=("time", "gyro", "site"))
+    top.done(also=("time", "gyro", "site", "imu", "accelerometer"))
     return PoseMapping(
         name=path.name,
         text=text,
@@ -122,8 +126,35 @@ def read_pose_mapping(path: Path, protocols: Protocols | None = None) -> PoseMap
         least_s=stated["least_s"],
         known=known,
         accuracy=Accuracy(**accuracy),
+        imus=imus,
         **named,
     )
+
+
+def _timing(top: StrictTable, name: str, file_format: FileFormat, *, means: bool) -> Timing | None:
+    """Return the timing of a mapping, None for given means; RecordingError if it is missing, or there for means."""
+    if not means:
+        if not top.has("time"):
+            raise RecordingError(
+                f"{name} has no table [time]: add it, with column and unit of the stamps, or rate_hz if there are "
+                'none; if each row is already the mean of one rest, write data = "means" in [reference]'
+            )
+        return read_timing(top.table("time"), file_format)
+    if top.has("time"):
+        raise top.table("time").fail(None, 'is not for data = "means", where each row is a rest: leave it out')
+    if top.has("gyro"):
+        raise top.table("gyro").fail(None, 'is not for data = "means", which holds no turns: leave it out')
+    return None
+
+
+def _imu(section: StrictTable, file_format: FileFormat) -> ImuColumns:
+    """Return one IMU of a board; the section's error unless it has three gyros."""
+    name = section.string("name")
+    accelerometer = section.table("accelerometer").whole(read_accelerometer)
+    gyro = section.table("gyro").whole(partial(read_gyro, file_format=file_format))
+    if len(gyro.array) != 3:
+        raise section.fail("gyro", "needs three gyros")
+    return ImuColumns(name=name, accelerometer=accelerometer, gyro=gyro)
 
 
 def _accelerometer(section: StrictTable) -> tuple[Columns, bool]:
@@ -138,8 +169,12 @@ def _accelerometer(section: StrictTable) -> tuple[Columns, bool]:
     return Columns(names=tuple(names), raw=True, offset=offset, width=3, axes=np.eye(3)), False
 
 
-def _known(reference: StrictTable) -> KnownSections:
-    """Return the sections with their poses and turns; the table's error if one states neither."""
+def _known(reference: StrictTable, timing: Timing | None, *, scale_known: bool) -> KnownSections:
+    """Return the sections with their poses and turns; the table's error if one states neither, or cannot be used."""
+    if timing is None:
+        raise reference.fail("sections", 'cannot be combined with data = "means"')
+    if not scale_known:
+        raise reference.fail("sections", "needs accelerometers with a known unit: state count and count_unit")
     cuts, tables = read_sections(reference)
     sections: dict[str, Pose | Turn] = {}
     for name, table in tables.items():

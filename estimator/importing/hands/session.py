@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from estimator.errors import RecordingError
+from estimator.importing.hands.board import board_session
 from estimator.importing.hands.known import known_session
 from estimator.importing.hands.log import HandLog, read_log
 from estimator.importing.hands.mapping import PoseMapping
@@ -21,6 +22,8 @@ def calibrate_by_hand(mapping: PoseMapping, data_paths: Sequence[Path]) -> PoseS
     """
     if not data_paths:
         raise RecordingError("no data file is given. Name at least one after the mapping")
+    if mapping.imus:
+        return board_session(mapping, data_paths)
     logs: list[HandLog] = []
     refused: list[str] = []
     for path in data_paths:
