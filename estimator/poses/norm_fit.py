@@ -16,6 +16,8 @@ PLAUSIBLE = np.array([0.05] * 3 + [0.05] * 3 + [0.05] * 3)
 """Sizes of errors of an accelerometer: of its scale, of the bias in g, of the angles in rad."""
 _SHOWN = 0.1  # share of the plausible variance that may be left of a parameter that the rests show
 _ITERATIONS, _SETTLED = 50, 1e-9  # plausible sizes
+_SUBSETS, _IMPROVED = 200, 4  # of rests, tried as the good ones
+_FAR = 6.0  # sigmas of the good ones
 _FALSE = 0.01  # probability of refusing any rest of a good session
 _LARGEST_SHARE = 0.25  # of the rests that are refused at most
 
@@ -105,8 +107,8 @@ def start_of(rests: Rests, *, scale_known: bool) -> Intrinsic:
 def fit_robustly(rests: Rests, start: Intrinsic) -> tuple[NormFit, list[Doubtful]]:
     """Return the fit of the rests that agree with each other, and the others.
 
-    Rests far off a fit with bounded influence are set aside, and come back if the others predict them. The rest that
-    fits least is tested by its residual without it (Student's t, over all rests together).
+    Rests far off the fit of those that agree best are set aside, and come back if the others predict them. The rest
+    that fits least is tested by its residual without it (Student's t, over all rests together).
     """
     from scipy.stats import t
 
@@ -270,20 +272,35 @@ def _with_between(rests: Rests, parameters: Intrinsic, freedom: int) -> tuple[In
 
 
 def _near(rests: Rests, start: Intrinsic, least: int) -> Flags:
-    """Return which rests (n,) are near a fit in which the influence of each is bounded, at least ``least`` of them."""
-    weights = np.ones(len(rests))
-    parameters = start
-    for _ in range(30):
-        weighted = replace(rests, covariance=rests.covariance / weights[:, None, None])
-        parameters = _minimised(weighted, parameters, 0.0)
+    """Return which rests (n,) agree with the ``least`` of them that agree best: least trimmed squares.
+
+    Fits of random subsets, each improved by its own best rests, in the linear model about the present fit (Rousseeuw
+    and Van Driessen 2006).
+    """
+    random = np.random.default_rng(0)
+    parameters = _minimised(rests, start, 0.0)
+    best: Flags = np.ones(len(rests), dtype=bool)
+    for _ in range(2):
         linear = _linear(rests, parameters)
-        size = np.abs(linear.residual) / np.sqrt(linear.variance)
-        ordered = np.sort(size)
-        usual = max(float(ordered[(len(rests) + PARAMETERS) // 2]) / 0.6745, 1e-9)
-        weights = 1 / (1 + (size / (2.385 * usual)) ** 2)  # Cauchy's, 95 % efficient
-    kept = size <= 6 * usual
-    kept[np.argsort(size)[:least]] = True
-    return np.asarray(kept)
+        sd = np.sqrt(linear.variance)
+        slopes, left = linear.slopes / sd[:, None], linear.residual / sd
+        lowest = np.inf
+        for _ in range(_SUBSETS):
+            subset = random.choice(len(rests), PARAMETERS + 1, replace=False)
+            for _ in range(_IMPROVED):
+                step = np.linalg.lstsq(slopes[subset], -left[subset], rcond=None)[0]
+                squares = (left + slopes @ step) ** 2
+                subset = np.argpartition(squares, least - 1)[:least]
+            total = float(squares[subset].sum())
+            if total < lowest:
+                lowest = total
+                best = np.zeros(len(rests), dtype=bool)
+                best[subset] = True
+        parameters = _minimised(rests.only(best), parameters, 0.0)
+    linear = _linear(rests, parameters)
+    size = np.abs(linear.residual) / np.sqrt(linear.variance)
+    usual = float(np.sqrt(np.sum(size[best] ** 2) / max(best.sum() - PARAMETERS, 1)))
+    return np.asarray(best | (size <= _FAR * max(usual, 1e-9)))
 
 
 def _deleted(rests: Rests, kept: Flags, current: NormFit) -> Floats:

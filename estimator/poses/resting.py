@@ -11,8 +11,7 @@ from estimator.types import Flags, Floats, runs_of
 
 WINDOW_S = 0.25
 """Length of a window: above the period of a hand's tremor (5 to 12 Hz), below that of any motion between poses."""
-_CELLS = 5  # steps of a window along the samples
-_TRIMMED = 2  # cells at each end of a rest, which may hold the beginning of a motion
+_CELLS = 5  # steps of a window along the samples; one window at each end of a rest may hold the beginning of a motion
 _SURE = 1e-4  # probability that the means of windows of one rest differ as much by chance
 _CLASSES = 128  # of the histogram of scatters
 _TURN = 0.01  # rad; a mean over poses that are less apart is shorter by less than 2e-5
@@ -44,14 +43,14 @@ def find_rests(t_s: Floats, outputs: Floats, least_s: float) -> list[StillSpan]:
     cells = outputs[: count * rows].reshape(count, rows, -1)
     means = cells.mean(axis=1)
     scatter, whole = _scatters(t_s[: count * rows], cells, means, period_s)
-    quiet = whole & (scatter <= _dividing_scatter(scatter[whole]))
+    quiet = whole & (scatter <= _still_scatter(scatter, means, whole))
     still = np.zeros(count, dtype=bool)
     for shift in range(_CELLS):
         still[shift : shift + len(quiet)] |= quiet
     spans = []
     for start, stop in runs_of(still):
-        first = start + _TRIMMED * (start > 0)
-        last = stop - _TRIMMED * (stop < count)
+        first = start + _CELLS * (start > 0)
+        last = stop - _CELLS * (stop < count)
         for a, b in _steady(means, first, last):
             first_row, stop_row = a * rows, b * rows
             duration_s = float(t_s[stop_row - 1] - t_s[first_row]) + period_s
@@ -77,6 +76,25 @@ def _scatters(t_s: Floats, cells: Floats, means: Floats, period_s: float) -> tup
     gaps = np.append(np.diff(t_s) > 3 * period_s, False).reshape(len(cells), rows).any(axis=1)
     bad = np.concatenate([[0], np.cumsum(~good | gaps)])
     return scatter, np.asarray(bad[_CELLS:] == bad[:-_CELLS])
+
+
+def _still_scatter(scatter: Floats, means: Floats, whole: Flags) -> float:
+    """Return the largest scatter (k,) of windows at rest; infinity if nothing moves.
+
+    Rests in a hand are a class of their own, above those on a table: the windows of the next class are at rest, too, if
+    from one to the next their mean changes less than they scatter. In a turn it changes by three times as much.
+    """
+    of_windows = np.array([means[at : at + len(scatter)] for at in range(_CELLS)]).mean(axis=0)
+    change = np.linalg.norm(of_windows[_CELLS:] - of_windows[:-_CELLS], axis=1)
+    limit = _dividing_scatter(scatter[whole])
+    while np.isfinite(limit):
+        above = whole & (scatter > limit)
+        higher = _dividing_scatter(scatter[above]) if above.sum() > _CELLS else np.inf
+        between = above[: len(change)] & (scatter[: len(change)] <= higher)
+        if not np.isfinite(higher) or np.median(change[between] / scatter[: len(change)][between]) > 1:
+            break
+        limit = higher
+    return limit
 
 
 def _dividing_scatter(scatter: Floats) -> float:

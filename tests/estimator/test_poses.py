@@ -109,6 +109,27 @@ def test_a_bumped_rest_is_refused_and_the_others_are_used(push: float) -> None:
     assert np.abs(errors_of(result, truth)).max() < 2
 
 
+def test_three_bumped_rests_do_not_hide_each_other() -> None:
+    truth, log = session(13)
+    for rest in (2, 9, 15):
+        start, stop = log.rests[rest]
+        log = bumped(log, rest, 0.1 * log.accel[start:stop].mean(axis=0) / G)
+    result = calibrated(log)
+    assert len(result.refused) == 3
+    assert np.abs(errors_of(result, truth)).max() < 2
+
+
+def test_rests_on_a_table_and_in_a_hand_are_found_in_one_session() -> None:
+    truth, log = session(14, noise=0.01)
+    accel = log.accel.copy()
+    for start, stop in log.rests[::2]:
+        phase = 2 * np.pi * 8.3 * log.t_s[start:stop, None]
+        accel[start:stop] += 0.15 * np.sin(phase + np.array([0.0, 2.0, 4.0]))
+    result = calibrated(replace(log, accel=accel))
+    assert len(result.used) == 20
+    assert np.abs(errors_of(result, truth)).max() < 2
+
+
 def test_rests_in_which_an_axis_saturates_or_sticks_are_refused_by_name() -> None:
     truth, log = session(5)
     result = calibrated(saturated(log, 9.3))
