@@ -114,7 +114,7 @@ def _means_of(samples: PoseSamples, least_s: float) -> _Means:
         raise RecordingError(f"{samples.name}: {error}") from None
     means = np.array([outputs[span.first : span.stop].mean(axis=0) for span in spans])
     radial = [
-        (outputs[span.first : span.stop] - mean) @ (mean / np.linalg.norm(mean))
+        (outputs[span.first : span.stop] - mean) @ _direction(mean)
         for span, mean in zip(spans, _centred(means, scale_known=samples.scale_known), strict=True)
     ]
     period_s = float(np.median(np.diff(samples.t_s)))
@@ -148,6 +148,10 @@ def _given_means(name: str, outputs: Floats) -> _Means:
 def _centred(means: Floats, *, scale_known: bool) -> Floats:
     """Return means (n, 3) of which the zero is known at least roughly: raw counts are taken from their middle."""
     return means if scale_known else means - 0.5 * (means.min(axis=0) + means.max(axis=0))
+
+
+def _direction(mean: Floats) -> Floats:
+    return np.asarray(mean / max(float(np.linalg.norm(mean)), np.finfo(float).tiny))
 
 
 def _rounding(outputs: Floats, radial: Sequence[Floats]) -> float:

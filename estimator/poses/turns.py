@@ -5,7 +5,7 @@ moves nothing. The rate is C (output - bias) in the frame of the accelerometers,
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations, product
 
 import numpy as np
@@ -82,6 +82,7 @@ def calibrate_turns(sessions: Sequence[GyroSamples], accelerometer: PoseCalibrat
 
     RecordingError if gyros and accelerometers contradict each other, FewTurns if too few can be used.
     """
+    sessions = [_alive(samples) for samples in sessions]
     rests = accelerometer.used
     directions = _directions(accelerometer)
     noise = _noise(sessions, rests)
@@ -100,6 +101,17 @@ def calibrate_turns(sessions: Sequence[GyroSamples], accelerometer: PoseCalibrat
         refused.append(RefusedTurn(before=rests[turn.before].number, after=rests[turn.after].number, reason=reason))
         inverse, covariance, shown, freedom, excess = _fit(directions, turns)
     return _result(inverse, covariance, shown, freedom, excess, noise, turns, tuple(refused), directions, before_rad)
+
+
+def _alive(samples: GyroSamples) -> GyroSamples:
+    """Return samples without blanks; FewTurns if a gyro gives no number, or always the same one."""
+    whole = np.isfinite(samples.rate_rps).all(axis=1)
+    for axis, column in zip("xyz", samples.rate_rps.T, strict=True):
+        known = column[np.isfinite(column)]
+        if len(known) == 0 or np.ptp(known) == 0:
+            what = f"puts out {np.degrees(known[0]):.4g} deg/s all the time" if len(known) else "gives no number"
+            raise FewTurns(f"gyro {axis} {what}: it is dead, or its column is wrong")
+    return replace(samples, t_s=samples.t_s[whole], rate_rps=samples.rate_rps[whole])
 
 
 def _axes_contradict(up: Floats, turns: Sequence[_Turn]) -> str:
@@ -188,9 +200,8 @@ def _noise(sessions: Sequence[GyroSamples], rests: Sequence[PoseRest]) -> _Noise
     for rest in rests:
         samples = by_name[rest.file]
         own = samples.rate_rps[_rows(samples, rest)]
-        own = own[np.isfinite(own).all(axis=1)]
-        if len(own) == 0:
-            raise RecordingError(f"{rest.file}: the gyros give no number in rest {rest.number}")
+        if len(own) < 2:
+            raise FewTurns(f"{rest.file}: the gyros give no number in rest {rest.number}")
         means.append(own.mean(axis=0))
         durations.append(rest.duration_s or 0.0)
         width = max(round(_MEAN_S / float(np.median(np.diff(samples.t_s)))), 1)
@@ -246,8 +257,6 @@ def _turns(
 def _unusable(samples: GyroSamples, between: slice) -> str:
     """Return why the samples of a turn cannot be summed up; "" if they can."""
     t_s, rate = samples.t_s[between], samples.rate_rps[between]
-    if not np.isfinite(rate).all():
-        return "the gyros give no number in it"
     if np.diff(t_s).max() > _LOST_STEPS * float(np.median(np.diff(samples.t_s))):
         return "samples are missing in it"
     for axis, own, column in zip("xyz", rate.T, samples.rate_rps.T, strict=True):

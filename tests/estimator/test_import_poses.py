@@ -154,6 +154,17 @@ def test_gyros_are_calibrated_by_the_turns_between_rests(tmp_path: Path) -> None
     assert again.parameters == result.parameters
 
 
+def test_a_dead_gyro_is_named_and_the_accelerometers_are_calibrated(tmp_path: Path) -> None:
+    rng = np.random.default_rng(32)
+    log = make(rng, device(rng), Session(up=general_poses(rng, 12)))
+    log.gyro[:, 1] = 0.25
+    (tmp_path / "mapping.toml").write_text(MAPPING + GYRO, encoding="utf-8")
+    session = calibrate_by_hand(read_pose_mapping(tmp_path / "mapping.toml"), [log.write(tmp_path / "log.csv")])
+    assert session.gyro is None
+    assert "the gyros are not calibrated: gyro y puts out 14.32 deg/s all the time" in session.notes[-1]
+    assert session.accelerometer.shown.all()
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
