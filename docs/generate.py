@@ -315,6 +315,13 @@ def _mapping() -> dict[str, Any]:
         "accelerometer": _said("whether rests give its factors and offsets", enum=["from rests", "stated"]),
         "sd_deg": _said("doubt of a direction up, one sigma", _NOT_NEGATIVE),
     }
+    local_gravity = {
+        "gravity_mps2": _said(
+            "local gravity; left out: of the site, or standard", type="number", minimum=9.7, maximum=9.9
+        ),
+        "gravity_ppm": _said("its standard uncertainty; left out: 50", _NOT_NEGATIVE),
+        "height_m": _said("height of the site; left out: 0", _NUMBER),
+    }
     file_name = _said("regular expression with the groups axis and angle_deg", _TEXT, format="regex")
     turns = _table(
         turn | cuts | {"sections": _each(_table(turn | limits, ["angle_deg"])), "file_name": file_name}, (), "turns"
@@ -326,6 +333,7 @@ def _mapping() -> dict[str, Any]:
         "turns": turns | {"anyOf": [{"required": [key]} for key in ("angle_deg", "file_name", "sections")]},
         "rest": _table(rest | pose | cuts, (), "rest"),
         "gravity": _table(rest | pose | cuts | by_gravity, (), "rest"),
+        "poses": _by_poses(local_gravity | cuts | {"sections": _each(_table(pose | turn | limits))}),
     }
     for kind in kinds.values():
         kind["properties"] = {"kind": {}, **kind["properties"]}
@@ -338,19 +346,39 @@ def _mapping() -> dict[str, Any]:
     }
     names = {"axes": _said("sense axis of each gyro", axes), "names": _said("of the gyros", _TEXTS)}
     square = _said("body axes of the columns", type="array", minItems=3, maxItems=3, items=_DIRECTION)
+    accelerometer = _columns("acceleration", {"axes": square})
+    sized = accelerometer.pop("allOf")
+    by_poses = {"properties": {"reference": {"properties": {"kind": {"const": "poses"}}, "required": ["kind"]}}}
+    imu = _table(
+        {
+            "name": _TEXT,
+            "accelerometer": _columns("acceleration", {"axes": square}),
+            "gyro": _columns("rate", names, where="gyro"),
+        },
+        ["name", "accelerometer", "gyro"],
+    )
+    others = {"required": ["time", "gyro"], "properties": {"imu": False, "accelerometer": {"allOf": sized}}}
     return _table(
         {
             "device": _table({}, (), "device"),
             "file": file,
             "time": time,
             "gyro": _columns("rate", names, where="gyro"),
-            "accelerometer": _columns("acceleration", {"axes": square}),
+            "accelerometer": accelerometer,
+            "imu": _said("IMUs of one board", type="array", minItems=1, items=imu),
             "temperature": _columns("temperature", {}, key="column"),
             "site": _table({}, (), "site"),
             "reference": reference,
         },
-        ["device", "file", "time", "gyro", "reference"],
-    )
+        ["device", "file", "reference"],
+    ) | {"if": by_poses, "then": {"anyOf": [{"required": [key]} for key in ("accelerometer", "imu")]}, "else": others}
+
+
+def _by_poses(properties: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema of [reference] of kind poses; the accuracy of stated poses goes with sections."""
+    known = _table({}, (), "known_poses")["properties"]
+    sections = {"dependencies": {key: ["sections"] for key in known}}
+    return _table(properties | known, (), "poses") | sections
 
 
 def _said(line: str, schema: Mapping[str, Any] | None = None, **more: Any) -> dict[str, Any]:

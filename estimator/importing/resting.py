@@ -68,7 +68,7 @@ def rests_of(
             a, b = np.searchsorted(own, [first, stop]).tolist()
             return _stated_rest(samples, a, b, stated.sections[section], stated)
 
-        rests, refused = of_sections(mapping, stated, log, rest_of)
+        rests, refused = of_sections(mapping.name, stated, log, rest_of)
         others = set(log.table.labels[stated.cuts.column]) - {"", *stated.sections} if stated.cuts.column else ()
         notes += [f"rows labelled {', '.join(sorted(others))} count as motion"] if others else []
     else:

@@ -12,7 +12,7 @@ from estimator.errors import MISSHAPEN, RecordingError
 from estimator.importing.expressions import SEARCH_LIMIT_S, groups_of
 from estimator.importing.log import Log
 from estimator.importing.mapping.mapping import Mapping, beside
-from estimator.importing.mapping.reference import Rests, StatedTurns, Turn, turn_about
+from estimator.importing.mapping.reference import KnownSections, Rests, StatedTurns, Turn, turn_about
 from estimator.importing.table import Table
 from estimator.packaged import sentence
 from estimator.types import Floats
@@ -55,7 +55,7 @@ def turn_spans(mapping: Mapping, stated: StatedTurns, log: Log, rate: Floats) ->
     if not stated.sections:
         return [_span(mapping, stated, t_s, rows, _turn_of_file(mapping, stated, log.path))], []
     return of_sections(
-        mapping, stated, log, lambda name, a, b: _span(mapping, stated, t_s[a:b], rows[a:b], stated.sections[name])
+        mapping.name, stated, log, lambda name, a, b: _span(mapping, stated, t_s[a:b], rows[a:b], stated.sections[name])
     )
 
 
@@ -83,7 +83,7 @@ def _turn_of_file(mapping: Mapping, reference: StatedTurns, path: Path) -> Turn:
 
 
 def of_sections(
-    mapping: Mapping, stated: StatedTurns | Rests, log: Log, read: Callable[[str, int, int], T]
+    mapping: str, stated: StatedTurns | Rests | KnownSections, log: Log, read: Callable[[str, int, int], T]
 ) -> tuple[list[T], list[Refused]]:
     """Return ``read(name, first, stop)`` for each section (numbers of kept rows), and the sections that it refuses.
 
@@ -100,7 +100,7 @@ def of_sections(
     return found, refused
 
 
-def _section_rows(mapping: Mapping, stated: StatedTurns | Rests, log: Log) -> list[tuple[str, int, int]]:
+def _section_rows(mapping: str, stated: StatedTurns | Rests | KnownSections, log: Log) -> list[tuple[str, int, int]]:
     """Return (name, first, stop) of each section in kept rows, by labels, a list, or limits in seconds.
 
     RecordingError if a named section is missing; for turns also if the file has one that is not named. Unnamed sections
@@ -122,12 +122,12 @@ def _section_rows(mapping: Mapping, stated: StatedTurns | Rests, log: Log) -> li
     unknown = [name for name in present if name not in names]
     if unknown and all_named:
         raise RecordingError(
-            sentence("importing.section_unknown", file=path.name, sections=", ".join(unknown), mapping=mapping.name)
+            sentence("importing.section_unknown", file=path.name, sections=", ".join(unknown), mapping=mapping)
         )
     missing = [name for name in names if name not in present]
     if missing:
         has = f"; it has {', '.join(unknown)}" if unknown else ""
-        raise RecordingError(f"{path.name} has no section {', '.join(missing)}, which {mapping.name} names{has}")
+        raise RecordingError(f"{path.name} has no section {', '.join(missing)}, which {mapping} names{has}")
     return [(name, *np.searchsorted(edges, [start, end]).tolist()) for name, start, end in limits if name in names]
 
 

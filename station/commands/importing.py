@@ -8,21 +8,29 @@ from pathlib import Path
 
 from rich.markup import escape
 
+from estimator.importing.hands.mapping import is_poses, read_pose_mapping
+from estimator.importing.hands.session import calibrate_by_hand
 from estimator.importing.importing import Imported, import_recording
 from estimator.importing.looking import Look, look
 from estimator.importing.mapping.mapping import read_mapping
+from estimator.poses.calibration import PoseSession
+from estimator.poses.file import is_pose_session, read_pose_session, write_pose_session
 from estimator.recordings.writing import write_recording
 from estimator.untrusted import harmless
 from station.atomic_write import check_new_file, write_whole
 from station.errors import EXIT_USAGE, UsageError
 from station.opening.captures import PROTOCOLS
 from station.render.lines import tell
+from station.render.poses_printed import print_pose_session
 from station.render.terminal import print_all, rich_table, stdout
+from station.views.poses import session_object
 
 
 def command_import(arguments: argparse.Namespace) -> int:
     """Convert data of other programs to a recording, or with --look show a file; return 2 if a file was lost,
     else 0.
+
+    Sessions in which hands laid the device in many poses become a calibration.
     """
     if arguments.look is not None:
         return _look(arguments)
@@ -31,11 +39,33 @@ def command_import(arguments: argparse.Namespace) -> int:
             "give a mapping file, data files, and the recording to write with -o; --look FILE shows a file"
         )
     output = Path(arguments.output)
+    if is_poses(Path(arguments.mapping)):
+        return _calibrate_by_hand(arguments, output)
     mapping = read_mapping(Path(arguments.mapping), PROTOCOLS)
     imported = import_recording(mapping, [Path(name) for name in arguments.data])
     write_recording(output, imported.recording)
     _print_imported(imported, output, as_json=arguments.json)
     return EXIT_USAGE if imported.lost_files else 0
+
+
+def _calibrate_by_hand(arguments: argparse.Namespace, output: Path) -> int:
+    """Calibrate from rests in many poses, print the result and write it; return 2 if a file was lost, else 0."""
+    check_new_file(output, "--output")
+    mapping = read_pose_mapping(Path(arguments.mapping), PROTOCOLS)
+    session = calibrate_by_hand(mapping, [Path(name) for name in arguments.data])
+    write_pose_session(output, session)
+    _print_pose_session(session, output, as_json=arguments.json)
+    return EXIT_USAGE if session.refused_files else 0
+
+
+def _print_pose_session(session: PoseSession, path: Path, *, as_json: bool) -> None:
+    if as_json:
+        print(json.dumps(session_object(session, str(path))))
+        return
+    print_pose_session(session)
+    print(f"calibration: {path}", flush=True)
+    for entry in session.refused_files:
+        tell(harmless(f"refused {entry}"), sys.stderr)
 
 
 def _print_imported(imported: Imported, output: Path, *, as_json: bool) -> None:
@@ -56,11 +86,17 @@ def _print_imported(imported: Imported, output: Path, *, as_json: bool) -> None:
 
 
 def _look(arguments: argparse.Namespace) -> int:
-    """Show the columns of a file with guesses, and print the mapping or write it to --output; return 0."""
+    """Show the columns of a file with guesses, and print the mapping or write it to --output; return 0.
+
+    A calibration by poses is printed as it was when it was made.
+    """
     output = Path(arguments.output) if arguments.output else None
     if output is not None:
         check_new_file(output, "--output")
     path = Path(arguments.look)
+    if output is None and is_pose_session(path):
+        _print_pose_session(read_pose_session(path), path, as_json=arguments.json)
+        return 0
     found = look(path)
     if output is not None:
         write_whole(output, found.mapping)

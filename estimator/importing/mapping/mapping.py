@@ -160,16 +160,16 @@ def read_mapping(path: Path | str, protocols: Protocols | None = None) -> Mappin
             raise RecordingError(f"{path.name} has no table [{name}]: add it{how}")
     protocols, folder = protocols or {}, path.parent
     named = top.table("device").whole(lambda table: table.stated(KEYS["device"]))
-    file_format = _format(top.table("file"), protocols, folder)
-    timing = _timing(top.table("time"), file_format)
-    gyro = top.table("gyro").whole(partial(_gyro, file_format=file_format))
+    file_format = read_format(top.table("file"), protocols, folder)
+    timing = read_timing(top.table("time"), file_format)
+    gyro = top.table("gyro").whole(partial(read_gyro, file_format=file_format))
     felt = top.table("accelerometer") if top.has("accelerometer") else None
     beside_file = None
     if felt is not None and felt.has("file"):
         beside_file = _reference_file(felt, file_format, timing, protocols, folder)
         if beside_file.offset_s is None:
             raise felt.fail("time", 'offset_s = "from data" is for a reference: state the seconds to add to its stamps')
-    accelerometer = felt.whole(_accelerometer) if felt is not None else None
+    accelerometer = felt.whole(read_accelerometer) if felt is not None else None
     warmth = partial(stated_columns, quantity="temperature", key="column")
     temperature = top.table("temperature").whole(warmth) if top.has("temperature") else None
     site = top.table("site").whole(lambda table: Site(**table.stated(KEYS["site"]))) if top.has("site") else None
@@ -248,16 +248,16 @@ def _reference_file(
         own = replace(file_format, columns=(), from_row=0.0, until_row=math.inf, from_s=0.0, until_s=math.inf)
     else:
         stated = section.table("file")
-        name, own = stated.string("name"), _format(stated, protocols, folder)
+        name, own = stated.string("name"), read_format(stated, protocols, folder)
     if section.has("time"):
         stated = section.table("time")
         told = isinstance(stated.again().value("offset_s"), str) and stated.string("offset_s", one_of=("from data",))
         offset_s = None if told else stated.number("offset_s", 0.0)
-        timing = _timing(stated, own) if stated.remaining() else timing
+        timing = read_timing(stated, own) if stated.remaining() else timing
     return ReferenceFile(name, own, timing, offset_s)
 
 
-def _format(section: StrictTable, protocols: Protocols, folder: Path) -> FileFormat:
+def read_format(section: StrictTable, protocols: Protocols, folder: Path) -> FileFormat:
     """Return the file format of a section; the section's error for invalid limits or delimiters.
 
     ``protocols`` are further formats, which may look for files in ``folder``.
@@ -298,7 +298,7 @@ def _record(section: StrictTable) -> np.dtype[Any]:
     return np.dtype(list(fields.items())).newbyteorder("<" if order == "little" else ">")
 
 
-def _timing(section: StrictTable, file_format: FileFormat) -> Timing:
+def read_timing(section: StrictTable, file_format: FileFormat) -> Timing:
     """Return the timing of a section: stamps, a rate, or a variable with the rate.
 
     The section's error unless exactly one is given, or if it does not go with the format of the file.
@@ -323,7 +323,7 @@ def _timing(section: StrictTable, file_format: FileFormat) -> Timing:
     return timing
 
 
-def _gyro(section: StrictTable, file_format: FileFormat) -> GyroColumns:
+def read_gyro(section: StrictTable, file_format: FileFormat) -> GyroColumns:
     """Return the gyros of a section; its error if their number or axes are invalid.
 
     Without axes there are three along x, y, z. Without names they are named by their axes if these differ, else
@@ -353,7 +353,8 @@ def _axes(value: object) -> tuple[list[str], list[Vector]]:
     return [a.lstrip("+-") if isinstance(a, str) else "" for a in listed], [direction(a) for a in listed]
 
 
-def _accelerometer(section: StrictTable) -> Columns:
+def read_accelerometer(section: StrictTable) -> Columns:
+    """Return three accelerometers of a section; its error if unit or axes are invalid."""
     return replace(stated_columns(section, "acceleration"), axes=section.take("axes", np.eye(3), _square))
 
 

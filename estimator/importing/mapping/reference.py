@@ -99,6 +99,14 @@ class Rests:
     gravity: Gravity | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class KnownSections:
+    """Sections of which each is a rest in a stated pose, or a stated turn."""
+
+    cuts: Cuts
+    sections: Dict[str, Pose | Turn]
+
+
 ForeignReference = Measured | StatedTurns | Rests
 
 
@@ -193,16 +201,17 @@ def _turns(section: StrictTable) -> StatedTurns:
     """
     stated = StatedTurns(**section.stated(KEYS["turns"]))
     if section.has("sections"):
-        cuts, tables = _sections(section)
-        return replace(stated, cuts=cuts, sections={name: table.whole(_turn) for name, table in tables.items()})
+        cuts, tables = read_sections(section)
+        return replace(stated, cuts=cuts, sections={name: table.whole(read_turn) for name, table in tables.items()})
     if section.has("file_name"):
         return replace(stated, pattern=section.take("file_name", None, _pattern))
     if not section.has("angle_deg"):
         raise section.fail("angle_deg", "is missing: give it, or file_name (a regular expression), or sections")
-    return replace(stated, turn=_turn(section))
+    return replace(stated, turn=read_turn(section))
 
 
-def _turn(section: StrictTable) -> Turn:
+def read_turn(section: StrictTable) -> Turn:
+    """Return the turn that a section states; its error for an invalid axis."""
     angle_deg, axis = section.number("angle_deg"), section.string("axis", "")
     try:
         return turn_about(axis, angle_deg)
@@ -236,16 +245,17 @@ def _rests(section: StrictTable, *, by_gravity: bool) -> Rests:
         for key in ("where", "up", "north"):
             if section.has(key):
                 raise section.fail(key, "cannot be combined with sections, which state the rests, each with its own up")
-        stated["cuts"], tables = _sections(section)
-        stated["sections"] = {name: table.whole(_pose) for name, table in tables.items()}
+        stated["cuts"], tables = read_sections(section)
+        stated["sections"] = {name: table.whole(read_pose) for name, table in tables.items()}
     else:
         stated["everywhere"] = section.string("where", "found", one_of=("found", "everywhere")) == "everywhere"
     listed = section.table("files", optional=True)
-    files = {name: listed.table(name).whole(_pose) for name in listed.remaining()}
-    return Rests(pose=_pose(section), files=files, **stated)
+    files = {name: listed.table(name).whole(read_pose) for name in listed.remaining()}
+    return Rests(pose=read_pose(section), files=files, **stated)
 
 
-def _pose(section: StrictTable) -> Pose:
+def read_pose(section: StrictTable) -> Pose:
+    """Return the pose that a section states; its error for directions that contradict each other."""
     found = {key: _unit(section, key) for key in ("up", "north") if section.has(key)}
     if "north" in found and "up" not in found:
         raise section.fail("north", "is stated without up: add up, the body axis that points up")
@@ -254,7 +264,7 @@ def _pose(section: StrictTable) -> Pose:
     return Pose(found.get("up"), found.get("north"))
 
 
-def _sections(section: StrictTable) -> tuple[Cuts, dict[str, StrictTable]]:
+def read_sections(section: StrictTable) -> tuple[Cuts, dict[str, StrictTable]]:
     """Return how files are cut into sections, and the table of each section without its limits.
 
     The section's error unless there is exactly one of a section list, a column of labels, and limits in s; or without
