@@ -29,7 +29,7 @@ from station.render.progress import TracingProgress
 from station.report.pictures import draw_investigation
 from station.schema.tables import Table
 from station.scripts.next_script import NextScript, Past, next_script
-from station.views.investigation import investigation_view
+from station.views.investigation import investigation_object, investigation_view
 
 _NEXT_FILE = "next-script.toml"
 _MOST_RIVALS = 4  # of an unexplained residual, so many suspects are compared
@@ -63,17 +63,18 @@ def command_investigate(arguments: argparse.Namespace) -> int:
         write_next(script_file, following, limits)
     written = None if following is None else script_file
     view = investigation_view(found, written, fitted, judging)
+    result = investigation_object(view)
     if model is not None:
-        write_investigation(model, found, view)
+        write_investigation(model, found, result)
     if picture is not None:
         draw_investigation(picture, found)
     if arguments.json:
-        print(json.dumps({**view, "output": arguments.output, "plot": arguments.plot}))
+        print(json.dumps({**result, "output": arguments.output, "plot": arguments.plot}))
     else:
         print_investigation(found, following, written)
         if following is None and exit_code_of(found.finding):
             print(f"no next script: {_why_none(recordings, limits)}")
-            for line in view.get("record_next", []):
+            for line in view.record_next:
                 print(f"next, record a run that shows {line}")
         for kind, path in (("picture", picture), ("results", model)):
             if path is not None:

@@ -23,6 +23,16 @@ Shown: TypeAlias = tuple[RenderableType, dict[str, Any]]
 """A line or a table, and how Console.print is to print it."""
 
 
+def line(markup: str) -> Shown:
+    """Return a line of markup, in which names must have gone through ``escape``; its figures are not coloured."""
+    return markup, {"highlight": False}
+
+
+def unbroken(text: str) -> Shown:
+    """Return a line of plain text, such as a command or a path, that is not broken between words."""
+    return text, {"highlight": False, "markup": False, "soft_wrap": True}
+
+
 def stdout() -> Console:
     """Return the console for results; a pipe has no width of its own, and a table of 80 columns loses its numbers."""
     console = HarmlessConsole()

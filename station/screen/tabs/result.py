@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
 from rich.console import Group, RenderableType
 from rich.text import Text
@@ -293,12 +293,10 @@ def _investigation(found: Mapping[str, Any]) -> list[RenderableType]:
     Call it in a thread: it loads a library first.
     """
     from station.render.investigation_printed import investigation_shown
-    from station.views.investigation import InvestigationView, is_investigation
+    from station.views.investigation import investigation_of
 
     try:
-        shown = investigation_shown(cast(InvestigationView, found), "d drives it") if is_investigation(found) else None
+        shown = investigation_shown(investigation_of(found), "d drives it")
     except Exception:  # a file made by hand
-        shown = None
-    if shown is None:
         return [Text("damaged, or written by another version of the station: I investigates again", "yellow")]
     return [Text.from_markup(line, emoji=False) if isinstance(line, str) else line for line, _ in shown]
