@@ -17,7 +17,6 @@ from estimator.observations.rests import REST_RPS
 from estimator.planning.planning import EffectForecast, Forecast, PlannedDevice, forecast
 from estimator.recordings.recording import ImuData
 from estimator.recordings.reference import TableReadings
-from station.render.plan_printed import MARKED, unnoticed
 from station.report.figures import Unit, figure, significant, typographic
 from station.report.recorded import Recorded, Step
 from station.scripts.planned import planned_motion
@@ -26,6 +25,7 @@ from station.scripts.steps.kind import Step as ScriptStep
 from station.scripts.steps.rest import Rest
 from station.scripts.steps.rotate import Rotate
 from station.views.figures import human
+from station.views.plan import MARKED, unnoticed
 
 _PERIOD_S = 0.1
 _MOST_ROWS = 36_000  # an hour of them; longer runs use coarser steps
