@@ -28,6 +28,11 @@ def line(markup: str) -> Shown:
     return markup, {"highlight": False}
 
 
+def title(text: str) -> Shown:
+    """Return a line of plain text above a table that has no title itself."""
+    return text, {"style": "bold", "highlight": False, "markup": False}
+
+
 def unbroken(text: str) -> Shown:
     """Return a line of plain text, such as a command or a path, that is not broken between words."""
     return text, {"highlight": False, "markup": False, "soft_wrap": True}
