@@ -13,7 +13,7 @@ from station.errors import sentence
 from station.render.plans.early_late import beside_table, proved_words
 from station.render.plans.effects import effects_shown
 from station.render.plans.sigmas import sigmas_table, unobservable_lines, verdict_line
-from station.render.terminal import Shown, line, print_all, shown_of
+from station.render.terminal import Shown, line, print_all, template_lines
 from station.scripts.axis_profile import profile_lines
 from station.scripts.plan import WARMING_TIME_S, Plan
 from station.scripts.polling import too_steep
@@ -109,4 +109,4 @@ def _assumed(plan: Plan) -> list[Shown]:
         "has_site": plan.bench.site is not None,
         "has_uncertain_table": plan.bench.table.uncertainty is not None,
     }
-    return shown_of("station.render", "assumed.rich", values)
+    return template_lines("station.render", "assumed.rich", values)

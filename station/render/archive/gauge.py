@@ -6,7 +6,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from estimator.geometry.model import STATES
-from station.render.terminal import Shown, line, rich_table, shown_of, title
+from station.render.terminal import Shown, line, rich_table, template_lines, title
 from station.views.figures import UNKNOWN, StateUnit, figures_from, number
 from station.views.history import GaugeStudy, GaugeView
 
@@ -32,7 +32,7 @@ def gauge_shown(folder: str, studies: Sequence[GaugeView]) -> Iterator[Shown]:
             yield from _study(view.study, figures_from(view.units))
     if any(view.study for view in studies):
         yield line("")
-        yield from shown_of("station.render", "gauge.rich", {})
+        yield from template_lines("station.render", "gauge.rich", {})
 
 
 def _title(view: GaugeView) -> str:
