@@ -41,6 +41,9 @@ NAMES = {"k": (0,), "b": (1,), "sigma": (2, 3), "sigma_j": (2,), "sigma_k": (3,)
 DEFAULT_FILE = "improved.toml"
 _PERIOD_S = 0.05
 _MOST_ROWS = 50_000
+_MOST_NAMED = 4
+_TABLE_LIMITS = "the uncertainty of the table ([table.uncertainty])"
+_NOISE_LIMITS = "noise that does not average out (bias_instability, rate_random_walk of the data sheet)"
 
 
 def improve(arguments: argparse.Namespace, bench: Bench, script: Script) -> int:
@@ -61,8 +64,7 @@ def improve(arguments: argparse.Namespace, bench: Bench, script: Script) -> int:
     check(found.script, bench.table.limits)
     search_s = time.perf_counter() - began_s
     improved = Improved(before=script, wanted=wanted, found=found, gyros=gyros, search_s=search_s)
-    result = {"improved": improved, "bench": bench}
-    write_whole(path, script_text(found.script, rendered("station.commands", "improved_origin.txt", result)))
+    write_whole(path, script_text(found.script, _origin(improved, bench)))
     if arguments.json:
         print(json.dumps(improved_object(improved, path)))
     else:
@@ -176,17 +178,43 @@ def _columns(text: str) -> list[int]:
 
 def _why_not(search: Search, bench: Bench, wanted: Wanted, gyros: tuple[tuple[str, str], ...]) -> str:
     """Return the text that says which sigmas cannot be reached, and what limits them."""
-    directions = np.array([way.direction for way in ways_of(bench.table.gimbals, (0.0, math.pi / 2))])
-    values = {"wanted": wanted, "axes": bench.table.gimbals, "turns": np.linalg.matrix_rank(directions)}
-    if wanted.total_s is None:
-        missed, table_sd = search.unreachable(), None
-        if not missed.any():
-            longest = search.longest()
-            missed = sds_of(search.predict(longest)) > wanted.sd
-            table_sd = make_plan(longest, bench, effects=()).table_sd
-        names = [f"{gyros[row][1]} {STATE_FIGURES[state].name}" for row, state in np.argwhere(missed)]
-        values |= {"missed": names, "table_sd": table_sd, "longest_h": LONGEST_S / 3600}
-    return rendered("station.commands", "unreachable.txt", values).rstrip()
+    if wanted.total_s is not None:
+        return f"{wanted.total_s:g} s is too short for the rests and a turn about each axis. Allow more time"
+    missed = search.unreachable()
+    if missed.any():
+        cause = _limit_of_motion(bench)
+    else:
+        longest = search.longest()
+        missed = sds_of(search.predict(longest)) > wanted.sd
+        table_sd = make_plan(longest, bench, effects=()).table_sd
+        cause = _TABLE_LIMITS if bool((table_sd > wanted.sd).any()) else _NOISE_LIMITS
+    names = [f"{gyros[row][1]} {STATE_FIGURES[state].name}" for row, state in np.argwhere(missed)]
+    others = len(names) - _MOST_NAMED
+    more = f" and {others} more" if others > 0 else ""
+    return f"cannot be reached: sigma of {', '.join(names[:_MOST_NAMED])}{more}. Cause: {cause}"
+
+
+def _limit_of_motion(bench: Bench) -> str:
+    """Return why no motion of a table without errors reaches the sigmas."""
+    axes = bench.table.gimbals
+    directions = np.array([way.direction for way in ways_of(axes, (0.0, math.pi / 2))])
+    if np.linalg.matrix_rank(directions) < 3:
+        return f"the table turns the body about too few axes (it has axis {', '.join(axes)})"
+    return f"the rate limits of the axes and the white noise, even in {LONGEST_S / 3600:g} h"
+
+
+def _origin(improved: Improved, bench: Bench) -> str:
+    """Return the comment at the top of the script found: what it was found for, and how long it lasts."""
+    wanted = improved.wanted
+    aim = "shortest time to its sigmas"
+    if wanted.total_s is not None:
+        aim = f"smallest sigmas in {wanted.total_s:g} s"
+    lines = [
+        f"Found by station plan --improve for the bench {bench.name!r}, criterion {wanted.criterion}: {aim}.",
+        f"{improved.found.script.least_s:.1f} s; {improved.before.name} takes {improved.before.least_s:.1f} s.",
+        f"It rests {wanted.rest_s:g} s at both ends, to separate noise from motion.",
+    ]
+    return "\n".join(lines)
 
 
 def _refuse(reason: str, as_json: bool) -> int:
