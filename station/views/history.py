@@ -4,7 +4,7 @@ Figures in SI, None for what is not known. Loads nothing that takes long: the sc
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -95,9 +95,10 @@ class GaugeStudy:
 
 @dataclass(kw_only=True, frozen=True, slots=True)
 class GaugeView:
-    """A gauge study of comparable runs; ``study`` is None unless two devices were measured ``repeated``-ly.
+    """A gauge study of comparable runs, of which ``failed`` are a FAIL.
 
-    ``devices``, ``runs``, those ``failed`` among them, and devices ``repeated`` under one condition are numbers.
+    ``repeated`` is the number of devices that were measured twice by one operator on one bench; ``study`` is None for
+    fewer than two of them.
     """
 
     script: str
@@ -112,13 +113,19 @@ class GaugeView:
     study: GaugeStudy | None
 
 
+_MOVE_KEYS = tuple(field.name for field in fields(Move))
+_ROW_KEYS = tuple(field.name for field in fields(HistoryRow) if field.name not in ("moved", "gyros"))
+
+
 def row_object(row: HistoryRow) -> dict[str, Any]:
     """Return a row for --json."""
-    from station.views.json_values import json_object
+    from station.views.json_values import named
 
-    whole: dict[str, Any] = json_object(row)
-    whole["gyros"] = [{"name": gyro.name, **gyro.values, "sd": dict(gyro.sds)} for gyro in row.gyros]
-    return whole
+    return {
+        **named(row, _ROW_KEYS),
+        "moved": [named(move, _MOVE_KEYS) for move in row.moved],
+        "gyros": [{"name": gyro.name, **gyro.values, "sd": gyro.sds} for gyro in row.gyros],
+    }
 
 
 def chart_object(view: ChartView) -> dict[str, Any]:

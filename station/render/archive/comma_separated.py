@@ -28,9 +28,16 @@ _COLUMNS: Mapping[str, Callable[[HistoryRow], _Cell]] = {
 def csv_text(recordings: Sequence[HistoryRow]) -> str:
     """Return a line for each recording, with the states of every gyro that any of them has."""
     names = list(dict.fromkeys(gyro.name for row in recordings for gyro in row.gyros))
-    heads = [quoted for name in names for state in STATES for quoted in _pair(f"{name} {state}", f"{name} sd {state}")]
-    lines = [[*_COLUMNS, "moved", *heads], *(_line(row, names) for row in recordings)]
+    lines = [_heads(names), *(_line(row, names) for row in recordings)]
     return "".join(f"{','.join(cells)}\n" for cells in lines)
+
+
+def _heads(names: Sequence[str]) -> list[str]:
+    heads = [*_COLUMNS, "moved"]
+    for name in names:
+        for state in STATES:
+            heads += _pair(f"{name} {state}", f"{name} sd {state}")
+    return heads
 
 
 def _line(row: HistoryRow, names: Sequence[str]) -> list[str]:

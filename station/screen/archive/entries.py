@@ -166,14 +166,16 @@ def moves(entries: Iterable[Entry]) -> dict[str, list[Move]]:
         if run is not last and run.when_utc_s == last.when_utc_s:  # a copy
             found[run.file] = found[last.file]
             continue
+        since = last.path.name
+        since_when = last.when
         limit = NormalDist().inv_cdf(1 - _BY_CHANCE / 2 / (len(run.gyros) * len(STATES)))
         found[run.file] = [
             Move(
                 gyro=new.full_name,
                 state=state,
                 sigmas=(x - before) / sigma,
-                since=last.path.name,
-                since_when=last.when,
+                since=since,
+                since_when=since_when,
             )
             for old, new in zip(last.gyros, run.gyros, strict=True)
             for state, before, x, *sds in zip(STATES, old.values, new.values, old.sds, new.sds, strict=True)
