@@ -6,6 +6,8 @@ from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
+from jinja2 import Environment, nodes
+
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("drivers", "estimator", "sims", "station")
 
@@ -172,3 +174,38 @@ def _name_of(function: ast.expr) -> str:
     if isinstance(function, ast.Attribute):
         return function.attr
     return function.id if isinstance(function, ast.Name) else ""
+
+
+TEXTS_FOR_PEOPLE = ("station/render",)
+"""Packages whose templates hold text alone."""
+COMPUTING = (nodes.ExprStmt, nodes.Assign, nodes.AssignBlock, nodes.BinExpr, nodes.Neg, nodes.Pos, nodes.Getitem)
+LOGIC = (nodes.And, nodes.Or)
+
+
+def test_templates_for_people_hold_text_only() -> None:
+    """What a template computes is seen by no type checker; values come ready from Python, which has one."""
+    environment = Environment(extensions=["jinja2.ext.do"])
+    computing = set()
+    for package in TEXTS_FOR_PEOPLE:
+        templates = [path for path in sorted((ROOT / package / "templates").rglob("*")) if path.is_file()]
+        assert templates, f"{package} has no templates"
+        for path in templates:
+            tree = environment.parse(path.read_text(encoding="utf-8"))
+            computing |= {f"{named(path)}, line {node.lineno}: {type(node).__name__}" for node in _computed_in(tree)}
+    assert not computing
+
+
+def _computed_in(template: nodes.Template) -> Iterator[nodes.Node]:
+    """Yield what is more than text: statements, assignments, arithmetic, subscripts, comparisons with non-strings."""
+    for node in template.find_all(nodes.Node):
+        is_computing = isinstance(node, COMPUTING) and not isinstance(node, LOGIC)
+        if is_computing or (isinstance(node, nodes.Compare) and not _compares_strings(node)):
+            yield node
+
+
+def _compares_strings(comparison: nodes.Compare) -> bool:
+    """Return whether a value is only compared, for equality, with strings that stand in the template."""
+    return all(
+        operand.op in ("eq", "ne") and isinstance(operand.expr, nodes.Const) and isinstance(operand.expr.value, str)
+        for operand in comparison.ops
+    )

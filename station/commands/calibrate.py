@@ -29,8 +29,8 @@ from station.campaigns.campaigns import run_all
 from station.errors import UsageError
 from station.render import printing
 from station.render.lines import tell
-from station.render.template import rendered
-from station.render.terminal import print_rendered, stdout
+from station.render.results.overview import OverviewRow, print_overview, tell_compared
+from station.render.results.repeatability import print_repeatability, repeatability_object
 from station.run.outcome import Outcome, Verdict, ended_of, judge_recorded
 from station.screen.archive.entries import series_of
 
@@ -206,7 +206,7 @@ def _print_json(ends: Sequence[End]) -> int:
         else:
             result = printing.result_object(end.verdict, name, end.calibration)
             if name in series:  # the last run of a device carries how it repeats
-                result["repeatability"] = printing.repeatability_object(_repeats(series[name]))
+                result["repeatability"] = repeatability_object(_repeats(series[name]))
             print(json.dumps(result))
             worst = max(worst, end.verdict.outcome.exit_code)
     return worst
@@ -232,10 +232,10 @@ def _print(ends: Sequence[End], *, in_lines: bool, details: bool) -> int:
         if len(runs) > 1:
             _, first = runs[0]
             device, script = (str(first.attributes.get(key, "")) for key in ("device_serial", "script"))
-            printing.print_repeatability(_repeats(runs), device, script, first.units)
+            print_repeatability(_repeats(runs), device, script, first.units)
     alone = len(judged) - sum(len(runs) for runs in series if len(runs) > 1)
     if alone and len(judged) > 1:
-        tell(rendered("station.render", "compared.txt", {"alone": alone, "judged": len(judged)}).strip())
+        tell_compared(alone, len(judged))
     worst = max((end.verdict.outcome.exit_code for _, end in judged), default=0)
     sys.stdout.flush()  # failures come last, wherever the two streams lead
     failed = [(name, reason) for name, reason in ends if isinstance(reason, str)]
@@ -267,7 +267,7 @@ def _print_overview(judged: Sequence[tuple[str, Estimated]], folder: str) -> Non
     """Print one line per recording: device, verdict, quality; then the reasons, each with the recordings it
     applies to.
     """
-    lines = []
+    rows = []
     reasons: dict[str, list[str]] = {}
     for name, end in judged:
         carried = [str(device).partition(" (")[0] for device in end.attributes.get("devices", ())]
@@ -275,11 +275,19 @@ def _print_overview(judged: Sequence[tuple[str, Estimated]], folder: str) -> Non
         known = (str(end.attributes.get(key, "")) for key in ("device_serial", "device"))
         device = next(filter(None, known), ", ".join(carried or sources))
         file = os.path.relpath(name, folder)
-        lines.append((file, device, str(end.attributes.get("script", "")), end))
+        rows.append(
+            OverviewRow(
+                recording=file,
+                device=device,
+                script=str(end.attributes.get("script", "")),
+                outcome=end.verdict.outcome,
+                worst_share=end.seen,
+                nis_mean=math.nan if end.calibration is None else end.calibration.nis_mean,
+            )
+        )
         for reason in _reasons(end.verdict):
             reasons.setdefault(reason, []).append(file)
-    values = {"lines": lines, "folder": folder, "reasons": reasons}
-    print_rendered(stdout(), "station.render", "overview.rich", values)
+    print_overview(folder, rows, reasons)
 
 
 def _reasons(verdict: Verdict) -> list[str]:

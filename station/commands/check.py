@@ -15,7 +15,8 @@ from station.computer.look import look_at_computer
 from station.computer.timekeeping import ClockWatch
 from station.opening import open_bench
 from station.opening.checking import DeviceCheck, check_bench
-from station.render.terminal import print_all, print_rendered, stdout
+from station.render.check_printed import print_check
+from station.render.terminal import print_all, stdout
 from station.run.outcome import Outcome
 from station.views.json_values import json_object
 
@@ -52,6 +53,6 @@ def command_check(arguments: argparse.Namespace) -> int:
         findings = [asdict(finding) for finding in computer]
         print(json.dumps({"ok": well, "devices": json_object(found), "computer": findings}))
     else:
-        print_rendered(stdout(), "station.render", "check.rich", {"bench": bench, "found": found})
+        print_check(bench.name, found)
         print_computer(computer)
     return (Outcome.PASS if well else Outcome.FAULT).exit_code

@@ -6,7 +6,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from drivers.plugins import load_files
+from drivers.plugins import PluginError, load_files
 from estimator.errors import EstimatorError
 from estimator.recordings.reading import read_recording
 from estimator.recordings.recording import Series
@@ -17,8 +17,8 @@ from station.exports.exported import Exported, exported_of
 from station.exports.formats import FORMATS, Format
 from station.exports.written import Written
 from station.render import printing
+from station.render.catalogues import FormatView, print_formats
 from station.render.lines import tell
-from station.render.terminal import print_rendered, stdout
 from station.run.outcome import Outcome, Verdict
 
 _STDOUT = "-"
@@ -184,8 +184,15 @@ def _write_form(name: str, form: Format, exported: Exported, arguments: argparse
 
 def _print_list(as_json: bool) -> None:
     tried = FORMATS.beside(load_files()).tried().items()
-    listed = {name: (getattr(f, "holds", f"not used: {f}"), getattr(f, "lacks", "")) for name, f in tried}
+    listed = [_format_view(name, form) for name, form in tried]
     if as_json:
-        print(json.dumps({name: {"holds": holds, "lacks": lacks} for name, (holds, lacks) in listed.items()}))
-        return
-    print_rendered(stdout(), "station.render", "formats.rich", {"listed": listed})
+        print(json.dumps({form.name: {"holds": form.holds, "lacks": form.lacks} for form in listed}))
+    else:
+        print_formats(listed)
+
+
+def _format_view(name: str, form: Format | PluginError) -> FormatView:
+    """Return what a format holds; of one that could not be loaded, why."""
+    if isinstance(form, PluginError):
+        return FormatView(name=name, holds=f"not used: {form}", lacks="")
+    return FormatView(name=name, holds=form.holds, lacks=form.lacks)

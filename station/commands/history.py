@@ -10,26 +10,37 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from datetime import date
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from estimator.calibration.calibration_file import read_calibration
 from estimator.calibration.values import Calibration
 from estimator.estimation.control_charts import control_chart
-from estimator.geometry.model import STATES
 from estimator.untrusted import harmless
 from station.errors import UsageError
-from station.render.history_printed import recordings_shown
+from station.render.archive.charts import history_shown
+from station.render.archive.comma_separated import csv_text
+from station.render.archive.gauge import gauge_shown
+from station.render.archive.recordings import recordings_shown
 from station.render.lines import tell
 from station.render.progress import TracingProgress
-from station.render.template import rendered
-from station.render.terminal import print_all, print_rendered, stdout
+from station.render.terminal import print_all, stdout
 from station.screen.archive.archive import Archive
 from station.screen.archive.entries import Entry, comparable, moves
 from station.screen.archive.validity import validity_on
-from station.views.figures import OUTCOME_STYLES, figures_from
-from station.views.json_values import by_state, json_object
+from station.views.figures import OUTCOME_STYLES
+from station.views.history import (
+    ChartView,
+    GaugeStudy,
+    GaugeView,
+    HistoryGyro,
+    HistoryRow,
+    Move,
+    chart_object,
+    gauge_object,
+    row_object,
+)
+from station.views.json_values import by_state
 
 _MOST_ROWS = 50  # for a person
 _TEXTS = {"device_serial": "serial", "station": "bench"} | {
@@ -65,30 +76,30 @@ def command_history(arguments: argparse.Namespace) -> int:
     moved = moves(entry for entry in every if entry.serial in serials)
     charted = comparable(entries) if arguments.serial else []
     rows = [_row(entry, folder, moved.get(entry.file, [])) for entry in shown]
-    found = {
-        "folder": str(folder),
-        "found": len(entries),
-        "recordings": rows,
-        "charts": [_chart(runs) for runs in charted if sum(not run.failed for run in runs) > 1],
-    }
     if arguments.gauge:
-        found = {"folder": str(folder), "gauge": [_study(runs) for runs in comparable(entries[: arguments.last], 2)]}
+        _print_gauge(folder, comparable(entries[: arguments.last], 2), as_json=arguments.json)
+        return 0
+    charts = [_chart(runs) for runs in charted if sum(not run.failed for run in runs) > 1]
     if arguments.json:
-        print(json.dumps(found))
+        recordings = [row_object(row) for row in rows]
+        found = {"folder": str(folder), "found": len(entries), "recordings": recordings}
+        print(json.dumps({**found, "charts": [chart_object(chart) for chart in charts]}))
     elif arguments.csv:
-        print(harmless(rendered("station.render", "history.csv", {**found, "states": STATES})), end="")
+        print(harmless(csv_text(rows)), end="")
     else:
         console = stdout()
-        if not arguments.gauge:
-            print_all(console, recordings_shown(rows, console))
-        name = "gauge.rich" if arguments.gauge else "history.rich"
-        print_rendered(
-            console,
-            "station.render",
-            name,
-            {**found, "serial": arguments.serial, "states": STATES, "figures_in": figures_from},
-        )
+        print_all(console, recordings_shown(rows, console))
+        print_all(console, history_shown(str(folder), rows, len(entries), arguments.serial, charts))
     return 0
+
+
+def _print_gauge(folder: Path, series: Sequence[Sequence[Entry]], *, as_json: bool) -> None:
+    """Print a gauge study of each series of comparable runs."""
+    studies = [_study(runs) for runs in series]
+    if as_json:
+        print(json.dumps({"folder": str(folder), "gauge": [gauge_object(study) for study in studies]}))
+    else:
+        print_all(stdout(), gauge_shown(str(folder), studies))
 
 
 def calibration_valid_on(serial: str, day: date, folder: Path | str = "recordings") -> Calibration:
@@ -116,7 +127,7 @@ def _print_valid(arguments: argparse.Namespace, folder: Path) -> int:
     if arguments.json:
         row = None if found.entry is None else _row(found.entry, folder, [])
         result = {"serial": arguments.serial, "day": day.isoformat(), "valid": valid, "reason": found.reason or None}
-        print(json.dumps({**result, "recording": row}))
+        print(json.dumps({**result, "recording": row and row_object(row)}))
     elif found.entry is not None and valid:
         tell(harmless(f"{recording}: measured {found.entry.when}, valid for {arguments.serial} on {day}"))
     else:
@@ -138,41 +149,64 @@ async def _listed(folder: Path, quiet: bool) -> list[Entry]:
     return sorted(found, key=lambda entry: entry.when_utc_s, reverse=True)
 
 
-def _chart(runs: Sequence[Entry]) -> dict[str, Any]:
-    """Return control charts of runs in SI: values and which are outside (runs, gyros, 4). Failed runs set no limits."""
+def _chart(runs: Sequence[Entry]) -> ChartView:
+    """Return control charts of runs. Failed runs set no limits."""
     counted = [not run.failed for run in runs]
-    chart = control_chart([[gyro.values for gyro in run.gyros] for run in runs], counted)
-    common = {"bench": runs[0].texts["station"], "script": runs[0].texts["script"], "counted": counted}
-    names = {"gyros": [gyro.full_name for gyro in runs[0].gyros], "files": [run.path.name for run in runs]}
-    return {**common, **names, "when": [run.when for run in runs], "units": runs[-1].units, **json_object(chart)}
+    return ChartView(
+        bench=runs[0].texts["station"],
+        script=runs[0].texts["script"],
+        counted=counted,
+        gyros=[gyro.full_name for gyro in runs[0].gyros],
+        files=[run.path.name for run in runs],
+        when=[run.when for run in runs],
+        units=runs[-1].units,
+        chart=control_chart([[gyro.values for gyro in run.gyros] for run in runs], counted),
+    )
 
 
-def _study(runs: Sequence[Entry]) -> dict[str, Any]:
-    """Return a gauge study of comparable runs, by state in SI; "study" is None unless two devices were measured
-    repeatedly.
-    """
-    from estimator.estimation.repeatability import gauge_study  # takes longer than ten thousand recordings to list
-
+def _study(runs: Sequence[Entry]) -> GaugeView:
+    """Return a gauge study of comparable runs; its figures are unknown unless two devices were measured repeatedly."""
     conditions = [(run.texts.get("operator", ""), run.texts.get("station", "")) for run in runs]
     times = Counter(zip((run.serial for run in runs), conditions, strict=True))
     repeated = {serial for (serial, _), number in times.items() if number > 1}
+    return GaugeView(
+        script=runs[0].texts.get("script", ""),
+        gyros=[gyro.full_name for gyro in runs[0].gyros],
+        operators=sorted({operator for operator, _ in conditions}),
+        benches=sorted({bench for _, bench in conditions}),
+        devices=len({run.serial for run in runs}),
+        runs=len(runs),
+        failed=sum(run.failed for run in runs),
+        repeated=len(repeated),
+        units=runs[-1].units,
+        study=_gauge_study(runs, conditions) if len(repeated) > 1 else None,
+    )
+
+
+def _gauge_study(runs: Sequence[Entry], conditions: Sequence[tuple[str, str]]) -> GaugeStudy:
+    """Return the figures of a gauge study; ``conditions`` are operator and bench of each run."""
+    from estimator.estimation.repeatability import gauge_study  # takes longer than ten thousand recordings to list
+
     each = [(run, gyro, str(condition)) for run, condition in zip(runs, conditions, strict=True) for gyro in run.gyros]
-    study = None
-    if len(repeated) > 1:
-        values, sd = (np.array([getattr(gyro, key) for _, gyro, _ in each], float) for key in ("values", "sds"))
-        parts = [str((run.serial, gyro.source, gyro.name)) for run, gyro, _ in each]
-        figures = gauge_study(values, sd, parts, [condition for *_, condition in each])
-        study = {key: by_state(value) for key, value in figures.items()}
-    operators, benches = (sorted(set(names)) for names in zip(*conditions, strict=True))
-    of = {"operators": operators, "benches": benches, "devices": len({run.serial for run in runs})}
-    counts = {"runs": len(runs), "failed": sum(run.failed for run in runs), "repeated": len(repeated)}
-    names = {"script": runs[0].texts.get("script", ""), "gyros": [gyro.full_name for gyro in runs[0].gyros]}
-    return {**names, **of, **counts, "units": runs[-1].units, "study": study}
+    values = np.array([gyro.values for _, gyro, _ in each], float)
+    sds = np.array([gyro.sds for _, gyro, _ in each], float)
+    parts = [str((run.serial, gyro.source, gyro.name)) for run, gyro, _ in each]
+    figures = gauge_study(values, sds, parts, [condition for *_, condition in each])
+    return GaugeStudy(**{key: by_state(value) for key, value in figures.items()})
 
 
-def _row(entry: Entry, folder: Path, moved: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    row: dict[str, Any] = {name: entry.texts.get(key, "") for key, name in _TEXTS.items()}
-    row |= {"file": os.path.relpath(entry.path, folder), "wrong": entry.wrong, "device": entry.device}
-    gyros = [{"name": g.full_name, **by_state(g.values), "sd": by_state(g.sds)} for g in entry.gyros]
-    figures = {"nis_mean": entry.nis_mean, "moved": moved, "gyros": gyros}
-    return {"when": entry.when, **row, "when_utc_s": entry.when_utc_s, **figures}
+def _row(entry: Entry, folder: Path, moved: Sequence[Move]) -> HistoryRow:
+    return HistoryRow(
+        when=entry.when,
+        **{name: entry.texts.get(key, "") for key, name in _TEXTS.items()},
+        file=os.path.relpath(entry.path, folder),
+        wrong=entry.wrong,
+        device=entry.device,
+        when_utc_s=entry.when_utc_s,
+        nis_mean=entry.nis_mean,
+        moved=moved,
+        gyros=[
+            HistoryGyro(name=gyro.full_name, values=by_state(gyro.values), sds=by_state(gyro.sds))
+            for gyro in entry.gyros
+        ],
+    )

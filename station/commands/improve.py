@@ -6,7 +6,6 @@ import math
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,19 +21,19 @@ from estimator.planning.planning import UNSEEN, weighing
 from station.atomic_write import check_new_file, free_path, write_whole
 from station.bench.bench import Bench
 from station.bench.imu import ImuConfig
-from station.bench.units import Units
 from station.errors import UsageError
 from station.render.lines import tell
+from station.render.plans.improved import print_improved
 from station.render.template import rendered
-from station.render.terminal import print_rendered, stdout
 from station.run.outcome import Outcome
 from station.schema.quantities import QuantityError, parse
 from station.scripts.plan import make_plan
 from station.scripts.planned import planned_motion
 from station.scripts.script import Script, check
 from station.scripts.script_family import ways_of
-from station.scripts.script_search import LONGEST_S, Found, Needs, Search, sds_of
-from station.views.figures import STATE_FIGURES, state_figures
+from station.scripts.script_search import LONGEST_S, Needs, Search, sds_of
+from station.views.figures import STATE_FIGURES
+from station.views.improved import Improved, Wanted
 from station.views.json_values import by_state
 
 NAMES = {"k": (0,), "b": (1,), "sigma": (2, 3), "sigma_j": (2,), "sigma_k": (3,)}
@@ -42,29 +41,9 @@ NAMES = {"k": (0,), "b": (1,), "sigma": (2, 3), "sigma_j": (2,), "sigma_k": (3,)
 DEFAULT_FILE = "improved.toml"
 _PERIOD_S = 0.05
 _MOST_ROWS = 50_000
-_AFTER_MOVE_S = 0.05  # the sequencer asks for the arrival when it is due, and again after this time
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Wanted:
-    """The goal: sigmas (n, 4), infinite where none is required; the time given, or None for the least time."""
-
-    sd: Floats
-    total_s: float | None
-    rest_s: float
-    criterion: str
-    one_way: bool
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Improved:
-    """The script found, its goal, and the duration of the search."""
-
-    before: Script
-    wanted: Wanted
-    found: Found
-    gyros: tuple[tuple[str, str], ...]
-    search_s: float
+_MOST_NAMED = 4
+_TABLE_LIMITS = "the uncertainty of the table ([table.uncertainty])"
+_NOISE_LIMITS = "noise that does not average out (bias_instability, rate_random_walk of the data sheet)"
 
 
 def improve(arguments: argparse.Namespace, bench: Bench, script: Script) -> int:
@@ -83,13 +62,13 @@ def improve(arguments: argparse.Namespace, bench: Bench, script: Script) -> int:
     if found is None:
         return _refuse(_why_not(search, bench, wanted, gyros), arguments.json)
     check(found.script, bench.table.limits)
-    improved = Improved(script, wanted, found, gyros, time.perf_counter() - began_s)
-    result = {"improved": improved, "bench": bench}
-    write_whole(path, script_text(found.script, rendered("station.commands", "improved_origin.txt", result)))
+    search_s = time.perf_counter() - began_s
+    improved = Improved(before=script, wanted=wanted, found=found, gyros=gyros, search_s=search_s)
+    write_whole(path, script_text(found.script, _origin(improved, bench)))
     if arguments.json:
         print(json.dumps(improved_object(improved, path)))
     else:
-        _print(improved, path, bench.units)
+        print_improved(improved, path, bench.units)
     return Outcome.PASS.exit_code
 
 
@@ -177,7 +156,7 @@ def _wanted(arguments: argparse.Namespace, bench: Bench, script: Script) -> Want
     total_s = None if arguments.time_given is None else quantity(arguments, "time_given", "time")
     if total_s is not None and not 0 < total_s <= LONGEST_S:
         raise UsageError(f"--for {arguments.time_given}: give a time above 0 s and up to {LONGEST_S / 3600:g} h")
-    return Wanted(sd, total_s, rest_s, arguments.criterion, arguments.one_way)
+    return Wanted(sd=sd, total_s=total_s, rest_s=rest_s, criterion=arguments.criterion, one_way=arguments.one_way)
 
 
 def quantity(arguments: argparse.Namespace, option: str, kind: str) -> float:
@@ -199,17 +178,43 @@ def _columns(text: str) -> list[int]:
 
 def _why_not(search: Search, bench: Bench, wanted: Wanted, gyros: tuple[tuple[str, str], ...]) -> str:
     """Return the text that says which sigmas cannot be reached, and what limits them."""
-    directions = np.array([way.direction for way in ways_of(bench.table.gimbals, (0.0, math.pi / 2))])
-    values = {"wanted": wanted, "axes": bench.table.gimbals, "turns": np.linalg.matrix_rank(directions)}
-    if wanted.total_s is None:
-        missed, table_sd = search.unreachable(), None
-        if not missed.any():
-            longest = search.longest()
-            missed = sds_of(search.predict(longest)) > wanted.sd
-            table_sd = make_plan(longest, bench, effects=()).table_sd
-        names = [f"{gyros[row][1]} {STATE_FIGURES[state].name}" for row, state in np.argwhere(missed)]
-        values |= {"missed": names, "table_sd": table_sd, "longest_h": LONGEST_S / 3600}
-    return rendered("station.commands", "unreachable.txt", values).rstrip()
+    if wanted.total_s is not None:
+        return f"{wanted.total_s:g} s is too short for the rests and a turn about each axis. Allow more time"
+    missed = search.unreachable()
+    if missed.any():
+        cause = _limit_of_motion(bench)
+    else:
+        longest = search.longest()
+        missed = sds_of(search.predict(longest)) > wanted.sd
+        table_sd = make_plan(longest, bench, effects=()).table_sd
+        cause = _TABLE_LIMITS if bool((table_sd > wanted.sd).any()) else _NOISE_LIMITS
+    names = [f"{gyros[row][1]} {STATE_FIGURES[state].name}" for row, state in np.argwhere(missed)]
+    others = len(names) - _MOST_NAMED
+    more = f" and {others} more" if others > 0 else ""
+    return f"cannot be reached: sigma of {', '.join(names[:_MOST_NAMED])}{more}. Cause: {cause}"
+
+
+def _limit_of_motion(bench: Bench) -> str:
+    """Return why no motion of a table without errors reaches the sigmas."""
+    axes = bench.table.gimbals
+    directions = np.array([way.direction for way in ways_of(axes, (0.0, math.pi / 2))])
+    if np.linalg.matrix_rank(directions) < 3:
+        return f"the table turns the body about too few axes (it has axis {', '.join(axes)})"
+    return f"the rate limits of the axes and the white noise, even in {LONGEST_S / 3600:g} h"
+
+
+def _origin(improved: Improved, bench: Bench) -> str:
+    """Return the comment at the top of the script found: what it was found for, and how long it lasts."""
+    wanted = improved.wanted
+    aim = "shortest time to its sigmas"
+    if wanted.total_s is not None:
+        aim = f"smallest sigmas in {wanted.total_s:g} s"
+    lines = [
+        f"Found by station plan --improve for the bench {bench.name!r}, criterion {wanted.criterion}: {aim}.",
+        f"{improved.found.script.least_s:.1f} s; {improved.before.name} takes {improved.before.least_s:.1f} s.",
+        f"It rests {wanted.rest_s:g} s at both ends, to separate noise from motion.",
+    ]
+    return "\n".join(lines)
 
 
 def _refuse(reason: str, as_json: bool) -> int:
@@ -241,7 +246,7 @@ def improved_object(improved: Improved, path: Path) -> dict[str, Any]:
         "reached": bool((improved.found.sd <= improved.wanted.sd).all()),
         "script": str(path),
         "duration_s": script.least_s,
-        "duration_with_sequencer_s": _with_sequencer_s(script),
+        "duration_with_sequencer_s": improved.with_sequencer_s,
         "before": {"script": before.name, "duration_s": before.least_s},
         "criterion": improved.wanted.criterion,
         "compared": improved.found.compared,
@@ -259,20 +264,3 @@ def improved_object(improved: Improved, path: Path) -> dict[str, Any]:
         ],
         "steps": [{"label": timed.step.label, "duration_s": timed.span.least_s} for timed in script.timeline()],
     }
-
-
-def _with_sequencer_s(script: Script) -> float:
-    return script.least_s + _AFTER_MOVE_S * sum(step.turns for step in script.steps)
-
-
-def _print(improved: Improved, path: Path, units: Units) -> None:
-    """Print the script found and its sigmas."""
-    script = improved.found.script
-    values = {
-        "improved": improved,
-        "with_sequencer_s": _with_sequencer_s(script),
-        "steps": [(timed.step, timed.span.least_s) for timed in script.timeline()],
-        "path": path,
-        "state_figures": state_figures(units),
-    }
-    print_rendered(stdout(), "station.render", "improved.rich", values)

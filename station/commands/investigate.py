@@ -24,14 +24,14 @@ from station.commands.calibrate import recordings_of
 from station.commands.improve import script_text
 from station.errors import UsageError
 from station.exports.investigation_file import write_investigation
-from station.render.force_findings_printed import print_force_findings
+from station.render.accelerometers.findings import print_force_findings
 from station.render.investigation_printed import exit_code_of, print_investigation
 from station.render.progress import TracingProgress
 from station.report.pictures import draw_investigation
 from station.schema.tables import Table
 from station.scripts.next_script import NextScript, Past, next_script
 from station.views.force_findings import finding_object
-from station.views.investigation import investigation_view
+from station.views.investigation import investigation_object, investigation_view
 
 _NEXT_FILE = "next-script.toml"
 _MOST_RIVALS = 4  # of an unexplained residual, so many suspects are compared
@@ -66,19 +66,20 @@ def command_investigate(arguments: argparse.Namespace) -> int:
         write_next(script_file, following, limits)
     written = None if following is None else script_file
     view = investigation_view(found, written, fitted, judging)
+    result = investigation_object(view)
     if model is not None:
-        write_investigation(model, found, view)
+        write_investigation(model, found, result)
     if picture is not None:
         draw_investigation(picture, found)
     if arguments.json:
         forces = {"accelerometers": [finding_object(one) for one in of_forces]} if of_forces else {}
-        print(json.dumps({**view, **forces, "output": arguments.output, "plot": arguments.plot}))
+        print(json.dumps({**result, **forces, "output": arguments.output, "plot": arguments.plot}))
     else:
         print_investigation(found, following, written)
         print_force_findings(of_forces)
         if following is None and exit_code_of(found.finding):
             print(f"no next script: {_why_none(recordings, limits)}")
-            for line in view.get("record_next", []):
+            for line in view.record_next:
                 print(f"next, record a run that shows {line}")
         for kind, path in (("picture", picture), ("results", model)):
             if path is not None:

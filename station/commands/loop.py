@@ -20,7 +20,8 @@ from station.commands.common import chosen_bench, clock, drive
 from station.commands.investigate import Limits, following_script, write_next
 from station.errors import EXIT_ABORTED, EXIT_USAGE, UsageError
 from station.exports.investigation_file import write_investigation
-from station.render.investigation_printed import exit_code_of, loop_object, print_loop, runs_object
+from station.render.investigation_printed import exit_code_of
+from station.render.investigations.loop import loop_object, print_loop, runs_object
 from station.render.lines import tell
 from station.render.progress import TracingProgress
 from station.run.closed_loop import CALIBRATION, EXPLORATION, NEXT, VERIFICATION, Driven, Loop, Round

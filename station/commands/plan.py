@@ -15,9 +15,10 @@ from station.commands.improve import improve, quantity, script_text
 from station.errors import UsageError, sentence
 from station.opening import with_links
 from station.opening.planned_forces import planned_forces
+from station.render.accelerometers.planned import print_planned_forces
 from station.render.lines import tell
-from station.render.plan_printed import print_early_late, print_plan
-from station.render.planned_forces_printed import print_planned_forces
+from station.render.plan_printed import print_plan
+from station.render.plans.early_late import print_early_late
 from station.render.template import rendered
 from station.render.terminal import stdout
 from station.run.outcome import Outcome

@@ -26,7 +26,7 @@ def command_report(arguments: argparse.Namespace) -> int:
     keys = [Path(name) for name in (arguments.sign, arguments.certificate) if name]
     # numpy, h5py and matplotlib are slow to import: errors in the arguments were reported before.
     from station.exports.exported import raw_sha256
-    from station.render.printing import next_after_report
+    from station.render.results.verdict import next_after_report
     from station.report.dcc import check_facts, make_dcc, read_key, sign
     from station.report.document import make_report
     from station.report.formal import read_formal

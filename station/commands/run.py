@@ -18,9 +18,10 @@ from station.computer.facilities import peer_note
 from station.errors import UsageError, sentence
 from station.remote.after_run import tell_program
 from station.remote.hosting import Host
+from station.render.archive.moved import moved_since
 from station.render.lines import tell
 from station.render.printing import print_result, refuse
-from station.render.terminal import print_rendered, stdout
+from station.render.terminal import line, print_all, stdout
 from station.run.early_end import check_early_end
 from station.run.event_loop.detached_output import lasting_streams
 from station.run.event_loop.loops import run_to_end
@@ -86,10 +87,8 @@ def _run(arguments: argparse.Namespace) -> int:
         found = result.verdict, result.calibration, result.recording
         print_result(*found, bench.units, details=arguments.details, sources=result.sources)
         if serial and host is None and result.calibration is not None:
-            from station.screen.archive.archive import moved
-
             with suppress(*MISSHAPEN, KeyboardInterrupt):  # the run has ended, whatever becomes of this
-                print_rendered(stdout(), "station.render", "moved.rich", {"moves": asyncio.run(moved(path))})
+                _print_moved(path)
     if bench.after_run:
         sys.stdout.flush()  # the result is told by then, however long the program takes
         told = {"bench": bench.station, "script": script.name, "operator": operator, "serial_number": serial}
@@ -99,6 +98,15 @@ def _run(arguments: argparse.Namespace) -> int:
         if problem:
             tell(f"note: after_run: {problem}; the result is in {path}", sys.stderr)
     return result.verdict.outcome.exit_code
+
+
+def _print_moved(recording: Path) -> None:
+    """Print which states of the device moved since its last comparable run in the folder of a recording."""
+    from station.screen.archive.archive import moved
+
+    moves = asyncio.run(moved(recording))
+    if moves:
+        print_all(stdout(), [line(moved_since(moves))])
 
 
 def _model_of(arguments: argparse.Namespace, bench: Bench) -> ErrorModel | None:

@@ -1,24 +1,22 @@
-"""An investigation, and a closed loop of them, as a person reads it, in a terminal and on the screen."""
+"""An investigation as a person reads it, in a terminal and on the screen."""
 
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from markupsafe import Markup
 from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
 
-from estimator.effects.constructed import readable as words
+from estimator.effects.constructed import readable
 from estimator.tracing.investigation import Finding, Investigation
-from estimator.tracing.residuals.origin import Origin
-from estimator.tracing.residuals.residual import BY_CHANCE
-from station.render.template import rendered
-from station.render.terminal import Shown, print_all, print_rendered, shown_of, stdout
+from station.render.investigations.errors import errors_shown
+from station.render.investigations.residual import residual_shown
+from station.render.investigations.verdict import verdict_sentences
+from station.render.terminal import Shown, line, print_all, rich_table, stdout, unbroken
 from station.scripts.next_script import NextScript
-from station.views.figures import FINDING_STYLES
-from station.views.investigation import InvestigationView, investigation_view
-from station.views.json_values import named
-
-if TYPE_CHECKING:  # importing a loop also imports drivers, twins and servers, half a second
-    from station.run.closed_loop import Loop, Round
+from station.views.figures import FINDING_STYLES, number, probability
+from station.views.investigation import InvestigationView, SuspectView, investigation_of, investigation_view
 
 _LEAST_SHOWN = 0.005  # suspects less probable than this are one line together
 _MOST_SHOWN = 8
@@ -33,19 +31,12 @@ def print_investigation(
     found: Investigation, next_script: NextScript | None, path: Path | None, console: Console | None = None
 ) -> None:
     """Print the verdict in words, the suspects, the error before and after, what was left out, and the next script."""
-    print_all(console or stdout(), _shown(investigation_view(found, path), next_script, path))
+    print_all(console or stdout(), next_shown(investigation_view(found, path), next_script, path))
 
 
-def _shown(what: InvestigationView, next_script: NextScript | None, path: Path | None) -> list[Shown]:
+def next_shown(what: InvestigationView, next_script: NextScript | None, path: Path | None) -> list[Shown]:
+    """Return the lines and tables of an investigation whose next script, if any, is in the file ``path``."""
     return investigation_shown(what, f"station run --script {path}", next_script.words() if next_script else "")
-
-
-def print_loop(loop: "Loop") -> None:
-    """Print the report: runs, the result of each investigation, the last one in full."""
-    views = [investigation_view(turn.found, turn.script_file) for turn in loop.rounds]
-    last = _shown(views[-1], loop.rounds[-1].following, loop.rounds[-1].script_file)
-    values = {"driven": loop, "views": views, "verdict_lines": verdict_lines, "last": last}
-    print_rendered(stdout(), "station.render", "loop.rich", values)
 
 
 def investigation_shown(what: InvestigationView, how: str, drive: str = "") -> list[Shown]:
@@ -53,69 +44,68 @@ def investigation_shown(what: InvestigationView, how: str, drive: str = "") -> l
 
     ``how`` is the command that runs its next script, ``drive`` a line on that script, empty if there is none.
     """
-    left_out: dict[str, list[str]] = {}
-    for effect, reason in what["left_out"].items():
-        left_out.setdefault(reason, []).append(words(effect))
-    ranked = sorted(what["suspects"], key=lambda suspect: -(suspect["probability"] or 0))
-    shown = [s for s in ranked if (s["probability"] or 0) >= _LEAST_SHOWN][:_MOST_SHOWN]
-    values = {
-        "what": what,
-        "colour": Markup(FINDING_STYLES.get(what["verdict"], "bold")),
-        "verdict": verdict_lines(what),
-        "drive": drive,
-        "how": how,
-        "shown": shown,
-        "others": ranked[len(shown) :],
-        "figure": lambda value: "inf" if value is None else f"{value:.3g}",
-        "by_chance": BY_CHANCE,
-        "origins": Origin,
-        "left_out": left_out,
-    }
-    return shown_of("station.render", "investigation.rich", values)
-
-
-def verdict_lines(what: InvestigationView) -> list[str]:
-    """Return the result in sentences: effects with their parameters, rivals, the unexplained part."""
-    return rendered("station.render", "verdict.txt", {"what": what}).splitlines()
-
-
-def loop_object(loop: "Loop") -> dict[str, Any]:
-    """Return the result of a loop for --json: the last investigation, and the rounds and runs that led to it."""
-    last = loop.rounds[-1]
-    fitted, judging = ([str(path) for path in loop.recordings(judging=j)] for j in (False, True))
-    return {
-        **investigation_view(last.found, last.script_file, fitted, judging),
-        "rounds": [_round_object(turn) for turn in loop.rounds],
-        "runs": runs_object(loop),
-        "folder": str(loop.folder),
-        "minutes_used": loop.used_s / 60,
-        "minutes": loop.budget_s / 60,
-        "ended": loop.ended,
-    }
-
-
-def runs_object(loop: "Loop") -> list[dict[str, Any]]:
-    """Return the runs of a loop for --json."""
     return [
-        {
-            **named(run, ("purpose", "table_s")),
-            "script": run.script.name,
-            "recording": str(run.result.recording),
-            "outcome": str(run.result.verdict.outcome),
-            "reason": run.result.verdict.reason,
-        }
-        for run in loop.runs
+        *_verdict(what),
+        *_next(what, how, drive),
+        *_suspects(what),
+        line(""),
+        *residual_shown(what.residual),
+        *errors_shown(what),
+        *_remarks(what),
     ]
 
 
-def _round_object(turn: "Round") -> dict[str, Any]:
-    """Return one round of a loop for --json."""
-    whole = dict(investigation_view(turn.found, turn.script_file))
-    kept = ("verdict", "reason", "added", "rivals", "unexplained", "before", "after", "models", "next_script")
-    following = turn.following
-    return {
-        "runs": turn.runs,
-        **{key: whole[key] for key in kept},
-        "next_name": following and following.script.name,
-        "next_probability": following and following.probability,
-    }
+def verdict_lines(found: Mapping[str, Any]) -> list[str]:
+    """Return the result of an investigation, given as JSON, in sentences."""
+    return verdict_sentences(investigation_of(found))
+
+
+def _verdict(what: InvestigationView) -> Iterator[Shown]:
+    colour = FINDING_STYLES.get(what.verdict, "bold")
+    yield line(f"[{colour}]{escape(what.verdict.upper())}[/]  {escape(what.reason)}")
+    for sentence in verdict_sentences(what):
+        yield line(f"  {escape(sentence)}")
+
+
+def _next(what: InvestigationView, how: str, drive: str) -> Iterator[Shown]:
+    """Yield the script to run next, nothing if there is none."""
+    if not what.next_script:
+        return
+    if drive:
+        yield line(escape(f"  run next: {drive}"))
+    yield unbroken(f"  script: {what.next_script}   ({how})")
+
+
+def _suspects(what: InvestigationView) -> Iterator[Shown]:
+    """Yield the suspects by falling probability, the improbable ones in a row together; nothing without suspects."""
+    if not what.suspects:
+        return
+    ranked = sorted(what.suspects, key=lambda suspect: -(suspect.probability or 0.0))
+    shown = [suspect for suspect in ranked if (suspect.probability or 0.0) >= _LEAST_SHOWN][:_MOST_SHOWN]
+    suspects = rich_table("What the first model may miss", ["suspect", "probability", "log evidence"], "lr")
+    for suspect in shown:
+        suspects.add_row(
+            escape(readable(suspect.effect)),
+            probability(suspect.probability),
+            number(suspect.log_evidence, 1, signed=True),
+        )
+    _add_others(suspects, ranked[len(shown) :])
+    yield line("")
+    yield suspects, {}
+
+
+def _add_others(suspects: Table, others: list[SuspectView]) -> None:
+    if others:
+        together = sum(suspect.probability or 0.0 for suspect in others)
+        suspects.add_row(f"{len(others)} others together", probability(together), "", style="dim")
+
+
+def _remarks(what: InvestigationView) -> Iterator[Shown]:
+    """Yield the effects that were left out, by reason, and the notes."""
+    left_out: dict[str, list[str]] = {}
+    for effect, reason in what.left_out.items():
+        left_out.setdefault(reason, []).append(readable(effect))
+    for reason, effects in left_out.items():
+        yield line(escape(f"left out, {reason}: {', '.join(effects)}"))
+    for note in what.notes:
+        yield line(escape(f"note: {note}"))

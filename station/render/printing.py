@@ -1,40 +1,31 @@
-"""Results in the terminal: the table of states, the verdict; and the JSON for machines."""
+"""The result of a run or a calibration: in the terminal, and the JSON for machines."""
 
 import json
 import math
 import sys
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from drivers.packaged import packaged_toml
-from drivers.types import Floats
 from estimator.calibration.gyro import GyroCalibration
 from estimator.calibration.values import Calibration, GyroParity
-from estimator.estimation.repeatability import Repeatability
-from estimator.geometry.model import STATES
-from estimator.observations.allan.sensor import SensorNoise
-from estimator.observations.coverage import coverage_object, not_proved
+from estimator.observations.coverage import coverage_object
 from station.bench.units import Units
 from station.errors import EXIT_USAGE
-from station.render.forces_printed import print_forces
+from station.render.accelerometers.result import print_forces
 from station.render.lines import tell
-from station.render.noise_printed import noise_table
-from station.render.terminal import print_rendered, stdout
+from station.render.results.calibration import calibration_shown
+from station.render.results.details import details_shown, sources_shown
+from station.render.results.verdict import closing_shown, next_steps, verdict_shown
+from station.render.terminal import print_all, stdout
 from station.run.outcome import Outcome, Verdict
-from station.views.figures import OUTCOME_STYLES, StateUnit, state_figures
 from station.views.forces import force_object
 from station.views.json_values import budget_and_noise, by_state, json_object, named
-from station.views.limits import worst_first
 
-_MOST_DECIMALS = 9
-MOST_BROKEN = 4
-"""Limits that are broken of which a person sees without asking for details: the worst."""
-_BUDGET_WORDS = packaged_toml("station.views", "budget.toml")["terminal"]
+if TYPE_CHECKING:  # acquisition also imports drivers
+    from station.run.acquisition import SourceReport
 
 
 def print_result(
@@ -44,7 +35,7 @@ def print_result(
     units: Units,
     *,
     details: bool,
-    sources: Sequence[Any] = (),
+    sources: "Sequence[SourceReport]" = (),
 ) -> None:
     """Print the result of a run or recording: the verdict, the states in these units, and the next steps.
 
@@ -56,10 +47,14 @@ def print_result(
         print_calibration(calibration, verdict, units, details=details)
         print_forces(calibration.forces, details=details)
     if details:
-        print_rendered(stdout(), "station.render", "sources.rich", {"sources": sources})
+        print_all(stdout(), sources_shown(sources))
     more = not details and (calibration is not None or bool(sources))
-    closing = {"next": next_steps(verdict, calibration, recording), "recording": recording, "more": more}
-    print_rendered(stdout(), "station.render", "closing.rich", closing)
+    print_all(stdout(), closing_shown(next_steps(verdict, calibration, recording), recording, more=more))
+
+
+def print_verdict(verdict: Verdict, *, details: bool) -> None:
+    """Print the outcome and its reasons; without ``details`` only the worst of the broken limits."""
+    print_all(stdout(), verdict_shown(verdict, details=details))
 
 
 def print_calibration(calibration: Calibration, verdict: Verdict, units: Units, *, details: bool) -> None:
@@ -67,146 +62,9 @@ def print_calibration(calibration: Calibration, verdict: Verdict, units: Units, 
 
     With ``details`` also the origin of the sigmas.
     """
-    found = [gyro.noise for gyro in calibration.gyros if gyro.noise is not None]
-    noises = [(noise.mean.arw, 3600 * noise.instability_below, 3600 * 60 * noise.walk_below) for noise in found]
-    values = {
-        "calibration": calibration,
-        "broken": {(line.row, line.state, line.of_u) for line in verdict.broken},
-        "budget": _budget(calibration),
-        "state_figures": fitted_figures(units, calibration),
-        "size": _size,
-        "undeclared": _undeclared(calibration, units),
-        "noise": np.degrees(np.mean(noises, axis=0)).tolist() if noises else None,
-        "rest": _rest([gyro.rest for gyro in calibration.gyros if gyro.rest is not None]),
-        "noise_table": noise_table,
-    }
-    print_rendered(stdout(), "station.render", "calibration.rich", values)
+    print_all(stdout(), calibration_shown(calibration, verdict, units))
     if details:
-        print_rendered(stdout(), "station.render", "details.rich", values)
-
-
-def _undeclared(calibration: Calibration, units: Units) -> list[tuple[str, ...]]:
-    """Return a row for each state: its sigma with and without undeclared effects (rms), the main effects, what shows
-    them.
-
-    Empty if there are none.
-    """
-    if not calibration.undeclared or not calibration.gyros:
-        return []
-    whole = np.sqrt(np.mean([gyro.sd**2 for gyro in calibration.gyros], axis=0)).tolist()
-    without = np.sqrt(np.mean([gyro.sd_declared**2 for gyro in calibration.gyros], axis=0)).tolist()
-    rows: list[tuple[str, ...]] = []
-    for figure, name, sd, left in zip(state_figures(units), STATES, whole, without, strict=True):
-        own = [effect for effect in calibration.undeclared if effect.state == name]
-        mostly = "; ".join(f"{effect.effect} {effect.share:.0%}" for effect in own)
-        shown_by = "; ".join(dict.fromkeys(effect.shown_by for effect in own))
-        label = f"{figure.name} ({figure.unit})"
-        rows.append((label, _size(sd * figure.factor), _size(left * figure.factor), mostly, shown_by))
-    return rows
-
-
-def fitted_figures(units: Units, calibration: Calibration) -> tuple[StateUnit, ...]:
-    """Return the states in these units, with the digits that the sigmas of a calibration deserve."""
-    sds = zip(*(gyro.sd.tolist() for gyro in calibration.gyros), strict=True)
-    return tuple(figure.fitted(own) for figure, own in zip(state_figures(units), sds, strict=True))
-
-
-def _budget(calibration: Calibration) -> Mapping[str, Floats]:
-    """Return the contributions to the sigmas (4,), rms over the gyros: noise, the table's uncertainty, and the
-    combination.
-
-    Empty if there is one contribution only, or gyros differ in them.
-    """
-    budgets = [{c.name: c.u for c in gyro.budget} for gyro in calibration.gyros]
-    names = list(budgets[0]) if budgets else []
-    if len(names) < 2 or any(list(budget) != names for budget in budgets):
-        return {}
-    lines = {_BUDGET_WORDS.get(name, name): [budget[name] for budget in budgets] for name in names}
-    lines["combined"] = [gyro.sd for gyro in calibration.gyros]
-    return {name: np.sqrt(np.mean(np.square(u), axis=0)) for name, u in lines.items()}
-
-
-def _rest(rests: Sequence[SensorNoise]) -> Mapping[str, Any] | None:
-    """Return the noise of each gyro at rest, with the minimum of their mean Allan deviation; None without rest."""
-    if not rests:
-        return None
-    shortest = min((rest.curve for rest in rests), key=lambda curve: len(curve.tau_s))
-    mean = np.mean([rest.curve.deviation[: len(shortest.tau_s)] for rest in rests], axis=0)
-    least = int(np.argmin(mean))
-    return {
-        "span_s": f"{np.mean([rest.span_s for rest in rests]):.0f}",
-        "noises": rests,
-        "lowest": f"{math.degrees(mean[least]) * 3600:.2g} deg/h at {shortest.tau_s[least]:.0f} s",
-    }
-
-
-def print_repeatability(repeats: Sequence[Repeatability], device: str, script: str, units: Units) -> None:
-    """Print the scatter of a device's states over its runs of a script, beside that expected from their sigmas.
-
-    Nothing is printed if ``repeats`` is empty.
-    """
-    if not repeats:
-        return
-    values = {
-        "repeats": repeats,
-        "device": device,
-        "script": script,
-        "size": _size,
-        "state_figures": state_figures(units),
-    }
-    print_rendered(stdout(), "station.render", "repeatability.rich", values)
-
-
-def repeatability_object(repeats: Sequence[Repeatability]) -> list[dict[str, Any]]:
-    """Return the repeatability for --json: by gyro the number of runs and, by state, the figures in SI."""
-    return [
-        {
-            "name": gyro.name,
-            "runs": gyro.runs,
-            **{key: by_state(getattr(gyro, key)) for key in ("mean", "scatter", "expected", "between", "differs")},
-        }
-        for gyro in repeats
-    ]
-
-
-def _size(value: float) -> str:
-    """Return a size with two digits that count, without an exponent."""
-    if value >= 10 or value == 0 or not math.isfinite(value):
-        return f"{value:.0f}"
-    return f"{value:.{min(1 - math.floor(math.log10(value)), _MOST_DECIMALS)}f}"
-
-
-def print_verdict(verdict: Verdict, *, details: bool) -> None:
-    """Print the outcome and its reasons: causes first, then broken limits as a table; without ``details`` the worst."""
-    broken = list(verdict.broken) if details else worst_first(verdict.broken)[:MOST_BROKEN]
-    values = {"verdict": verdict, "style": OUTCOME_STYLES[verdict.outcome], "broken": broken}
-    print_rendered(stdout(), "station.render", "verdict.rich", values)
-
-
-def next_steps(verdict: Verdict, calibration: Calibration | None, recording: Path) -> list[str]:
-    """Return sentences, with commands, on what to do next after a verdict.
-
-    They depend on its outcome: repeat an aborted run, remedy broken limits or else investigate, write the report of a
-    run that passed. A passed run whose calibration does not prove constancy gets a plan for that, too.
-    """
-    if verdict.outcome in (Outcome.ABORTED, Outcome.FAULT):
-        return ["`station check` tests every device; then repeat the run"]
-    if verdict.outcome is Outcome.MANUAL:
-        return ["nothing was judged. `station run` runs a script and calibrates"]
-    remedies = list(dict.fromkeys(line.remedy for line in verdict.broken if line.remedy))
-    if verdict.outcome is Outcome.FAIL:
-        return remedies or [f"`station investigate {recording}` looks for errors that the model misses"]
-    steps = [f"`station report {recording}` writes the certificate or report"]
-    if calibration is not None and not_proved(calibration.constancy):
-        steps.append("`station plan --early-late` writes a script that proves constancy")
-    return steps
-
-
-def next_after_report(verdict: Verdict | None, recording: Path) -> list[str]:
-    """Return sentences on what to do after a report; for a run that passed, how to export the calibration."""
-    if verdict is not None and verdict.outcome not in (Outcome.PASS, Outcome.ESTIMATED):
-        return next_steps(verdict, None, recording)
-    return [f"`station export {recording} --all FOLDER` writes the calibration for firmware and tools"]
+        print_all(stdout(), details_shown(calibration, units))
 
 
 def refuse(reason: str, as_json: bool, outcome: Outcome | None = None, recording: str | None = None) -> int:

@@ -1,12 +1,10 @@
-"""Output to the terminal from templates: lines with the markup of rich, and tables."""
+"""Output to the terminal: lines with the markup of rich, and tables."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, TypeAlias
 
-from markupsafe import Markup
 from rich.box import SIMPLE_HEAD
 from rich.console import Console, ConsoleOptions, OverflowMethod, RenderableType, RenderResult
-from rich.markup import escape
 from rich.measure import Measurement
 from rich.segment import Segment
 from rich.table import Column, Table
@@ -21,6 +19,21 @@ _ANY_WIDTH = 10_000
 _DIM = "dim"
 Shown: TypeAlias = tuple[RenderableType, dict[str, Any]]
 """A line or a table, and how Console.print is to print it."""
+
+
+def line(markup: str) -> Shown:
+    """Return a line of markup, in which names must have gone through ``escape``; its figures are not coloured."""
+    return markup, {"highlight": False}
+
+
+def title(text: str) -> Shown:
+    """Return a line of plain text above a table that has no title itself."""
+    return text, {"style": "bold", "highlight": False, "markup": False}
+
+
+def unbroken(text: str) -> Shown:
+    """Return a line of plain text, such as a command or a path, that is not broken between words."""
+    return text, {"highlight": False, "markup": False, "soft_wrap": True}
 
 
 def stdout() -> Console:
@@ -38,11 +51,6 @@ class HarmlessConsole(Console):
             yield segment if segment.control else Segment(harmless(segment.text), segment.style)
 
 
-def print_rendered(console: Console, package: str, name: str, values: Mapping[str, Any]) -> None:
-    """Print a template line by line, see ``shown_of``."""
-    print_all(console, shown_of(package, name, values))
-
-
 def print_all(console: Console, shown: Iterable[Shown]) -> None:
     """Print lines and tables; lines are broken at 80 columns, but never between a figure and its unit.
 
@@ -50,15 +58,15 @@ def print_all(console: Console, shown: Iterable[Shown]) -> None:
     """
     for item, how in shown:
         if isinstance(item, str) and not how.keys() & {"soft_wrap", "no_wrap"}:
-            for line in _wrapped(item, console, markup=how.get("markup", True)):
-                console.print(line, **{key: value for key, value in how.items() if key != "markup"})
+            for part in _wrapped(item, console, markup=how.get("markup", True)):
+                console.print(part, **{key: value for key, value in how.items() if key != "markup"})
         else:
             console.print(item, **how)
 
 
-def _wrapped(line: str, console: Console, *, markup: bool) -> list[Text]:
+def _wrapped(item: str, console: Console, *, markup: bool) -> list[Text]:
     """Return a line broken to fit the console and 80 columns, without trailing spaces."""
-    text = Text.from_markup(line, emoji=False) if markup else Text(line)
+    text = Text.from_markup(item, emoji=False) if markup else Text(item)
     text.plain = glued(text.plain)
     broken = list(text.wrap(console, min(console.width, LINE_WIDTH))) or [text]
     for part in broken:
@@ -67,20 +75,9 @@ def _wrapped(line: str, console: Console, *, markup: bool) -> list[Text]:
     return broken
 
 
-def shown_of(package: str, name: str, values: Mapping[str, Any]) -> list[Shown]:
-    """Return the lines and tables of a template. In it ``table`` creates a ``rich_table``, and ``show`` places one.
-
-    ``show`` accepts the options of Console.print, for instance soft_wrap. Cells of tables are markup, in which names
-    must go through ``escape``.
-    """
-    shown: list[Shown] = []
-
-    def show(what: RenderableType, **how: Any) -> Markup:
-        shown.append((what, how))
-        return Markup(f"\0{len(shown) - 1}")
-
-    lines = rendered(package, name, {"table": rich_table, "escape": escape, "show": show, **values}).splitlines()
-    return [shown[int(line[1:])] if line.startswith("\0") else (line, {"highlight": False}) for line in lines]
+def template_lines(package: str, name: str, values: Mapping[str, Any]) -> list[Shown]:
+    """Return the lines of a template with the markup of rich; values are escaped."""
+    return [line(text) for text in rendered(package, name, values).splitlines()]
 
 
 class FittingTable(Table):

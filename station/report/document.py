@@ -14,7 +14,6 @@ from station.bench.units import Units
 from station.errors import UsageError
 from station.exports.exported import RAW_RULE, file_sha256, raw_sha256
 from station.render.investigation_printed import verdict_lines
-from station.render.plan_printed import combination
 from station.render.template import rendered
 from station.report import figures, investigation_chapter as residual, pictures
 from station.report.chapters import correction, forces, front, results, unobserved_effects
@@ -22,6 +21,7 @@ from station.report.document_status import Standing, limits_of, number_of, stand
 from station.report.formal import Formal, logo_of
 from station.report.investigation_chapter import Traced
 from station.report.recorded import Recorded, laid_out, read_recorded
+from station.views.plan import combination
 from station.views.seen import seen_by
 
 _PACKAGES = ("turntable-station", "numpy", "scipy", "h5py", "matplotlib")

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from estimator.tracing.investigation import ResidualView
 from estimator.untrusted import read_json
 from station.errors import sentence
 from station.report.recorded import Recorded, labels_of, laid_out
-from station.views.investigation import InvestigationView, Spectra, judged_views
+from station.views.investigation import Spectra, judged_views
 
 if TYPE_CHECKING:
     from h5py import Group
@@ -36,7 +36,7 @@ class Traced:
     """
 
     path: Path
-    what: InvestigationView
+    what: Mapping[str, Any]
     names: tuple[str, ...]
     states: Floats
     model: ErrorModel | None

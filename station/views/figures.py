@@ -142,6 +142,11 @@ def percent(share: float | None) -> str:
     return UNKNOWN if share is None else f"{share:.1%}"
 
 
+def whole_percent(share: float | None) -> str:
+    """Return a share in percent without decimals."""
+    return UNKNOWN if share is None else f"{100 * share:.0f}%"
+
+
 def human(value: float | None, sd: float | None, unit: str) -> str:
     """Return a value with its standard deviation, both in SI, as text in a readable unit, rounded to two digits of the
     latter.

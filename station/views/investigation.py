@@ -4,15 +4,14 @@ SI units, shares between 0 and 1, None for what is not known.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NotRequired, TypedDict, cast
+from typing import Any
 
 from drivers.types import Floats
 from estimator.effects.catalogue import records
 from estimator.effects.constructed import readable
 from estimator.tracing.investigation import (
-    Added,
     Finding,
     GyroErrors,
     Investigation,
@@ -20,13 +19,15 @@ from estimator.tracing.investigation import (
 )
 from estimator.tracing.residuals.residual import GyroResidual, Residual
 from station.views.json_values import by_state, json_object, named
+from station.views.typed_json import view_of
 
 _NUMBERS = ("nis", "nis_sd", "lag1", "lag1_sd", "white_p", "beyond")
 _MOST_SUSPECTS = 3
 _SPECTRUM = ("frequency_hz", "density", "noise")
 
 
-class ErrorsView(TypedDict):
+@dataclass(kw_only=True, frozen=True, slots=True)
+class ErrorsView:
     """Error of the compensated rate: rms and largest in rad/s, and the share of its 95 % intervals that hold."""
 
     rms_rps: float | None
@@ -34,48 +35,206 @@ class ErrorsView(TypedDict):
     coverage95: float | None
 
 
-class ResidualView(TypedDict):
-    """The remaining output errors: by gyro its NIS and what it depends on; to what they belong (``split``)."""
+@dataclass(kw_only=True, frozen=True, slots=True)
+class OutOfSampleView:
+    """By how much (natural logarithm) an effect makes left out recordings, and steps, more probable."""
 
-    gyros: dict[str, dict[str, Any]]
-    split: dict[str, Any] | None
+    by_run: float | None
+    by_step: float | None
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class AddedView:
+    """An effect with its gyros, probability and parameters, see ``Added``.
+
+    ``parameters`` are by name (value, standard deviation, unit).
+    """
+
+    effect: str
+    gyros: tuple[str, ...]
+    probability: float | None
+    parameters: Mapping[str, tuple[float | None, float | None, str]]
+    out_of_sample: OutOfSampleView | None
+    same: tuple[str, ...]
+    constructed: bool
+    expression: str
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class UnexplainedView:
+    """Structure of the residual that no effect explains: what it depends on, and its share of the residual."""
+
+    depends_on: str
+    share: float | None
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class ImprovementView:
+    """Ratio of the error before to that after, and its 95 % interval; None for what is infinite."""
+
+    ratio: float | None
+    low: float | None
+    high: float | None
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class ModelView:
+    """One model of the chain: its effects, log evidence over that of the first, and its errors."""
+
+    effects: tuple[str, ...]
+    log_evidence: float | None
+    rms_rps: float | None
+    max_rps: float | None
+    coverage95: float | None
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class PhaseView:
+    """Mean error of one gyro over a rest, ramp or steady rate of a run, see ``PhaseErrors``."""
+
+    run: str
+    start_s: float | None
+    end_s: float | None
+    rate_dps: float | None
+    kind: str
+    before_rps: float | None
+    after_rps: float | None
+    noise_rps: float | None
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class GyroView:
+    """Errors and states of one gyro before and after; ``moved_sigmas`` is the change in old sigmas.
+
+    States are by name.
+    """
+
+    before: ErrorsView
+    after: ErrorsView
+    states_before: Mapping[str, float | None]
+    states_after: Mapping[str, float | None]
+    sd_before: Mapping[str, float | None]
+    sd_after: Mapping[str, float | None]
+    moved_sigmas: Mapping[str, float | None]
+    phases: tuple[PhaseView, ...]
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class SuspectView:
+    """An effect that was tried, and the probability that the first model lacks it most."""
+
+    effect: str
+    log_evidence: float | None
+    probability: float | None
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class SpectrumView:
+    """Densities (rad/s)^2/Hz of a residual and of its noise at some frequencies."""
+
+    frequency_hz: tuple[float | None, ...]
+    density: tuple[float | None, ...]
+    noise: tuple[float | None, ...]
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class DependenceView:
+    """Share of a residual's power beyond the noise that depends on a variable, and how probable that is by chance."""
+
+    share: float | None
+    p_value: float | None
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class GyroResidualView:
+    """The residual of one gyro, see ``GyroResidual``; ``depends_on`` is by variable."""
+
+    nis: float | None
+    nis_sd: float | None
+    lag1: float | None
+    lag1_sd: float | None
+    white_p: float | None
+    beyond: float | None
+    spectrum: SpectrumView
+    depends_on: Mapping[str, DependenceView]
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class SplitView:
+    """The part of a residual that gyros have in common, and their own part, see ``Split``."""
+
+    origin: str
+    common: float | None
+    own: float | None
+    own_share: float | None
+    spare: int
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class ResidualView:
+    """The remaining output errors by gyro, and whether gyros have them in common.
+
+    ``split`` is None where that is not known, with the reason in ``no_split``.
+    """
+
+    gyros: Mapping[str, GyroResidualView]
+    split: SplitView | None
     no_split: str | None
 
 
-class InvestigationView(TypedDict):
-    """The result as --json prints it. ``parameters`` of added effects are (value, standard deviation, unit).
+@dataclass(kw_only=True, frozen=True, slots=True)
+class ResidualPair:
+    """Residuals of the same recordings, under the models before and after."""
 
-    ``residual`` has "before" and "after" for the fitted recordings and, or None, both for the "verification" run.
+    before: ResidualView
+    after: ResidualView
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class ResidualsView:
+    """Residuals of the fitted recordings before and after, and those of the verification run if there is one."""
+
+    before: ResidualView
+    after: ResidualView
+    verification: ResidualPair | None
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class InvestigationView:
+    """The result as --json prints it, with the same names in the same order.
+
+    ``rival_sizes`` are the effects that cannot be told apart, each as if it alone were there. ``record_next`` says what
+    a recording must hold to show the candidates.
     """
 
     verdict: str
     reason: str
-    added: list[dict[str, Any]]
-    rivals: list[list[str]]
-    unexplained: dict[str, Any] | None
+    added: tuple[AddedView, ...]
+    rivals: tuple[tuple[str, ...], ...]
+    unexplained: UnexplainedView | None
     before: ErrorsView
     after: ErrorsView
-    improvement: dict[str, float | None] | None
+    improvement: ImprovementView | None
     in_sample: bool
     next_script: str | None
-    models: list[dict[str, Any]]
-    gyros: dict[str, dict[str, Any]]
-    suspects: list[dict[str, Any]]
-    residual: dict[str, Any] | None
-    left_out: dict[str, str]
-    taken_back: list[str]
-    notes: list[str]
-    rival_sizes: NotRequired[list[dict[str, Any]]]
-    record_next: NotRequired[list[str]]
-    recordings: list[str]
-    verification: list[str]
+    models: tuple[ModelView, ...]
+    gyros: Mapping[str, GyroView]
+    suspects: tuple[SuspectView, ...]
+    residual: ResidualsView | None
+    left_out: Mapping[str, str]
+    taken_back: tuple[str, ...]
+    notes: tuple[str, ...]
+    rival_sizes: tuple[AddedView, ...] = ()
+    record_next: tuple[str, ...] = ()
+    recordings: tuple[str, ...]
+    verification: tuple[str, ...]
 
 
 def investigation_view(
     found: Investigation, next_script: Path | None, recordings: Sequence[str] = (), verification: Sequence[str] = ()
 ) -> InvestigationView:
     """Return the view of an investigation of ``recordings``, judged by those in ``verification``."""
-    models = [{"effects": m.effects, "log_evidence": m.log_evidence, **asdict(m.errors)} for m in found.models]
+    models = [{"effects": m.effects, "log_evidence": m.log_evidence, **json_object(m.errors)} for m in found.models]
     fitted = _both(found.residual_before, found.residual_after)
     whole = {
         "verdict": str(found.finding),
@@ -91,7 +250,21 @@ def investigation_view(
         "recordings": recordings,
         "verification": verification,
     }
-    return cast(InvestigationView, json_object(whole))
+    return investigation_of(json_object(whole))
+
+
+def investigation_of(found: Mapping[str, Any]) -> InvestigationView:
+    """Return the view in an object of JSON that ``investigation_object`` made.
+
+    KeyError or TypeError if it is none, or one of another version of the station.
+    """
+    return view_of(InvestigationView, found)
+
+
+def investigation_object(view: InvestigationView) -> dict[str, Any]:
+    """Return the view for --json."""
+    whole: dict[str, Any] = json_object(view)
+    return whole
 
 
 def what_shows(found: Investigation) -> list[str]:
@@ -109,13 +282,6 @@ def what_shows(found: Investigation) -> list[str]:
     return [line for line in motions if not line.endswith(": ")]
 
 
-def is_investigation(found: Mapping[str, Any]) -> bool:
-    """Return whether an object of JSON is an investigation of this version, with a verdict."""
-    return InvestigationView.__required_keys__ <= found.keys() and all(
-        set(Added.__dataclass_fields__) <= added.keys() for added in found["added"]
-    )
-
-
 def _gyro(gyro: GyroErrors) -> dict[str, Any]:
     states = {key: by_state(getattr(gyro, key)) for key in ("states_before", "states_after", "sd_before", "sd_after")}
     moved = {"moved_sigmas": by_state(gyro.moved)}
@@ -123,14 +289,14 @@ def _gyro(gyro: GyroErrors) -> dict[str, Any]:
 
 
 def _both(before: Residual | None, after: Residual | None) -> dict[str, Any] | None:
-    return None if before is None or after is None else {"before": residual_view(before), "after": residual_view(after)}
+    if before is None or after is None:
+        return None
+    return {"before": _residual(before), "after": _residual(after)}
 
 
-def residual_view(residual: Residual) -> ResidualView:
-    """Return the displayed values of a residual."""
-    split = None if residual.split is None else asdict(residual.split)
+def _residual(residual: Residual) -> dict[str, Any]:
     gyros = {gyro.name: _gyro_residual(gyro) for gyro in residual.gyros}
-    return {"gyros": gyros, "split": split, "no_split": residual.no_split or None}
+    return {"gyros": gyros, "split": residual.split, "no_split": residual.no_split or None}
 
 
 def _gyro_residual(gyro: GyroResidual) -> dict[str, Any]:

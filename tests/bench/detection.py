@@ -9,13 +9,49 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import sys
+from collections.abc import Sequence
 
 from detection_study import study
+from rich.table import Table
 
-from station.render.terminal import print_rendered, stdout
+from station.render.terminal import rich_table, stdout
+from station.views.figures import number
 from station.views.json_values import json_object
+
+TITLE = "What is found of effects that only the twin knows, % of seeds"
+HEADS = (
+    "effect",
+    "size",
+    "seeds",
+    "right",
+    "or told\nas rivals",
+    "wrong\nname",
+    "error over\noracle's",
+    "before :\nafter",
+    "coverage\nbefore",
+    "\nafter",
+)
+
+
+def table_of(lines: Sequence[study.Summary]) -> Table:
+    """Return the table of the study."""
+    rows = [
+        [
+            line.name.replace("_", " "),
+            f"{line.size:g}" if line.size else "-",
+            str(line.seeds),
+            number(100 * line.right, 0),
+            number(100 * line.told, 0),
+            number(100 * line.wrong, 0),
+            number(line.over_oracle, 3),
+            number(line.gain, 1),
+            number(100 * line.coverage_before, 0),
+            number(100 * line.coverage_after, 0),
+        ]
+        for line in lines
+    ]
+    return rich_table(TITLE, HEADS, "lr", rows, centred=True)
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -34,7 +70,7 @@ def main(argv: list[str] | None = None) -> int:
     if given.json:
         print(json.dumps({"study": "detection", "lines": json_object(found.lines)}))
     else:
-        print_rendered(stdout(), "detection_study", "detection.rich", {"lines": found.lines, "isnan": math.isnan})
+        stdout().print(table_of(found.lines))
     for failure in found.failures:
         print(f"seed {failure.item} failed: {failure.reason}", file=sys.stderr)
     return 1 if found.failures else 0

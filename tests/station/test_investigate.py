@@ -38,7 +38,7 @@ from station.scripts.loop_scripts import candidates, exploration_script, there_a
 from station.scripts.next_script import NextScript, Past, next_script
 from station.scripts.script import Rest, Script, check, load_script, paper_script
 from station.views.figures import human, probability
-from station.views.investigation import investigation_view
+from station.views.investigation import investigation_object, investigation_view
 
 if TYPE_CHECKING:
     from shared import Traced
@@ -285,9 +285,9 @@ def test_an_effect_without_a_name_is_said_as_the_law_that_it_is(capsys: pytest.C
     print_investigation(found, None, None, stdout())
     said = "CONSTRUCTED: bias proportional to temperature above 25 degC lagged by 58.1 ± 4.2 s; not in the catalogue"
     assert f"{said}, probability 98.0 %" in " ".join(capsys.readouterr().out.split())
-    (entry,) = investigation_view(found, None, [], [])["added"]
+    (entry,) = investigation_object(investigation_view(found, None))["added"]
     assert (entry["constructed"], entry["expression"], entry["effect"]) == (True, law, in_words(law))
-    (entry,) = investigation_view(made(Finding.ADDED), None, [], [])["added"]
+    (entry,) = investigation_object(investigation_view(made(Finding.ADDED), None))["added"]
     assert (entry["constructed"], entry["expression"]) == (False, "")
 
 
@@ -297,7 +297,7 @@ def test_what_is_unexplained_is_said_with_what_it_depends_on(capsys: pytest.Capt
 
 
 def test_json_has_null_where_a_number_is_not_known() -> None:
-    found = investigation_view(made(Finding.ADDED), None, ["a.h5"], ["verify.h5"])
+    found = investigation_object(investigation_view(made(Finding.ADDED), None, ["a.h5"], ["verify.h5"]))
     assert json.loads(json.dumps(found, allow_nan=False))["gyros"]["gyro1"]["phases"][0]["after_rps"] is None
     assert found["added"][0]["parameters"] == {"delay": [0.004, 3e-5, "s"]}
 

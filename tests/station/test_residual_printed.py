@@ -19,7 +19,7 @@ from station.exports.investigation_file import write_investigation
 from station.render.investigation_printed import print_investigation
 from station.render.terminal import stdout
 from station.report.pictures import draw_investigation
-from station.views.investigation import investigation_view
+from station.views.investigation import investigation_object, investigation_of, investigation_view
 
 
 @pytest.fixture
@@ -85,7 +85,7 @@ def test_it_is_said_how_far_the_gyros_can_tell_what_they_share(
 
 
 def test_json_holds_what_is_left_before_and_after_of_all_runs(found: Investigation) -> None:
-    kept = json.loads(json.dumps(investigation_view(found, None, [], []), allow_nan=False))["residual"]
+    kept = json.loads(json.dumps(investigation_object(investigation_view(found, None)), allow_nan=False))["residual"]
     assert set(kept) == {"before", "after", "verification"}
     for before, after in ((kept["before"], kept["after"]), tuple(kept["verification"].values())):
         assert before["split"]["origin"] == "own to each"
@@ -101,9 +101,19 @@ def test_json_holds_what_is_left_before_and_after_of_all_runs(found: Investigati
     assert max(shares, key=lambda variable: shares[variable]) == "rate"
 
 
+def test_an_investigation_is_read_back_from_its_json(found: Investigation) -> None:
+    view = investigation_view(found, Path("next.toml"), ["a.h5"], ["b.h5"])
+    written = json.loads(json.dumps(investigation_object(view), allow_nan=False))
+    assert view.residual is not None
+    assert investigation_of({**written, "of a later version": 1}) == view
+    for damaged in ({**written, "models": None}, {**written, "before": {}}, {**written, "in_sample": "no"}):
+        with pytest.raises((KeyError, TypeError)):
+            investigation_of(damaged)
+
+
 def test_files_and_pictures_hold_the_spectra(found: Investigation, tmp_path: Path) -> None:
     path, picture = tmp_path / "found.h5", tmp_path / "found.png"
-    write_investigation(path, found, investigation_view(found, None, [], []))
+    write_investigation(path, found, investigation_object(investigation_view(found, None)))
     with h5py.File(path) as file:
         for group in ("spectrum", "spectrum_verification"):
             gyro = file["investigation"][group]["gyro2"]

@@ -16,7 +16,6 @@ from estimator.geometry.noise import NoiseModel
 from estimator.planning.planning import EffectForecast, Forecast, PlannedDevice, forecast
 from estimator.recordings.recording import ImuData
 from estimator.recordings.reference import REST_RPS, TableReadings
-from station.render.plan_printed import MARKED, unnoticed
 from station.report.figures import Unit, figure, significant, typographic
 from station.report.recorded import Recorded, Step
 from station.scripts.planned import planned_motion
@@ -25,6 +24,7 @@ from station.scripts.steps.kind import Step as ScriptStep
 from station.scripts.steps.rest import Rest
 from station.scripts.steps.rotate import Rotate
 from station.views.figures import human
+from station.views.plan import MARKED, unnoticed
 
 _PERIOD_S = 0.1
 _MOST_ROWS = 36_000  # an hour of them; longer runs use coarser steps

@@ -16,6 +16,7 @@ from stat import S_ISREG
 from typing import TYPE_CHECKING, Any
 
 from station.screen.archive.entries import Entry, File, Whole, moves
+from station.views.history import Move
 
 if TYPE_CHECKING:
     from pebble import ProcessPool
@@ -128,7 +129,7 @@ class Archive:
             return "it is damaged: the HDF5 library failed on it"
 
 
-async def moved(recording: Path) -> list[dict[str, Any]]:
+async def moved(recording: Path) -> list[Move]:
     """Return what moved since the last comparable run in the recording's folder, as far as that is read in some
     seconds.
     """

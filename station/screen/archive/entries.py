@@ -12,6 +12,7 @@ from typing import Any, Self, TypeAlias
 
 from station.run.snapshot import GyroSnapshot
 from station.screen.sessions.live_run import Trend
+from station.views.history import Move
 
 File: TypeAlias = tuple[str, int, int]
 """Path of a file, when it was changed in nanoseconds since 1970, and its size in bytes."""
@@ -149,7 +150,7 @@ def comparable(entries: Iterable[Entry], whatever: int = 0) -> list[list[Entry]]
     return list(found.values())
 
 
-def moves(entries: Iterable[Entry]) -> dict[str, list[dict[str, Any]]]:
+def moves(entries: Iterable[Entry]) -> dict[str, list[Move]]:
     """Return, by file, the states that moved since the last comparable run that did not fail by more than chance
     explains.
 
@@ -159,16 +160,23 @@ def moves(entries: Iterable[Entry]) -> dict[str, list[dict[str, Any]]]:
 
     from estimator.geometry.model import STATES
 
-    found, last = dict[str, list[dict[str, Any]]](), None
+    found, last = dict[str, list[Move]](), None
     for run in (run for runs in comparable(entries) for run in runs):
         last = last if last is not None and last.series == run.series else run
         if run is not last and run.when_utc_s == last.when_utc_s:  # a copy
             found[run.file] = found[last.file]
             continue
-        since = {"since": last.path.name, "since_when": last.when}
+        since = last.path.name
+        since_when = last.when
         limit = NormalDist().inv_cdf(1 - _BY_CHANCE / 2 / (len(run.gyros) * len(STATES)))
         found[run.file] = [
-            {"gyro": new.full_name, "state": state, "sigmas": (x - before) / sigma, **since}
+            Move(
+                gyro=new.full_name,
+                state=state,
+                sigmas=(x - before) / sigma,
+                since=since,
+                since_when=since_when,
+            )
             for old, new in zip(last.gyros, run.gyros, strict=True)
             for state, before, x, *sds in zip(STATES, old.values, new.values, old.sds, new.sds, strict=True)
             if not last.failed and abs(x - before) > limit * (sigma := math.hypot(*sds)) > 0

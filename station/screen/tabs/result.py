@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
 from rich.console import Group, RenderableType
 from rich.text import Text
@@ -15,7 +15,7 @@ from textual.containers import Container, Horizontal, VerticalScroll
 from textual.widgets import Button, Static
 
 from station.atomic_write import free_path
-from station.render.template import rendered
+from station.render.archive.moved import moved_since
 from station.screen.archive.entries import INVESTIGATION, Entry, Whole, last_comparable, moves
 from station.screen.base import StationScreen
 from station.screen.charts import Charts
@@ -25,6 +25,7 @@ from station.screen.figures import templated
 from station.screen.sessions.programs import ask
 from station.screen.tabs.facts import fill_in
 from station.views.figures import figures_from
+from station.views.history import Move
 
 _MOST_OFFERED = 20
 _LOOKING = "looking for errors that the model misses"
@@ -54,7 +55,7 @@ class ResultScreen(StationScreen):
         super().__init__()
         self._whole: Whole | None = None
         self._same: list[Entry] = []
-        self._moves: list[dict[str, Any]] = []
+        self._moves: list[Move] = []
         self._found: Mapping[str, Any] = {}
         self._model: Sequence[RenderableType] = ()
         self._busy = ""
@@ -249,7 +250,7 @@ class ResultScreen(StationScreen):
         charts.display = bool(whole and whole.curves)
         values: dict[str, Any] = {"whole": whole, "path": self.recording, "busy": self._busy, "said": self._said}
         values["state_figures"] = figures_from(whole.entry.units if whole is not None else {})
-        moved = Text.from_markup(rendered("station.render", "moved.rich", {"moves": self._moves}).strip(), emoji=False)
+        moved = Text.from_markup(moved_since(self._moves), emoji=False)
         self._block("verdict", Text("\n").join(filter(None, (templated("verdict.rich", values), moved))))
         shown: dict[str, RenderableType] = {}
         if whole is not None and not whole.entry.wrong:
@@ -293,12 +294,10 @@ def _investigation(found: Mapping[str, Any]) -> list[RenderableType]:
     Call it in a thread: it loads a library first.
     """
     from station.render.investigation_printed import investigation_shown
-    from station.views.investigation import InvestigationView, is_investigation
+    from station.views.investigation import investigation_of
 
     try:
-        shown = investigation_shown(cast(InvestigationView, found), "d drives it") if is_investigation(found) else None
+        shown = investigation_shown(investigation_of(found), "d drives it")
     except Exception:  # a file made by hand
-        shown = None
-    if shown is None:
         return [Text("damaged, or written by another version of the station: I investigates again", "yellow")]
     return [Text.from_markup(line, emoji=False) if isinstance(line, str) else line for line, _ in shown]

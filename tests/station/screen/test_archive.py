@@ -21,7 +21,7 @@ from station.exports.investigation_file import write_investigation
 from station.screen.archive import reading
 from station.screen.archive.archive import Archive
 from station.screen.choices import Choices
-from station.views.investigation import investigation_view
+from station.views.investigation import investigation_object, investigation_view
 
 ACCEPTED = {"accepted_by": "A. Operator", "accepted_utc": "2026-11-21T12:00:00+00:00"}
 
@@ -121,7 +121,9 @@ def test_an_investigation_that_is_kept_beside_a_recording_is_shown_as_the_comman
         left_out={},
         notes=("a note",),
     )
-    write_investigation(recordings / "second-investigation.h5", found, investigation_view(found, None))
+    write_investigation(
+        recordings / "second-investigation.h5", found, investigation_object(investigation_view(found, None))
+    )
     app = HistoryFirst(Choices(folder=Path("recordings"), operator="A. Operator"))
 
     def shown() -> str:

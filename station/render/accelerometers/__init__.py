@@ -1,0 +1,1 @@
+"""What is printed of accelerometers: results, findings of an investigation, plans."""

@@ -1,0 +1,65 @@
+"""A script that a search found, as a person reads it."""
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+from rich.markup import escape
+from rich.table import Table
+
+from station.bench.units import Units
+from station.render.terminal import Shown, line, print_all, rich_table, stdout
+from station.views.figures import UNKNOWN, state_figures
+from station.views.improved import Improved
+
+_FOR_COMPARISON = "required: for comparison only; with --for the sigmas are made as small as possible"
+
+
+def print_improved(improved: Improved, path: Path, units: Units) -> None:
+    """Print the script found, in the file ``path``, and its sigmas in these units."""
+    print_all(stdout(), _shown(improved, path, units))
+
+
+def _shown(improved: Improved, path: Path, units: Units) -> Iterator[Shown]:
+    yield line(_durations(improved))
+    yield _sigmas(improved, units), {}
+    if improved.wanted.total_s is not None:
+        yield _FOR_COMPARISON, {"style": "dim"}
+    for number, timed in enumerate(improved.found.script.timeline(), 1):
+        yield line(escape(f"{number:3d}  {timed.span.least_s:7.2f} s  {timed.step.label}"))
+    yield line(_search(improved))
+    yield f"script: {path}   (station run --script {path})", {"highlight": False, "soft_wrap": True}
+
+
+def _durations(improved: Improved) -> str:
+    before = f"{improved.before.least_s:.1f} s ({escape(improved.before.name)})"
+    pauses = f"{improved.with_sequencer_s:.1f} s including the pauses of the sequencer"
+    return f"[bold]{improved.found.script.least_s:.1f} s[/] instead of {before}; {pauses}"
+
+
+def _search(improved: Improved) -> str:
+    return (
+        f"[dim]rests of {improved.wanted.rest_s:g} s or more at both ends separate noise from motion; "
+        f"{improved.found.compared} combinations of turns compared in {improved.search_s:.1f} s[/]"
+    )
+
+
+def _sigmas(improved: Improved, units: Units) -> Table:
+    """Return the table of required and reached sigmas by gyro."""
+    figures = state_figures(units)
+    heads = ["gyro"]
+    for figure in figures:
+        heads += [f"{figure.name}\n{figure.unit}", "\nreached"]
+    table = rich_table("Sigmas of the states, required and reached", heads, "ldrdrdrdr")
+    several = len({device for device, _ in improved.gyros}) > 1
+    for row, (device, name) in enumerate(improved.gyros):
+        cells = [escape(f"{device} {name}" if several else name)]
+        for state, figure in enumerate(figures):
+            cells.append(_required(float(improved.wanted.sd[row, state]) * figure.factor))
+            cells.append(f"{float(improved.found.sd[row, state]) * figure.factor:.4g}")
+        table.add_row(*cells)
+    return table
+
+
+def _required(sd: float) -> str:
+    return UNKNOWN if sd == math.inf else f"{sd:.4g}"

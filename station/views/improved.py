@@ -1,0 +1,37 @@
+"""A script that ``station plan --improve`` found, and what it was to reach."""
+
+from dataclasses import dataclass
+
+from drivers.types import Floats
+from station.scripts.script import Script
+from station.scripts.script_search import Found
+
+_AFTER_MOVE_S = 0.05  # the sequencer asks for the arrival when it is due, and again after this time
+
+
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
+class Wanted:
+    """The goal: sigmas (n, 4), infinite where none is required; the time given, or None for the least time."""
+
+    sd: Floats
+    total_s: float | None
+    rest_s: float
+    criterion: str
+    one_way: bool
+
+
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
+class Improved:
+    """The script found, its goal, and the duration of the search; ``gyros`` are (device, gyro)."""
+
+    before: Script
+    wanted: Wanted
+    found: Found
+    gyros: tuple[tuple[str, str], ...]
+    search_s: float
+
+    @property
+    def with_sequencer_s(self) -> float:
+        """Duration of the script, including the pauses of the sequencer."""
+        script = self.found.script
+        return script.least_s + _AFTER_MOVE_S * sum(step.turns for step in script.steps)

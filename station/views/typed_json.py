@@ -1,0 +1,89 @@
+"""Views read back from JSON: objects become the dataclasses that their types name."""
+
+import types
+from collections.abc import Mapping
+from dataclasses import MISSING, fields, is_dataclass
+from functools import cache
+from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+
+View = TypeVar("View")
+_UNIONS = (Union, types.UnionType)
+
+
+def view_of(kind: type[View], found: Mapping[str, Any]) -> View:
+    """Return the dataclass ``kind`` that an object of JSON holds, with all that is nested in it.
+
+    Fields may be other dataclasses, texts, numbers, flags, None, and tuples and mappings of them. Unknown keys are
+    ignored; a missing key takes the default of its field.
+
+    KeyError for a missing key without a default, TypeError for a value of another type.
+    """
+    return cast(View, _read(kind, found))
+
+
+def _read(kind: Any, value: Any) -> Any:
+    origin = get_origin(kind)
+    if kind is Any:
+        return value
+    if origin in _UNIONS:
+        return _read_optional(kind, value)
+    if origin is tuple:
+        return _read_tuple(get_args(kind), value)
+    if origin is not None:
+        return _read_mapping(get_args(kind)[1], value)
+    if is_dataclass(kind):
+        return _read_dataclass(cast(type, kind), value)
+    return _read_plain(kind, value)
+
+
+def _read_optional(kind: Any, value: Any) -> Any:
+    """Return a value of a type that may also be None."""
+    if value is None:
+        return None
+    (inner,) = (part for part in get_args(kind) if part is not types.NoneType)
+    return _read(inner, value)
+
+
+def _read_tuple(parts: tuple[Any, ...], value: Any) -> tuple[Any, ...]:
+    """Return a list of JSON as a tuple: of one type, or of a type for each place."""
+    if not isinstance(value, list | tuple):
+        raise TypeError(f"{value!r} is not a list")
+    if len(parts) == 2 and parts[1] is Ellipsis:
+        return tuple(_read(parts[0], item) for item in value)
+    return tuple(_read(part, item) for part, item in zip(parts, value, strict=True))
+
+
+def _read_mapping(part: Any, value: Any) -> dict[str, Any]:
+    """Return an object of JSON whose keys are names, with values of one type."""
+    if not isinstance(value, Mapping):
+        raise TypeError(f"{value!r} is not an object")
+    return {str(key): _read(part, item) for key, item in value.items()}
+
+
+def _read_dataclass(kind: type, value: Any) -> Any:
+    if not isinstance(value, Mapping):
+        raise TypeError(f"{value!r} is not an object")
+    values = {}
+    for name, (part, has_default) in _fields_of(kind).items():
+        if name in value or not has_default:
+            values[name] = _read(part, value[name])
+    return kind(**values)
+
+
+def _read_plain(kind: type, value: Any) -> Any:
+    """Return a text, number or flag. A whole number of JSON may stand for any number."""
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if not isinstance(value, kind):
+        raise TypeError(f"{value!r} is not of type {kind.__name__}")
+    return value
+
+
+@cache
+def _fields_of(kind: type) -> dict[str, tuple[Any, bool]]:
+    """Return by field of a dataclass its type, and whether it has a default."""
+    hints = get_type_hints(kind)
+    return {
+        field.name: (hints[field.name], field.default is not MISSING or field.default_factory is not MISSING)
+        for field in fields(kind)
+    }
