@@ -30,7 +30,7 @@ from station.render.progress import TracingProgress
 from station.report.pictures import draw_investigation
 from station.schema.tables import Table
 from station.scripts.next_script import NextScript, Past, next_script
-from station.views.force_findings import finding_object
+from station.views.accelerometers.findings import finding_object
 from station.views.investigation import investigation_object, investigation_view
 
 _NEXT_FILE = "next-script.toml"

@@ -26,8 +26,8 @@ from station.scripts.early_late import early_and_late
 from station.scripts.plan import TEMPERATURE_RISE_K, WARMING_TIME_S, Plan, make_plan
 from station.scripts.script import Timed, load_script, paper_script
 from station.scripts.steps.kind import Span
+from station.views.accelerometers.planned import planned_object
 from station.views.json_values import by_state, json_object
-from station.views.planned_forces import planned_object
 
 EARLY_LATE_FILE = "early-late.toml"
 

@@ -21,7 +21,7 @@ from station.render.results.details import details_shown, sources_shown
 from station.render.results.verdict import closing_shown, next_steps, verdict_shown
 from station.render.terminal import print_all, stdout
 from station.run.outcome import Outcome, Verdict
-from station.views.forces import force_object
+from station.views.accelerometers.result import force_object
 from station.views.json_values import budget_and_noise, by_state, json_object, named
 
 if TYPE_CHECKING:  # acquisition also imports drivers

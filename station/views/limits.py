@@ -11,8 +11,8 @@ from estimator.calibration.accelerometer import AccelerometerCalibration
 from estimator.calibration.values import Calibration
 from station.bench.bench import ForceLimits, Limits
 from station.errors import sentence
+from station.views.accelerometers.result import FORCE_FIGURES
 from station.views.figures import StateUnit, state_figures
-from station.views.forces import FORCE_FIGURES
 
 
 @dataclass(kw_only=True, frozen=True, slots=True)

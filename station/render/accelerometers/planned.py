@@ -8,9 +8,9 @@ from rich.table import Table
 from estimator.tracing.accelerometers.force_effects import BY_NAME
 from station.opening.planned_forces import PlannedForces
 from station.render.terminal import Shown, print_all, rich_table, stdout
+from station.views.accelerometers.planned import DETECTED
+from station.views.accelerometers.result import PLACE, fitted_forces, place_figure
 from station.views.figures import number
-from station.views.forces import PLACE, fitted_forces, place_figure
-from station.views.planned_forces import DETECTED
 
 
 def print_planned_forces(planned: Sequence[PlannedForces]) -> None:

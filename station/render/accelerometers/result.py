@@ -8,8 +8,8 @@ from rich.table import Table
 
 from estimator.calibration.accelerometer import AccelerometerCalibration, ForceCalibration
 from station.render.terminal import Shown, print_all, rich_table, stdout
+from station.views.accelerometers.result import FORCE_FIGURES, LINE_WORDS, OFFSET, PLACE, fitted_forces, place_figure
 from station.views.figures import StateUnit, number
-from station.views.forces import FORCE_FIGURES, LINE_WORDS, OFFSET, PLACE, fitted_forces, place_figure
 
 
 def print_forces(forces: Sequence[ForceCalibration], *, details: bool) -> None:

@@ -9,8 +9,8 @@ from markupsafe import Markup
 from estimator.calibration.accelerometer import ForceCalibration
 from station.report.figures import COVERAGE, SYMBOLS, typographic
 from station.report.recorded import Recorded
+from station.views.accelerometers.result import FORCE_FIGURES, LINE_WORDS, OFFSET, PLACE, fitted_forces, place_figure
 from station.views.figures import StateUnit
-from station.views.forces import FORCE_FIGURES, LINE_WORDS, OFFSET, PLACE, fitted_forces, place_figure
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

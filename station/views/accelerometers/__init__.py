@@ -1,0 +1,1 @@
+"""Accelerometers for tables and for JSON: results, findings of an investigation, plans."""
