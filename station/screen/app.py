@@ -30,8 +30,8 @@ from station.screen.bars import SCREENS, STOP_KEY, Small, StopBar
 from station.screen.base import LEAST_HEIGHT, LEAST_WIDTH, StationScreen, keys_of
 from station.screen.choices import Choices, load_by_processor, twin_scale
 from station.screen.dialogs import AskDialog, ChooseDialog, HelpDialog, StationDialog
-from station.screen.figures import templated
 from station.screen.memory import REMEMBERED, Remembered, load_remembered, save_remembered, whole
+from station.screen.panes.tray import mount_question
 from station.screen.sessions.link import SessionLink, sessions_on, sessions_there, stop_session
 from station.screen.sessions.live_run import LiveRun, Stage
 from station.screen.sessions.programs import SessionProcess
@@ -277,8 +277,8 @@ class StationApp(App[None]):
         """Ask that the next device of the tray be mounted, unless a session runs; ``scanned``: another one was."""
         spot = self.tray.next
         if spot is not None and not self.busy:
-            question = templated("mount.rich", {"spot": spot, "scanned": scanned}).plain
-            self.push_screen(MountDialog(question, begun=spot.serial), partial(self._mount, spot))
+            dialog = MountDialog(mount_question(spot, scanned), begun=spot.serial)
+            self.push_screen(dialog, partial(self._mount, spot))
 
     def _mount(self, spot: TrayItem, serial: str | None) -> None:
         """Prepare the run of a mounted device, which then starts by itself; None cancels, another number asks again."""

@@ -13,6 +13,8 @@ from typing import Any
 
 from station.run.snapshot import EventKind, Phase, Snapshot, snapshot_of
 
+SILENCE_S = 3.0
+"""After so long without a word from a session, what is shown of it is old."""
 _MOST_EVENTS = 500
 _MOST_POINTS = 1200
 _MOVING, _ENDING = (Phase.HOMING, Phase.RUNNING), (Phase.STOPPING, Phase.ESTIMATING)
