@@ -105,7 +105,7 @@ def _lines(run: LiveRun | None, said: str) -> list[Text]:
     if run is None:
         return [Text(said or "no session runs", style="bold")]
     if run.outcome:
-        reason = str((run.result or {}).get("reason", ""))
+        reason = run.result.reason if run.result is not None else ""
         style = OUTCOME_STYLES.get(run.outcome, "")
         return [Text.assemble((run.outcome, f"bold {style}"), f"  {reason}")]
     snapshot = run.snapshot

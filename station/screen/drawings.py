@@ -1,19 +1,18 @@
 """The contents of the charts: a run, the states of a gyro over time and over calibrations, a script's motion."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 from drivers.units import split_quantity
 from station.run.snapshot import GyroSnapshot, Snapshot
 from station.screen.sessions.live_run import LiveRun, Trend
-from station.views.figures import STATE_FIGURES, StateUnit, figures_from, number
+from station.views.figures import STATE_FIGURES, StateUnit, number
 
 STATE_CHARTS = tuple(state.name for state in STATE_FIGURES)
 DIALS = ("axes",)
 RUN_CHARTS = ("rate", "residual", "NIS", "temperature", *STATE_CHARTS, *DIALS)
 _AXIS_STYLES = ("first", "second", "third")
-_LIMITS = ("k", "b_rps", "sigma_rad", "sigma_rad")
 _RECENT, _LEAST_SIGMAS, _MARGIN = 0.2, 3.0, 1.15
 _SHOWN_BY_MOTION = 0.5  # of the sigma that a state begins with
 _SIGMAS = 2.0
@@ -70,7 +69,7 @@ def run_drawing(name: str, run: LiveRun, gyro: GyroSnapshot) -> Drawing | None:
     """
     if name == "axes" and run.snapshot is not None:
         return _axes_drawing(run, run.snapshot)
-    limits = run.hello.get("limits") or {}
+    limits = run.limits
     if name in series_charts(run.seen[-1]):
         found = _series_drawing(series_charts(run.seen[-1]).index(name), run.seen)
     elif name.startswith(_SERIES):
@@ -78,10 +77,10 @@ def run_drawing(name: str, run: LiveRun, gyro: GyroSnapshot) -> Drawing | None:
     elif name in STATE_CHARTS:
         index = STATE_CHARTS.index(name)
         trend = run.trends.get(gyro.name) or Trend()
-        figures = figures_from(limits.get("units"))
-        found = state_drawing(index, trend, _sent_limit(limits, _LIMITS[index]), figures=figures)
+        limit = StateLimit(limits.sizes[index], limits.written[index])
+        found = state_drawing(index, trend, limit, figures=limits.figures)
     else:
-        found = _seen(name, run, gyro, [float(limits[key]) for key in ("nis_low", "nis_high") if limits.get(key)])
+        found = _seen(name, run, gyro, limits.nis)
     return found._replace(marks=run.steps_begin_s, span=(0.0, run.seen[-1].elapsed_s))
 
 
@@ -125,13 +124,6 @@ def _seen(name: str, run: LiveRun, gyro: GyroSnapshot, nis_limits: Sequence[floa
         words.append((_EXPECTED, "first"))
         curves.insert(0, Curve(times, expected, "first"))
     return Drawing(words, curves)
-
-
-def _sent_limit(limits: Mapping[str, Any], key: str) -> StateLimit:
-    """Return a limit from a session's message; one of another version may lack how it was written."""
-    size, written = limits.get(key), limits.get("written")
-    text = written.get(key, "") if isinstance(written, Mapping) else ""
-    return StateLimit() if size is None else StateLimit(float(size), str(text))
 
 
 def _axes_drawing(run: LiveRun, snapshot: Snapshot) -> Drawing:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from rich.text import Text
 
+from drivers.types import AxisLimits
 from station.run.snapshot import PAUSED, Snapshot
 from station.screen.panes.lines import Part, bar, joined, line
 from station.screen.sessions.live_run import SILENCE_S, LiveRun, Stage
@@ -18,13 +19,11 @@ _BOLD, _DIM, _ALARM = "bold", "dim", "bold red"
 
 @dataclass(kw_only=True, frozen=True, slots=True)
 class DrivenAxis:
-    """An axis that can be driven by hand, with its limits; ``travel_rad`` is None for no end of travel."""
+    """An axis that can be driven by hand, with its limits; ``angle_rad`` is NaN where it is not known."""
 
     name: str
     angle_rad: float
-    max_rate_rps: float
-    max_acceleration_rps2: float
-    travel_rad: tuple[float, float] | None
+    limits: AxisLimits
 
 
 @dataclass(kw_only=True, frozen=True, slots=True)
@@ -67,7 +66,8 @@ def _no_run(others: int) -> str:
 def _run_lines(run: LiveRun, width: int) -> list[Text]:
     recording = f"recording: {run.recording}"
     if run.stage is Stage.ENDED:
-        return [*_ended(run, width), line(f"{recording}   (F4: result)" if run.hello else recording)]
+        begun = run.hello is not None
+        return [*_ended(run, width), line(f"{recording}   (F4: result)" if begun else recording)]
     if run.stage is Stage.LOST:
         lost = "LINK LOST: the session continues; the screen is trying to reconnect"
         return [line((lost, _ALARM)), *map(line, _wrapped(run.trouble, width)), line(recording)]
@@ -77,7 +77,7 @@ def _run_lines(run: LiveRun, width: int) -> list[Text]:
     if run.snapshot is None:
         waits = "the session is starting" if run.stage is Stage.STARTING else "connected, waiting for the first figures"
         return [line(waits), line((recording, _DIM))]
-    if run.hello.get("manual"):
+    if run.by_hand:
         return [_driven_by_hand(run.snapshot)]
     return _under_way(run, run.snapshot, width)
 
@@ -90,7 +90,7 @@ def _wrapped(text: str, width: int) -> list[str]:
 def _ended(run: LiveRun, width: int) -> list[Text]:
     """Return the outcome with its reason, or that there is no result and why."""
     head = "NO RESULT" if run.result is None else run.outcome
-    reason = run.trouble if run.result is None else run.result["reason"]
+    reason = run.trouble if run.result is None else run.result.reason
     first, *others = _wrapped(f"{head}  {reason}", width) or [head]
     style = OUTCOME_STYLES.get(head, _ALARM)
     return [line((head, style), first[len(head) :]), *map(line, others)]
@@ -129,11 +129,11 @@ def _manual_lines(view: ManualView) -> list[Text]:
 
 
 def _axis_limits(axis: DrivenAxis) -> str:
-    rate = f"up to {math.degrees(axis.max_rate_rps):.4g} deg/s"
-    acceleration = f"{math.degrees(axis.max_acceleration_rps2):.4g} deg/s2"
-    if axis.travel_rad is None:
+    rate = f"up to {math.degrees(axis.limits.rate_rps):.4g} deg/s"
+    acceleration = f"{math.degrees(axis.limits.acceleration_rps2):.4g} deg/s2"
+    if axis.limits.travel_rad is None:
         return f"{rate}, {acceleration}, no end of travel"
-    low, high = map(math.degrees, axis.travel_rad)
+    low, high = map(math.degrees, axis.limits.travel_rad)
     return f"{rate}, {acceleration}, travel {low:.5g} to {high:.5g} deg"
 
 

@@ -83,7 +83,7 @@ def _doing(run: LiveRun) -> str:
     snapshot = run.snapshot
     if snapshot is None:
         return "starting"
-    if run.hello.get("manual"):
+    if run.by_hand:
         return f"manual mode, {snapshot.doing}"
     return f"{snapshot.phase}, {clock_between(snapshot.remaining_s, snapshot.longer_s)} left"
 

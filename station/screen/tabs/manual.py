@@ -3,7 +3,7 @@
 import asyncio
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar
@@ -67,11 +67,13 @@ class ManualScreen(StationScreen):
     def axes(self) -> Sequence[DrivenAxis]:
         """The axes of a session in manual mode, by name; none for another session."""
         run = self.station.shown
-        if run is None or not run.active or not run.hello.get("manual"):
+        if run is None or not run.active or run.hello is None or not run.hello.manual:
             return ()
         angles = {axis.name: axis.angle_rad for axis in run.snapshot.axes} if run.snapshot is not None else {}
-        limits: Mapping[str, Mapping[str, Any]] = run.hello["table"]
-        return [_driven_axis(name, angles.get(name, math.nan), limits[name]) for name in sorted(limits)]
+        return [
+            DrivenAxis(name=name, angle_rad=angles.get(name, math.nan), limits=limits)
+            for name, limits in sorted(run.hello.axes.items())
+        ]
 
     def manual_view(self) -> ManualView | None:
         """Return the bar of manual mode; None for a session in another mode."""
@@ -106,7 +108,7 @@ class ManualScreen(StationScreen):
         if word == "axis":
             self._axis += 1
         elif word in ("slower", "faster"):
-            most_dps = math.degrees(view.chosen_axis.max_rate_rps)
+            most_dps = math.degrees(view.chosen_axis.limits.rate_rps)
             fit = [n for n, rate in enumerate(_RATES_DPS) if rate <= most_dps or not n]
             self._rate = min(max(self._rate + (1 if word == "faster" else -1), 0), fit[-1])
         elif word == "go":
@@ -127,14 +129,3 @@ class ManualScreen(StationScreen):
         except ValueError:
             if text:
                 self.notify(f"{text!r} is not an angle in deg", severity="warning", markup=False)
-
-
-def _driven_axis(name: str, angle_rad: float, limits: Mapping[str, Any]) -> DrivenAxis:
-    """Return an axis with its limits from the greeting of a session."""
-    return DrivenAxis(
-        name=name,
-        angle_rad=angle_rad,
-        max_rate_rps=limits["rate_rps"],
-        max_acceleration_rps2=limits["acceleration_rps2"],
-        travel_rad=tuple(limits["travel_rad"]) if limits["travel_rad"] else None,
-    )

@@ -16,7 +16,6 @@ from station.screen.panes.measured import MeasuredView, events_text, measured_te
 from station.screen.panes.progress import ProgressView, progress_text
 from station.screen.sessions.live_run import SILENCE_S, LiveRun, Stage
 from station.screen.tabs.manual import ManualScreen
-from station.views.figures import figures_from
 
 _SOURCES = ("sources", "details")  # beside the figures, or at the end of all
 _MOST_EVENTS = 24
@@ -101,7 +100,7 @@ def _measured(run: LiveRun, snapshot: Snapshot, large: bool) -> MeasuredView:
     """Return the figures of a run; after it, the last known ones."""
     return MeasuredView(
         snapshot=snapshot,
-        figures=figures_from((run.hello.get("limits") or {}).get("units")),
+        figures=run.limits.figures,
         old=run.stage is not Stage.RUNNING or run.silent_s > SILENCE_S,
         moving=not run.at_rest,  # the last figures may be from before it came to rest
         large=large,

@@ -77,7 +77,7 @@ class TrayScreen(StationScreen):
 
     async def _look_up(self) -> None:
         """Find out how runs ended whose end no screen saw."""
-        live = {hello.get("recording") for _, hello in await sessions_there()}
+        live = {hello.recording for _, hello in await sessions_there() if hello is not None}
         for spot in [spot for spot in self.station.tray.spots if spot.state == RUNNING and spot.recording not in live]:
             if not self.station.busy:  # a session that this screen has just started is in no list yet
                 entry = (await self.station.archive.read(Path(spot.recording))).entry
