@@ -11,9 +11,10 @@ from station.run.snapshot import Snapshot
 from station.screen.bars import Lines
 from station.screen.charts import Charts
 from station.screen.dialogs import AskTextDialog
-from station.screen.drawings import DIALS, RUN_CHARTS, Drawing, run_drawing, series_charts
+from station.screen.drawings import Drawing
 from station.screen.panes.measured import MeasuredView, events_text, measured_text, sources_text
 from station.screen.panes.progress import ProgressView, progress_text
+from station.screen.run_charts import DIALS, RUN_CHARTS, run_drawing, series_charts
 from station.screen.sessions.live_run import SILENCE_S, LiveRun, Stage
 from station.screen.tabs.manual import ManualScreen
 
