@@ -9,7 +9,6 @@ from pathlib import Path
 from markupsafe import Markup
 
 from estimator.calibration.values import Calibration
-from estimator.recordings.reference import TableReadings
 from estimator.untrusted import harmless
 from station.bench.units import Units
 from station.errors import UsageError
@@ -149,7 +148,6 @@ def _values(sources: _Sources) -> dict[str, object]:
         "contents": headings,
         "formal": sources.formal,
         "found": recorded.calibration is not None,
-        "on_table": isinstance(recorded.recording.reference, TableReadings),
         "front": front_view(recorded, sources.formal, sources.standing, adjusted=sources.before is not None),
         "motion": motion_view(recorded),
         "closing": closing_view(

@@ -38,11 +38,11 @@ class TraceabilityView:
 def traceability_view(recorded: Recorded, equipment: Sequence[Equipment]) -> TraceabilityView:
     """Return what the results of a recording are traced to."""
     reference = recorded.recording.reference
-    on_table = isinstance(reference, TableReadings)
+    table = reference if isinstance(reference, TableReadings) else None
     certified = [instrument for instrument in equipment if instrument.certificate]
     return TraceabilityView(
-        on_table=on_table,
-        stated=_stated(reference) if isinstance(reference, TableReadings) else None,
+        on_table=table is not None,
+        stated=_stated(table) if table is not None else None,
         chain=_chain(certified) if certified else None,
     )
 
