@@ -164,26 +164,26 @@ def _values(sources: _Sources) -> dict[str, object]:
     return values
 
 
-def _calibrated(sources: _Sources, found: Calibration) -> dict[str, object]:
+def _calibrated(sources: _Sources, calibration: Calibration) -> dict[str, object]:
     """Return the chapters on a calibration."""
     recorded, traced, before = sources.recorded, sources.traced, sources.before
     limits = limits_of(recorded)
     states = figures.states_in(limits.units if limits is not None else Units())
     return {
         "results": results_view(
-            recorded, found, states=states, standing=sources.standing, unseen=sources.unseen, traced=traced
+            recorded, calibration, states=states, standing=sources.standing, unseen=sources.unseen, traced=traced
         ),
-        "as_found": before and as_found_view(recorded, found, before, sources.hashes, states),
+        "as_found": before and as_found_view(recorded, calibration, before, sources.hashes, states),
         "limits": limits_view(sources.standing, sources.formal.decision_false_accept),
         "traceability": traceability_view(recorded, sources.formal.equipment),
-        "budget": budget_view(recorded, found, states),
+        "budget": budget_view(recorded, calibration, states),
         "correction": correction_view(
-            recorded, found, traced=traced, states=states, data_sha256=sources.hashes["data"]
+            recorded, calibration, traced=traced, states=states, data_sha256=sources.hashes["data"]
         ),
         "residual": residual_view(traced, recorded),
         "unseen": unobserved_effects.unseen_view(recorded, sources.unseen),
-        "live": live_view(recorded, found, states),
-        "noise": noise_view(recorded, found),
+        "live": live_view(recorded, calibration, states),
+        "noise": noise_view(recorded, calibration),
     }
 
 

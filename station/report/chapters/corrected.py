@@ -57,26 +57,26 @@ class CorrectionView:
 
 
 def correction_view(
-    recorded: Recorded, found: Calibration, *, traced: Traced | None, states: States, data_sha256: str
+    recorded: Recorded, calibration: Calibration, *, traced: Traced | None, states: States, data_sha256: str
 ) -> CorrectionView:
     """Return the corrections of all devices; ``data_sha256`` is the hash of the samples, for the code."""
     origin = f"Recording {recorded.path.name}, SHA-256 of its samples\n{data_sha256}"
-    own = corrections_of(recorded)
+    corrections = corrections_of(recorded)
     augmented = []
     if traced is not None and traced.added and traced.model is not None and traced.model.effects:
         augmented = corrections_of(recorded, traced)
     return CorrectionView(
-        axes=_axes_table(recorded, found),
-        devices=[_device(each, f"Device {each.device}", states, origin) for each in own],
+        axes=_axes_table(recorded, calibration),
+        devices=[_device(each, f"Device {each.device}", states, origin) for each in corrections],
         with_traced=[
             _device(each, f"Device {each.device} with the traced effects", states, origin) for each in augmented
         ],
     )
 
 
-def _axes_table(recorded: Recorded, found: Calibration) -> Table:
+def _axes_table(recorded: Recorded, calibration: Calibration) -> Table:
     rows: list[list[Content]] = []
-    for gyro in found.gyros:
+    for gyro in calibration.gyros:
         array = recorded.recording.sources[gyro.source].array
         number = array.names.index(gyro.name)
         directions = [_direction(axes[number]) for axes in (array.p, array.j, array.k)]

@@ -26,13 +26,13 @@ class LiveView:
     nis: Picture | None
 
 
-def live_view(recorded: Recorded, found: Calibration, states: States) -> LiveView:
+def live_view(recorded: Recorded, calibration: Calibration, states: States) -> LiveView:
     """Return what a recording holds of its live filter."""
     ran = bool(recorded.courses)
-    known = math.isfinite(found.nis_mean)
+    known = math.isfinite(calibration.nis_mean)
     return LiveView(
         ran=ran,
         convergence=convergence_pictures(recorded, states) if ran else (),
-        nis_mean=plain(found.nis_mean, ONE, 4, "calibration@nis_mean") if known else Markup(),
+        nis_mean=plain(calibration.nis_mean, ONE, 4, "calibration@nis_mean") if known else Markup(),
         nis=nis_picture(recorded),
     )

@@ -18,25 +18,25 @@ class NoiseView:
     ``at_rest`` is the noise at rest alone, None if it is not known.
     """
 
-    found: Table
+    in_data: Table
     coloured: bool
     at_rest: Table | None
     picture: Picture | None
 
 
-def noise_view(recorded: Recorded, found: Calibration) -> NoiseView:
+def noise_view(recorded: Recorded, calibration: Calibration) -> NoiseView:
     """Return the noise of the gyros of a calibration."""
-    labels = [recorded.label(gyro.source, gyro.name) for gyro in found.gyros]
-    coloured = all(gyro.noise is not None for gyro in found.gyros)
+    labels = [recorded.label(gyro.source, gyro.name) for gyro in calibration.gyros]
+    coloured = all(gyro.noise is not None for gyro in calibration.gyros)
     return NoiseView(
-        found=_found_table(labels, found.gyros, coloured=coloured),
+        in_data=_data_table(labels, calibration.gyros, coloured=coloured),
         coloured=coloured,
         at_rest=None if recorded.rest is None else _rest_table(labels, recorded.rest),
         picture=allan_picture(recorded),
     )
 
 
-def _found_table(labels: Sequence[str], gyros: Sequence[GyroCalibration], *, coloured: bool) -> Table:
+def _data_table(labels: Sequence[str], gyros: Sequence[GyroCalibration], *, coloured: bool) -> Table:
     heads = ["gyro", "one sample, °/s"]
     if coloured:
         heads += ["angle random walk, °/s/√Hz", "bias instability, below, °/h", "rate random walk, below, °/h/√h"]

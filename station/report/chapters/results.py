@@ -66,7 +66,7 @@ class AsFoundView:
 
 def results_view(
     recorded: Recorded,
-    found: Calibration,
+    calibration: Calibration,
     *,
     states: States,
     standing: Standing,
@@ -75,17 +75,17 @@ def results_view(
 ) -> ResultsView:
     """Return the results of a calibration, with an investigation if there is one."""
     several = summary(recorded, standing)
-    added = traced.added if traced is not None and not found.model else []
+    added = traced.added if traced is not None and not calibration.model else []
     return ResultsView(
         coverage=f"{COVERAGE:g}",
-        has_budget=any(gyro.budget for gyro in found.gyros),
+        has_budget=any(gyro.budget for gyro in calibration.gyros),
         summary=_summary_table(several, states) if several else None,
-        states=_states_table(recorded, found, states),
-        effects=_effects_table(recorded, found),
+        states=_states_table(recorded, calibration, states),
+        effects=_effects_table(recorded, calibration),
         unnoticed=", ".join(unseen.unnoticed) if unseen is not None else "",
         added=", ".join(added),
-        moved_by=plain(moved_by(recorded, found, traced), ONE, 2) if traced is not None and added else Markup(),
-        notes=found.notes,
+        moved_by=plain(moved_by(recorded, calibration, traced), ONE, 2) if traced is not None and added else Markup(),
+        notes=calibration.notes,
     )
 
 
@@ -140,7 +140,7 @@ def _figures(gyro: GyroCalibration, row: int, state: int, unit: Unit) -> list[Ma
     return with_uncertainty(value, sd, unit, f"calibration/states{place}", f"calibration/sd{place}")
 
 
-def _states_table(recorded: Recorded, found: Calibration, states: States) -> Table:
+def _states_table(recorded: Recorded, calibration: Calibration, states: States) -> Table:
     """Return value, standard and expanded uncertainty of each state of each gyro."""
     heads = [
         "gyro",
@@ -151,7 +151,8 @@ def _states_table(recorded: Recorded, found: Calibration, states: States) -> Tab
         "unit",
     ]
     groups = [
-        (recorded.label(gyro.source, gyro.name), _state_rows(gyro, row, states)) for row, gyro in enumerate(found.gyros)
+        (recorded.label(gyro.source, gyro.name), _state_rows(gyro, row, states))
+        for row, gyro in enumerate(calibration.gyros)
     ]
     return grouped_table(heads, "llrrrl", groups)
 
@@ -161,9 +162,9 @@ def _state_rows(gyro: GyroCalibration, row: int, states: States) -> Iterator[lis
         yield [symbol, *_figures(gyro, row, state, unit), unit.name]
 
 
-def _effects_table(recorded: Recorded, found: Calibration) -> Table | None:
+def _effects_table(recorded: Recorded, calibration: Calibration) -> Table | None:
     """Return the effects that were estimated beside the states, None if there are none."""
-    gyros = found.gyros
+    gyros = calibration.gyros
     if not gyros[0].effects:
         return None
     rows: list[list[Content]] = []
@@ -178,18 +179,18 @@ def _effects_table(recorded: Recorded, found: Calibration) -> Table | None:
     return table_of(heads, "llr", rows, length=len(gyros[0].effects) * len(gyros))
 
 
-def moved_by(recorded: Recorded, found: Calibration, traced: Traced) -> float:
+def moved_by(recorded: Recorded, calibration: Calibration, traced: Traced) -> float:
     """Return the largest shift of a state by an investigation, in sigmas of the calibration."""
     moved = [
         np.abs(traced.states[traced.names.index(label)] - gyro.states) / gyro.sd
-        for gyro, label in zip(found.gyros, recorded.labels, strict=True)
+        for gyro, label in zip(calibration.gyros, recorded.labels, strict=True)
         if label in traced.names
     ]
     return float(np.max(moved, initial=0.0))
 
 
 def as_found_view(
-    recorded: Recorded, found: Calibration, before: Recorded, hashes: Mapping[str, str], states: States
+    recorded: Recorded, calibration: Calibration, before: Recorded, hashes: Mapping[str, str], states: States
 ) -> AsFoundView:
     """Return the states before an adjustment, as recorded in ``before``, beside those after it."""
     assert before.calibration is not None
@@ -197,7 +198,7 @@ def as_found_view(
     heads = ["gyro", "quantity", "as found", "U as found", "as left", "U as left", "unit"]
     groups = [
         (recorded.label(left.source, left.name), _adjusted_rows(then, left, row, states))
-        for row, (then, left) in enumerate(zip(before.calibration.gyros, found.gyros, strict=True))
+        for row, (then, left) in enumerate(zip(before.calibration.gyros, calibration.gyros, strict=True))
     ]
     return AsFoundView(
         recording=before.path.name,

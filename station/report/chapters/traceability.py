@@ -86,9 +86,9 @@ class BudgetView:
     has_type_b: bool
 
 
-def budget_view(recorded: Recorded, found: Calibration, states: States) -> BudgetView | None:
+def budget_view(recorded: Recorded, calibration: Calibration, states: States) -> BudgetView | None:
     """Return the uncertainty budget of a calibration, None if it has none."""
-    gyros = found.gyros
+    gyros = calibration.gyros
     if not any(gyro.budget for gyro in gyros):
         return None
     uncertainties = [Markup("<var>u</var>({}), {}").format(symbol, unit.name) for symbol, unit in states]

@@ -29,18 +29,18 @@ class StopView:
     text: str
 
 
-def stop_view(run: LiveRun | None, others: int, said: str = "") -> StopView:
-    """Return the bar for a run; without one for the number of ``others``, or the text ``said`` about a recording."""
+def stop_view(run: LiveRun | None, others: int, recording_line: str = "") -> StopView:
+    """Return the bar for a run; without one for the number of ``others``, or the line on a recording."""
     if run is None:
-        return _no_run(others, said)
+        return _no_run(others, recording_line)
     if run.stage is Stage.ENDED:
         return _ended(run)
     return _stopping(run) or _running(run)
 
 
-def _no_run(others: int, said: str) -> StopView:
+def _no_run(others: int, recording_line: str) -> StopView:
     if not others:
-        return StopView(colour=StopColour.NONE, text=said or "no session is running")
+        return StopView(colour=StopColour.NONE, text=recording_line or "no session is running")
     sessions = "your session" if others == 1 else f"your {others} sessions"
     return _armed(f"or Ctrl+C: stops {sessions}, not shown here (F3 o: show)")
 

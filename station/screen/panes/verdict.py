@@ -18,12 +18,12 @@ _BOLD, _RED = "bold", "red"
 
 @dataclass(kw_only=True, frozen=True, slots=True)
 class VerdictView:
-    """A recording, None until it is read, and what is done with it: ``busy`` now, ``said`` of what was done last."""
+    """A recording, None until it is read, and what is done with it: ``busy`` now, ``message`` on what was done last."""
 
     path: Path | None
     whole: Whole | None
     busy: str = ""
-    said: str = ""
+    message: str = ""
 
 
 def verdict_text(view: VerdictView) -> Text:
@@ -34,8 +34,8 @@ def verdict_text(view: VerdictView) -> Text:
     lines.append(line(f"recording: {view.path}"))
     if view.busy:
         lines.append(line((f"{view.busy} ...", "bold yellow")))
-    if view.said:
-        lines.append(line((view.said, _BOLD)))
+    if view.message:
+        lines.append(line((view.message, _BOLD)))
     return joined(lines)
 
 

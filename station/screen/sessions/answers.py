@@ -60,9 +60,9 @@ class CheckAnswer:
     computer: tuple[Finding, ...] = ()
 
     @classmethod
-    def read(cls, found: Mapping[str, Any]) -> Self:
+    def read(cls, data: Mapping[str, Any]) -> Self:
         """Return the answer in an object of JSON; KeyError, TypeError or ValueError if it is none."""
-        answer: Self = of_type(cls, found)
+        answer: Self = of_type(cls, data)
         return answer
 
 
@@ -92,18 +92,17 @@ class PlanAnswer:
     constancy: tuple[PlannedAxis, ...]
 
     @classmethod
-    def read(cls, found: Mapping[str, Any]) -> Self:
+    def read(cls, data: Mapping[str, Any]) -> Self:
         """Return the answer in an object of JSON; KeyError, TypeError or ValueError if it is none."""
         gyros = tuple(
-            PlannedGyro(name=row["name"], sd=tuple(row["sd"].values()), reached=row["reached"])
-            for row in found["gyros"]
+            PlannedGyro(name=row["name"], sd=tuple(row["sd"].values()), reached=row["reached"]) for row in data["gyros"]
         )
         if not gyros:
             raise ValueError("a plan without gyros")
         return cls(
             gyros=gyros,
-            required=tuple((found.get("required") or {}).values()),
-            constancy=tuple(of_type(PlannedAxis, axis) for axis in found.get("constancy", [])),
+            required=tuple((data.get("required") or {}).values()),
+            constancy=tuple(of_type(PlannedAxis, axis) for axis in data.get("constancy", [])),
         )
 
     @property
@@ -125,8 +124,8 @@ class InvestigationAnswer:
     view: Mapping[str, Any]
 
     @classmethod
-    def read(cls, found: Mapping[str, Any]) -> Self:
+    def read(cls, data: Mapping[str, Any]) -> Self:
         """Return the answer in an object of JSON; KeyError or ValueError for an object without a verdict."""
-        if not found["verdict"]:
+        if not data["verdict"]:
             raise ValueError("an investigation without a verdict")
-        return cls(verdict=str(found["verdict"]), next_script=found.get("next_script"), view=found)
+        return cls(verdict=str(data["verdict"]), next_script=data.get("next_script"), view=data)

@@ -28,16 +28,16 @@ class SentLimits:
     figures: tuple[StateUnit, ...] = STATE_FIGURES
 
     @classmethod
-    def read(cls, found: Mapping[str, Any]) -> Self:
+    def read(cls, data: Mapping[str, Any]) -> Self:
         """Return the limits in an object of JSON; a session of another version may lack how they were written."""
-        sizes = [found.get(key) for key in _STATES]
-        written = found.get("written")
+        sizes = [data.get(key) for key in _STATES]
+        written = data.get("written")
         texts: Mapping[str, Any] = written if isinstance(written, Mapping) else {}
         return cls(
             sizes=tuple(math.inf if size is None else float(size) for size in sizes),
             written=tuple(str(texts.get(key, "")) for key in _STATES),
-            nis=tuple(float(found[key]) for key in ("nis_low", "nis_high") if found.get(key)),
-            figures=figures_from(found.get("units")),
+            nis=tuple(float(data[key]) for key in ("nis_low", "nis_high") if data.get(key)),
+            figures=figures_from(data.get("units")),
         )
 
 
@@ -59,18 +59,18 @@ class Greeting:
     limits: SentLimits
 
     @classmethod
-    def read(cls, found: Mapping[str, Any]) -> Self:
+    def read(cls, data: Mapping[str, Any]) -> Self:
         """Return the greeting in an object of JSON; KeyError, TypeError or ValueError if it is none."""
-        script = found["script"]
+        script = data["script"]
         return cls(
-            bench=str(found["bench"]),
-            bench_file=found.get("bench_file") or "",
-            recording=str(found["recording"]),
+            bench=str(data["bench"]),
+            bench_file=data.get("bench_file") or "",
+            recording=str(data["recording"]),
             script=str(script["name"]),
             steps_begin_s=_steps_begin_s(script),
-            manual=bool(found.get("manual")),
-            axes={name: _axis_limits(limits) for name, limits in (found.get("table") or {}).items()},
-            limits=SentLimits.read(found.get("limits") or {}),
+            manual=bool(data.get("manual")),
+            axes={name: _axis_limits(limits) for name, limits in (data.get("table") or {}).items()},
+            limits=SentLimits.read(data.get("limits") or {}),
         )
 
     @property
@@ -86,11 +86,11 @@ def _steps_begin_s(script: Mapping[str, Any]) -> tuple[float, ...] | None:
     return tuple(float(step["start_s"]) for step in script.get("steps", []))
 
 
-def _axis_limits(found: Mapping[str, Any]) -> AxisLimits:
-    travel = found.get("travel_rad")
+def _axis_limits(data: Mapping[str, Any]) -> AxisLimits:
+    travel = data.get("travel_rad")
     return AxisLimits(
-        rate_rps=float(found["rate_rps"]),
-        acceleration_rps2=float(found["acceleration_rps2"]),
+        rate_rps=float(data["rate_rps"]),
+        acceleration_rps2=float(data["acceleration_rps2"]),
         travel_rad=(float(travel[0]), float(travel[1])) if travel else None,
     )
 
@@ -103,6 +103,6 @@ class RunEnd:
     reason: str
 
     @classmethod
-    def read(cls, found: Mapping[str, Any]) -> Self:
+    def read(cls, data: Mapping[str, Any]) -> Self:
         """Return the end of a run in an object of JSON."""
-        return cls(outcome=str(found.get("outcome") or ""), reason=str(found.get("reason") or ""))
+        return cls(outcome=str(data.get("outcome") or ""), reason=str(data.get("reason") or ""))

@@ -271,7 +271,7 @@ class ResultScreen(StationScreen):
 
     def _verdict(self, whole: Whole | None) -> Text:
         """Return the verdict, and what moved since the last comparable run."""
-        view = VerdictView(path=self.recording, whole=whole, busy=self._busy, said=self._said)
+        view = VerdictView(path=self.recording, whole=whole, busy=self._busy, message=self._said)
         moved = Text.from_markup(rendered("station.render", "moved.rich", {"moves": self._moves}).strip(), emoji=False)
         return joined(filter(None, (verdict_text(view), moved)))
 
