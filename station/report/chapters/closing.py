@@ -9,7 +9,6 @@ from markupsafe import Markup
 from estimator.recordings.recording import ImuData
 from station.exports.exported import RAW_RULE
 from station.report.chapters.front import rate_hz
-from station.report.chapters.tables import Content, Fact, Table, facts_of, table_of
 from station.report.figures import (
     CELSIUS,
     MILLISECONDS,
@@ -25,6 +24,7 @@ from station.report.figures import (
 from station.report.formal import Formal
 from station.report.investigation_chapter import Traced
 from station.report.recorded import Event, Recorded
+from station.report.tables import Content, Fact, Table, facts_of, table_of
 from station.views.seen import seen_by
 
 _UNKNOWN = "–"

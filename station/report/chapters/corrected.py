@@ -10,10 +10,10 @@ from estimator.calibration.values import Calibration
 from estimator.effects.constructed import readable as words
 from station.report.chapters.correction import Correction, corrections_of, formula_of, snippet, variables_of_laws
 from station.report.chapters.results import States
-from station.report.chapters.tables import Content, Table, table_of
 from station.report.figures import MILLISECONDS, ONE, fixed, parameters, plain
 from station.report.investigation_chapter import Traced
 from station.report.recorded import Recorded
+from station.report.tables import Content, Table, table_of
 
 _AXES = ("sense axis <b>p</b>", "tilt axis <b>j</b>", "tilt axis <b>k</b>")
 _SENSITIVITIES = tuple(Markup("<var>g</var><sub>{}</sub>").format(axis) for axis in "xyz")

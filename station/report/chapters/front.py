@@ -14,13 +14,13 @@ from estimator.observations.rows import observations
 from estimator.recordings.recording import ImuData
 from estimator.recordings.reference import AttitudeReadings, RateReadings, TableReadings, Turns
 from station.opening.links import ends_here
-from station.report.chapters.tables import Content, Fact, Table, facts_of, table_of
 from station.report.chapters.unobserved_effects import driven_step
 from station.report.document_status import Standing
 from station.report.figures import CELSIUS, DEG, DEG_PER_S, PERCENT, SECONDS, Unit, fixed, stated
 from station.report.formal import Formal
 from station.report.pictures import Picture, rates_picture
 from station.report.recorded import Recorded, Step
+from station.report.tables import Content, Fact, Table, facts_of, table_of
 from station.scripts.steps.rotate import Rotate
 
 _ELSEWHERE = {RateReadings: "body rates", AttitudeReadings: "attitudes", Turns: "turns of known angle"}

@@ -8,9 +8,9 @@ from markupsafe import Markup
 
 from drivers.units import split_quantity
 from station.report.chapters.results import badge
-from station.report.chapters.tables import Content, Table, grouped_table
 from station.report.document_status import Standing
 from station.report.figures import ONE, PERCENT, SYMBOLS, Unit, figure, plain, stated, typographic
+from station.report.tables import Content, Table, grouped_table
 from station.views.limits import MEAN_NIS, SAMPLES_LOST, LimitLine
 
 _NONE = "–"

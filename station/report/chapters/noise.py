@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 from estimator.calibration.gyro import GyroCalibration
 from estimator.calibration.values import Calibration
-from station.report.chapters.tables import Content, Table, table_of
 from station.report.figures import ARW, DEG_PER_H, DEG_PER_S, WALK, interval, plain
 from station.report.pictures import Picture, allan_picture
 from station.report.recorded import Recorded, RestNoise
+from station.report.tables import Content, Table, table_of
 
 
 @dataclass(kw_only=True, frozen=True, slots=True)

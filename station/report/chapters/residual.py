@@ -9,11 +9,11 @@ from markupsafe import Markup
 
 from estimator.effects.constructed import readable as words
 from station.render.investigation_printed import verdict_lines
-from station.report.chapters.tables import Content, Table, table_of
 from station.report.figures import COVERAGE, DEG_PER_H, ONE, PERCENT, Unit, known, worded
 from station.report.investigation_chapter import Traced, number
 from station.report.pictures import Picture, residual_picture
 from station.report.recorded import Recorded
+from station.report.tables import Content, Table, table_of
 from station.views.figures import probability
 from station.views.investigation import InvestigationView
 

@@ -9,12 +9,12 @@ from markupsafe import Markup
 from estimator.calibration.gyro import GyroCalibration
 from estimator.calibration.values import Calibration
 from estimator.effects.constructed import readable as words
-from station.report.chapters.tables import Content, Table, grouped_table, table_of
 from station.report.chapters.unobserved_effects import Unseen
 from station.report.document_status import Standing
 from station.report.figures import COVERAGE, ONE, Unit, plain, with_uncertainty, worded
 from station.report.investigation_chapter import Traced
 from station.report.recorded import Recorded
+from station.report.tables import Content, Table, grouped_table, table_of
 from station.run.outcome import Outcome
 
 States = Sequence[tuple[Markup, Unit]]

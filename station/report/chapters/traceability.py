@@ -11,10 +11,10 @@ from estimator.calibration.gyro import GyroCalibration
 from estimator.calibration.values import Calibration
 from estimator.recordings.reference import TableReadings
 from station.report.chapters.results import States
-from station.report.chapters.tables import Content, Table, grouped_table, table_of
 from station.report.figures import ARCSEC, MICROSECONDS, PPM, plain
 from station.report.formal import Equipment
 from station.report.recorded import Recorded
+from station.report.tables import Content, Table, grouped_table, table_of
 
 _SOURCES: Mapping[str, str] = packaged_toml("station.views", "budget.toml")["report"]
 """What lines of the budget are called."""

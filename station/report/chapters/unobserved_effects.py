@@ -18,7 +18,6 @@ from estimator.planning.planning import EffectForecast, Forecast, PlannedDevice,
 from estimator.recordings.recording import ImuData
 from estimator.recordings.reference import TableReadings
 from station.render.plan_printed import MARKED, combination, unnoticed
-from station.report.chapters.tables import Content, Table, table_of
 from station.report.figures import (
     CELSIUS,
     DEG_PER_S,
@@ -32,6 +31,7 @@ from station.report.figures import (
     typographic,
 )
 from station.report.recorded import Recorded, Step
+from station.report.tables import Content, Table, table_of
 from station.scripts.planned import planned_motion
 from station.scripts.script import Script
 from station.scripts.steps.kind import Step as ScriptStep
