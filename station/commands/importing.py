@@ -23,7 +23,7 @@ from station.opening.captures import PROTOCOLS
 from station.render.lines import tell
 from station.render.poses_printed import print_pose_session
 from station.render.terminal import print_all, rich_table, stdout
-from station.views.poses import session_object
+from station.views.accelerometers.poses import session_object
 
 
 def command_import(arguments: argparse.Namespace) -> int:

@@ -4,7 +4,7 @@ from rich.markup import escape
 
 from estimator.poses.calibration import PoseSession
 from station.render.terminal import Shown, print_all, rich_table, stdout
-from station.views.poses import (
+from station.views.accelerometers.poses import (
     board_rows,
     board_words,
     gravity_words,

@@ -2,47 +2,82 @@
 
 import importlib.metadata
 import platform
+from collections.abc import Mapping
 from dataclasses import dataclass
-from os.path import basename
 from pathlib import Path
-from typing import Any
 
-from drivers.packaged import packaged_toml
-from estimator.calibration.budget import TYPE_A
+from markupsafe import Markup
+
+from estimator.calibration.values import Calibration
 from estimator.untrusted import harmless
 from station.bench.units import Units
 from station.errors import UsageError
-from station.exports.exported import RAW_RULE, file_sha256, raw_sha256
-from station.render.investigation_printed import verdict_lines
+from station.exports.exported import file_sha256, raw_sha256
 from station.render.template import rendered
-from station.report import figures, investigation_chapter as residual, pictures
-from station.report.chapters import correction, forces, front, results, unobserved_effects
-from station.report.document_status import Standing, limits_of, number_of, standing_of
+from station.report import figures
+from station.report.chapters import forces, unobserved_effects
+from station.report.chapters.closing import closing_view
+from station.report.chapters.corrected import correction_view
+from station.report.chapters.front import front_view, motion_view
+from station.report.chapters.limits import limits_view
+from station.report.chapters.live import live_view
+from station.report.chapters.noise import noise_view
+from station.report.chapters.residual import residual_view
+from station.report.chapters.results import as_found_view, badge, results_view
+from station.report.chapters.traceability import budget_view, traceability_view
+from station.report.document_status import Kind, Standing, limits_of, number_of, standing_of
 from station.report.formal import Formal, logo_of
 from station.report.investigation_chapter import Traced
 from station.report.recorded import Recorded, laid_out, read_recorded
-from station.views.plan import combination
-from station.views.seen import seen_by
 
 _PACKAGES = ("turntable-station", "numpy", "scipy", "h5py", "matplotlib")
-_MADE_OF = {
-    "asked_for": packaged_toml("station.report", "certificate.toml")["not_stated"],
-    "basename": basename,
-    "blind_spots": unobserved_effects,
-    "combination": combination,
-    "correction": correction,
-    "figures": figures,
-    "forces": forces,
-    "front": front,
-    "pictures": pictures,
-    "raw_rule": RAW_RULE,
-    "residual": residual,
-    "results": results,
-    "seen_by": seen_by,
-    "type_a": TYPE_A,
-    "verdict_lines": verdict_lines,
+_CHAPTERS = {
+    "identification": "Identification and conditions",
+    "method": "Method and motion",
+    "results": "Results",
+    "as_found": "As found and as left",
+    "limits": "Limits",
+    "traceability": "Traceability",
+    "budget": "Uncertainty budget",
+    "accelerometers": "Accelerometers",
+    "correction": "Correction",
+    "residual": "Residual and verification",
+    "verification": "Verification",
+    "unseen": "What this run could not see",
+    "convergence": "Convergence",
+    "innovations": "Innovations",
+    "noise": "Noise",
+    "clocks": "Clocks and losses",
+    "events": "Events",
+    "software": "Software and hashes",
+    "signatures": "Signatures",
 }
-"""What the templates ask for values."""
+"""The titles of all chapters, in order."""
+_ALWAYS = ("identification", "method", "clocks", "events", "software", "signatures")
+"""The chapters of a report without a calibration."""
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class Heading:
+    """The heading of a chapter."""
+
+    number: int
+    title: str
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class HeadView:
+    """What stands above the chapters; ``laboratory`` is empty if nobody states one, ``warning`` for a certificate."""
+
+    page_title: str
+    title: str
+    number: str
+    laboratory: str
+    logo: str
+    is_specimen: bool
+    warning: str
+    outcome: Markup
+    foot: str
 
 
 @dataclass(kw_only=True, frozen=True, slots=True)
@@ -71,34 +106,131 @@ def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Re
         hashes["as_found"] = file_sha256(before.path)
     standing = standing_of(recorded, formal)
     number = formal.certificate_number or number_of(recorded, tuple(hashes.values()), formal.certificate_replaces or "")
-    device = formal.item_serial_number or recorded.text("device")
-    versions = [f"{name} {importlib.metadata.version(name)}" for name in _PACKAGES]
     not_seen = unobserved_effects.unseen_of(recorded)
-    values: dict[str, Any] = {
-        "recorded": recorded,
-        "on_table": recorded.recording.table is not None,
-        "formal": formal,
-        "logo": logo_of(formal.laboratory_logo) if formal.laboratory_logo else "",
-        "before": before,
-        "found": recorded.calibration,
-        "summary": results.summary(recorded, standing),
-        "states": figures.states_in(limits.units if (limits := limits_of(recorded)) is not None else Units()),
-        "standing": standing,
-        "unseen": not_seen,
-        "traced": traced,
-        "hashes": hashes,
-        "number": number,
-        "device": device,
-        "foot": ", ".join(filter(None, (device, recorded.path.name))),
-        "made_with": ", ".join([*versions, f"Python {platform.python_version()}"]),
-        "titles": [],
-    }
     with laid_out(recorded.path, "its content or its investigation cannot be reported ({})"):
-        html = rendered("station.report", "report.html", _MADE_OF | values)
+        sources = _Sources(
+            recorded=recorded,
+            traced=traced,
+            formal=formal,
+            standing=standing,
+            before=before,
+            unseen=not_seen,
+            hashes=hashes,
+            number=number,
+        )
+        html = rendered("station.report", "report.html", _values(sources))
     # Names and texts of recordings, sources and files must not change the document's structure or direction.
     return Report(
         html=harmless(html), standing=standing, number=number, hashes=hashes, before=before, not_seen=not_seen
     )
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class _Sources:
+    """What a report is made of."""
+
+    recorded: Recorded
+    traced: Traced | None
+    formal: Formal
+    standing: Standing
+    before: Recorded | None
+    unseen: unobserved_effects.Unseen | None
+    hashes: Mapping[str, str]
+    number: str
+
+
+def _values(sources: _Sources) -> dict[str, object]:
+    """Return the chapters by the names that the templates have for them."""
+    recorded = sources.recorded
+    headings = _headings(sources)
+    values: dict[str, object] = {
+        "head": _head(sources),
+        "headings": list(headings.values()),
+        "contents": headings,
+        "formal": sources.formal,
+        "found": recorded.calibration is not None,
+        "front": front_view(recorded, sources.formal, sources.standing, adjusted=sources.before is not None),
+        "motion": motion_view(recorded),
+        "closing": closing_view(
+            recorded,
+            sources.formal,
+            traced=sources.traced,
+            hashes=sources.hashes,
+            made_with=_made_with(),
+            simulated=sources.standing.simulated,
+        ),
+    }
+    if recorded.calibration is not None:
+        values |= _calibrated(sources, recorded.calibration)
+    return values
+
+
+def _calibrated(sources: _Sources, calibration: Calibration) -> dict[str, object]:
+    """Return the chapters on a calibration."""
+    recorded, traced, before = sources.recorded, sources.traced, sources.before
+    limits = limits_of(recorded)
+    states = figures.states_in(limits.units if limits is not None else Units())
+    return {
+        "results": results_view(
+            recorded, calibration, states=states, standing=sources.standing, unseen=sources.unseen, traced=traced
+        ),
+        "as_found": before and as_found_view(recorded, calibration, before, sources.hashes, states),
+        "limits": limits_view(sources.standing, sources.formal.decision_false_accept),
+        "traceability": traceability_view(recorded, sources.formal.equipment),
+        "budget": budget_view(recorded, calibration, states),
+        "accelerometers": forces.chapters(recorded),
+        "correction": correction_view(
+            recorded, calibration, traced=traced, states=states, data_sha256=sources.hashes["data"]
+        ),
+        "residual": residual_view(traced, recorded),
+        "unseen": unobserved_effects.unseen_view(recorded, sources.unseen),
+        "live": live_view(recorded, calibration, states),
+        "noise": noise_view(recorded, calibration),
+    }
+
+
+def _headings(sources: _Sources) -> dict[str, Heading]:
+    """Return the headings of the chapters that the report has, numbered."""
+    titles = dict(_CHAPTERS)
+    if sources.recorded.calibration is None:
+        titles = {key: titles[key] for key in _ALWAYS}
+    if sources.before is None:
+        titles.pop("as_found", None)
+    if sources.recorded.calibration is not None and not sources.recorded.calibration.forces:
+        titles.pop("accelerometers")
+    if sources.traced is None:
+        titles.pop("verification", None)
+    elif "residual" in titles:
+        titles["residual"] = "Residual"
+    return {key: Heading(number=number, title=title) for number, (key, title) in enumerate(titles.items(), start=1)}
+
+
+def _head(sources: _Sources) -> HeadView:
+    recorded, formal, standing = sources.recorded, sources.formal, sources.standing
+    device = formal.item_serial_number or recorded.text("device")
+    return HeadView(
+        page_title=" ".join(filter(None, (standing.title, sources.number, device))),
+        title=standing.title,
+        number=sources.number,
+        laboratory=formal.laboratory_name or recorded.text("station"),
+        logo=logo_of(formal.laboratory_logo) if formal.laboratory_logo else "",
+        is_specimen=standing.kind is Kind.SPECIMEN,
+        warning=standing.warning,
+        outcome=_outcome(standing),
+        foot=", ".join(filter(None, (device, recorded.path.name))),
+    )
+
+
+def _outcome(standing: Standing) -> Markup:
+    """Return the verdict with its reason."""
+    if standing.verdict is None:
+        return badge("NOT JUDGED")
+    return Markup("{} {}").format(badge(str(standing.verdict.outcome)), standing.verdict.reason)
+
+
+def _made_with() -> str:
+    versions = [f"{name} {importlib.metadata.version(name)}" for name in _PACKAGES]
+    return ", ".join([*versions, f"Python {platform.python_version()}"])
 
 
 def _as_found(recorded: Recorded, path: Path) -> Recorded:

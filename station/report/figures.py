@@ -110,7 +110,7 @@ def known(value: float | None, unit: Unit) -> Markup:
     return plain(math.nan if value is None else value, unit)
 
 
-def with_uncertainty(value: float, sd: float, unit: Unit, source: str, source_of_sd: str) -> list[Markup]:
+def with_uncertainty(value: float, sd: float, unit: Unit, source: str | None, source_of_sd: str | None) -> list[Markup]:
     """Return a value, its standard and its expanded uncertainty, rounded to two digits of the uncertainty (GUM
     7.2.6).
     """

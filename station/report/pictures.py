@@ -20,8 +20,16 @@ from estimator.observations.allan.sensor import SensorNoise
 from estimator.observations.allan.spectrum import allan_variances
 from estimator.tracing.investigation import Investigation, ResidualView
 from station.errors import UsageError
-from station.render.template import rendered
 from station.report.figures import ARW, DEG_PER_H, DEG_PER_S, Unit, typographic
+from station.report.picture_words import (
+    LastEstimate,
+    PictureWords,
+    allan_words,
+    convergence_words,
+    nis_words,
+    rates_words,
+    residual_words,
+)
 from station.report.recorded import Course, Recorded
 from station.views.investigation import Spectra, judged_spectra, judged_views
 from station.views.noise import noise_unit
@@ -42,6 +50,7 @@ _FEW_POINTS = 200  # of one in a small panel
 _FONTS = "'Report Sans', Arial, 'Liberation Sans', 'DejaVu Sans', sans-serif"
 _NOISE = "#e0e0e0"
 _DPI = 200
+_PIXELS_PER_IN = 96
 _STYLE = Path(__file__).with_name("report.mplstyle")
 
 
@@ -53,6 +62,16 @@ class Picture:
     alternative: str
     caption: str
     size_in: tuple[float, float]
+
+    @property
+    def width_px(self) -> int:
+        """Width in pixels of CSS."""
+        return round(_PIXELS_PER_IN * self.size_in[0])
+
+    @property
+    def height_px(self) -> int:
+        """Height in pixels of CSS."""
+        return round(_PIXELS_PER_IN * self.size_in[1])
 
 
 def rates_picture(names: Sequence[str], t_s: Floats, rate_rps: Floats, what: str) -> Picture:
@@ -70,7 +89,7 @@ def rates_picture(names: Sequence[str], t_s: Floats, rate_rps: Floats, what: str
         panels[-1, 0].set_xlabel("time since the script began, s")
         of_each = zip(names, (rate_rps * DEG_PER_S.factor).T, strict=True)
         largest = [f"{name} {np.nanmin(r):.4g} to {np.nanmax(r):.4g}" for name, r in of_each]
-        return _done(figure, "rates", what=what, span_s=t_s[-1] - t_s[0], largest=largest)
+        return _done(figure, rates_words(what, float(t_s[-1] - t_s[0]), largest))
 
 
 def convergence_pictures(recorded: Recorded, states: Sequence[tuple[Markup, Unit]]) -> list[Picture]:
@@ -110,8 +129,16 @@ def _convergence_picture(
             panel.locator_params(nbins=4)  # more labels would not fit, and each costs time
             panel.set_title(f"{symbol}, {unit.name}")
             panel.margins(x=0)
-        last = course.states[-1, channel], course.sd[-1, channel]
-        return _done(figure, "convergence", gyro=gyro, units=states, last=last)
+        return _done(figure, convergence_words(gyro, _last_estimates(course, channel, states)))
+
+
+def _last_estimates(course: Course, channel: int, states: Sequence[tuple[Markup, Unit]]) -> list[LastEstimate]:
+    """Return the last estimate of each state of a gyro."""
+    last = zip(states, course.states[-1, channel], course.sd[-1, channel], strict=True)
+    return [
+        LastEstimate(value=float(value) * unit.factor, sd=float(sd) * unit.factor, unit=unit.name)
+        for (_, unit), value, sd in last
+    ]
 
 
 def nis_picture(recorded: Recorded) -> Picture | None:
@@ -141,7 +168,7 @@ def nis_picture(recorded: Recorded) -> Picture | None:
         panel.margins(x=0)
         panel.set_ylim(bottom=0)
         figure.legend(loc="lower center", ncols=columns, frameon=False)
-        return _done(figure, "nis", means=[f"{name} {mean:.3f}" for name, mean, _ in means])
+        return _done(figure, nis_words([f"{name} {mean:.3f}" for name, mean, _ in means]))
 
 
 def allan_picture(recorded: Recorded) -> Picture | None:
@@ -161,7 +188,7 @@ def allan_picture(recorded: Recorded) -> Picture | None:
         lowest = [
             f"{name} {np.nanmin(d) * DEG_PER_H.factor:.2g}" for name, d in zip(names, rest.deviation_rps, strict=True)
         ]
-        return _done(figure, "allan", lowest=lowest)
+        return _done(figure, allan_words(lowest))
 
 
 def draw_noise(path: Path, noises: Mapping[str, Sequence[Sequence[SensorNoise]]]) -> None:
@@ -221,8 +248,18 @@ def residual_picture(view: ResidualView, spectra: Spectra | None) -> Picture:
     with _drawn((WIDTH_IN, 1.75), 1, columns, bottom=0.55, widths=[1.9, 1, 1][:columns]) as (figure, panels):
         _draw(panels[0], view, spectra)
         figure.legend(loc="lower center", ncols=4, frameon=False)
-        rms = [float(np.sqrt(np.mean(values**2))) * DEG_PER_H.factor for values in (view.before_rps, view.after_rps)]
-        return _done(figure, "residual", residual=view, spectrum=spectra is not None, rms=rms)
+        described = residual_words(
+            view.gyro,
+            view.run,
+            with_spectrum=spectra is not None,
+            before_dph=_rms_dph(view.before_rps),
+            after_dph=_rms_dph(view.after_rps),
+        )
+        return _done(figure, described)
+
+
+def _rms_dph(residual_rps: Floats) -> float:
+    return float(np.sqrt(np.mean(residual_rps**2))) * DEG_PER_H.factor
 
 
 def draw_investigation(path: Path, found: Investigation) -> None:
@@ -351,11 +388,8 @@ def _drawn(
         yield figure, panels
 
 
-def _done(figure: "Figure", picture: str, **values: object) -> Picture:
-    """Return the figure as a compact SVG, with the alternative text and the caption that the template ``picture``
-    gives.
-    """
-    alternative, caption = rendered("station.report", "pictures.txt", {"picture": picture, **values}).splitlines()
+def _done(figure: "Figure", words: PictureWords) -> Picture:
+    """Return the figure as a compact SVG with its words."""
     out = io.StringIO()
     figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     text = out.getvalue()
@@ -367,7 +401,8 @@ def _done(figure: "Figure", picture: str, **values: object) -> Picture:
     text = re.sub(r">\s+<", "><", text)
     data = base64.b64encode(text.encode()).decode()
     width, height = figure.get_size_inches()
-    return Picture(f"data:image/svg+xml;base64,{data}", alternative, caption, (float(width), float(height)))
+    source = f"data:image/svg+xml;base64,{data}"
+    return Picture(source, words.alternative, words.caption, (float(width), float(height)))
 
 
 def _every(t_s: Floats) -> int:

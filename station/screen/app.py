@@ -6,7 +6,7 @@ import os
 import select
 import sys
 import time
-from collections.abc import Callable, Coroutine, Iterable, Mapping
+from collections.abc import Callable, Coroutine, Iterable
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -30,8 +30,9 @@ from station.screen.bars import SCREENS, STOP_KEY, Small, StopBar
 from station.screen.base import LEAST_HEIGHT, LEAST_WIDTH, StationScreen, keys_of
 from station.screen.choices import Choices, load_by_processor, twin_scale
 from station.screen.dialogs import AskDialog, ChooseDialog, HelpDialog, StationDialog
-from station.screen.figures import templated
 from station.screen.memory import REMEMBERED, Remembered, load_remembered, save_remembered, whole
+from station.screen.panes.tray import mount_question
+from station.screen.sessions.greeting import Greeting
 from station.screen.sessions.link import SessionLink, sessions_on, sessions_there, stop_session
 from station.screen.sessions.live_run import LiveRun, Stage
 from station.screen.sessions.programs import SessionProcess
@@ -277,8 +278,8 @@ class StationApp(App[None]):
         """Ask that the next device of the tray be mounted, unless a session runs; ``scanned``: another one was."""
         spot = self.tray.next
         if spot is not None and not self.busy:
-            question = templated("mount.rich", {"spot": spot, "scanned": scanned}).plain
-            self.push_screen(MountDialog(question, begun=spot.serial), partial(self._mount, spot))
+            dialog = MountDialog(mount_question(spot, scanned), begun=spot.serial)
+            self.push_screen(dialog, partial(self._mount, spot))
 
     def _mount(self, spot: TrayItem, serial: str | None) -> None:
         """Prepare the run of a mounted device, which then starts by itself; None cancels, another number asks again."""
@@ -373,9 +374,9 @@ class StationApp(App[None]):
             return
         if self._leaving and run.at_rest:
             self.exit()
-        ended = (run.outcome or NO_RESULT) if run.hello else WAITING
+        ended = WAITING if run.hello is None else run.outcome or NO_RESULT
         ran = self.tray.end(run.recording, ended) if run.recording is not None else None
-        if run.recording is None or not run.hello:
+        if run.recording is None or run.hello is None:
             return
         self._to_open = run.recording, True
         if run.result is None:
@@ -430,10 +431,10 @@ class StationApp(App[None]):
         os._exit(0)
 
 
-def _session_words(path: Path, hello: Mapping[str, object]) -> str:
-    if not hello:
+def _session_words(path: Path, hello: Greeting | None) -> str:
+    if hello is None:
         return f"process {path.stem}, which does not identify itself"
-    return f"{hello['bench']}, process {path.stem}, {hello['recording']}"
+    return f"{hello.bench}, process {path.stem}, {hello.recording}"
 
 
 def _hung_up(stream: TextIO | None) -> bool:

@@ -10,15 +10,12 @@ from textual.widget import Widget
 from textual.widgets import Static
 
 from station.errors import sentence
-from station.render.template import rendered
 from station.screen.app_protocol import SeenApp
+from station.screen.panes.stop import StopColour, stop_view
 from station.screen.sessions.live_run import LiveRun
 from station.views.figures import OUTCOME_STYLES, clock_between, number
 
 STOP_KEY = "f9"
-STOP_WORDS = "■ STOP  F9"
-SILENCE_S = 3.0
-"""After so long without a word from a session, what is shown of it is old."""
 _NAMES = {"F2": "Prepare", "F3": "Run", "F4": "Result", "F5": "History", "F10": "Tray"}
 SCREENS = tuple((name.lower(), key, name) for key, name in _NAMES.items())
 
@@ -69,13 +66,11 @@ class StopBar(Widget):
 
     def show(self, run: LiveRun | None, others: int, said: str = "") -> None:
         """Show the state of a run; without one the number of ``others``, or the text ``said`` about a recording."""
-        values = {"run": run, "others": others, "said": said, "stop": STOP_WORDS, "silence_s": SILENCE_S}
-        line = rendered("station.screen", "stop.txt", {**values, "clock_between": clock_between})
-        kind, _, text = line.strip("\n").partition(" ")
-        if text != self._text:
-            self._text = text
-            for each in ("armed", "sent", "rest"):
-                self.set_class(each == kind, f"-{each}")
+        view = stop_view(run, others, said)
+        if view.text != self._text:
+            self._text = view.text
+            for colour in filter(None, StopColour):
+                self.set_class(colour is view.colour, f"-{colour}")
             self.refresh()
 
     def render(self) -> RenderResult:
@@ -110,7 +105,7 @@ def _lines(run: LiveRun | None, said: str) -> list[Text]:
     if run is None:
         return [Text(said or "no session runs", style="bold")]
     if run.outcome:
-        reason = str((run.result or {}).get("reason", ""))
+        reason = run.result.reason if run.result is not None else ""
         style = OUTCOME_STYLES.get(run.outcome, "")
         return [Text.assemble((run.outcome, f"bold {style}"), f"  {reason}")]
     snapshot = run.snapshot

@@ -20,7 +20,8 @@ from textual_plot.axis_formatter import NumericAxisFormatter
 from textual_plot.plot_widget import Legend
 
 from drivers.types import Floats
-from station.screen.drawings import DIALS, Drawing
+from station.screen.drawings import Drawing
+from station.screen.run_charts import DIALS
 
 _DOTS, _DOTS_WIDE, _DOTS_HIGH = HiResMode.BRAILLE, 2, 4
 _DAY_S, _YEAR_DAYS = 86400.0, 300.0

@@ -9,18 +9,17 @@ from markupsafe import Markup
 from estimator.calibration.accelerometer import ForceCalibration
 from station.report.figures import COVERAGE, SYMBOLS, typographic
 from station.report.recorded import Recorded
+from station.report.tables import Table, table_of
 from station.views.accelerometers.result import FORCE_FIGURES, LINE_WORDS, OFFSET, PLACE, fitted_forces, place_figure
 from station.views.figures import StateUnit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ForceTable:
-    """A table with finished cells; ``align`` has l or r for each column."""
+    """A table with its caption, and a note below it."""
 
     caption: str
-    heads: Sequence[str]
-    align: str
-    rows: Sequence[Sequence[str]]
+    table: Table
     note: str = ""
 
 
@@ -79,7 +78,7 @@ def _states(one: ForceCalibration) -> ForceTable:
         heads += [_headed(symbol, figure), "U"]
     rows = [[a.name, *_cells(a.states.tolist(), a.sd.tolist(), figures)] for a in one.accelerometers]
     note = "The model is that of the gyros, with the specific force at the place of each as input."
-    return ForceTable(caption="States", heads=heads, align="l" + 8 * "r", rows=rows, note=note)
+    return ForceTable(caption="States", table=table_of(heads, "l" + 8 * "r", rows), note=note)
 
 
 def _places(one: ForceCalibration) -> ForceTable:
@@ -91,7 +90,7 @@ def _places(one: ForceCalibration) -> ForceTable:
     rows = [[a.name, *_cells(a.place_m.tolist(), a.place_sd_m.tolist(), figures)] for a in one.accelerometers]
     rows.append(["middle", *_cells(one.arm_m.tolist(), one.arm_sd_m.tolist(), figures)])
     caption = "Lever arm, from the point in which the axes of the table meet"
-    return ForceTable(caption=caption, heads=heads, align="l" + 6 * "r", rows=rows)
+    return ForceTable(caption=caption, table=table_of(heads, "l" + 6 * "r", rows))
 
 
 def _intrinsic(one: ForceCalibration) -> ForceTable:
@@ -110,7 +109,7 @@ def _intrinsic(one: ForceCalibration) -> ForceTable:
         rows.append([f"angle of {first} to {second}", f"{np.degrees(angle):.5f}", f"{wide:.5f}", "°"])
     note = "These do not depend on the mounting. Definitions: Geist et al., J. Res. NIST 122.032 (2017)."
     heads = ["parameter", "value", "U", "unit"]
-    return ForceTable(caption="Intrinsic parameters", heads=heads, align="lrrl", rows=rows, note=note)
+    return ForceTable(caption="Intrinsic parameters", table=table_of(heads, "lrrl", rows), note=note)
 
 
 def _budget(one: ForceCalibration) -> ForceTable:
@@ -128,4 +127,4 @@ def _budget(one: ForceCalibration) -> ForceTable:
         "standard uncertainty",
         *(_headed(symbol, figure) for symbol, figure in zip(SYMBOLS, FORCE_FIGURES, strict=True)),
     ]
-    return ForceTable(caption="Sources of uncertainty, rms", heads=heads, align="lrrrr", rows=rows)
+    return ForceTable(caption="Sources of uncertainty, rms", table=table_of(heads, "lrrrr", rows))

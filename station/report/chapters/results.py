@@ -1,24 +1,25 @@
-"""The results: states with their uncertainties, the comparison with the limits, the budget."""
+"""The results: states with their uncertainties, effects beside them, the device as found and as left."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from markupsafe import Markup
 
-from drivers.packaged import packaged_toml
-from drivers.units import split_quantity
 from estimator.calibration.gyro import GyroCalibration
 from estimator.calibration.values import Calibration
+from estimator.effects.constructed import readable as words
+from station.report.chapters.unobserved_effects import Unseen
 from station.report.document_status import Standing
-from station.report.figures import ONE, PERCENT, SYMBOLS, Unit, figure, plain, stated, typographic
+from station.report.figures import COVERAGE, ONE, Unit, plain, with_uncertainty, worded
 from station.report.investigation_chapter import Traced
 from station.report.recorded import Recorded
+from station.report.tables import Content, Table, grouped_table, table_of
 from station.run.outcome import Outcome
-from station.views.limits import MEAN_NIS, SAMPLES_LOST, LimitLine
 
-SOURCES = packaged_toml("station.views", "budget.toml")["report"]
-"""What lines of the budget are called."""
+States = Sequence[tuple[Markup, Unit]]
+"""Symbol and unit of each state."""
+_BADGE = Markup('<strong class="badge {}">{}</strong>')
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +33,60 @@ class DeviceSummary:
     name: str
     largest: tuple[tuple[GyroCalibration, int], ...]
     verdict: str
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class ResultsView:
+    """The chapter of results.
+
+    ``unnoticed`` are effects that the run could not show. ``added`` are effects that an investigation added, empty if
+    there was none, or if they are in the model; ``moved_by`` is how far the states move with them.
+    """
+
+    coverage: str
+    has_budget: bool
+    summary: Table | None
+    states: Table
+    effects: Table | None
+    unnoticed: str
+    added: str
+    moved_by: Markup
+    notes: Sequence[str]
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class AsFoundView:
+    """The device as found: the recording, its hash and date, and its states beside those as left."""
+
+    recording: str
+    sha256: str
+    begun: str
+    states: Table
+
+
+def results_view(
+    recorded: Recorded,
+    calibration: Calibration,
+    *,
+    states: States,
+    standing: Standing,
+    unseen: Unseen | None,
+    traced: Traced | None,
+) -> ResultsView:
+    """Return the results of a calibration, with an investigation if there is one."""
+    several = summary(recorded, standing)
+    added = traced.added if traced is not None and not calibration.model else []
+    return ResultsView(
+        coverage=f"{COVERAGE:g}",
+        has_budget=any(gyro.budget for gyro in calibration.gyros),
+        summary=_summary_table(several, states) if several else None,
+        states=_states_table(recorded, calibration, states),
+        effects=_effects_table(recorded, calibration),
+        unnoticed=", ".join(unseen.unnoticed) if unseen is not None else "",
+        added=", ".join(added),
+        moved_by=plain(moved_by(recorded, calibration, traced), ONE, 2) if traced is not None and added else Markup(),
+        notes=calibration.notes,
+    )
 
 
 def summary(recorded: Recorded, standing: Standing) -> list[DeviceSummary]:
@@ -56,51 +111,105 @@ def _device_summary(recorded: Recorded, standing: Standing, name: str, rows: Seq
     return DeviceSummary(name, tuple((gyros[row], row) for row in largest), verdict)
 
 
-def moved_by(recorded: Recorded, found: Calibration, traced: Traced) -> float:
+def _summary_table(devices: Sequence[DeviceSummary], states: States) -> Table:
+    largest = [Markup("largest {} ± U, {}").format(symbol, unit.name) for symbol, unit in states]
+    rows = [[device.name, *_largest(device, states), _verdict(device)] for device in devices]
+    return table_of(["device", *largest, "verdict"], "lrrrrl", rows)
+
+
+def _largest(device: DeviceSummary, states: States) -> Iterator[Markup]:
+    """Yield the largest value of each state with its expanded uncertainty."""
+    for state, ((gyro, row), (_, unit)) in enumerate(zip(device.largest, states, strict=True)):
+        value, _, expanded = _figures(gyro, row, state, unit)
+        yield Markup("{} ± {}").format(value, expanded)
+
+
+def _verdict(device: DeviceSummary) -> Content:
+    return badge(device.verdict) if device.verdict else "not judged"
+
+
+def badge(text: str) -> Markup:
+    """Return an outcome as a coloured word."""
+    return _BADGE.format(text.lower().replace(" ", "-"), text)
+
+
+def _figures(gyro: GyroCalibration, row: int, state: int, unit: Unit) -> list[Markup]:
+    """Return a state of a gyro of the calibration: value, standard and expanded uncertainty."""
+    place = f"[{row},{state}]"
+    value, sd = float(gyro.states[state]), float(gyro.sd[state])
+    return with_uncertainty(value, sd, unit, f"calibration/states{place}", f"calibration/sd{place}")
+
+
+def _states_table(recorded: Recorded, calibration: Calibration, states: States) -> Table:
+    """Return value, standard and expanded uncertainty of each state of each gyro."""
+    heads = [
+        "gyro",
+        "quantity",
+        "value",
+        "standard uncertainty u",
+        f"expanded uncertainty U = {COVERAGE:g} u",
+        "unit",
+    ]
+    groups = [
+        (recorded.label(gyro.source, gyro.name), _state_rows(gyro, row, states))
+        for row, gyro in enumerate(calibration.gyros)
+    ]
+    return grouped_table(heads, "llrrrl", groups)
+
+
+def _state_rows(gyro: GyroCalibration, row: int, states: States) -> Iterator[list[Content]]:
+    for state, (symbol, unit) in enumerate(states):
+        yield [symbol, *_figures(gyro, row, state, unit), unit.name]
+
+
+def _effects_table(recorded: Recorded, calibration: Calibration) -> Table | None:
+    """Return the effects that were estimated beside the states, None if there are none."""
+    gyros = calibration.gyros
+    if not gyros[0].effects:
+        return None
+    rows: list[list[Content]] = []
+    for column, effect in enumerate(gyros[0].effects):
+        for row, gyro in enumerate(gyros[:1] if effect.shared else gyros):
+            value = gyro.effects[column]
+            place = f"calibration/effects[{row},{column}]"
+            whose = "all gyros" if effect.shared else recorded.label(gyro.source, gyro.name)
+            shown = worded(value.value, COVERAGE * value.sd, value.unit, place)
+            rows.append([f"{words(effect.effect)}, {effect.parameter}", whose, shown])
+    heads = ["effect", "gyro", "value ± U"]
+    return table_of(heads, "llr", rows, length=len(gyros[0].effects) * len(gyros))
+
+
+def moved_by(recorded: Recorded, calibration: Calibration, traced: Traced) -> float:
     """Return the largest shift of a state by an investigation, in sigmas of the calibration."""
     moved = [
         np.abs(traced.states[traced.names.index(label)] - gyro.states) / gyro.sd
-        for gyro, label in zip(found.gyros, recorded.labels, strict=True)
+        for gyro, label in zip(calibration.gyros, recorded.labels, strict=True)
         if label in traced.names
     ]
     return float(np.max(moved, initial=0.0))
 
 
-def quantity(line: LimitLine) -> tuple[str, Unit, str | None]:
-    """Return the quantity of a limit, its unit, and where the recording holds the value (None if nowhere)."""
-    if line.state is not None and line.unit is not None:
-        unit = Unit(typographic(line.unit.unit), line.unit.factor)
-        return SYMBOLS[line.state], unit, f"calibration/{'sd' if line.of_u else 'states'}[{line.row},{line.state}]"
-    if line.unit is not None:  # of an accelerometer
-        return line.what, Unit(typographic(line.unit.unit), line.unit.factor), None
-    if line.what == SAMPLES_LOST:
-        return line.what, PERCENT, None
-    return line.what, ONE, "calibration@nis_mean" if line.what == MEAN_NIS else None
-
-
-def written(line: LimitLine) -> Markup:
-    """Return the upper bound of a limit as in the bench file; without its unit if that is the column's."""
-    _, unit, _ = quantity(line)
-    parsed = split_quantity(line.written)
-    if parsed is None:
-        return stated(line.high, unit)
-    text = line.written.removesuffix(parsed[1]).rstrip() if typographic(parsed[1]) == unit.name else line.written
-    return figure(line.high, unit, typographic(text))
-
-
-def limits_by_gyro(standing: Standing) -> Mapping[str, list[tuple[LimitLine | None, LimitLine | None]]]:
-    """Return by gyro, for each quantity, its limit and that of its standard uncertainty; None where there is none."""
-    quantities: dict[tuple[str, str, str], dict[bool, LimitLine]] = {}
-    for line in standing.lines:
-        quantities.setdefault((line.gyro, line.what, line.note), {})[line.of_u] = line
-    gyros: dict[str, list[tuple[LimitLine | None, LimitLine | None]]] = {}
-    for (gyro, _, _), lines in quantities.items():
-        gyros.setdefault(gyro, []).append((lines.get(False), lines.get(True)))
-    return gyros
-
-
-def shares(u: Iterable[float], source: str, states: Sequence[tuple[Markup, Unit]]) -> list[Markup]:
-    """Return standard uncertainties state by state, in the units of these. ``source``: %d, state."""
-    return [
-        plain(float(value), unit, 2, source % s) for s, (value, (_, unit)) in enumerate(zip(u, states, strict=True))
+def as_found_view(
+    recorded: Recorded, calibration: Calibration, before: Recorded, hashes: Mapping[str, str], states: States
+) -> AsFoundView:
+    """Return the states before an adjustment, as recorded in ``before``, beside those after it."""
+    assert before.calibration is not None
+    begun = before.begun_utc
+    heads = ["gyro", "quantity", "as found", "U as found", "as left", "U as left", "unit"]
+    groups = [
+        (recorded.label(left.source, left.name), _adjusted_rows(then, left, row, states))
+        for row, (then, left) in enumerate(zip(before.calibration.gyros, calibration.gyros, strict=True))
     ]
+    return AsFoundView(
+        recording=before.path.name,
+        sha256=hashes["as_found"],
+        begun=f"{begun:%Y-%m-%d %H:%M UTC}" if begun is not None else "",
+        states=grouped_table(heads, "llrrrrl", groups),
+    )
+
+
+def _adjusted_rows(then: GyroCalibration, left: GyroCalibration, row: int, states: States) -> Iterator[list[Content]]:
+    for state, (symbol, unit) in enumerate(states):
+        before = with_uncertainty(float(then.states[state]), float(then.sd[state]), unit, None, None)
+        after = _figures(left, row, state, unit)
+        yield [symbol, before[0], before[2], after[0], after[2], unit.name]

@@ -1,6 +1,6 @@
 """Effects that a run could not show: its real motion, what such a motion shows, and the text in the report."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,21 +16,35 @@ from estimator.geometry.noise import NoiseModel
 from estimator.planning.planning import EffectForecast, Forecast, PlannedDevice, forecast
 from estimator.recordings.recording import ImuData
 from estimator.recordings.reference import REST_RPS, TableReadings
-from station.report.figures import Unit, figure, significant, typographic
+from station.report.figures import (
+    CELSIUS,
+    DEG_PER_S,
+    ONE,
+    SYMBOLS,
+    Unit,
+    figure,
+    fixed,
+    plain,
+    significant,
+    typographic,
+)
 from station.report.recorded import Recorded, Step
+from station.report.tables import Content, Table, table_of
 from station.scripts.planned import planned_motion
 from station.scripts.script import Script
 from station.scripts.steps.kind import Step as ScriptStep
 from station.scripts.steps.rest import Rest
 from station.scripts.steps.rotate import Rotate
 from station.views.figures import human
-from station.views.plan import MARKED, unnoticed
+from station.views.plan import MARKED, combination, unnoticed
+from station.views.seen import seen_by
 
 _PERIOD_S = 0.1
 _MOST_ROWS = 36_000  # an hour of them; longer runs use coarser steps
 _PLATEAU = 0.9  # of the largest rate: above it an axis is taken to be at its steady rate
 _FINEST_DEG = 0.01  # resolution to which rates and turns of a script are derived from the table's readings
 _SHORTEST_RAMP_S = 0.05
+_NEVER_SEEN = 10.0  # times the largest plausible size
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,3 +187,99 @@ def size(effect: Effect, value: float) -> Markup:
     unit = effect.parameters[0].unit
     number, _, name = human(value, 0.0, unit).partition(" ")
     return figure(value, Unit(unit, 1.0), typographic(f"{significant(float(number), 2)} {name}"))
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class SteadyMotion:
+    """What a known motion shows.
+
+    ``no_effect``: for each gyro the proportions of errors without an effect in the motion. ``saturated``: as many
+    steady ``conditions`` as the states can absorb. ``hidden`` are effects that would have passed unnoticed, ``shown``
+    those that this motion shows.
+    """
+
+    no_effect: Sequence[str]
+    saturated: bool
+    conditions: int
+    hidden: Table | None
+    shown: Markup
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class UnseenView:
+    """The chapter on what a run could not see; outputs in deg/s, temperatures in degC, empty if not recorded.
+
+    ``motion`` is None if the steps of the script are not known.
+    """
+
+    largest_dps: Markup
+    low_c: Markup
+    high_c: Markup
+    motion: SteadyMotion | None
+
+
+def unseen_view(recorded: Recorded, unseen: Unseen | None) -> UnseenView:
+    """Return what a run could not see, and the conditions for which its results hold."""
+    seen = seen_by(recorded.recording.sources.values())
+    low_c, mean_c, high_c = seen.temperature_c
+    known = mean_c == mean_c
+    return UnseenView(
+        largest_dps=plain(seen.largest_rps, DEG_PER_S, 3),
+        low_c=fixed(low_c, CELSIUS, 1) if known else Markup(),
+        high_c=fixed(high_c, CELSIUS, 1) if known else Markup(),
+        motion=None if unseen is None else _steady_motion(recorded, unseen),
+    )
+
+
+def _steady_motion(recorded: Recorded, unseen: Unseen) -> SteadyMotion:
+    found = unseen.forecast
+    effects = hidden(unseen)
+    seen = [effect for effect in found.effects if effect.seen.all()]
+    return SteadyMotion(
+        no_effect=[
+            f"{recorded.label(gyro.source, gyro.name)}: {'; '.join(map(combination, gyro.unseen))}"
+            for gyro in found.gyros
+            if len(gyro.unseen)
+        ],
+        saturated=found.saturated,
+        conditions=found.steady_conditions,
+        hidden=_hidden_table(unseen, effects) if effects else None,
+        shown=Markup(", ").join(_shown(unseen, effect) for effect in seen),
+    )
+
+
+def _shown(unseen: Unseen, effect: EffectForecast) -> Markup:
+    return Markup("{} ({})").format(unseen.words(effect.effect.name), _smallest(effect))
+
+
+def _hidden_table(unseen: Unseen, effects: Sequence[tuple[EffectForecast, Floats]]) -> Table:
+    heads = ["effect", "smallest size shown", "largest plausible", "unnoticed shift, in u", "what would show it"]
+    return table_of(heads, "lrrll", [_hidden_row(unseen, effect, shifts) for effect, shifts in effects])
+
+
+def _hidden_row(unseen: Unseen, effect: EffectForecast, shifts: Floats) -> list[Content]:
+    budgeted = effect.effect.name in unseen.budgeted
+    return [
+        unseen.words(effect.effect.name),
+        _smallest(effect),
+        size(effect.effect, effect.largest.max()),
+        "held by the budget" if budgeted else _shift(shifts),
+        effect.effect.record.shown_by,
+    ]
+
+
+def _smallest(effect: EffectForecast) -> Content:
+    """Return the smallest size that is seen, of the parameters and the gyros the worst.
+
+    What would have to be ten times as large as is plausible cannot be seen.
+    """
+    worst = effect.smallest.max()
+    return size(effect.effect, worst) if worst < _NEVER_SEEN * effect.largest.max() else "∞"
+
+
+def _shift(shifts: Floats) -> Content:
+    """Return the shifts of the states that are worth a word."""
+    marked = [(symbol, shift) for symbol, shift in zip(SYMBOLS, shifts, strict=True) if shift >= MARKED]
+    if not marked:
+        return "none"
+    return Markup(", ").join(Markup("{} {}").format(symbol, plain(shift, ONE, 2)) for symbol, shift in marked)

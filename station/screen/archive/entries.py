@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Self, TypeAlias
 
 from station.run.snapshot import GyroSnapshot
+from station.screen.sessions.answers import InvestigationAnswer
 from station.screen.sessions.live_run import Trend
 from station.views.history import Move
 
@@ -89,16 +90,39 @@ class Entry:
         return bool(own) and own == others
 
 
+@dataclass(kw_only=True, frozen=True, slots=True)
+class Exceeded:
+    """An exceeded limit in words: its subject, what was found, the bound, and by how much it was missed.
+
+    ``bound`` and ``missed_by`` are empty if there is no estimate; ``found`` is the reason then. ``remedy`` is what
+    usually helps, empty if nothing does. ``gyro`` and ``state`` are the numbers of both in the calibration, None if the
+    limit is not about a gyro; ``of_sigma``: it is that of the state's standard uncertainty.
+    """
+
+    subject: str
+    found: str
+    bound: str
+    missed_by: str
+    remedy: str
+    gyro: int | None
+    state: int | None
+    of_sigma: bool
+
+    @property
+    def cells(self) -> tuple[str, str, str, str]:
+        """The texts of a row in a table of limits."""
+        return self.subject, self.found, self.bound, self.missed_by
+
+
 @dataclass(frozen=True, slots=True)
 class Whole:
     """A recording with everything that the result screen shows.
 
     ``sizes`` are the limits of the four states in SI, infinite where there is none, ``written`` the same as in the
     bench file, empty where not known; ``curves`` are the live estimates by gyro, ``investigation`` the newest one
-    stored beside it, as JSON. ``samples`` and ``lost`` are None without a calibration. ``noise`` is the mean angle
+    stored beside it. ``samples`` and ``lost`` are None without a calibration. ``noise`` is the mean angle
     random walk in rad/s/rtHz and the upper 95 % limit of the bias instability in rad/s, None if unknown. ``broken``
-    lists the broken limits: cells, remedy, and (row, state, whether of the sigma); ``because`` their possible causes.
-    ``attributes`` are those of the file.
+    lists the exceeded limits, ``because`` their possible causes. ``attributes`` are those of the file.
     """
 
     entry: Entry
@@ -112,8 +136,8 @@ class Whole:
     excluded: Sequence[str] = ()
     events: Sequence[tuple[float, str]] = ()
     curves: Mapping[str, Trend] = field(default_factory=dict)
-    investigation: Mapping[str, Any] = field(default_factory=dict)
-    broken: Sequence[tuple[tuple[str, ...], str, tuple[object, ...]]] = ()
+    investigation: InvestigationAnswer | None = None
+    broken: Sequence[Exceeded] = ()
     because: Sequence[str] = ()
     attributes: Mapping[str, Any] = field(default_factory=dict)
 

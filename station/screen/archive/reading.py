@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import h5py
 
@@ -22,8 +22,12 @@ from estimator.recordings.recovery import recover
 from estimator.recordings.writing import plain, write_attributes
 from estimator.untrusted import read_json
 from station.errors import BenchError
-from station.screen.archive.entries import INVESTIGATION, Entry, Whole
+from station.screen.archive.entries import INVESTIGATION, Entry, Exceeded, Whole
+from station.screen.sessions.answers import InvestigationAnswer
 from station.screen.sessions.live_run import Trend
+
+if TYPE_CHECKING:
+    from station.views.limits import LimitLine
 
 _MOST_POINTS = 400
 _TEXTS = ("station", "script", "outcome", "reason", "operator", "device_serial", "accepted_by", "accepted_utc")
@@ -160,10 +164,24 @@ def _judged(whole: Whole, bench: str) -> Whole:
         lines = [line for line in found if not line.within]
         before, named, after = whole.entry.texts["reason"].partition("; ".join(line.broken for line in lines) or "\0")
         if named:  # losses and noise first: they may explain the others
-            broken = [(line.cells, line.remedy, (line.row, line.state, line.of_u)) for line in worst_first(lines)]
+            broken = [_exceeded(line) for line in worst_first(lines)]
             because = [text.removeprefix("but ") for text in f"{before}{after}".split("; ") if text]
             whole = replace(whole, broken=broken, because=because)
     return whole
+
+
+def _exceeded(line: "LimitLine") -> Exceeded:
+    subject, found, bound, missed_by = line.cells
+    return Exceeded(
+        subject=subject,
+        found=found,
+        bound=bound,
+        missed_by=missed_by,
+        remedy=line.remedy,
+        gyro=line.row,
+        state=line.state,
+        of_sigma=line.of_u,
+    )
 
 
 def _curves(file: Any) -> dict[str, Trend]:
@@ -179,13 +197,15 @@ def _curves(file: Any) -> dict[str, Trend]:
     return found
 
 
-def _investigation(recording: Path) -> dict[str, Any]:
-    """Return the JSON of the newest investigation stored beside a recording; empty if there is none."""
+def _investigation(recording: Path) -> InvestigationAnswer | None:
+    """Return the newest investigation stored beside a recording; None if there is none, or none with a verdict."""
     kept = recording.parent.glob(f"{recording.stem}{INVESTIGATION}*.h5")
     newest = max(kept, key=lambda path: path.stat().st_mtime, default=None)
     if newest is None:
-        return {}
+        return None
     with h5py.File(newest, "r", locking=False) as file:
         list(objects(newest, file))
         found: dict[str, Any] = read_json(plain(file["investigation"].attrs["json"]))
-        return found if isinstance(found, dict) else {}
+    with suppress(KeyError, TypeError, ValueError):
+        return InvestigationAnswer.read(found)
+    return None

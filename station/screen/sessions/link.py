@@ -2,10 +2,12 @@
 
 import asyncio
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from station.errors import UsageError
 from station.remote.attaching import RemoteSession, running_sessions
+from station.screen.sessions.greeting import Greeting
 from station.screen.sessions.live_run import LiveRun, Stage
 from station.screen.sessions.programs import SessionProcess, interrupt
 
@@ -129,7 +131,7 @@ class SessionLink:
                 remote.ask_course()
 
     def _why_gone(self) -> str:
-        if self._process is not None and not self.run.hello:
+        if self._process is not None and self.run.hello is None:
             return "stopped while it was starting" if self.run.stop_asked else self._process.reason()
         last = f" ({self._process.reason()})" if self._process is not None else ""
         return f"the session ended without a result{last}. If it was killed, check the table: it may still turn"
@@ -144,23 +146,26 @@ async def sessions_on(bench: str, bench_file: str) -> list[str]:
     return [
         path.stem
         for path, hello in await sessions_there()
-        if not hello or hello["bench"] == bench or (file is not None and hello["bench_file"] == file)
+        if hello is None or hello.bench == bench or (file is not None and hello.bench_file == file)
     ]
 
 
-async def sessions_there() -> list[tuple[Path, dict[str, object]]]:
-    """Return the running sessions, newest first, with the greeting of each, empty if it does not answer."""
+async def sessions_there() -> list[tuple[Path, Greeting | None]]:
+    """Return the running sessions, newest first, with the greeting of each, None if it does not answer."""
     paths = await asyncio.to_thread(running_sessions)
     return list(zip(paths, await asyncio.gather(*map(_hello, paths)), strict=True))
 
 
-async def _hello(path: Path) -> dict[str, object]:
+async def _hello(path: Path) -> Greeting | None:
+    """Return the greeting of a session; None if it does not answer, or with something else."""
     try:
         remote = await RemoteSession.connect(path)
     except UsageError:
-        return {}
+        return None
     remote.close()
-    return remote.hello
+    with suppress(KeyError, TypeError, ValueError):
+        return Greeting.read(remote.hello)
+    return None
 
 
 async def stop_session(path: Path) -> None:

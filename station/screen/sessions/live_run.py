@@ -12,7 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from station.run.snapshot import EventKind, Phase, Snapshot, snapshot_of
+from station.screen.sessions.greeting import Greeting, RunEnd, SentLimits
 
+SILENCE_S = 3.0
+"""After so long without a word from a session, what is shown of it is old."""
 _MOST_EVENTS = 500
 _MOST_POINTS = 1200
 _MOVING, _ENDING = (Phase.HOMING, Phase.RUNNING), (Phase.STOPPING, Phase.ESTIMATING)
@@ -55,9 +58,9 @@ class LiveRun:
         them.
         """
         self.stage = Stage.STARTING
-        self.hello: Mapping[str, Any] = {}
+        self.hello: Greeting | None = None
         self.snapshot: Snapshot | None = None
-        self.result: Mapping[str, Any] | None = None
+        self.result: RunEnd | None = None
         self.events: deque[tuple[float, str]] = deque(maxlen=_MOST_EVENTS)
         self.trends: dict[str, Trend] = {}
         self.seen: list[Snapshot] = []
@@ -81,6 +84,16 @@ class LiveRun:
         return self.stage in (Stage.STARTING, Stage.RUNNING, Stage.LOST)
 
     @property
+    def by_hand(self) -> bool:
+        """Whether the table is driven by hand."""
+        return self.hello is not None and self.hello.manual
+
+    @property
+    def limits(self) -> SentLimits:
+        """The limits of the bench, none before the greeting."""
+        return self.hello.limits if self.hello is not None else SentLimits()
+
+    @property
     def settled(self) -> bool:
         """Whether the run has ended, and the table is at rest or never moved: nothing of it is left to watch."""
         return self.stage is Stage.ENDED and (self.at_rest or not (self.moved or self.unconfirmed))
@@ -88,9 +101,10 @@ class LiveRun:
     @property
     def steps_begin_s(self) -> list[float]:
         """The beginnings of steps (s): by plan if all durations are known in advance, else as seen so far."""
-        script = self.hello.get("script", {})
-        if script.get("longest_s", script.get("duration_s")) == script.get("duration_s"):
-            return [float(step["start_s"]) for step in script.get("steps", [])]
+        if self.hello is None:
+            return []
+        if self.hello.steps_begin_s is not None:
+            return list(self.hello.steps_begin_s)
         labels = [""] + [snapshot.label for snapshot in self.seen]
         pairs = zip(self.seen, pairwise(labels), strict=True)
         return [snapshot.elapsed_s for snapshot, (before, now) in pairs if now != before]
@@ -118,16 +132,20 @@ class LiveRun:
     @property
     def outcome(self) -> str:
         """PASS, FAIL, ABORTED, FAULT, or nothing while it is not known."""
-        return str(self.result.get("outcome") or "") if self.result is not None else ""
+        return self.result.outcome if self.result is not None else ""
 
     def ask_to_stop(self) -> None:
         if not self.stop_asked:
             self._stop_asked_s = time.monotonic()
 
     def greet(self, hello: Mapping[str, Any]) -> None:
-        """Take the greeting of a first or later connection; past events will be sent again, so they are cleared."""
-        self.hello = hello
-        self.recording, self.script = Path(hello["recording"]), str(hello["script"]["name"])
+        """Take the greeting of a first or later connection; past events will be sent again, so they are cleared.
+
+        KeyError, TypeError or ValueError for an object that is no greeting.
+        """
+        self.hello = Greeting.read(hello)
+        self.recording = self.hello.recording_path
+        self.script = self.hello.script
         self.stage = Stage.RUNNING
         self.trouble = ""
         self.events.clear()
@@ -148,7 +166,7 @@ class LiveRun:
             elif kind == "course":
                 self._take_course(message["points"])
             elif kind == "result":
-                self.result = dict(message)
+                self.result = RunEnd.read(message)
                 self.stage = Stage.ENDED
             elif kind == "refused":
                 self.refusals.append(str(message["reason"]))

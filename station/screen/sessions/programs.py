@@ -7,28 +7,14 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import IO, Any
+
+from station.screen.sessions.answers import Reply, Value
 
 _MOST_BYTES = 64 * 1024 * 1024  # of one line of JSON
 _SETTLE_S = 3.0
-
-
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """The result of a command: exit code, JSON object (empty if it printed none), last line on stderr."""
-
-    code: int
-    found: dict[str, Any]
-    said: str
-
-    @property
-    def reason(self) -> str:
-        """Why there is no result, in words."""
-        reason = str(self.found.get("reason") or self.said or f"the command ended with code {self.code}")
-        return reason.splitlines()[0].removeprefix("station: ")  # HDF5's further lines are for its developers
 
 
 def command_line(arguments: Sequence[str]) -> list[str]:
@@ -36,11 +22,22 @@ def command_line(arguments: Sequence[str]) -> list[str]:
     return [sys.executable, "-P", "-m", "station.cli", *arguments]
 
 
-async def ask(arguments: Sequence[str], on_line: Callable[[str], None] = lambda line: None) -> Answer:
-    """Run a command of the station to its end; return exit code, the JSON object on stdout, the last line on stderr.
+async def done(arguments: Sequence[str]) -> Reply[None]:
+    """Run a command of the station to its end, whose output does not matter; see ``ask``."""
+    return await ask(arguments, lambda found: None)
 
-    The object is empty if stdout holds none; an exit code other than 0 raises nothing. ``on_line`` gets each line on
-    stderr that is not blank. Cancelling terminates the command, and kills its process group if that takes too long.
+
+async def ask(
+    arguments: Sequence[str],
+    read: Callable[[Mapping[str, Any]], Value],
+    on_line: Callable[[str], None] = lambda line: None,
+) -> Reply[Value]:
+    """Run a command of the station to its end; return its answer, which ``read`` makes of the JSON object on stdout.
+
+    ``read`` may raise KeyError, TypeError or ValueError for an object that is no answer; there is none then. The object
+    is empty if stdout holds none; an exit code other than 0 raises nothing. The reason is the object's own, else the
+    last line on stderr. ``on_line`` gets each line on stderr that is not blank. Cancelling terminates the command, and
+    kills its process group if that takes too long.
     """
     process = await asyncio.create_subprocess_exec(
         *command_line(arguments),
@@ -57,7 +54,13 @@ async def ask(arguments: Sequence[str], on_line: Callable[[str], None] = lambda 
         code = await process.wait()
     finally:
         await _end(process)
-    return Answer(code, _object(out), messages)
+    found = _object(out)
+    value: Value | None = None
+    with suppress(KeyError, TypeError, ValueError):
+        value = read(found)
+    reason = str(found.get("reason") or messages or f"the command ended with code {code}")
+    # HDF5's further lines are for its developers.
+    return Reply(code=code, value=value, reason=reason.splitlines()[0].removeprefix("station: "))
 
 
 async def _listen(stream: asyncio.StreamReader, on_line: Callable[[str], None]) -> str:

@@ -2,7 +2,6 @@
 
 import asyncio
 import hashlib
-import json
 import re
 import tomllib
 from collections.abc import Mapping
@@ -10,28 +9,34 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from drivers.packaged import packaged_toml
 from estimator.errors import MISSHAPEN
 from estimator.untrusted import read_text
 from station.atomic_write import write_whole
 from station.errors import UsageError
-from station.render.template import rendered
-from station.schema.tables import keys_of
 from station.screen.archive.entries import Whole
 from station.screen.dialogs import AskDialog, AskTextDialog, ChooseDialog
 from station.screen.memory import state_folder
+from station.screen.panes.certificate_form import (
+    BENCH_FILE,
+    LAST_FORM,
+    RECORDED,
+    SECTIONS,
+    Checked,
+    Form,
+    field_question,
+    form_lines,
+    form_question,
+    form_toml,
+)
 
 if TYPE_CHECKING:
     from station.report.recorded import Recorded
 
-_SECTIONS = {section.name: section for section in keys_of("certificate.certificate_file")}
 _LIST = "equipment."
 _LASTING = ("laboratory.", "customer.", _LIST, "procedure.", "decision.", "performed.place")  # from job to job
 _RECORDED = {"item.serial_number": "device_serial", "certificate.approved_by": "accepted_by"}
-_PLACE = re.compile(rf": ((?:{'|'.join(_SECTIONS)})\.[\w.]+): (.*)", re.DOTALL)
-_FORM: dict[str, Any] = {name: packaged_toml("station.report", f"{name}.toml") for name in ("certificate", "dcc")}
-_FORM |= {"sections": _SECTIONS, "keys_of": keys_of}
-_FORM["as_toml"] = lambda text: json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")  # as TOML has it
+_PLACE = re.compile(rf": ((?:{'|'.join(SECTIONS)})\.[\w.]+): (.*)", re.DOTALL)
+_KEEP = "keep", "SAVE ALL next to the recording"
 _LEAVE = "Your entries are not saved yet.", [("back", "Back to the form"), ("drop", "Leave without saving")]
 
 
@@ -49,35 +54,28 @@ async def fill_in(app: Any, whole: Whole) -> None:
     except (UsageError, *MISSHAPEN) as error:
         app.notify(str(error), title="Known facts cannot be read", severity="error", markup=False)
         return
-    from station.report.formal import read_formal  # imported by now
-
     begun: dict[str, str] = {}
     for facts in sources.values():  # the first source wins, and lists are not mixed
         listed = any(field.startswith(_LIST) for field in begun)
         begun |= {f: text for f, text in facts.items() if f not in begun and not (listed and f.startswith(_LIST))}
-    entered, chosen, values = {**begun}, "", {**_FORM, "sources": sources, "path": recorded.path}
+    entered = dict(begun)
+    chosen = ""
     while True:
-        toml = rendered("station.screen", "facts.toml", {**values, "facts": entered})
-        values |= {"facts": entered, "formal": None, "place": "", "wrong": "", "width": app.size.width}
-        try:
-            values["formal"] = await asyncio.to_thread(read_formal, recorded, files[0], toml)
-        except UsageError as error:
-            found = _PLACE.search(str(error))
-            values |= {"place": found[1], "wrong": found[2]} if found else {"wrong": str(error)}
-        question, lines = (rendered("station.screen", f"{name}.txt", values) for name in ("facts", "fact_lines"))
-        answers = [(field, words) for field, _, words in (line.partition("\t") for line in lines.splitlines())]
+        form = Form(recording=recorded.path.name, entered=entered, sources=sources)
+        toml = form_toml(form)
+        checked = await asyncio.to_thread(_checked, recorded, files[0], toml)
+        question = form_question(form, checked)
+        answers = _answers(form, checked, app.size.width)
         chosen = await app.push_screen_wait(FactsDialog(question, answers, chosen)) or ""
         if "." in chosen:
-            question = rendered("station.screen", "fact.txt", {**values, "field": chosen})
+            question = field_question(chosen, checked)
             text = await app.push_screen_wait(AskTextDialog(question, begun=entered.get(chosen, "")))
-            entered |= {} if text is None else {chosen: text}
-            if not any(entered[field] for field in entered if field.startswith(_LIST)):  # the bench file's hold again
-                entered |= {field: text for field, text in sources["bench file"].items() if field.startswith(_LIST)}
+            entered = _edited(form, {} if text is None else {chosen: text})
         elif not chosen:
             if entered == begun or await app.push_screen_wait(AskDialog(*_LEAVE)) == "drop":
                 return
-        elif values["wrong"]:
-            chosen = values["place"]
+        elif checked.formal is None:
+            chosen = checked.place
         else:
             try:
                 await asyncio.to_thread(write_whole, files[0], toml, replace=True)
@@ -87,6 +85,35 @@ async def fill_in(app: Any, whole: Whole) -> None:
                 return
             except (UsageError, *MISSHAPEN) as error:
                 app.notify(str(error), title="NOT kept", severity="error", markup=False)
+
+
+def _checked(recorded: "Recorded", file: Path, toml: str) -> Checked:
+    """Return whether the facts in a TOML text can be read as those of a recording, and where they cannot."""
+    from station.report.formal import read_formal
+
+    try:
+        return Checked(formal=read_formal(recorded, file, toml))
+    except UsageError as error:
+        found = _PLACE.search(str(error))
+        return Checked(wrong=str(error)) if found is None else Checked(place=found[1], wrong=found[2])
+
+
+def _answers(form: Form, checked: Checked, width: int) -> list[tuple[str, str]]:
+    """Return the lines to choose from, with the field of each."""
+    answers = []
+    table = ""
+    for line in form_lines(form, checked):
+        answers.append((line.field, line.words(width, first=line.table != table)))
+        table = line.table
+    return [*answers, _KEEP]
+
+
+def _edited(form: Form, texts: Mapping[str, str]) -> dict[str, str]:
+    """Return the facts entered with new ``texts``; without any instrument those of the bench file hold again."""
+    entered = {**form.entered, **texts}
+    if not any(entered[field] for field in entered if field.startswith(_LIST)):
+        entered |= {field: text for field, text in form.sources[BENCH_FILE].items() if field.startswith(_LIST)}
+    return entered
 
 
 def _stated(whole: Whole) -> tuple["Recorded", tuple[Path, Path], Mapping[str, Mapping[str, str]]]:
@@ -113,13 +140,13 @@ def _stated(whole: Whole) -> tuple["Recorded", tuple[Path, Path], Mapping[str, M
     kept, last = kept_facts(recorded.path), state_folder() / f"certificate-{station[:20]}.toml"
     recorded_facts = {field: recorded.text(name) for field, name in _RECORDED.items()}
     recorded_facts["performed.date"] = str(recorded.begun_utc.date()) if recorded.begun_utc else ""
-    found = {"recording": {field: text for field, text in recorded_facts.items() if text}}
-    found["bench file"] = _texts(recorded.text("bench"))
+    found = {RECORDED: {field: text for field, text in recorded_facts.items() if text}}
+    found[BENCH_FILE] = _texts(recorded.text("bench"))
     if kept.is_file():
         return recorded, (kept, last), {"kept": _texts(read_text(kept, UsageError)), **found}
     with suppress(UsageError, *MISSHAPEN):
         facts = _texts(read_text(last, UsageError)) if recorded.text("station") else {}
-        found["LAST FORM, this bench"] = {field: text for field, text in facts.items() if field.startswith(_LASTING)}
+        found[LAST_FORM] = {field: text for field, text in facts.items() if field.startswith(_LASTING)}
     return recorded, (kept, last), found
 
 
@@ -129,6 +156,6 @@ def _texts(toml: str) -> dict[str, str]:
     for name, facts in tomllib.loads(toml).items():
         for number, table in enumerate(facts if isinstance(facts, list) else [facts]):
             where = f"{name}.{number}" if isinstance(facts, list) else name
-            for key, value in table.items() if name in _SECTIONS else ():
+            for key, value in table.items() if name in SECTIONS else ():
                 found[f"{where}.{key}"] = " | ".join(value) if isinstance(value, list) else str(value)
     return found

@@ -16,7 +16,7 @@ from station.screen.archive.entries import Entry
 from station.screen.base import Field, StationScreen
 from station.screen.charts import Charts
 from station.screen.drawings import STATE_CHARTS, Drawing, StateLimit, state_drawing
-from station.screen.figures import templated
+from station.screen.panes.history import FolderView, TrendView, folder_text, trend_text
 from station.screen.sessions.live_run import Trend
 from station.views.figures import OUTCOME_STYLES, figures_from
 
@@ -138,9 +138,14 @@ class HistoryScreen(StationScreen):
             table.add_row(*cells[: len(names)])
         if self._shown:
             table.move_cursor(row=min(row, len(self._shown) - 1))
-        counts = {"shown": len(self._shown), "all": len(self._entries), "most": _MOST_ROWS, "reading": self._reading}
-        values = {**counts, "folder": self.station.choices.folder}
-        self.query_one("#folder", Static).update(templated("folder.rich", values))
+        folder = FolderView(
+            folder=self.station.choices.folder,
+            count=len(self._entries),
+            matching=len(self._shown),
+            most=_MOST_ROWS,
+            reading=self._reading,
+        )
+        self.query_one("#folder", Static).update(folder_text(folder))
         self.redraw()
 
     def redraw(self) -> None:
@@ -161,8 +166,9 @@ class HistoryScreen(StationScreen):
             ):
                 self._trend.add((entry.when_utc_s - alike[0].when_utc_s) / _DAY_S, own.values, own.sds)
             failed = sum(bool(e.gyros) and e.texts.get("outcome") == "FAIL" for e in alike)
-        values = {"chosen": chosen, "gyro": gyro, "count": len(self._trend.values), "failed": failed}
-        self.query_one("#trend", Static).update(templated("trend.rich", values))
+        name = gyro.name if gyro is not None else ""
+        trend = TrendView(chosen=chosen, gyro=name, count=len(self._trend.values), failed=failed)
+        self.query_one("#trend", Static).update(trend_text(trend))
         charts = self.query_one(Charts)
         charts.display = bool(self._trend.values)
         charts.draw()

@@ -3,6 +3,7 @@
 import asyncio
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar
@@ -13,6 +14,7 @@ from textual.binding import Binding
 from drivers.packaged import packaged_toml
 from station.screen.base import StationScreen
 from station.screen.dialogs import AskDialog, AskTextDialog
+from station.screen.panes.progress import DrivenAxis, ManualView
 from station.screen.tabs.prospects import look_ahead
 
 _KNOWN: dict[str, Any] = packaged_toml("station.screen", "manual.toml")
@@ -62,22 +64,27 @@ class ManualScreen(StationScreen):
     _rate = _RATES_DPS.index(_KNOWN["begin_dps"])
 
     @property
-    def table(self) -> dict[str, dict[str, Any]]:
-        """The limits of each axis of a session in manual mode, empty for another."""
+    def axes(self) -> Sequence[DrivenAxis]:
+        """The axes of a session in manual mode, by name; none for another session."""
         run = self.station.shown
-        by_hand = run is not None and run.active and run.hello.get("manual")
-        return dict(sorted(run.hello["table"].items())) if run is not None and by_hand else {}
+        if run is None or not run.active or run.hello is None or not run.hello.manual:
+            return ()
+        angles = {axis.name: axis.angle_rad for axis in run.snapshot.axes} if run.snapshot is not None else {}
+        return [
+            DrivenAxis(name=name, angle_rad=angles.get(name, math.nan), limits=limits)
+            for name, limits in sorted(run.hello.axes.items())
+        ]
 
-    def manual_values(self) -> dict[str, Any]:
-        """Return the values of the bar: axes with their limits, the chosen axis, the rate in deg/s, angles by axis."""
-        table, run = self.table, self.station.shown
-        chosen = list(table)[self._axis % len(table)] if table else ""
-        angles = {a.name: a.angle_rad for a in run.snapshot.axes} if run is not None and run.snapshot else {}
-        return {"table": table, "chosen": chosen, "rate_dps": _RATES_DPS[self._rate], "angles": angles}
+    def manual_view(self) -> ManualView | None:
+        """Return the bar of manual mode; None for a session in another mode."""
+        axes = self.axes
+        if not axes:
+            return None
+        return ManualView(axes=axes, chosen=axes[self._axis % len(axes)].name, rate_dps=_RATES_DPS[self._rate])
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Have the keys that drive in manual mode only."""
-        return action != "drive" or bool(self.table)
+        return action != "drive" or bool(self.axes)
 
     def on_key(self, event: events.Key) -> None:
         """Ignore a driving key that waited too long: it may have been released."""
@@ -92,12 +99,16 @@ class ManualScreen(StationScreen):
         """Change the chosen axis or rate, ask for an angle, or send the command ``word`` with axis and rate to the
         session.
         """
-        axis = self.manual_values()["chosen"]
-        rate_dps, drive = _RATES_DPS[self._rate], self.station.drive
+        view = self.manual_view()
+        if view is None:
+            return
+        axis = view.chosen
+        rate_dps = view.rate_dps
+        drive = self.station.drive
         if word == "axis":
             self._axis += 1
         elif word in ("slower", "faster"):
-            most_dps = math.degrees(self.table[axis]["rate_rps"])
+            most_dps = math.degrees(view.chosen_axis.limits.rate_rps)
             fit = [n for n, rate in enumerate(_RATES_DPS) if rate <= most_dps or not n]
             self._rate = min(max(self._rate + (1 if word == "faster" else -1), 0), fit[-1])
         elif word == "go":

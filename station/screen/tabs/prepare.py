@@ -2,11 +2,13 @@
 
 import asyncio
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
+from rich.text import Text
 from textual import events
 from textual.app import ComposeResult
 from textual.binding import Binding
@@ -19,12 +21,23 @@ from station.screen.charts import Charts
 from station.screen.choices import Choices
 from station.screen.dialogs import AskTextDialog
 from station.screen.drawings import Drawing, motion_drawing
-from station.screen.figures import templated
+from station.screen.panes.devices import DevicesView, devices_text
+from station.screen.panes.lines import Mark
+from station.screen.panes.start import (
+    Obstacle,
+    ScriptView,
+    StartView,
+    limits_text,
+    ready_text,
+    script_text,
+    summary_text,
+)
+from station.screen.sessions.answers import CheckAnswer, PlanAnswer, Reply
 from station.screen.sessions.link import sessions_on
 from station.screen.sessions.live_run import LiveRun
-from station.screen.sessions.programs import Answer, ask
+from station.screen.sessions.programs import ask
 from station.screen.tabs.prospects import Prospect, look_ahead, matches
-from station.views.figures import state_figures
+from station.views.figures import STATE_FIGURES, state_figures
 
 _FIELDS = (
     ("bench", "Bench file", "built-in twins"),
@@ -32,7 +45,6 @@ _FIELDS = (
     ("operator", "Operator", "your name"),
     ("serial", "Device serial no.", "of the device under test"),
 )
-_BLOCKS = ("summary", "ready", "limits", "check", "plan")
 _SCAN_GAP_S = 0.03
 """Longest time between two characters of a scanner; nobody types a whole word at that pace."""
 _SCAN_LEAST = 4
@@ -57,8 +69,8 @@ class PrepareScreen(StationScreen):
         """Start without answers."""
         super().__init__()
         self._prospect: Prospect | None = None
-        self._check: Answer | None = None
-        self._plan: Answer | None = None
+        self._check: Reply[CheckAnswer] | None = None
+        self._plan: Reply[PlanAnswer] | None = None
         self._checking = ""
         self._looked_for: tuple[str, str] | None = None
         self._confirmed = ("", "", "")  # number as entered, number reported by the device, reason why both are right
@@ -215,7 +227,9 @@ class PrepareScreen(StationScreen):
         self._take_over()
         obstacles = self._obstacles()
         if obstacles or self._prospect is None:
-            self.notify("; ".join(text for _, text in obstacles), title="Not started", severity="warning", markup=False)
+            self.notify(
+                "; ".join(each.text for each in obstacles), title="Not started", severity="warning", markup=False
+            )
             self.redraw()
         else:
             self.station.start_run(self._prospect)
@@ -245,13 +259,13 @@ class PrepareScreen(StationScreen):
             self.redraw()
             return
         self._checking = ""
-        self._check = await ask(choices.check_arguments(found.all_twins), self._tell)
+        self._check = await ask(choices.check_arguments(found.all_twins), CheckAnswer.read, self._tell)
         self._suggest()
         self.redraw()
 
     async def _look_at_plan(self, choices: Choices, found: Prospect) -> None:
         if not found.script_wrong:
-            self._plan = await ask(choices.plan_arguments())
+            self._plan = await ask(choices.plan_arguments(), PlanAnswer.read)
             self.redraw()
 
     def _tell(self, line: str) -> None:
@@ -260,8 +274,10 @@ class PrepareScreen(StationScreen):
 
     def _reported_serial(self) -> str:
         """Return the serial number reported by the only device under test; empty for several devices or none."""
-        devices = self._check.found.get("devices", [])[1:] if self._check is not None else []
-        return str(devices[0]["identity"].get("serial") or "") if len(devices) == 1 else ""
+        if self._check is None or self._check.value is None:
+            return ""
+        under_test = self._check.value.devices[1:]
+        return under_test[0].identity.serial if len(under_test) == 1 else ""
 
     def _suggest(self) -> None:
         """Fill in the serial number reported by the only device under test, if none was entered and it matches."""
@@ -297,49 +313,50 @@ class PrepareScreen(StationScreen):
             entered["serial_reason"] = self._confirmed[2] if self._confirmed[:2] == both else ""
         self._chosen = self.station.choices = replace(self.station.choices, **entered)
 
-    def _obstacles(self) -> list[tuple[str, str]]:
-        """Return what prevents a start, as ("WRONG" or "WAIT", what to do)."""
-        found: list[tuple[str, str]] = []
-        prospect, choices = self._prospect, self.station.choices
-        if self.station.busy:
-            found.append(("WAIT", "a session is running: F3 shows it"))
+    def _obstacles(self) -> list[Obstacle]:
+        """Return what prevents a start."""
+        prospect = self._prospect
+        found = [_wait("a session is running: F3 shows it")] if self.station.busy else []
+        found += self._entry_obstacles()
+        if prospect is None:
+            return [*found, _wait("bench and script are being read (Enter)")]
+        found += [_wrong(text) for text in (prospect.bench_wrong, prospect.script_wrong, prospect.folder_wrong) if text]
+        if not prospect.bench_wrong and not self.station.busy:
+            found += self._device_obstacles()
+        if not prospect.bench_wrong and not prospect.script_wrong:
+            if self._plan is None:
+                found.append(_wait("the plan is being computed"))
+            elif self._plan.value is None:
+                found.append(_wrong(f"plan: {self._plan.reason}"))
+        return found
+
+    def _entry_obstacles(self) -> list[Obstacle]:
+        """Return what is wrong with operator and serial number."""
+        found: list[Obstacle] = []
+        prospect = self._prospect
+        choices = self.station.choices
         for name, text, pattern in (
             ("operator", choices.operator, prospect and prospect.operator_pattern),
             ("device serial number", choices.serial, prospect and prospect.serial_pattern),
         ):
             if not text:
-                found.append(("WRONG", f"{name}: enter it"))
+                found.append(_wrong(f"{name}: enter it"))
             elif pattern and not matches(pattern, text):
-                found.append(("WRONG", f"{name} {text!r} does not match the pattern of the bench file: {pattern}"))
+                found.append(_wrong(f"{name} {text!r} does not match the pattern of the bench file: {pattern}"))
         age_s = time.time() - self.station.operator_utc_s
         if prospect is not None and choices.operator and age_s > prospect.shift_s:
-            found.append(("WRONG", f"is the operator still {choices.operator}? Press Enter in the field to confirm"))
+            found.append(_wrong(f"is the operator still {choices.operator}? Press Enter in the field to confirm"))
         reported = self._reported_serial()
         if reported and choices.serial and choices.serial != reported and not choices.serial_reason:
-            found.append(
-                ("WRONG", f"the device reports serial no. {reported}: correct it, or confirm with a reason (F8)")
-            )
-        if prospect is None:
-            found.append(("WAIT", "bench and script are being read (Enter)"))
-            return found
-        wrong = prospect.bench_wrong, prospect.script_wrong, prospect.folder_wrong
-        found += [("WRONG", text) for text in wrong if text]
-        if not prospect.bench_wrong and not self.station.busy:
-            found += self._device_obstacles()
-        if not prospect.bench_wrong and not prospect.script_wrong:
-            if self._plan is None:
-                found.append(("WAIT", "the plan is being computed"))
-            elif not self._plan.found.get("gyros"):
-                found.append(("WRONG", f"plan: {self._plan.reason}"))
+            found.append(_wrong(f"the device reports serial no. {reported}: correct it, or confirm with a reason (F8)"))
         return found
 
-    def _device_obstacles(self) -> list[tuple[str, str]]:
+    def _device_obstacles(self) -> list[Obstacle]:
         if self._check is None:
-            return [("WAIT", self._checking or "the devices are being checked")]
-        devices = self._check.found.get("devices")
-        if devices is None:
-            return [("WRONG", f"check: {self._check.reason}")]
-        return [("WRONG", f"{d['device']}: {wrong}") for d in devices for wrong in d["wrong"]]
+            return [_wait(self._checking or "the devices are being checked")]
+        if self._check.value is None:
+            return [_wrong(f"check: {self._check.reason}")]
+        return [_wrong(f"{each.device}: {wrong}") for each in self._check.value.devices for wrong in each.wrong]
 
     def redraw(self) -> None:
         """Show all answers; start a mounted device's run if nothing prevents it, or report what does."""
@@ -347,18 +364,38 @@ class PrepareScreen(StationScreen):
             return
         obstacles = self._obstacles()
         self.query_one("#start", Button).disabled = bool(obstacles)
-        values = {"obstacles": obstacles, "prospect": self._prospect or Prospect(), "plan": self._plan}
-        values |= {"check": self._check, "checking": self._checking, "tray": self.station.mounted}
-        if self._prospect is not None and self._prospect.limits is not None:
-            values["state_figures"] = state_figures(self._prospect.limits.units)
-        for name in _BLOCKS:
-            self.query_one(f"#{name}", Static).update(templated(f"{name}.rich", values))
+        for name, text in self._blocks(obstacles).items():
+            self.query_one(f"#{name}", Static).update(text)
         self.query_one(Charts).draw()
         looked_at = self.station.mounted and self.station.choices is self._chosen
-        if looked_at and (not obstacles or "WRONG" in dict(obstacles)):
+        if looked_at and (not obstacles or any(each.mark is Mark.WRONG for each in obstacles)):
             self.station.mounted = False
             self.action_start()  # or reports its obstacles
+
+    def _blocks(self, obstacles: Sequence[Obstacle]) -> Mapping[str, Text]:
+        """Return the texts of all blocks, by their names."""
+        prospect = self._prospect or Prospect()
+        figures = STATE_FIGURES if prospect.limits is None else state_figures(prospect.limits.units)
+        plan = self._plan.value if self._plan is not None else None
+        missed = plan.missed if plan is not None else ()
+        start = StartView(obstacles=obstacles, missed=missed, mounted=self.station.mounted)
+        devices = DevicesView(bench=prospect.bench, check=self._check, checking=self._checking)
+        return {
+            "summary": summary_text(start),
+            "ready": ready_text(start),
+            "limits": limits_text(prospect.limits),
+            "check": devices_text(devices),
+            "plan": script_text(ScriptView(prospect=prospect, plan=self._plan, figures=figures)),
+        }
 
     def _drawing(self, name: str) -> Drawing | None:
         motion = self._prospect.motion if self._prospect is not None else None
         return None if motion is None else motion_drawing(motion.gimbals, motion.t_s, motion.rate_rps)
+
+
+def _wrong(text: str) -> Obstacle:
+    return Obstacle(mark=Mark.WRONG, text=text)
+
+
+def _wait(text: str) -> Obstacle:
+    return Obstacle(mark=Mark.WAIT, text=text)

@@ -10,7 +10,7 @@ from typing import Any
 from textual.app import SystemCommand
 
 from station.atomic_write import free_path
-from station.screen.sessions.programs import ask
+from station.screen.sessions.programs import done
 
 _PAPER = {"html": "Report, written and opened", "pdf": "Report as PDF", "xml": "Digital certificate with its PDF"}
 _EXPORTS = {"csv": "Export as CSV", "json": "Export as JSON", "yaml": "Export as YAML", "h": "Export as C header"}
@@ -33,7 +33,7 @@ async def _make(app: Any, recording: Path, suffix: str) -> None:
     named = recording.with_suffix(".pdf" if suffix == "xml" else f".{suffix}")
     file = await asyncio.to_thread(free_path, named, beside=[".html", ".xml"] if suffix in _PAPER else [])
     how = ["report"] if suffix in _PAPER else ["export", "--format", "c" if suffix == "h" else suffix]
-    answer = await ask([*how, str(recording), "--output", str(file), *["--dcc"] * (suffix == "xml")])
+    answer = await done([*how, str(recording), "--output", str(file), *["--dcc"] * (suffix == "xml")])
     title, severity = ("NOT written", "error") if answer.code else ("Written", "information")
     app.notify(answer.reason if answer.code else str(file), title=title, severity=severity, markup=False)
     # Without a desktop a browser would run in this terminal, and STOP would be out of reach.

@@ -2,10 +2,11 @@
 
 import asyncio
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from rich.console import Group, RenderableType
 from rich.text import Text
@@ -21,8 +22,12 @@ from station.screen.base import StationScreen
 from station.screen.charts import Charts
 from station.screen.dialogs import AskDialog, ChooseDialog
 from station.screen.drawings import STATE_CHARTS, Drawing, StateLimit, state_drawing
-from station.screen.figures import templated
-from station.screen.sessions.programs import ask
+from station.screen.panes.calibrated import calibrated_text
+from station.screen.panes.lines import joined
+from station.screen.panes.states import ChangeView, change_text
+from station.screen.panes.verdict import VerdictView, record_text, verdict_text
+from station.screen.sessions.answers import InvestigationAnswer
+from station.screen.sessions.programs import ask, done
 from station.screen.tabs.facts import fill_in
 from station.views.figures import figures_from
 from station.views.history import Move
@@ -56,7 +61,7 @@ class ResultScreen(StationScreen):
         self._whole: Whole | None = None
         self._same: list[Entry] = []
         self._moves: list[Move] = []
-        self._found: Mapping[str, Any] = {}
+        self._investigation: InvestigationAnswer | None = None
         self._model: Sequence[RenderableType] = ()
         self._busy = ""
         self._said = ""
@@ -83,8 +88,14 @@ class ResultScreen(StationScreen):
 
     def _open(self, path: Path, fresh: bool) -> None:
         """Show a recording; a ``fresh`` one that failed is investigated at once."""
-        self.recording, self._whole, self._same, self._moves, self._found = path, None, [], [], {}
-        self._busy, self._said, self.gyro = "reading", "", 0
+        self.recording = path
+        self.gyro = 0
+        self._whole = None
+        self._same = []
+        self._moves = []
+        self._investigation = None
+        self._busy = "reading"
+        self._said = ""
         self.redraw()
         self.station.work(partial(self._read, path, fresh), "open")
 
@@ -100,9 +111,9 @@ class ResultScreen(StationScreen):
         self._moves = moves([*self._same, entry]).get(entry.file, [])
         self.redraw()
 
-    async def _take_investigation(self, found: Mapping[str, Any]) -> None:
-        self._found = found
-        self._model = await asyncio.to_thread(_investigation, found) if found.get("verdict") else ()
+    async def _take_investigation(self, found: InvestigationAnswer | None) -> None:
+        self._investigation = found
+        self._model = () if found is None else await asyncio.to_thread(_investigation_shown, found)
         self.redraw()
 
     def action_investigate(self) -> None:
@@ -144,12 +155,12 @@ class ResultScreen(StationScreen):
         verify = ["--verify", *map(str, judging)] if judging else []
         files = ["--output", str(kept), "--next-script", str(script)]
         arguments = ["investigate", str(path), *verify, "--json", *files]
-        answer = await ask(arguments, lambda line: self._tell(f"{_LOOKING}: {line}"))
+        answer = await ask(arguments, InvestigationAnswer.read, lambda line: self._tell(f"{_LOOKING}: {line}"))
         if path != self.recording:
             return
         self._busy = ""
-        self._said = "" if answer.found.get("verdict") else f"no verdict: {answer.reason}"
-        await self._take_investigation(answer.found)
+        self._said = f"no verdict: {answer.reason}" if answer.value is None else ""
+        await self._take_investigation(answer.value)
 
     def _tell(self, busy: str) -> None:
         self._busy = busy
@@ -179,7 +190,7 @@ class ResultScreen(StationScreen):
             outcome = f"NOT ACCEPTED: {wrong}"
         else:
             certificate = await asyncio.to_thread(free_path, path.with_suffix(".html"))
-            answer = await ask(["report", str(path), "--output", str(certificate)])
+            answer = await done(["report", str(path), "--output", str(certificate)])
             outcome = f"accepted; certificate: {certificate}"
             if answer.code:
                 outcome = f"accepted, but NO CERTIFICATE: {answer.reason}"
@@ -199,7 +210,12 @@ class ResultScreen(StationScreen):
 
     def action_next(self) -> None:
         if self._may("next"):
-            self.station.prepare(str(self._found["next_script"]))
+            self.station.prepare(self._next_script)
+
+    @property
+    def _next_script(self) -> str | None:
+        """The script that the investigation needs, None if it needs none."""
+        return self._investigation.next_script if self._investigation is not None else None
 
     def _may(self, what: str) -> bool:
         """Return whether an action is possible, and notify why not."""
@@ -219,7 +235,7 @@ class ResultScreen(StationScreen):
             return self._not_to_accept(entry)
         if what in ("investigate", "facts"):
             return "" if entry.gyros else "there is no calibration in this recording"
-        if what == "next" and not self._found.get("next_script"):
+        if what == "next" and not self._next_script:
             return "no investigation needs another script (I investigates)"
         return "a session runs: F3 shows it" if self.station.busy else ""
 
@@ -248,21 +264,43 @@ class ResultScreen(StationScreen):
             self.query_one(f"#{name}", Button).disabled = bool(self._obstacle(name))
         whole, charts = self._whole, self.query_one(Charts)
         charts.display = bool(whole and whole.curves)
-        values: dict[str, Any] = {"whole": whole, "path": self.recording, "busy": self._busy, "said": self._said}
-        values["state_figures"] = figures_from(whole.entry.units if whole is not None else {})
-        moved = Text.from_markup(moved_since(self._moves), emoji=False)
-        self._block("verdict", Text("\n").join(filter(None, (templated("verdict.rich", values), moved))))
-        shown: dict[str, RenderableType] = {}
-        if whole is not None and not whole.entry.wrong:
-            values |= {"entry": whole.entry, "last": last_comparable(whole.entry, self._same), "moves": self._moves}
-            blocks = ("states", "change", "record") if whole.entry.gyros else ("record",)
-            shown = {name: templated(f"{name}.rich", values) for name in blocks}
-            if whole.entry.gyros:
-                lines = self._model or [Text("I looks for errors beyond the four states", "dim")]
-                shown["model"] = Group(Text("Investigation", "bold underline"), *lines)
+        self._block("verdict", self._verdict(whole))
+        shown = self._blocks(whole) if whole is not None and not whole.entry.wrong else {}
         for name in _BLOCKS[1:]:
             self._block(name, shown.get(name))
         charts.draw()
+
+    def _verdict(self, whole: Whole | None) -> Text:
+        """Return the verdict, and what moved since the last comparable run."""
+        view = VerdictView(path=self.recording, whole=whole, busy=self._busy, message=self._said)
+        moved = Text.from_markup(moved_since(self._moves), emoji=False)
+        return joined(filter(None, (verdict_text(view), moved)))
+
+    def _blocks(self, whole: Whole) -> Mapping[str, RenderableType]:
+        """Return the other blocks that a recording has, by their names."""
+        if not whole.entry.gyros:
+            return {"record": record_text(whole)}
+        model = self._model or [Text("I looks for errors beyond the four states", "dim")]
+        return {
+            "states": calibrated_text(whole),
+            "change": change_text(self._change(whole.entry)),
+            "model": Group(Text("Investigation", "bold underline"), *model),
+            "record": record_text(whole),
+        }
+
+    def _change(self, entry: Entry) -> ChangeView:
+        """Return the change of a calibration since the last comparable one."""
+        last = last_comparable(entry, self._same)
+        since = "" if last is None else f"{last.when} ({last.path.name}, {last.texts.get('outcome', '')})"
+        return ChangeView(
+            figures=figures_from(entry.units),
+            gyros=entry.gyros,
+            comparable=entry.series is not None,
+            failed=entry.failed,
+            since=since,
+            before=() if last is None else last.gyros,
+            moved=frozenset(move.gyro for move in self._moves),
+        )
 
     def _block(self, name: str, shown: RenderableType | None) -> None:
         block = self.query_one(f"#{name}", Static)
@@ -287,7 +325,7 @@ class ResultScreen(StationScreen):
         return drawing._replace(words=[state, (figure, "line"), *others])
 
 
-def _investigation(found: Mapping[str, Any]) -> list[RenderableType]:
+def _investigation_shown(found: InvestigationAnswer) -> list[RenderableType]:
     """Return the lines and tables of `station investigate` from its JSON; a hint if it is damaged or of another
     version.
 
@@ -296,8 +334,9 @@ def _investigation(found: Mapping[str, Any]) -> list[RenderableType]:
     from station.render.investigation_printed import investigation_shown
     from station.views.investigation import investigation_of
 
-    try:
-        shown = investigation_shown(investigation_of(found), "d drives it")
-    except Exception:  # a file made by hand
+    shown = None
+    with suppress(Exception):  # a file made by hand
+        shown = investigation_shown(investigation_of(found.view), "d drives it")
+    if shown is None:
         return [Text("damaged, or written by another version of the station: I investigates again", "yellow")]
     return [Text.from_markup(line, emoji=False) if isinstance(line, str) else line for line, _ in shown]

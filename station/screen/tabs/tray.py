@@ -11,8 +11,8 @@ from textual.widgets import Input, Label, OptionList, Static
 
 from station.screen.base import Field, StationScreen
 from station.screen.dialogs import AskTextDialog
-from station.screen.figures import templated
 from station.screen.memory import whole
+from station.screen.panes.tray import TrayView, tray_head, tray_lines
 from station.screen.sessions.link import sessions_there
 from station.screen.sessions.tray import NO_RESULT, RUNNING, SKIPPED, WAITING, TrayItem
 
@@ -77,7 +77,7 @@ class TrayScreen(StationScreen):
 
     async def _look_up(self) -> None:
         """Find out how runs ended whose end no screen saw."""
-        live = {hello.get("recording") for _, hello in await sessions_there()}
+        live = {hello.recording for _, hello in await sessions_there() if hello is not None}
         for spot in [spot for spot in self.station.tray.spots if spot.state == RUNNING and spot.recording not in live]:
             if not self.station.busy:  # a session that this screen has just started is in no list yet
                 entry = (await self.station.archive.read(Path(spot.recording))).entry
@@ -131,9 +131,11 @@ class TrayScreen(StationScreen):
         """Update the list if the tray has changed."""
         tray = self.station.tray
         if self.query("#spots") and tray.spots != self._shown:
-            head, *lines = templated("spots.rich", {"spots": tray.spots, "next": tray.next}).split()
-            table, self._shown = self.query_one(OptionList), list(tray.spots)
+            view = TrayView(spots=tray.spots, next=tray.next)
+            lines = tray_lines(view)
+            self._shown = list(tray.spots)
+            table = self.query_one(OptionList)
             row = table.highlighted
             table.clear_options().add_options(lines)
             table.highlighted = row if row is not None or not lines else 0
-            self.query_one("#next", Static).update(head)
+            self.query_one("#next", Static).update(tray_head(view))

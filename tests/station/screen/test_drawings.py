@@ -12,7 +12,8 @@ import pytest
 from streams import STREAMS
 
 from station.run.snapshot import SeriesSnapshot
-from station.screen.drawings import STATE_CHARTS, run_drawing, series_charts
+from station.screen.drawings import STATE_CHARTS
+from station.screen.run_charts import run_drawing, series_charts
 from station.screen.sessions.live_run import LiveRun
 
 

@@ -16,7 +16,8 @@ from streams import STREAMS, TINY, Replay
 from support import command
 from terminal import Terminal
 
-from station.screen.drawings import RUN_CHARTS, STATE_CHARTS
+from station.screen.drawings import STATE_CHARTS
+from station.screen.run_charts import RUN_CHARTS
 
 SIZES = [(80, 24), (100, 30), (120, 40), (160, 50), (200, 60)]
 _WIDE, _LARGE = 120, 200

@@ -1,0 +1,165 @@
+"""What closes a report: clocks and losses of the sources, events, hashes, signatures."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from markupsafe import Markup
+
+from estimator.recordings.recording import ImuData
+from station.exports.exported import RAW_RULE
+from station.report.chapters.front import rate_hz
+from station.report.figures import (
+    CELSIUS,
+    MILLISECONDS,
+    ONE,
+    PER_MILLION,
+    PERCENT,
+    SECONDS,
+    Unit,
+    count,
+    fixed,
+    plain,
+)
+from station.report.formal import Formal
+from station.report.investigation_chapter import Traced
+from station.report.recorded import Event, Recorded
+from station.report.tables import Content, Fact, Table, facts_of, table_of
+from station.views.seen import seen_by
+
+_UNKNOWN = "–"
+_BLANK = Markup('<span class="blank"></span>')
+_HASH = Markup('<code class="hash">{}</code>')
+_SOURCE_HEADS = (
+    "source",
+    "samples",
+    "rate, Hz",
+    "lowest, °C",
+    "mean, °C",
+    "highest, °C",
+    "lost",
+    "lost, %",
+    "repeated",
+    "late",
+    "corrupt",
+    "clock drift, ppm",
+    "arrival jitter, ms",
+    "offset to the table, ms",
+)
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class ClosingView:
+    """The last chapters; ``events`` is None if none were recorded.
+
+    ``raw_rule`` says of what the hash of the raw data is.
+    """
+
+    sources: Table
+    events: Table | None
+    software: Sequence[Fact]
+    raw_rule: str
+    signatures: Table
+
+
+def closing_view(
+    recorded: Recorded,
+    formal: Formal,
+    *,
+    traced: Traced | None,
+    hashes: Mapping[str, str],
+    made_with: str,
+    simulated: bool,
+) -> ClosingView:
+    """Return what closes the report of a recording."""
+    sources = recorded.recording.sources
+    source_rows = [_source(name, data, recorded.source_attributes.get(name, {})) for name, data in sources.items()]
+    event_rows = [_event(event, recorded.start_ns) for event in recorded.events]
+    return ClosingView(
+        sources=table_of(_SOURCE_HEADS, "l" + "r" * (len(_SOURCE_HEADS) - 1), source_rows),
+        events=table_of(["time, s", "kind", "text"], "lll", event_rows) if event_rows else None,
+        software=facts_of(_software(recorded, traced, hashes, made_with, simulated=simulated)),
+        raw_rule=RAW_RULE,
+        signatures=_signatures(recorded, formal),
+    )
+
+
+def _source(name: str, data: ImuData, attributes: Mapping[str, Any]) -> list[Content]:
+    """Return samples, temperatures, losses and clock of a source."""
+    where = f"imu/{name}@"
+    samples = len(data.t_ns)
+    lost = int(attributes.get("lost", 0))
+    return [
+        name,
+        count(samples),
+        plain(rate_hz(data), ONE, 5),
+        *_temperatures(data),
+        count(lost, f"{where}lost" if "lost" in attributes else None),
+        fixed(lost / max(samples + lost, 1), PERCENT, 3),
+        _count(attributes, "repeated", where),
+        _count(attributes, "late", where),
+        _count(attributes, "corrupt", where),
+        _clock(attributes, "clock_drift_ppm", PER_MILLION, where),
+        _clock(attributes, "arrival_jitter_rms_s", MILLISECONDS, where),
+        _clock(attributes, "time_offset_s", MILLISECONDS, where),
+    ]
+
+
+def _temperatures(data: ImuData) -> list[Content]:
+    """Return the lowest, the mean and the highest temperature."""
+    low_c, mean_c, high_c = seen_by([data]).temperature_c
+    if mean_c != mean_c:  # it was not recorded
+        return [_UNKNOWN] * 3
+    return [fixed(temperature_c, CELSIUS, 1) for temperature_c in (low_c, mean_c, high_c)]
+
+
+def _count(attributes: Mapping[str, Any], key: str, where: str) -> Content:
+    return count(int(attributes[key]), where + key) if key in attributes else _UNKNOWN
+
+
+def _clock(attributes: Mapping[str, Any], key: str, unit: Unit, where: str) -> Content:
+    """Return a property of the clock, with its standard deviation if that is known."""
+    if key not in attributes:
+        return _UNKNOWN
+    value = fixed(attributes[key], unit, 2, where + key)
+    doubt = "_sd_".join(key.rsplit("_", 1))
+    if doubt not in attributes:
+        return value
+    return Markup("{} ± {}").format(value, fixed(attributes[doubt], unit, 2, where + doubt))
+
+
+def _event(event: Event, start_ns: int) -> list[Content]:
+    kind = "note of the operator" if event.is_note else "event"
+    return [fixed((event.t_ns - start_ns) * 1e-9, SECONDS, 1), kind, event.words]
+
+
+def _software(
+    recorded: Recorded, traced: Traced | None, hashes: Mapping[str, str], made_with: str, *, simulated: bool
+) -> list[tuple[str, Content]]:
+    version = recorded.text("software_version")
+    apart = traced is not None and "investigation" in hashes
+    return [
+        ("Measured with", f"turntable-station {version}" if version else "not stated"),
+        ("This document made with", made_with),
+        ("Recording", recorded.path.name),
+        ("SHA-256 of the file", _hash(hashes["file"])),
+        ("SHA-256 of the raw data", _hash(hashes["data"])),
+        ("SHA-256 of the bench file", _hash(recorded.text("bench_sha256"))),
+        ("Investigation", traced.path.name if traced is not None and apart else None),
+        ("SHA-256 of the investigation", _hash(hashes.get("investigation", ""))),
+        ("Seed of the twins", recorded.text("seed") if simulated else None),
+    ]
+
+
+def _hash(text: str) -> Content:
+    return _HASH.format(text) if text else None
+
+
+def _signatures(recorded: Recorded, formal: Formal) -> Table:
+    operator = recorded.text("operator") or _BLANK
+    approved_by = formal.certificate_approved_by or _BLANK
+    rows: list[list[Content]] = [
+        ["Calibrated by", operator, _BLANK, _BLANK],
+        ["Approved by", approved_by, formal.certificate_issued or _BLANK, _BLANK],
+    ]
+    return table_of(["", "name", "date", "signature"], "llll", rows)

@@ -1,0 +1,139 @@
+"""What stands against a start, the limits of the bench, and the script with what it will show."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from rich.text import Text
+
+from station.screen.panes.lines import MARK_STYLES, TITLE, Mark, joined, line, marked, padded
+from station.screen.sessions.answers import PlanAnswer, Reply
+from station.screen.tabs.prospects import Prospect
+from station.views.figures import StateUnit, clock_between, three_digits
+
+if TYPE_CHECKING:
+    from station.bench.bench import Limits
+
+_LIMITED = ("|k|", "|b|", "|sigma_j|, |sigma_k|")
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class Obstacle:
+    """What stands against a start: something wrong, or something to wait for; ``text`` says what to do."""
+
+    mark: Mark
+    text: str
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class StartView:
+    """What stands against a start.
+
+    ``missed`` are the gyros whose required sigmas the script does not reach. ``mounted``: a device of the tray is
+    mounted, whose run starts by itself.
+    """
+
+    obstacles: Sequence[Obstacle]
+    missed: Sequence[str] = ()
+    mounted: bool = False
+
+
+def ready_text(view: StartView) -> Text:
+    """Return everything that stands against a start."""
+    lines = [line(("Before START", TITLE))]
+    if view.mounted:
+        waits = "the device is mounted: its run starts automatically once nothing is missing (F9 cancels)"
+        lines.append(line(("TRAY  ", "bold"), waits))
+    lines += [marked(obstacle.mark, obstacle.text) for obstacle in view.obstacles]
+    if view.missed:
+        missed = ", ".join(view.missed)
+        text = f"this script does not reach the sigmas that the bench requires ({missed}): it will end FAIL"
+        lines.append(marked(Mark.NOTE, text))
+    elif not view.obstacles:
+        lines.append(line(("nothing is missing", "green")))
+    return joined(lines)
+
+
+def summary_text(view: StartView) -> Text:
+    """Return the line beside START: ready, or the first thing that stands against it."""
+    if not view.obstacles:
+        return line(("READY", "bold green"), "  the table will move")
+    first = next((each for each in view.obstacles if each.mark is Mark.WRONG), view.obstacles[0])
+    more = f"  (and {len(view.obstacles) - 1} more)" if len(view.obstacles) > 1 else ""
+    return line(("NOT READY", MARK_STYLES[first.mark]), f"  {first.text}{more}")
+
+
+def limits_text(limits: "Limits | None") -> Text:
+    """Return the limits of a bench as its file states them; the heading alone if the bench is not known."""
+    lines = [line(("Limits of the bench", TITLE))]
+    if limits is not None:
+        stated = _stated_limits(limits) or ["none: every completed run passes"]
+        lines += [line(text) for text in stated]
+    return joined(lines)
+
+
+def _stated_limits(limits: "Limits") -> list[str]:
+    stated = []
+    for state, name in enumerate(_LIMITED):
+        size = f"{name} up to {limits.written_sizes[state]}"
+        sigma = f"sigma up to {limits.written_sds[state]}"
+        if math.isfinite(limits.sizes[state]):
+            stated.append(f"{size}, its {sigma}" if math.isfinite(limits.sds[state]) else size)
+        elif math.isfinite(limits.sds[state]):
+            stated.append(f"{name.replace('|', '')}: {sigma}")
+    if limits.nis_low > 0 or math.isfinite(limits.nis_high):
+        stated.append(f"mean NIS {limits.nis_low:g} to {limits.nis_high:g}")
+    if limits.lost < 1:
+        stated.append(f"samples lost up to {limits.written['lost']}")
+    return stated
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class ScriptView:
+    """A script and its plan, None while that is computed, in the units of ``figures``."""
+
+    prospect: Prospect
+    plan: Reply[PlanAnswer] | None
+    figures: Sequence[StateUnit]
+
+
+def script_text(view: ScriptView) -> Text:
+    """Return how long the script takes, and the sigmas that are predicted for it."""
+    prospect = view.prospect
+    if prospect.motion is None:
+        lines = [line(("Script", TITLE))]
+        if prospect.script_wrong:
+            lines.append(marked(Mark.WRONG, prospect.script_wrong))
+        return joined(lines)
+    lasting = clock_between(prospect.least_s, prospect.longer_s)
+    lines = [line((f"Script {prospect.script}: {lasting} min", TITLE))]
+    if view.plan is None:
+        lines.append(marked(Mark.WAIT, "sigmas are being predicted"))
+    elif view.plan.value is None:
+        lines.append(marked(Mark.WRONG, view.plan.reason))
+    else:
+        lines += _predicted(view.plan.value, view.figures)
+    return joined(lines)
+
+
+def _predicted(plan: PlanAnswer, figures: Sequence[StateUnit]) -> list[Text]:
+    """Return the predicted sigmas of each gyro, those that do not reach the required ones in yellow."""
+    heads = ["predicted", *(f"{figure.name} {figure.unit}" for figure in figures)]
+    rows = [heads, *([gyro.name, *_sigmas(gyro.sd, figures)] for gyro in plan.gyros)]
+    styles = ["bold", *("" if gyro.reached else "yellow" for gyro in plan.gyros)]
+    if any(sd is not None for sd in plan.required):
+        rows.append(["required", *_sigmas(plan.required, figures)])
+        styles.append("")
+    lines = [Text(), *(line((" ".join(cells), style)) for cells, style in zip(padded(rows), styles, strict=True))]
+    weak = [axis.axis for axis in plan.constancy if not axis.proved]
+    if weak:
+        unproved = f"constancy not proved: {', '.join(weak)}"
+        lines += [Text(), line((unproved, "yellow"), " (station plan --early-late)")]
+    return lines
+
+
+def _sigmas(sds: Sequence[float | None], figures: Sequence[StateUnit]) -> list[str]:
+    """Return sigmas in the units of the states, a dash for an unknown one."""
+    shown = [None if sd is None else sd * figure.factor for sd, figure in zip(sds, figures, strict=False)]
+    return [three_digits(sd) for sd in shown]

@@ -1,0 +1,168 @@
+"""The charts of a run, each a record: a new one is a line in ``_CHARTS``."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+from station.run.snapshot import AxisSnapshot, GyroSnapshot, Snapshot
+from station.screen.drawings import STATE_CHARTS, Curve, Drawing, StateLimit, levels, state_drawing
+from station.screen.sessions.live_run import LiveRun, Trend
+from station.views.figures import number
+
+_SIGMAS = 2.0
+_DEG = math.degrees(1)
+_SERIES = "series"  # how the names of charts of series begin
+_AXIS_STYLES = ("first", "second", "third")
+_ARC_PARTS, _GIMBALS_APART = 24, 0.3
+_UNSEEN = GyroSnapshot("", "", (), ())
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class RunChart:
+    """A chart of a run: its name, and what draws it for a gyro; a ``dial`` shows the present, not a course."""
+
+    name: str
+    draw: Callable[[LiveRun, GyroSnapshot], Drawing]
+    dial: bool = False
+
+
+def run_drawing(name: str, run: LiveRun, gyro: GyroSnapshot) -> Drawing | None:
+    """Return a chart of a run, one of ``RUN_CHARTS`` or ``series_charts``, with its steps marked.
+
+    None for a series of a device that this run does not have. The run must have been seen.
+    """
+    chart = _BY_NAME.get(name)
+    if chart is not None and chart.dial:
+        return chart.draw(run, gyro)
+    found = _series_drawing(name, run) if chart is None else chart.draw(run, gyro)
+    return None if found is None else found._replace(marks=run.steps_begin_s, span=(0.0, run.seen[-1].elapsed_s))
+
+
+def series_charts(snapshot: Snapshot) -> list[str]:
+    """Return the names of the charts of devices' series, one for each column."""
+    return [f"{_SERIES}{at}" for at in range(len(snapshot.series))]
+
+
+def _series_drawing(name: str, run: LiveRun) -> Drawing | None:
+    """Return a column of a device's series over time, None if the run does not have it."""
+    seen = run.seen
+    names = series_charts(seen[-1])
+    if name not in names:
+        return None
+    at = names.index(name)
+    newest = seen[-1].series[at]
+    values = [s.series[at].value if at < len(s.series) else math.nan for s in seen]
+    words = [(f"{newest.column} ({newest.unit})", ""), (number(newest.value, 2), "line"), (newest.device, "")]
+    return Drawing(words, [Curve(_times_s(run), values)])
+
+
+def _times_s(run: LiveRun) -> list[float]:
+    return [snapshot.elapsed_s for snapshot in run.seen]
+
+
+def _courses(run: LiveRun, gyro: GyroSnapshot) -> list[GyroSnapshot]:
+    """Return a gyro in each snapshot, without figures where it is missing."""
+    return [next((each for each in s.gyros if each.name == gyro.name), _UNSEEN) for s in run.seen]
+
+
+def _rate(run: LiveRun, gyro: GyroSnapshot) -> Drawing:
+    """Return the rate of a gyro, beside the one that is expected of it by the table."""
+    times = _times_s(run)
+    courses = _courses(run, gyro)
+    words = [("rate (deg/s)", ""), (gyro.name, "line")]
+    curves = [Curve(times, [each.rate_rps * _DEG for each in courses])]
+    expected = [each.expected_rps * _DEG for each in courses]
+    if any(map(math.isfinite, expected)):
+        words.append(("by the table", "first"))
+        curves.insert(0, Curve(times, expected, "first"))
+    return Drawing(words, curves)
+
+
+def _residual(run: LiveRun, gyro: GyroSnapshot) -> Drawing:
+    residual = Curve(_times_s(run), [each.residual for each in _courses(run, gyro)])
+    words = [("residual (sigmas)", ""), (gyro.name, "line"), ("95 %", "band")]
+    return Drawing(words, [*levels((_SIGMAS, -_SIGMAS), "band"), residual], (-2 * _SIGMAS, 2 * _SIGMAS))
+
+
+def _nis(run: LiveRun, gyro: GyroSnapshot) -> Drawing:
+    """Return the mean NIS of the last half minute, with the band in which it stays by chance, and its limits."""
+    times = _times_s(run)
+    reach = [_SIGMAS * math.sqrt(2 / s.recent) if s.recent else math.nan for s in run.seen]
+    band = [Curve(times, [1 + sign * r for r in reach], "band") for sign in (1, -1)]
+    limits = run.limits.nis
+    nis = Curve(times, [s.nis_recent for s in run.seen])
+    words = [("NIS (30 s)", ""), (number(run.seen[-1].nis_recent, 2), "line"), ("95 %", "band")]
+    if limits:
+        words.append(("limits", "limit"))
+    return Drawing(words, [*band, *levels(limits, "limit"), nis], (0.5, 1.5))
+
+
+def _temperature(run: LiveRun, gyro: GyroSnapshot) -> Drawing:
+    """Return the temperature of the source of a gyro."""
+    degc = [next((u.temperature_c for u in s.sources if u.name == gyro.source), math.nan) for s in run.seen]
+    words = [("temperature (degC)", ""), (number(degc[-1], 1), "line"), (gyro.source, "")]
+    return Drawing(words, [Curve(_times_s(run), degc)])
+
+
+def _state(index: int, run: LiveRun, gyro: GyroSnapshot) -> Drawing:
+    """Return the live estimate of a state."""
+    limits = run.limits
+    trend = run.trends.get(gyro.name) or Trend()
+    limit = StateLimit(limits.sizes[index], limits.written[index])
+    return state_drawing(index, trend, limit, figures=limits.figures)
+
+
+def _axes(run: LiveRun, gyro: GyroSnapshot) -> Drawing:
+    """Return a dial of the gimbals, outermost outside, each with a hand at its angle, zero on top, and an arc to its
+    target; axes that turn are named first.
+    """
+    snapshot = run.snapshot or run.seen[-1]
+    styles = dict(zip(sorted(axis.name for axis in snapshot.axes), _AXIS_STYLES, strict=False))
+    curves: list[Curve] = []
+    words: list[tuple[str, str]] = []
+    for place, axis in enumerate(snapshot.axes):
+        turns = axis.state == "turning" and not run.at_rest
+        curves += _axis_curves(axis, 1.0 - place * _GIMBALS_APART, styles[axis.name], turns=turns)
+        position = _axis_words(axis, styles[axis.name], turns=turns)
+        words = [*position, *words] if turns else [*words, *position]
+    return Drawing([("axes", ""), *words], curves, dial=True)
+
+
+def _axis_words(axis: AxisSnapshot, style: str, *, turns: bool) -> list[tuple[str, str]]:
+    """Return the angle of an axis and, if it turns to a target, that and its rate."""
+    words = [(f"{axis.name} {number(axis.angle_rad * _DEG, 1)}°", style)]
+    if turns and math.isfinite(axis.target_rad):
+        words.append((f"to {number(axis.target_rad * _DEG, 0)}°", "line"))
+        words.append((f"{number(axis.rate_rps * _DEG, 1)}°/s", style))
+    return words
+
+
+def _axis_curves(axis: AxisSnapshot, radius: float, style: str, *, turns: bool) -> list[Curve]:
+    """Return the circle of a gimbal, an arc to the target of one that turns, and its hand."""
+    at = axis.angle_rad
+    curves = [_arc(radius, 0.0, 2 * math.pi, style if turns else "mark")]
+    if turns and math.isfinite(axis.target_rad):
+        end_rad = min(max(axis.target_rad, at - 2 * math.pi), at + 2 * math.pi)
+        curves.append(_arc(radius, at, end_rad, "line"))
+    hand = radius, radius - _GIMBALS_APART
+    curves.append(Curve([-r * math.sin(at) for r in hand], [r * math.cos(at) for r in hand], style))
+    return curves
+
+
+def _arc(radius: float, begin_rad: float, end_rad: float, style: str) -> Curve:
+    angles = [begin_rad + (end_rad - begin_rad) * n / _ARC_PARTS for n in range(_ARC_PARTS + 1)]
+    return Curve([-radius * math.sin(a) for a in angles], [radius * math.cos(a) for a in angles], style)
+
+
+_CHARTS: Sequence[RunChart] = (
+    RunChart(name="rate", draw=_rate),
+    RunChart(name="residual", draw=_residual),
+    RunChart(name="NIS", draw=_nis),
+    RunChart(name="temperature", draw=_temperature),
+    *(RunChart(name=name, draw=partial(_state, index)) for index, name in enumerate(STATE_CHARTS)),
+    RunChart(name="axes", draw=_axes, dial=True),
+)
+_BY_NAME = {chart.name: chart for chart in _CHARTS}
+RUN_CHARTS = tuple(_BY_NAME)
+DIALS = tuple(chart.name for chart in _CHARTS if chart.dial)
