@@ -22,7 +22,7 @@ def ask_rest(dialogue: Dialogue, bench: Data, others: Sequence[str] = ()) -> Dat
     devices of other kinds in it. Answers that are left empty are left out.
     """
     dialogue.say("\nThe lab. Its latitude is needed to remove Earth rate (15 deg/h); - leaves it in the bias.")
-    latitude, heading = keys_of("bench.site")
+    latitude, heading = (key for key in keys_of("bench.site") if key.name in ("latitude", "heading"))
     latitude = replace(latitude, required=False)
     proposed = "45 deg" if bench["table"]["link"] == TWIN else ""
     site = ask_key(dialogue, {}, latitude, "latitude, south negative", proposed)
