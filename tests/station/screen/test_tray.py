@@ -50,6 +50,20 @@ def scan(app: App[None], *numbers: str, end: str = "enter") -> None:
 
 
 @driven
+async def test_the_name_of_a_field_is_marked_while_the_field_has_the_focus(place: Path) -> None:
+    app = TrayFirst(Choices())
+
+    def marked() -> list[str]:
+        return [str(label.render()) for label in app.screen.query(".field Label") if label.rich_style.reverse]
+
+    async with app.run_test(size=(80, 24)) as pilot:
+        for key, names in (("home", ["Scan"]), ("shift+tab", ["Scripts"]), ("tab", ["Scan"]), ("tab", [])):
+            await pilot.press(key)
+            await pilot.pause()
+            assert marked() == names
+
+
+@driven
 async def test_what_is_scanned_makes_a_tray_that_can_be_put_in_order_and_is_kept(place: Path) -> None:
     (place / "next.toml").write_text(TINY)
     chosen = Choices(bench="bench.toml", script="short.toml", operator="A. Operator")
