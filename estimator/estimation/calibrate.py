@@ -24,7 +24,7 @@ from estimator.observations.coverage import coverage, coverage_notes
 from estimator.observations.defects.examined import examined
 from estimator.observations.defects.reading_doubts import reading_doubts
 from estimator.observations.defects.stuck import stuck_doubts
-from estimator.observations.foreign import factor_notes, foreign_motion_notes, sparse_doubts
+from estimator.observations.external import external_motion_notes, factor_notes, sparse_doubts
 from estimator.observations.health import Excluded
 from estimator.observations.rests import motion_notes, rest_noise
 from estimator.packaged import sentence
@@ -150,7 +150,7 @@ def _usable(recording: Recording) -> tuple[Recording, Sources, list[str], tuple[
         raise RecordingError(f"{recording.name}: no gyro can be estimated: {reasons}")
     notes = [*seen.notes, *(note for its in seen.sources.values() for note in its.usable.notes)]
     notes += [f"{e.name} is not estimated: {e.reason}. The others are" for e in defective]
-    notes += [*motion_notes(recording), *foreign_motion_notes(recording)]
+    notes += [*motion_notes(recording), *external_motion_notes(recording)]
     return seen.recording, sources, notes, defective
 
 

@@ -21,7 +21,7 @@ from estimator.effects.effect import Acts
 from estimator.effects.site import EARTH_RATE
 from estimator.estimation.constancy import changes, halves
 from estimator.estimation.noise_evidence import Joint, Law, TooShort, bias_notes, expected_of, joint_estimate
-from estimator.estimation.runs.making import run_of
+from estimator.estimation.runs.build import run_of
 from estimator.estimation.runs.run import FEWEST_TURNS, Run, growth_notes
 from estimator.estimation.source_estimate import DeviceEstimate, SourceEstimate, Sources
 from estimator.estimation.spectra import Z
@@ -30,7 +30,7 @@ from estimator.geometry.model import regressor_maps
 from estimator.geometry.noise import NoiseModel
 from estimator.observations.alignment import body_turned, delay_by_motion
 from estimator.observations.blocks import Blocks, block_squares
-from estimator.observations.foreign import CLUSTER_S, COLOURED, FEWEST_CLUSTERS
+from estimator.observations.external import CLUSTER_S, COLOURED, FEWEST_CLUSTERS
 from estimator.observations.rows import BLOCK_S, coarser, row_length_s, sample_noise, source_blocks
 from estimator.observations.timing import TimeOffset, expected_sd_s
 from estimator.packaged import sentence

@@ -16,7 +16,7 @@ from estimator.geometry.model import Prior
 from estimator.importing.mapping.columns import UNITS
 from estimator.importing.mapping.mapping import GyroColumns
 from estimator.observations.alignment import following
-from estimator.observations.foreign import FAR_OFF
+from estimator.observations.external import FAR_OFF
 from estimator.observations.rows import observations
 from estimator.packaged import sentence
 from estimator.recordings.recording import ImuData, Recording

@@ -13,12 +13,12 @@ from estimator.errors import RecordingError
 from estimator.importing.clocks.arrivals import by_motion
 from estimator.importing.clocks.two_clocks import ahead_by_motion, clocks_apart
 from estimator.importing.columns import read_table
-from estimator.importing.foreign_rows import ForeignRows, foreign_reference, reference_rows
+from estimator.importing.external_rows import ExternalRows, external_reference, reference_rows
 from estimator.importing.gains import fitted
 from estimator.importing.log import Log, timed, wanted
 from estimator.importing.mapping.columns import UNITS, Columns
 from estimator.importing.mapping.mapping import Mapping, ReferenceFile
-from estimator.importing.mapping.reference import ForeignReference, Gravity, Measured, Rests, StatedTurns
+from estimator.importing.mapping.reference import ExternalReference, Gravity, Measured, Rests, StatedTurns
 from estimator.importing.resting import Rest, earth_note, rest_rates, rest_text, rests_of
 from estimator.importing.spans import Refused, Span, turn_spans
 from estimator.importing.table import Table
@@ -64,7 +64,7 @@ class _Part:
     rate_rps: Floats
     accel_mps2: Floats | None
     temperature_c: Floats | None
-    reference: ForeignRows | None
+    reference: ExternalRows | None
     spans: Sequence[Span]
     rests: Sequence[Rest]
     notes: Sequence[str]
@@ -173,7 +173,7 @@ def _new_rows(what: str, t_s: Floats, values: Floats, notes: list[str]) -> NDArr
     return fresh
 
 
-def _readings(reference: Measured, t_s: Floats, values: Floats, notes: list[str]) -> ForeignRows:
+def _readings(reference: Measured, t_s: Floats, values: Floats, notes: list[str]) -> ExternalRows:
     """Return instants (k,) in s and rows (k, c) of a reference without held values, spikes and repetitions.
 
     What was left out is appended to ``notes``.
@@ -187,8 +187,8 @@ def _readings(reference: Measured, t_s: Floats, values: Floats, notes: list[str]
 
 
 def _rows_beside(
-    mapping: Mapping, reference: Measured, other: ReferenceFile, log: Log, gyros: ForeignRows, notes: list[str]
-) -> ForeignRows:
+    mapping: Mapping, reference: Measured, other: ReferenceFile, log: Log, gyros: ExternalRows, notes: list[str]
+) -> ExternalRows:
     """Return instants (k,) in s and rows (k, c) of a reference in its own file, on the time of the data file ``log``.
 
     ``gyros`` are instants and rates of the data file. The offset between the files is stated, by stamps of one clock,
@@ -210,7 +210,7 @@ def _rows_beside(
     signed = not mapping.gyro.sign_from_data
 
     def body() -> Turned:
-        return Turned.of_reference(foreign_reference(reference, _ns(t_s), values), None)
+        return Turned.of_reference(external_reference(reference, _ns(t_s), values), None)
 
     if other.offset_s is None:
         t_s -= ahead_by_motion(outputs, body(), array.p, signed=signed)
@@ -245,15 +245,15 @@ def _decided_by_motion(
     reference: Measured,
     log: Log,
     rate: Floats,
-    tried: Sequence[tuple[Floats, ForeignRows]],
-) -> tuple[tuple[Floats, ForeignRows], str]:
+    tried: Sequence[tuple[Floats, ExternalRows]],
+) -> tuple[tuple[Floats, ExternalRows], str]:
     """Return the instants of samples (n,) and the rows of a reference: those of ``tried`` that the motion supports.
 
     ``rate`` (n, m) are the samples. ``tried`` has two: the times as they were fitted in ``log``, and the alternative,
     since stamps that scatter are either of samples or of arrivals. Also returns a sentence on it, "" if the fitted
     times on the grid are kept.
     """
-    instants = [(_ns(each_s), foreign_reference(reference, _ns(told_s), values)) for each_s, (told_s, values) in tried]
+    instants = [(_ns(each_s), external_reference(reference, _ns(told_s), values)) for each_s, (told_s, values) in tried]
     other = by_motion(mapping.gyro.array, rate, instants) == 1
     time = log.time
     if time.on_grid and not other:
@@ -270,8 +270,8 @@ def _decided_by_motion(
 
 
 def _samples_settled(
-    mapping: Mapping, reference: Measured, log: Log, gyros: ForeignRows, known: ForeignRows
-) -> tuple[tuple[Floats, ForeignRows], str]:
+    mapping: Mapping, reference: Measured, log: Log, gyros: ExternalRows, known: ExternalRows
+) -> tuple[tuple[Floats, ExternalRows], str]:
     """Return the instants of samples with scattering stamps, and the rows of the reference, as the motion shows.
 
     ``gyros`` and ``known`` are instants and rows of both; the instants are as fitted or the alternative. A reference in
@@ -448,13 +448,13 @@ def _told_once(parts: Sequence[_Part]) -> list[str]:
     return told
 
 
-def _reference(stated: ForeignReference, placed: list[tuple[_Part, float]]) -> Reference:
+def _reference(stated: ExternalReference, placed: list[tuple[_Part, float]]) -> Reference:
     """Return the reference of all files: their rows, each file at its start in s, or without rows the stated turns."""
     rows = [(part.reference, start) for part, start in placed if part.reference]
     if rows:
         t_ns = np.concatenate([_ns(t_s + start) for (t_s, _), start in rows])
         values = np.vstack([values for (_, values), _ in rows])
-        return foreign_reference(stated, t_ns, values) if isinstance(stated, Measured) else RateReadings(t_ns, values)
+        return external_reference(stated, t_ns, values) if isinstance(stated, Measured) else RateReadings(t_ns, values)
     spans = [(span, start) for part, start in placed for span in part.spans]
     return Turns(
         _ns(np.array([start + span.start_s for span, start in spans])),

@@ -8,7 +8,7 @@ import numpy as np
 from estimator.effects.site import EARTH_RATE
 from estimator.errors import InvestigationError
 from estimator.estimation.evidence import Evidence, Term
-from estimator.estimation.runs.making import runs_of_all
+from estimator.estimation.runs.build import runs_of_all
 from estimator.estimation.runs.run import Run, growth_notes, same_devices
 from estimator.estimation.spectra import NoiseShapes, gyro_spectra
 from estimator.geometry.kinematics import EARTH_RATE_RPS

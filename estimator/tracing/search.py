@@ -14,7 +14,7 @@ from estimator.tracing.candidates import Candidate
 from estimator.tracing.investigation import Suspect
 from estimator.tracing.run_columns import RunColumns, of_gyro
 from estimator.tracing.scan import Scan
-from estimator.tracing.tones.heard import Heard
+from estimator.tracing.tones.tone_search import Heard
 from estimator.types import Floats
 
 CERTAIN = 0.95

@@ -12,7 +12,7 @@ import numpy as np
 
 from drivers.types import AxisLimits
 from estimator.effects.catalogue import records
-from estimator.estimation.runs.making import runs_of
+from estimator.estimation.runs.build import runs_of
 from estimator.recordings.reading import read_recording
 from estimator.recordings.recording import Recording
 from estimator.tracing.accelerometers.trace_forces import trace_forces

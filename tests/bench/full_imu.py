@@ -106,8 +106,8 @@ PLANTED = {
     "third_order": ("third_order", 250.0, "ppm/g2"),
     "cross": ("cross_j", 150.0, "ppm/g"),
     "vibration": ("vibration_rectification", 100.0, "ug/(rad/s)2"),
-    "b_slope": ("thermal_bias", 200.0, "ug/degC"),
-    "k_slope": ("thermal_scale", 100.0, "ppm/degC"),
+    "b_slope": ("bias_over_temperature", 200.0, "ug/degC"),
+    "k_slope": ("scale_over_temperature", 100.0, "ppm/degC"),
 }
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from estimator.effects.disturbances import TONE
 from estimator.errors import InvestigationError
 from estimator.estimation.evidence import Base, Evidence
-from estimator.estimation.runs.making import runs_of_all
+from estimator.estimation.runs.build import runs_of_all
 from estimator.estimation.spectra import NoiseShapes, gyro_spectra
 from estimator.recordings.recording import Recording
 from estimator.tracing.augmented import Augmented, Part

@@ -22,7 +22,7 @@ from estimator.calibration.error_model import ErrorModel
 from estimator.calibration.gyro import EffectValue, GyroCalibration
 from estimator.effects.catalogue import catalogue
 from estimator.effects.conditions import Conditions
-from estimator.estimation.runs.making import run_of, runs_of
+from estimator.estimation.runs.build import run_of, runs_of
 from estimator.estimation.runs.run import Run
 from estimator.estimation.undeclared import undeclared as undeclared_of
 from estimator.geometry.array import tetrahedron, triad

@@ -19,7 +19,7 @@ from estimator.calibration.error_model import ErrorModel, KnownEffect, ModelErro
 from estimator.effects.constructed import constructed
 from estimator.estimation.calibrate import calibrate
 from estimator.estimation.repeatability import repeatability
-from estimator.estimation.runs.making import runs_of
+from estimator.estimation.runs.build import runs_of
 from estimator.geometry.array import tetrahedron, triad
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import RateReadings, Turns

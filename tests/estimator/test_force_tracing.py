@@ -22,7 +22,10 @@ HIDDEN = {
     "second_order": ('second_order = ["200 ppm/g", "-150 ppm/g", "180 ppm/g"]', [2e-4, -1.5e-4, 1.8e-4]),
     "third_order": ('third_order = ["300 ppm/g2", "-250 ppm/g2", "350 ppm/g2"]', [3e-4, -2.5e-4, 3.5e-4]),
     "cross_j": ('cross = ["200 ppm/g", "-150 ppm/g", "180 ppm/g"]', [2e-4, -1.5e-4, 1.8e-4]),
-    "thermal_scale": ('k_slope = ["150 ppm/degC", "-120 ppm/degC", "140 ppm/degC"]', [1.5e-4, -1.2e-4, 1.4e-4]),
+    "scale_over_temperature": (
+        'k_slope = ["150 ppm/degC", "-120 ppm/degC", "140 ppm/degC"]',
+        [1.5e-4, -1.2e-4, 1.4e-4],
+    ),
 }
 VIBRATION = 'vibration = ["150 ug/(rad/s)2", "-120 ug/(rad/s)2", "140 ug/(rad/s)2"]'
 

@@ -9,7 +9,7 @@ import pytest
 from detection_study.study import Case, recordings_of
 from known_effects import fit_known
 
-from estimator.estimation.runs.making import runs_of
+from estimator.estimation.runs.build import runs_of
 from estimator.estimation.runs.run import Run
 from estimator.recordings.recording import Recording
 from estimator.tracing.investigate import investigate

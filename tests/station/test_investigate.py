@@ -14,7 +14,7 @@ from support import ASYMMETRY, SITE, first_gyros, tetrahedron_recording, three_r
 
 import station.commands.investigate
 from estimator.effects.law import in_words
-from estimator.estimation.runs.making import runs_of
+from estimator.estimation.runs.build import runs_of
 from estimator.recordings.recording import Recording
 from estimator.recordings.writing import write_recording
 from estimator.tracing.investigation import (

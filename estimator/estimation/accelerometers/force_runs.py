@@ -6,9 +6,9 @@ import numpy as np
 
 from estimator.effects.conditions import Conditions, body_acceleration
 from estimator.estimation.noise_evidence import TooShort
+from estimator.estimation.runs.conditions import GRID_S, temperature_at
 from estimator.estimation.runs.measured import even_grid
 from estimator.estimation.runs.run import BLOCK_S, Run, block_means
-from estimator.estimation.runs.surroundings import GRID_S, temperature_at
 from estimator.geometry.array import SensorArray
 from estimator.geometry.kinematics import body_rate, into_body
 from estimator.geometry.model import ForcePrior

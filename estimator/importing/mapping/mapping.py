@@ -21,7 +21,7 @@ from estimator.geometry.array import SensorArray, sensor_array
 from estimator.geometry.kinematics import Site
 from estimator.geometry.model import Prior
 from estimator.importing.mapping.columns import KEYS, Columns, Vector, direction, stated_columns
-from estimator.importing.mapping.reference import ForeignReference, Measured, Rests, read_reference
+from estimator.importing.mapping.reference import ExternalReference, Measured, Rests, read_reference
 from estimator.importing.stamps import ISO
 from estimator.packaged import sentence
 from estimator.strict_toml import StrictTable, not_one_of
@@ -122,7 +122,7 @@ class Mapping:
     gyro: GyroColumns
     accelerometer: Columns | None
     temperature: Columns | None
-    reference: ForeignReference
+    reference: ExternalReference
     reference_file: ReferenceFile | None
     site: Site | None
     device: str

@@ -107,17 +107,17 @@ class KnownSections:
     sections: Dict[str, Pose | Turn]
 
 
-ForeignReference = Measured | StatedTurns | Rests
+ExternalReference = Measured | StatedTurns | Rests
 
 
-def read_reference(section: StrictTable, *, wide: bool = False) -> ForeignReference:
+def read_reference(section: StrictTable, *, wide: bool = False) -> ExternalReference:
     """Return the reference of a mapping, by its kind: measured columns, stated turns, or rests.
 
     In ``wide`` files (not text) one name may stand for several columns. RecordingError, with file, line and what to
     write, if it is invalid.
     """
     kind = section.string("kind", one_of=("attitude", "rate", "angle", "turns", "rest", "gravity"))
-    reference: ForeignReference
+    reference: ExternalReference
     if kind == "attitude":
         reference = _attitude(section)
     elif kind == "rate":

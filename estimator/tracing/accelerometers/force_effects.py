@@ -197,7 +197,7 @@ EFFECTS: tuple[ForceEffect, ...] = (
         shown_by="turns at two rates about two axes",
     ),
     ForceEffect(
-        name="thermal_bias",
+        name="bias_over_temperature",
         words="bias over temperature",
         unit="m/s2/K",
         largest=0.01,
@@ -208,7 +208,7 @@ EFFECTS: tuple[ForceEffect, ...] = (
         shown_by="a run that warms up",
     ),
     ForceEffect(
-        name="thermal_scale",
+        name="scale_over_temperature",
         words="scale factor over temperature",
         unit="1/K",
         largest=5e-4,
@@ -219,7 +219,7 @@ EFFECTS: tuple[ForceEffect, ...] = (
         shown_by="a run that warms up, with poses early and late",
     ),
     ForceEffect(
-        name="bias_drift",
+        name="drift_of_bias",
         words="bias that drifts with time",
         unit="m/s2/s",
         largest=1e-5,

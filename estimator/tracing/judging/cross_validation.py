@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.estimation.evidence import Evidence, Term
-from estimator.estimation.runs.making import runs_of_all
+from estimator.estimation.runs.build import runs_of_all
 from estimator.estimation.runs.run import BLOCK_S, Run
 from estimator.estimation.spectra import GyroSpectra, NoiseShapes, Stretch, Z, gyro_spectra
 from estimator.recordings.recording import Recording

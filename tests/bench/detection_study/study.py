@@ -16,7 +16,7 @@ from motions import simulate
 from drivers.packaged import packaged_toml
 from drivers.types import Floats
 from estimator.effects.site import EARTH_RATE
-from estimator.estimation.runs.making import runs_of
+from estimator.estimation.runs.build import runs_of
 from estimator.geometry.array import tetrahedron
 from estimator.geometry.kinematics import Site
 from estimator.recordings.recording import Recording

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.estimation.runs.making import runs_of
+from estimator.estimation.runs.build import runs_of
 from estimator.estimation.runs.run import Run
 from estimator.geometry.model import decode
 from estimator.recordings.recording import Recording

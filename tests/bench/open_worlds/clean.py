@@ -10,7 +10,7 @@ from motions import simulate
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from estimator.importing.foreign_rows import foreign_reference
+from estimator.importing.external_rows import external_reference
 from estimator.importing.mapping.columns import Columns
 from estimator.importing.mapping.reference import Measured
 from estimator.recordings.recording import Recording
@@ -136,7 +136,7 @@ def _encoder(recording: Recording, name: str, random: np.random.Generator) -> Re
     count = 2 * np.pi / _COUNTS
     angle = np.floor(motion.angle_rad[:, 0] / count + random.uniform()) * count
     stated = Measured("angle", Columns(names=("angle",)), "z", earth_rate=True)
-    return _with(recording, foreign_reference(stated, _ns(motion.t_s), angle[:, None]), keep_site=True)
+    return _with(recording, external_reference(stated, _ns(motion.t_s), angle[:, None]), keep_site=True)
 
 
 def _rests(recording: Recording, name: str, random: np.random.Generator) -> Recording:

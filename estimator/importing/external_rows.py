@@ -16,7 +16,7 @@ _LOST_STEPS = 3  # longer blanks, in usual steps: the motion in them is unknown
 _LOST_NS = 150_000_000
 
 
-ForeignRows = tuple[Floats, Floats]
+ExternalRows = tuple[Floats, Floats]
 """Rows of the reference of one file: instants (rows,) from its first sample, and values (rows, c)."""
 
 
@@ -51,7 +51,7 @@ def _quaternions(rows: Floats) -> Floats:
     return found
 
 
-def foreign_reference(reference: Measured, t_ns: Stamps, rows: Floats) -> Reference:
+def external_reference(reference: Measured, t_ns: Stamps, rows: Floats) -> Reference:
     """Return the reference made of rows (k, c) at ``t_ns`` (k,), NaN where unknown, by the kind of ``reference``.
 
     Single unknown rows of a rate are dropped; those in longer gaps are kept.

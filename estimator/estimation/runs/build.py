@@ -13,10 +13,10 @@ from estimator.effects.disturbances import SAMPLE_HOLD
 from estimator.effects.scale import SCALE_ASYMMETRY, SCALE_CUBIC, SCALE_QUADRATIC
 from estimator.effects.thermal import THERMAL_BIAS, THERMAL_SCALE
 from estimator.errors import InvestigationError
+from estimator.estimation.runs.conditions import GRID_S, conditions_of, force_at, temperature_at
 from estimator.estimation.runs.measured import even_grid, means_by_samples, means_by_turns, weighed
 from estimator.estimation.runs.run import BLOCK_S, FEWEST_TURNS, Run, block_means
 from estimator.estimation.runs.samples import means_of
-from estimator.estimation.runs.surroundings import GRID_S, conditions_of, force_at, temperature_at
 from estimator.geometry.kinematics import EARTH_RATE_RPS, GRAVITY_MPS2
 from estimator.observations.defects.examined import examined
 from estimator.observations.defects.faults import Fault, held_samples, split_faulty

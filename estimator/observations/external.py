@@ -19,7 +19,7 @@ _TURNED = 1e-3  # share of the largest mean square rate from which on a directio
 _SELDOM = 1e-3  # that k may be off by
 
 
-def foreign_motion_notes(recording: Recording) -> list[str]:
+def external_motion_notes(recording: Recording) -> list[str]:
     """Return sentences on what the motion measured by a rate or attitude reference leaves unobserved.
 
     That is everything for a body at rest, and the other axes for one or two axes of turning; empty for other
