@@ -138,8 +138,9 @@ def effects(runs: int, first: int, planted: bool) -> None:
 
 def speed() -> None:
     """Print the processor time of ``calibrate`` with and without the accelerometers of a fast device."""
-    text = BENCH.read_text(encoding="utf-8").replace('rate = "100 Hz"', 'rate = "4000 Hz"')
-    recording = simulate_bench(read_bench(text, "fast"), load_script(Path("full-imu")), 1)
+    bench = load_bench(BENCH)
+    fast = replace(bench, imus=tuple(replace(imu, rate_hz=4000.0) for imu in bench.imus))
+    recording = simulate_bench(fast, load_script(Path("full-imu")), 1)
     whole = _cut(recording, 360.0)
     gyros = replace(
         whole,
