@@ -1,0 +1,193 @@
+"""station export of accelerometers: every form, applied to their outputs, gives the specific force that made them."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from scipy.io import loadmat
+from test_export import EFFECTS, Record, export, record
+
+from estimator.calibration.accelerometer import AccelerometerCalibration, ForceCalibration
+from estimator.calibration.calibration_file import read_calibration, write_calibration
+from estimator.geometry.array import SensorArray, sensor_array, tetrahedron, triad
+from estimator.geometry.noise import NoiseFound, NoiseModel
+from estimator.observations.health import Excluded
+from estimator.observations.timing import TimeOffset
+from station.cli import main
+from station.exports.exported import exported_of
+from station.exports.formats import FORMATS
+
+SAME = 1e-6
+"""Relative to the largest force."""
+DELAY_S = 1.5e-3
+ARM_M = np.array([0.04, -0.025, 0.015])
+DEVICE = "my-gyro 1"
+TURNED = [[0.6, 0.8, 0.0], [0.0, 0.0, 1.0], [0.8, -0.6, 0.0]]
+MOUNTINGS: dict[str, SensorArray] = {
+    "body": triad(),
+    "reversed": sensor_array([[0, 0, -1.0], [-1.0, 0, 0], [0, 1.0, 0]], names=("c", "a", "b")),
+    "turned": sensor_array(TURNED, names=("x", "y", "z")),
+}
+
+RecordForces = Callable[..., Path]
+__all__ = ["record"]  # the fixture
+
+
+@pytest.fixture
+def record_forces(record: Record) -> RecordForces:
+    """Write a recording with a calibration of gyros and accelerometers that nobody estimated."""
+
+    def made(
+        array: SensorArray,
+        sizes: dict[str, tuple[float, ...]] | None = None,
+        *,
+        devices: tuple[str, ...] = (DEVICE,),
+        with_forces: tuple[str, ...] = (DEVICE,),
+        misaligned: bool = True,
+        states: np.ndarray | None = None,
+        excluded: tuple[Excluded, ...] = (),
+    ) -> Path:
+        path = record(triad(), sizes or {}, *devices)
+        forces = tuple(_forces(array, device, misaligned, states, excluded) for device in with_forces)
+        write_calibration(path, replace(read_calibration(path), forces=forces))
+        return path
+
+    return made
+
+
+def _forces(
+    array: SensorArray, device: str, misaligned: bool, states: np.ndarray | None, excluded: tuple[Excluded, ...]
+) -> ForceCalibration:
+    """Return the calibration of the accelerometers of an array, of arbitrary states."""
+    random = np.random.default_rng(11)
+    count = len(array)
+    if states is None:
+        states = random.normal(0, (5e-3, 5e-2, 2e-3, 2e-3), (count, 4))
+    if not misaligned:
+        states[:, 2:] = 0.0
+    root = random.normal(0, 1e-5, (4 * count, 4 * count))
+    covariance = root @ root.T
+    accelerometers = tuple(
+        AccelerometerCalibration(
+            name=f"accel {name}",
+            source=device,
+            device=device,
+            p=array.p[i],
+            j=array.j[i],
+            k_axis=array.k[i],
+            states=states[i],
+            covariance=covariance[4 * i : 4 * i + 4, 4 * i : 4 * i + 4],
+            noise_mps2=6e-3,
+            place_m=ARM_M + random.normal(0, 1e-3, 3),
+            place_covariance_m2=np.eye(3) * 1e-8,
+            noise=NoiseFound(NoiseModel(6e-4, 1e-4, 2e-6), 2e-4, 4e-6),
+        )
+        for i, name in enumerate(array.names)
+    )
+    return ForceCalibration(
+        source=device,
+        device=device,
+        accelerometers=accelerometers,
+        covariance=covariance,
+        arm_m=ARM_M,
+        arm_covariance_m2=np.eye(3) * 1e-8,
+        gravity_mps2=9.80665,
+        offset=TimeOffset(DELAY_S, 1e-5),
+        excluded=excluded,
+    )
+
+
+def felt(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Return specific forces (n, 3) and the outputs (n, a) that the accelerometers of a recording make of them."""
+    force = np.random.default_rng(3).normal(0, 10, (200, 3))
+    (calibration,) = read_calibration(path).forces
+    columns = []
+    for one in calibration.accelerometers:
+        k, b, sigma_j, sigma_k = one.states
+        axis = one.p - sigma_k * one.j + sigma_j * one.k_axis
+        columns.append((1 - k) * (force @ axis) - b)
+    return force, np.column_stack(columns)
+
+
+def assert_same(found: np.ndarray, force: np.ndarray, tolerance: float = SAME) -> None:
+    assert np.abs(found - force).max() < tolerance * np.abs(force).max()
+
+
+@pytest.mark.parametrize("array", [*MOUNTINGS.values(), tetrahedron()], ids=[*MOUNTINGS, "four"])
+def test_json_yaml_and_matlab_hold_all_of_the_accelerometers(record_forces: RecordForces, array: SensorArray) -> None:
+    path = record_forces(array)
+    held = json.loads(export(path, "json").read_text(encoding="utf-8"))
+    assert held == yaml.safe_load(export(path, "yaml").read_text(encoding="utf-8"))
+    (found,) = held["accelerometers"]
+    force, outputs = felt(path)
+    assert_same((outputs + np.array(found["bias_b_mps2"])) @ np.array(found["solution_m"]).T, force)
+    (calibration,) = read_calibration(path).forces
+    assert np.array_equal(found["covariance"], calibration.covariance)
+    assert found["lever_arm"]["value_m"] == ARM_M.tolist()
+    assert np.array_equal(found["lever_arm"]["covariance_m2"], calibration.arm_covariance_m2)
+    assert found["delay"] == {"value_s": DELAY_S, "sd_s": 1e-5}
+    assert found["intrinsic"]["sensitivity"] == pytest.approx(np.linalg.norm(found["sensitivity_s"], axis=1))
+    for told, one in zip(found["accelerometers"], calibration.accelerometers, strict=True):
+        assert [told[key] for key in ("k", "b_mps2", "sigma_j_rad", "sigma_k_rad")] == one.states.tolist()
+        assert np.array_equal(told["covariance"], one.covariance)
+        assert np.array_equal(told["p"], one.p)
+        assert told["place_m"] == one.place_m.tolist()
+    matlab = loadmat(export(path, "matlab"), simplify_cells=True)["calibration"]["accelerometers"]
+    matlab = matlab if isinstance(matlab, dict) else matlab[0]
+    assert_same((outputs + matlab["bias_b_mps2"]) @ matlab["solution_m"].T, force)
+
+
+def test_csv_has_a_line_an_accelerometer(record_forces: RecordForces) -> None:
+    path = record_forces(MOUNTINGS["turned"])
+    with export(path, "csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["gyro"] for row in rows] == ["x", "y", "z", "", "", ""]
+    rows = [row for row in rows if row["accelerometer"]]
+    sensitivity = np.array([[float(row[f"g_{axis}"]) for axis in "xyz"] for row in rows])
+    bias = np.array([float(row["b_mps2 (m/s2)"]) for row in rows])
+    force, outputs = felt(path)
+    assert_same((outputs + bias) @ np.linalg.inv(sensitivity).T, force)
+    (calibration,) = read_calibration(path).forces
+    assert [float(row["place_y (m)"]) for row in rows] == [one.place_m[1] for one in calibration.accelerometers]
+    assert {float(row["delay (s)"]) for row in rows} == {DELAY_S}
+
+
+def test_accelerometers_of_another_device_change_nothing(record_forces: RecordForces) -> None:
+    """Whatever the form, gyros whose device has no calibrated accelerometers are exported as they always were."""
+    path = record_forces(triad(), EFFECTS, devices=("left", "right"), with_forces=("right",))
+    beside = exported_of(path, ["left"])
+    write_calibration(path, replace(read_calibration(path), forces=()))
+    without = exported_of(path, ["left"])
+    texts = {name: form.write(without) for name, form in FORMATS.items() if name not in NEED_FORCES}
+    for name, before in texts.items():
+        after = FORMATS[name].write(beside)
+        assert after.not_held == before.not_held, name
+        assert _without_hash(after.text) == _without_hash(before.text), name
+
+
+NEED_FORCES: tuple[str, ...] = ()
+"""Forms of accelerometers alone."""
+
+
+def _without_hash(text: str | bytes) -> str:
+    decoded = text.decode("latin-1") if isinstance(text, bytes) else text
+    return re.sub(r"[0-9a-f]{64}", "", decoded)
+
+
+def test_a_device_without_three_accelerometers_is_exported_with_the_reason(
+    record_forces: RecordForces, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = record_forces(triad().select([0, 1]), excluded=(Excluded("accel z", "it is constant"),))
+    held = json.loads(export(path, "json").read_text(encoding="utf-8"))
+    assert held["accelerometers"][0]["solution_m"] is None
+    assert held["accelerometers"][0]["excluded"] == {"accel z": "it is constant"}
+    capsys.readouterr()
+    assert main(["export", str(path), "--format", "c"]) == 0
