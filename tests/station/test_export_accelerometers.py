@@ -5,15 +5,17 @@ from __future__ import annotations
 import csv
 import json
 import re
+import subprocess
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 from scipy.io import loadmat
-from test_export import EFFECTS, Record, export, record
+from test_export import EFFECTS, LAWS, WARNED, Record, export, needs_cc, record
 
 from estimator.calibration.accelerometer import AccelerometerCalibration, ForceCalibration
 from estimator.calibration.calibration_file import read_calibration, write_calibration
@@ -160,6 +162,96 @@ def test_csv_has_a_line_an_accelerometer(record_forces: RecordForces) -> None:
     assert {float(row["delay (s)"]) for row in rows} == {DELAY_S}
 
 
+@pytest.mark.parametrize("array", [*MOUNTINGS.values(), tetrahedron()], ids=[*MOUNTINGS, "four"])
+@pytest.mark.parametrize("sizes", [{}, {**EFFECTS, **LAWS}], ids=["plain", "state"])
+def test_the_python_module_gives_the_force(
+    record_forces: RecordForces, array: SensorArray, sizes: dict[str, tuple[float, ...]]
+) -> None:
+    path = record_forces(array, sizes)
+    module: dict[str, Any] = {}
+    exec(export(path, "python").read_text(encoding="utf-8"), module)
+    force, outputs = felt(path)
+    assert_same(np.array([module["correct_force"](row) for row in outputs.tolist()]), force)
+    assert list(module["LEVER_ARM_M"]) == ARM_M.tolist()
+    assert module["FORCE_DELAY_S"] == DELAY_S
+    assert module["ACCELEROMETERS"] == [f"accel {name}" for name in array.names]
+
+
+FORCE_MAIN = """
+#include <stdio.h>
+#include "made.h"
+int main(void)
+{{
+    {real} outputs[{p}_accelerometers], force[3];
+    double read;
+    int i;
+    int failed = {p}_self_test();
+    printf("%d %.9g %.9g\\n", failed, (double){upper}_LEVER_ARM_Y_M, (double){upper}_FORCE_DELAY_S);
+    for (;;) {{
+        for (i = 0; i < {p}_accelerometers; i++) {{
+            if (scanf("%lf", &read) != 1) return 0;
+            outputs[i] = ({real})read;
+        }}
+        {p}_correct_force(outputs, force);
+        printf("%.17g %.17g %.17g\\n", (double)force[0], (double)force[1], (double)force[2]);
+    }}
+}}
+"""
+
+
+def by_c(path: Path, form: str, outputs: np.ndarray, spoil: Callable[[str], str] = str) -> tuple[int, np.ndarray]:
+    """Return the answer of the self-test, and the forces (n, 3) that the compiled header makes of outputs."""
+    folder = path.parent
+    (folder / "made.h").write_text(spoil(export(path, form).read_text(encoding="utf-8")), encoding="utf-8")
+    p = "my_gyro_1" if form == "c" else "my_gyro_1_float"
+    source = FORCE_MAIN.format(p=p, upper=p.upper(), real="double" if form == "c" else "float")
+    (folder / "made.c").write_text(source, encoding="utf-8")
+    command = ["cc", *WARNED, str(folder / "made.c"), "-o", str(folder / "made"), "-lm"]
+    built = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert built.returncode == 0, built.stderr
+    fed = "\n".join(" ".join(f"{value:.17g}" for value in row) for row in outputs)
+    run = subprocess.run([str(folder / "made")], input=fed, capture_output=True, text=True, check=True)
+    first, *lines = run.stdout.splitlines()
+    failed, arm_y_m, delay_s = first.split()
+    assert float(arm_y_m) == pytest.approx(ARM_M[1])
+    assert float(delay_s) == pytest.approx(DELAY_S)
+    return int(failed), np.array([[float(word) for word in line.split()] for line in lines])
+
+
+@needs_cc
+@pytest.mark.parametrize("form", ["c", "c-float"])
+@pytest.mark.parametrize(
+    ("array", "sizes"),
+    [(MOUNTINGS["turned"], {}), (MOUNTINGS["reversed"], {**EFFECTS, **LAWS}), (tetrahedron(), {})],
+    ids=["turned", "state", "four"],
+)
+def test_the_c_header_gives_the_force(
+    record_forces: RecordForces, form: str, array: SensorArray, sizes: dict[str, tuple[float, ...]]
+) -> None:
+    path = record_forces(array, sizes)
+    force, outputs = felt(path)
+    failed, found = by_c(path, form, outputs)
+    assert failed == 0
+    assert_same(found, force)
+
+
+@needs_cc
+@pytest.mark.parametrize("form", ["c", "c-float"])
+@pytest.mark.parametrize("table", ["force_solution", "force_bias"])
+def test_the_header_tests_its_accelerometers(record_forces: RecordForces, form: str, table: str) -> None:
+    path = record_forces(MOUNTINGS["turned"])
+
+    def reverse(text: str) -> str:
+        """Change the sign of the first number of a table."""
+        pattern = rf"(_{table}\[[^=]*= \{{\s*\{{?)(-?)(?=\d)"
+        changed, count = re.subn(pattern, lambda m: m[1] + ("" if m[2] else "-"), text, count=1)
+        assert count == 1
+        return changed
+
+    failed, _ = by_c(path, form, felt(path)[1], reverse)
+    assert failed > 8  # the eight samples of gyros pass
+
+
 def test_accelerometers_of_another_device_change_nothing(record_forces: RecordForces) -> None:
     """Whatever the form, gyros whose device has no calibrated accelerometers are exported as they always were."""
     path = record_forces(triad(), EFFECTS, devices=("left", "right"), with_forces=("right",))
@@ -190,4 +282,31 @@ def test_a_device_without_three_accelerometers_is_exported_with_the_reason(
     assert held["accelerometers"][0]["solution_m"] is None
     assert held["accelerometers"][0]["excluded"] == {"accel z": "it is constant"}
     capsys.readouterr()
-    assert main(["export", str(path), "--format", "c"]) == 0
+    for form in ("c", "python"):
+        assert main(["export", str(path), "--format", form]) == 0
+        said = capsys.readouterr()
+        assert "accel z: it is constant" in said.err
+        assert "correct_force" not in said.out
+
+
+def test_two_devices_in_two_places_make_no_common_force(
+    record_forces: RecordForces, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = record_forces(triad(), devices=("left", "right"), with_forces=("left", "right"))
+    assert main(["export", str(path), "--format", "python", "--device", "left", "--device", "right"]) == 0
+    said = capsys.readouterr()
+    assert "at its own place" in said.err
+    assert "correct_force" not in said.out
+    assert "correct_force" in export(path, "python", "--device", "left").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("form", ["c", "python"])
+def test_source_code_says_what_it_lacks_of_the_accelerometers(
+    record_forces: RecordForces, form: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = export(record_forces(triad()), form).read_text(encoding="utf-8")
+    said = capsys.readouterr().err
+    for where in (text, said):
+        for word in ("delay of the accelerometers of 0.0015 s", "covariances of the acc", "temperature of the acc"):
+            assert word in where, word
+        assert "lever arm of the" not in where  # it is held
