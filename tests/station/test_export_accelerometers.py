@@ -15,10 +15,11 @@ import numpy as np
 import pytest
 import yaml
 from scipy.io import loadmat
-from test_export import EFFECTS, LAWS, WARNED, Record, export, needs_cc, record
+from test_export import EFFECTS, LAWS, WARNED, Record, at_mean_temperature, export, needs_cc, record
 
 from estimator.calibration.accelerometer import AccelerometerCalibration, ForceCalibration
 from estimator.calibration.calibration_file import read_calibration, write_calibration
+from estimator.calibration.correction import compensate
 from estimator.geometry.array import SensorArray, sensor_array, tetrahedron, triad
 from estimator.geometry.noise import NoiseFound, NoiseModel
 from estimator.observations.health import Excluded
@@ -250,6 +251,95 @@ def test_the_header_tests_its_accelerometers(record_forces: RecordForces, form: 
 
     failed, _ = by_c(path, form, felt(path)[1], reverse)
     assert failed > 8  # the eight samples of gyros pass
+
+
+each_mounting = pytest.mark.parametrize("array", MOUNTINGS.values(), ids=MOUNTINGS)
+
+
+@each_mounting
+def test_the_ros_file_corrects_the_force(record_forces: RecordForces, array: SensorArray) -> None:
+    path = record_forces(array)
+    held = yaml.safe_load(export(path, "ros").read_text(encoding="utf-8"))
+    force, outputs = felt(path)
+    assert_same(outputs @ np.reshape(held["SM"], (3, 3)).T - held["bias"], force)
+
+
+def listed(pattern: str, text: str) -> np.ndarray:
+    """Return the numbers in the first brackets behind a pattern."""
+    found = re.search(rf"{pattern}[^\[]*\[([^\]]*)\]", text)
+    assert found is not None
+    return np.array([float(word) for word in found[1].split(",")])
+
+
+@each_mounting
+def test_kalibr_predicts_both_sensors_in_the_axes_that_it_states(
+    record_forces: RecordForces, array: SensorArray
+) -> None:
+    path = record_forces(array, EFFECTS)
+    text = export(path, "kalibr").read_text(encoding="utf-8")
+    held = yaml.safe_load(text)
+    assert held["model"] == "scale-misalignment-size-effect"
+    turned = listed("axes of the IMU, by rows", text).reshape(3, 3)
+    m = np.array(held["accelerometers"]["M"])
+    assert np.array_equal(m, np.tril(m))
+    bias = listed("outputs without force", text)
+    force, outputs = felt(path)
+    assert_same(force @ turned.T @ m.T + bias, outputs)
+    gyros = {key: np.array(value) for key, value in held["gyroscopes"].items()}
+    plain, (rate, t_s, _, accel) = at_mean_temperature(path, ("g_sensitivity",))
+    w = compensate(plain, rate, t_s, None, accel) @ turned.T
+    c = gyros["C_gyro_i"]
+    predicted = w @ (gyros["M"] @ c).T + accel @ turned.T @ (gyros["A"] @ c).T - plain.bias_rps
+    assert np.abs(predicted - rate).max() < 1e-9
+    (calibration,) = read_calibration(path).forces
+    first, second, _ = (one.place_m for one in calibration.accelerometers)
+    assert held["accelerometers"]["rx_i"] == [0.0, 0.0, 0.0]
+    assert turned.T @ held["accelerometers"]["ry_i"] == pytest.approx(second - first, abs=1e-12)
+    assert held["accelerometer_noise_density"] == pytest.approx(6e-4)
+    assert held["accelerometer_random_walk"] == pytest.approx(2e-6)
+
+
+@each_mounting
+def test_openvins_corrects_the_force(record_forces: RecordForces, array: SensorArray) -> None:
+    path = record_forces(array)
+    text = export(path, "openvins").read_text(encoding="utf-8")
+    held = yaml.safe_load(text.partition("\n")[2])["imu0"]
+    da = np.tril(np.linalg.inv(held["Ta"]))  # it takes the lower triangle
+    force, outputs = felt(path)
+    found = (outputs - listed("outputs without force", text)) @ (np.transpose(held["R_IMUtoACC"]) @ da).T
+    assert_same(found, force)
+
+
+@pytest.mark.parametrize("form", ["kalibr", "openvins"])
+def test_a_left_handed_triad_of_accelerometers_is_left_out(
+    record_forces: RecordForces, form: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = export(record_forces(triad().select([0, 2, 1])), form).read_text(encoding="utf-8")
+    assert "left-handed one in their order" in capsys.readouterr().err
+    assert "#accelerometer_noise_density" in text
+
+
+THREE = ("ros", "kalibr", "openvins")
+
+
+@pytest.mark.parametrize("form", THREE)
+def test_four_accelerometers_are_not_squeezed_into_three(
+    record_forces: RecordForces, form: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    export(record_forces(tetrahedron()), form)
+    assert "holds three, but this device has 4" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("form", THREE)
+def test_a_form_of_three_says_what_it_lacks_of_the_accelerometers(
+    record_forces: RecordForces, form: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = export(record_forces(triad()), form).read_text(encoding="utf-8")
+    said = capsys.readouterr().err
+    for where in (text, said):
+        for word in ("delay of the acc", "lever arm of the acc", "covariances of the acc", "temperature of the acc"):
+            assert word in where, word
+        assert "not calibrated here" not in where
 
 
 def test_accelerometers_of_another_device_change_nothing(record_forces: RecordForces) -> None:
