@@ -10,7 +10,7 @@ from drivers.types import Floats
 from estimator.calibration.accelerometer import AccelerometerCalibration, ForceCalibration
 from estimator.geometry.array import TOLERANCE, SensorArray
 from estimator.geometry.model import predicted_output
-from station.errors import sentence
+from station.errors import UsageError, sentence
 from station.exports.exported import Exported
 
 
@@ -60,6 +60,13 @@ class HeldForces:
 
     correction: ForceCorrection | None = None
     lines: tuple[str, ...] = ()
+
+    @property
+    def held(self) -> ForceCorrection:
+        """The correction; UsageError, with the reason, if there is none."""
+        if self.correction is None:
+            raise UsageError(". ".join(self.lines) or sentence("export.no_accelerometers"))
+        return self.correction
 
 
 def held_forces(exported: Exported, form: str = "", *, triad: bool, parts: Collection[Part] = ()) -> HeldForces:

@@ -8,6 +8,8 @@ import re
 import subprocess
 from collections.abc import Callable
 from dataclasses import replace
+from functools import reduce
+from operator import xor
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,17 @@ import numpy as np
 import pytest
 import yaml
 from scipy.io import loadmat
-from test_export import EFFECTS, LAWS, WARNED, Record, at_mean_temperature, export, needs_cc, record
+from test_export import (
+    EFFECTS,
+    LAWS,
+    WARNED,
+    Record,
+    at_mean_temperature,
+    export,
+    needs_cc,
+    parameters,
+    record,
+)
 
 from estimator.calibration.accelerometer import AccelerometerCalibration, ForceCalibration
 from estimator.calibration.calibration_file import read_calibration, write_calibration
@@ -39,6 +51,9 @@ MOUNTINGS: dict[str, SensorArray] = {
     "reversed": sensor_array([[0, 0, -1.0], [-1.0, 0, 0], [0, 1.0, 0]], names=("c", "a", "b")),
     "turned": sensor_array(TURNED, names=("x", "y", "z")),
 }
+
+NEED_FORCES = ("vectornav-25",)
+"""Forms that cannot do without accelerometers."""
 
 RecordForces = Callable[..., Path]
 __all__ = ["record"]  # the fixture
@@ -319,7 +334,75 @@ def test_a_left_handed_triad_of_accelerometers_is_left_out(
     assert "#accelerometer_noise_density" in text
 
 
-THREE = ("ros", "kalibr", "openvins")
+@pytest.mark.parametrize("array", ["body", "reversed"])
+@pytest.mark.parametrize(
+    ("form", "offset", "scale"),
+    [
+        ("px4", "CAL_ACC1_{}OFF", "CAL_ACC1_{}SCALE"),
+        ("ardupilot", "INS_ACC2OFFS_{}", "INS_ACC2SCAL_{}"),
+    ],
+)
+def test_autopilots_take_off_and_multiply(
+    record_forces: RecordForces, array: str, form: str, offset: str, scale: str
+) -> None:
+    path = record_forces(MOUNTINGS[array], misaligned=False)
+    held = parameters(export(path, form, "--instance", "1"))
+    force, outputs = felt(path)
+    along = outputs @ MOUNTINGS[array].p  # as the sensor has them along its x, y and z
+    offsets, scales = ([held[name.format(axis)] for axis in "XYZ"] for name in (offset, scale))
+    assert_same((along - offsets) * scales, force)
+    if form == "ardupilot":
+        assert held["INS_ACC2_CALTEMP"] == pytest.approx(29.5, abs=0.1)
+        assert "INS_ACCOFFS_X" in parameters(export(path, form))
+
+
+@pytest.mark.parametrize("form", ["px4", "ardupilot"])
+def test_autopilots_are_told_what_they_leave_in(
+    record_forces: RecordForces, form: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    states = np.array([[1e-3, 1e-3, 1.5e-3, 0.0], [0.0, 2e-3, 0.0, -7e-4], [-2e-3, 0.0, 0.0, 0.0]])
+    path = record_forces(triad(), states=states)
+    export(path, form)
+    assert "(1500, 0, 0, -700, 0, 0 urad)" in capsys.readouterr().err
+    path.unlink()
+    export(record_forces(MOUNTINGS["turned"]), form)
+    said = capsys.readouterr().err
+    assert "these do not lie along these axes" in said
+
+
+@each_mounting
+def test_register_25_of_vectornav_corrects_the_force(
+    record_forces: RecordForces, array: SensorArray, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = record_forces(array)
+    lines = export(path, "vectornav-25").read_text(encoding="utf-8").splitlines()
+    assert "identity" in capsys.readouterr().err
+    command = next(line for line in lines if line.startswith("$"))
+    fields, checksum = command[1:].split("*")
+    assert f"{reduce(xor, fields.encode()):02X}" == checksum
+    words = fields.split(",")
+    assert words[:2] == ["VNWRG", "25"]
+    values = np.float32(words[2:]).astype(float)  # what the device keeps
+    force, outputs = felt(path)
+    found = (outputs - values[9:]) @ values[:9].reshape(3, 3).T
+    assert_same(found, force @ array.p.T)
+    assert lines[-1].startswith("$VNWNV*")
+
+
+@pytest.mark.parametrize("form", NEED_FORCES)
+def test_a_form_of_accelerometers_refuses_a_calibration_without(
+    record_forces: RecordForces, form: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = record_forces(triad(), with_forces=())
+    assert main(["export", str(path), "--format", form]) == 2
+    assert "[imu.accelerometers]" in capsys.readouterr().err
+    path.unlink()
+    few = record_forces(triad().select([0, 1]), excluded=(Excluded("accel z", "it is constant"),))
+    assert main(["export", str(few), "--format", form]) == 2
+    assert "accel z: it is constant" in capsys.readouterr().err
+
+
+THREE = ("ros", "kalibr", "openvins", "px4", "ardupilot")
 
 
 @pytest.mark.parametrize("form", THREE)
@@ -330,7 +413,7 @@ def test_four_accelerometers_are_not_squeezed_into_three(
     assert "holds three, but this device has 4" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("form", THREE)
+@pytest.mark.parametrize("form", [*THREE, *NEED_FORCES])
 def test_a_form_of_three_says_what_it_lacks_of_the_accelerometers(
     record_forces: RecordForces, form: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -353,10 +436,6 @@ def test_accelerometers_of_another_device_change_nothing(record_forces: RecordFo
         after = FORMATS[name].write(beside)
         assert after.not_held == before.not_held, name
         assert _without_hash(after.text) == _without_hash(before.text), name
-
-
-NEED_FORCES: tuple[str, ...] = ()
-"""Forms of accelerometers alone."""
 
 
 def _without_hash(text: str | bytes) -> str:
