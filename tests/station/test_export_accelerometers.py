@@ -52,7 +52,7 @@ MOUNTINGS: dict[str, SensorArray] = {
     "turned": sensor_array(TURNED, names=("x", "y", "z")),
 }
 
-NEED_FORCES = ("vectornav-25",)
+NEED_FORCES = ("vectornav-25", "imu_tk-acc", "imucal")
 """Forms that cannot do without accelerometers."""
 
 RecordForces = Callable[..., Path]
@@ -387,6 +387,67 @@ def test_register_25_of_vectornav_corrects_the_force(
     found = (outputs - values[9:]) @ values[:9].reshape(3, 3).T
     assert_same(found, force @ array.p.T)
     assert lines[-1].startswith("$VNWNV*")
+
+
+def imu_tk(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return T, K and b as imu_tk reads them, 21 numbers from the beginning, and R as the file states it."""
+    text = path.read_text(encoding="utf-8")
+    values = np.array([float(word) for word in text.split()[:21]])
+    turned = listed("R by rows", text).reshape(3, 3)
+    return values[:9].reshape(3, 3), values[9:18].reshape(3, 3), values[18:], turned
+
+
+@each_mounting
+def test_imu_tk_corrects_the_force_in_its_own_axes(record_forces: RecordForces, array: SensorArray) -> None:
+    path = record_forces(array)
+    t, k, b, turned = imu_tk(export(path, "imu_tk-acc"))
+    assert np.array_equal(t, np.triu(t))
+    assert np.array_equal(np.diag(t), np.ones(3))
+    assert np.array_equal(k, np.diag(np.diag(k)))
+    assert np.abs(turned @ turned.T - np.eye(3)).max() < 1e-12
+    force, outputs = felt(path)
+    assert_same((outputs - b) @ (t @ k).T, force @ turned.T)
+
+
+@pytest.mark.parametrize("with_forces", [(DEVICE,), ()], ids=["both", "gyros"])
+def test_imu_tk_corrects_gyros_in_the_axes_of_the_accelerometers(
+    record_forces: RecordForces, with_forces: tuple[str, ...]
+) -> None:
+    path = record_forces(triad(), with_forces=with_forces)
+    t, k, b, turned = imu_tk(export(path, "imu_tk-gyro"))
+    assert np.diag(t) == pytest.approx(np.ones(3), abs=1e-15)
+    plain, (rate, t_s, _, _) = at_mean_temperature(path, ())
+    assert np.abs((rate - b) @ (t @ k).T - compensate(plain, rate, t_s) @ turned.T).max() < 1e-9
+    expected = imu_tk(export(path, "imu_tk-acc"))[3] if with_forces else np.eye(3)
+    assert np.array_equal(turned, expected)
+
+
+def test_imu_tk_refuses_a_left_handed_triad_and_another_order(
+    record_forces: RecordForces, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = record_forces(triad().select([0, 2, 1]))
+    assert main(["export", str(path), "--format", "imu_tk-acc"]) == 2
+    assert "left-handed" in capsys.readouterr().err
+    path.unlink()
+    path = record_forces(MOUNTINGS["turned"])
+    assert main(["export", str(path), "--format", "imu_tk-gyro"]) == 2
+    assert "in the order of the accelerometers" in capsys.readouterr().err
+
+
+@each_mounting
+def test_imucal_corrects_both_sensors(record_forces: RecordForces, array: SensorArray) -> None:
+    path = record_forces(array, {"g_sensitivity": EFFECTS["g_sensitivity"]})
+    held = json.loads(export(path, "imucal").read_text(encoding="utf-8"))
+    assert (held["cal_type"], held["_format_version"]) == ("Turntable", "2.0.0")
+    assert (held["from_acc_unit"], held["from_gyr_unit"]) == ("m/s^2", "deg/s")
+    of = {key: np.array(held[key]) for key in ("K_a", "R_a", "b_a", "K_g", "R_g", "K_ga", "b_g")}
+    force, outputs = felt(path)
+    assert_same((outputs - of["b_a"]) @ np.linalg.inv(of["K_a"] @ of["R_a"]).T, force)
+    plain, (rate, t_s, _, accel) = at_mean_temperature(path, ("g_sensitivity",))
+    found = (np.degrees(rate) - accel @ of["K_ga"].T - of["b_g"]) @ np.linalg.inv(of["K_g"] @ of["R_g"]).T
+    assert np.abs(np.radians(found) - compensate(plain, rate, t_s, None, accel)).max() < 1e-9
+    assert "lever arm of the accelerometers" in held["comment"]
+    assert "SN 7" in held["comment"]
 
 
 @pytest.mark.parametrize("form", NEED_FORCES)

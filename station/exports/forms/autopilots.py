@@ -7,7 +7,7 @@ CAL_GYROn_ID and TC_Gn_ID name; offsets that differ from those in use by less th
 (github.com/PX4/PX4-Autopilot, src/lib/sensor_calibration/Gyroscope.cpp: Correct, set_offset;
 src/modules/temperature_compensation/TemperatureCompensation.cpp: calc_thermal_offsets_3D). QGroundControl reads
 vehicle, component, name, value and type (9 = float, 6 = integer), separated by tabs (docs.qgroundcontrol.com,
-Parameter File Format). Of accelerometers it takes off CAL_ACCn_XOFF (m/s2) and multiplies by CAL_ACCn_XSCALE; what
+Parameter File Format). Of accelerometers PX4 takes off CAL_ACCn_XOFF (m/s2) and multiplies by CAL_ACCn_XSCALE; what
 differs from the values in use by less than 0.01 (m/s2, 1) is passed over
 (src/lib/sensor_calibration/Accelerometer.cpp: set_offset, set_scale). ArduPilot takes INS_GYROFFS_X, INS_GYR2OFFS_X,
 INS_GYR3OFFS_X (rad/s, axes of the sensor) off the outputs, and finds them anew at each start unless INS_GYR_CAL is 0;
