@@ -88,6 +88,11 @@ def held_forces(exported: Exported, form: str = "", *, triad: bool, parts: Colle
     return HeldForces(correction=correction, lines=tuple(_lacking(exported, correction, parts)))
 
 
+def left_out(exported: Exported, why: str) -> HeldForces:
+    """Return that a format of gyros alone holds no accelerometers, and ``why``; nothing if the export has none."""
+    return HeldForces(lines=(f"accelerometers: {why}",)) if exported.forces else HeldForces()
+
+
 def lower_and_rotation(sensitivity: Floats) -> tuple[Floats, Floats] | None:
     """Return a lower triangular matrix with positive diagonal and a rotation whose product is ``sensitivity`` (3, 3).
 

@@ -463,6 +463,15 @@ def test_a_form_of_accelerometers_refuses_a_calibration_without(
     assert "accel z: it is constant" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("form", "where"), [("vectornav-84", "--format vectornav-25"), ("stim300-trim", "--format c")])
+def test_a_form_of_gyros_says_where_the_accelerometers_are(
+    record_forces: RecordForces, form: str, where: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = export(record_forces(triad()), form).read_text(encoding="utf-8")
+    for told in (text, capsys.readouterr().err):
+        assert re.search(rf"accelerometers: .*{where}", told)
+
+
 THREE = ("ros", "kalibr", "openvins", "px4", "ardupilot")
 
 

@@ -11,7 +11,7 @@ from operator import xor
 import numpy as np
 
 from drivers.types import Floats
-from station.exports.accelerations import held_forces
+from station.exports.accelerations import held_forces, left_out
 from station.exports.exported import Exported
 from station.exports.written import Written, as_triad, from_template
 
@@ -21,7 +21,8 @@ def write_vectornav(exported: Exported) -> Written:
     constants, dropped = as_triad(exported, "register 84 of VectorNav")
     matrix = exported.compensation.array.p @ constants.solution
     commands = _register_commands(84, matrix, -constants.bias_rps)
-    return from_template("vectornav-84", exported, dropped, commands=commands)
+    forces = left_out(exported, "register 25, --format vectornav-25")
+    return from_template("vectornav-84", exported, dropped, forces, commands=commands)
 
 
 def write_vectornav_force(exported: Exported) -> Written:
@@ -45,4 +46,5 @@ def write_stim300(exported: Exported) -> Written:
     """Return the bias trim offset of each gyro in deg/s."""
     constants, dropped = as_triad(exported, "STIM300")
     offsets = list(zip(constants.array.names, np.degrees(constants.bias_rps), strict=True))
-    return from_template("stim300-trim", exported, dropped, offsets_dps=offsets)
+    forces = left_out(exported, "this form has none, --format c corrects them")
+    return from_template("stim300-trim", exported, dropped, forces, offsets_dps=offsets)
