@@ -11,6 +11,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from estimator.calibration.accelerometer import ForceCalibration
 from estimator.calibration.calibration_file import read_calibration
 from estimator.calibration.compensation import Compensation
 from estimator.calibration.error_model import ErrorModel
@@ -25,6 +26,7 @@ from station.errors import BenchError, UsageError, sentence
 from station.render.template import rendered
 from station.run.outcome import Outcome, Verdict
 from station.views.figures import state_figures
+from station.views.forces import FORCE_FIGURES
 from station.views.seen import Seen, seen_by
 
 _RAW = ("imu", "table", "reference")
@@ -36,7 +38,10 @@ RAW_RULE = sentence("export.raw_rule")
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Exported:
-    """Gyros of a recording with their calibration. ``identity`` describes them and the origin of the figures."""
+    """Gyros of a recording with their calibration. ``identity`` describes them and the origin of the figures.
+
+    ``forces`` are the accelerometers of the same devices, if they were calibrated, too.
+    """
 
     path: Path
     identity: Mapping[str, str]
@@ -47,6 +52,7 @@ class Exported:
     devices: tuple[str, ...]
     instance: int = 0  # which of an autopilot's gyros they are
     units: Units = USUAL
+    forces: tuple[ForceCalibration, ...] = ()
 
     @property
     def name(self) -> str:
@@ -75,9 +81,12 @@ class Exported:
     @property
     def origin(self) -> list[str]:
         """Lines for the head of a file: which device was measured, how, and under which conditions."""
-        return rendered(
-            "station.exports", "origin.txt", {"exported": self, "state_figures": state_figures(self.units)}
-        ).splitlines()
+        values = {
+            "exported": self,
+            "state_figures": state_figures(self.units),
+            "force_figures": FORCE_FIGURES,
+        }
+        return rendered("station.exports", "origin.txt", values).splitlines()
 
 
 def exported_of(path: Path, devices: Sequence[str] = (), instance: int = 0) -> Exported:
@@ -105,6 +114,7 @@ def exported_of(path: Path, devices: Sequence[str] = (), instance: int = 0) -> E
         devices=tuple(device for device in there if device and (not devices or device in devices)),
         instance=instance,
         units=_units_of(recording),
+        forces=tuple(one for one in calibration.forces if not devices or one.device in devices),
     )
 
 

@@ -12,12 +12,14 @@ import yaml
 from estimator.calibration.compensation import Compensation
 from estimator.effects.constructed import readable
 from station.errors import UsageError, sentence
+from station.exports.accelerations import HeldForces
 from station.exports.exported import Exported
 from station.render.template import rendered
 
 _LINE_END = re.compile(r"[\r\n\f]")
 _NOT_FINITE = "the calibration holds a number that is not finite. Estimate it again"
 """Why a calibration cannot be written in any form."""
+_NO_FORCES = HeldForces()
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,11 +86,17 @@ def head(exported: Exported, what: str, not_held: Sequence[str], mark: str) -> l
     return [f"{mark} {_LINE_END.sub(' ', line)}".rstrip() for line in lines]  # a name must not end the comment
 
 
-def from_template(form: str, exported: Exported, dropped: Mapping[str, str], **values: Any) -> Written:
-    """Return a file made from the template of a format; its first lines say what it lacks and leaves to be done."""
+def from_template(
+    form: str, exported: Exported, dropped: Mapping[str, str], forces: HeldForces = _NO_FORCES, **values: Any
+) -> Written:
+    """Return a file made from the template of a format; its first lines say what it lacks and leaves to be done.
+
+    ``dropped`` are effects of the gyros that it lacks, with reasons; ``forces`` is what it has of the accelerometers.
+    """
     values |= {"numbers": lambda row: ", ".join(map(number, row)), "delay_s": exported.compensation.delay_s}
+    values["force"] = forces.correction
     purpose, *notes = rendered("station.exports", f"{form}.jinja", {"head": (), **values}).splitlines()
-    not_held = [*notes, *lines_of(dropped)]
+    not_held = [*notes, *lines_of(dropped), *forces.lines]
     values["head"] = head(exported, purpose, not_held, "#")
     return Written(rendered("station.exports", f"{form}.jinja", values), tuple(not_held))
 

@@ -12,6 +12,7 @@ from strangers import needs_program
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "station"))
 from test_export import EFFECTS, LAWS, Record, record
+from test_export_accelerometers import RecordForces, record_forces
 
 from estimator.geometry.array import tetrahedron
 from station.exports.exported import exported_of
@@ -23,7 +24,7 @@ ADVISORY = {
     "8.9": "tables stand before the functions that use them, for who reads the numbers",
     "12.1": "a product in a sum without brackets",
 }
-__all__ = ["record"]  # the fixture
+__all__ = ["record", "record_forces"]  # the fixtures
 
 
 @needs_program("cppcheck", "cppcheck")
@@ -32,7 +33,17 @@ __all__ = ["record"]  # the fixture
 def test_no_rule_is_broken_that_is_more_than_advice(
     record: Record, form: str, effects: dict[str, tuple[float, ...]]
 ) -> None:
-    exported = exported_of(record(tetrahedron(), effects))
+    assert_advice_only(record(tetrahedron(), effects), form)
+
+
+@needs_program("cppcheck", "cppcheck")
+@pytest.mark.parametrize("form", ["c", "c-float"])
+def test_accelerometers_break_none_either(record_forces: RecordForces, form: str) -> None:
+    assert_advice_only(record_forces(tetrahedron(), {**EFFECTS, **LAWS}), form)
+
+
+def assert_advice_only(path: Path, form: str) -> None:
+    exported = exported_of(path)
     header = exported.path.with_name("made.h")
     header.write_text(str(FORMATS[form].write(exported).text), encoding="utf-8")
     prefix = "my_gyro_1" if form == "c" else "my_gyro_1_float"

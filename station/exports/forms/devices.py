@@ -1,7 +1,8 @@
-"""Settings of devices that correct themselves: register 84 of VectorNav, bias trim offsets of the STIM300.
+"""Settings of devices that correct themselves: registers 84 and 25 of VectorNav, bias trim offsets of the STIM300.
 
-Sources: VN-100 User Manual UM001, 6.2.3 Gyro Compensation: ``C (G - B)``, C by rows, then B in rad/s, single precision;
-3.8.2, checksum. STIM300 datasheet TS1524: bias trim offsets are added to the outputs, in deg/s with five decimals.
+Sources: VN-100 User Manual UM001, 6.2.3 Gyro Compensation: ``C (G - B)``, C by rows, then B in rad/s, single
+precision; 6.2.2 Acceleration Compensation: the same in m/s2; 3.8.2, checksum. STIM300 datasheet TS1524: bias trim
+offsets are added to the outputs, in deg/s with five decimals.
 """
 
 from functools import reduce
@@ -9,6 +10,8 @@ from operator import xor
 
 import numpy as np
 
+from drivers.types import Floats
+from station.exports.accelerations import held_forces, left_out
 from station.exports.exported import Exported
 from station.exports.written import Written, as_triad, from_template
 
@@ -17,13 +20,31 @@ def write_vectornav(exported: Exported) -> Written:
     """Return the commands that set and store register 84; the axes stay those that the gyros nominally have."""
     constants, dropped = as_triad(exported, "register 84 of VectorNav")
     matrix = exported.compensation.array.p @ constants.solution
-    values = ",".join(f"{value:.9f}" for value in (*matrix.ravel(), *-constants.bias_rps))
-    commands = [f"${text}*{reduce(xor, text.encode()):02X}" for text in (f"VNWRG,84,{values}", "VNWNV")]
-    return from_template("vectornav-84", exported, dropped, commands=commands)
+    commands = _register_commands(84, matrix, -constants.bias_rps)
+    forces = left_out(exported, "register 25, --format vectornav-25")
+    return from_template("vectornav-84", exported, dropped, forces, commands=commands)
+
+
+def write_vectornav_force(exported: Exported) -> Written:
+    """Return the commands that set and store register 25; the axes stay those that the accelerometers nominally have.
+
+    UsageError without three calibrated accelerometers.
+    """
+    forces = held_forces(exported, "register 25 of VectorNav", triad=True)
+    correction = forces.held
+    commands = _register_commands(25, correction.p @ correction.solution, -correction.bias_mps2)
+    return from_template("vectornav-25", exported, {}, forces, commands=commands)
+
+
+def _register_commands(register: int, matrix: Floats, offsets: Floats) -> list[str]:
+    """Return the commands that write a matrix (3, 3) and offsets (3,) to a register, and store the settings."""
+    values = ",".join(f"{value:.9f}" for value in (*matrix.ravel(), *offsets))
+    return [f"${text}*{reduce(xor, text.encode()):02X}" for text in (f"VNWRG,{register},{values}", "VNWNV")]
 
 
 def write_stim300(exported: Exported) -> Written:
     """Return the bias trim offset of each gyro in deg/s."""
     constants, dropped = as_triad(exported, "STIM300")
     offsets = list(zip(constants.array.names, np.degrees(constants.bias_rps), strict=True))
-    return from_template("stim300-trim", exported, dropped, offsets_dps=offsets)
+    forces = left_out(exported, "this form has none, --format c corrects them")
+    return from_template("stim300-trim", exported, dropped, forces, offsets_dps=offsets)

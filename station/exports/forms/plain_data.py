@@ -9,18 +9,24 @@ from typing import Any
 import numpy as np
 from scipy.io import savemat
 
+from drivers.types import Floats
+from estimator.calibration.accelerometer import AccelerometerCalibration, ForceCalibration
 from estimator.calibration.compensation import CompensationError
 from estimator.calibration.gyro import GyroCalibration
 from estimator.geometry.model import STATES
+from estimator.sensors.accelerometers import ACCELEROMETER
 from estimator.sensors.gyros import GYRO
+from station.exports.accelerations import sensitivity_of, spans_space
 from station.exports.exported import Exported
 from station.exports.written import Written, json_text, lines_of, number, yaml_text
+from station.views.forces import force_object
 from station.views.json_values import budget_and_noise, by_state, json_object, named
 
 FORMAT = "turntable-calibration"
 FORMAT_VERSION = 1
 _MAT_TEXT = 116  # bytes of text at the head of a MAT-file
 _FORMULA = "y = G w - b + effects, so w = H (y + b - effects); rows of G: (1 - k)(p - sigma_k j + sigma_j k)"
+_FORCE_FORMULA = "y = S f - b, so f = M (y + b); rows of S: (1 - k)(p - sigma_k j + sigma_j k)"
 
 
 def write_json(exported: Exported) -> Written:
@@ -58,11 +64,16 @@ def _matlab(value: Any) -> Any:
 def write_csv(exported: Exported) -> Written:
     """Return one line per gyro: axes, states, sigmas, row of the sensitivity matrix, effects; headings have SI units.
 
+    Lines of accelerometers follow: their names stand in the column "accelerometer" in place of "gyro".
     Noted as lacking are covariances and uncertainty budget.
     """
     lines = [_line(exported, i, gyro) for i, gyro in enumerate(exported.gyros)]
+    for force in exported.forces:
+        rows = sensitivity_of(force.accelerometers) if force.accelerometers else ()
+        lines += [_force_line(force, *pair) for pair in zip(force.accelerometers, rows, strict=True)]
+    headings = dict.fromkeys(heading for line in lines for heading in line)
     file = io.StringIO()
-    writer = csv.DictWriter(file, lines[0], lineterminator="\n")
+    writer = csv.DictWriter(file, list(headings), restval="", lineterminator="\n")
     writer.writeheader()
     writer.writerows(lines)
     lacking = ("covariances, uncertainty budget and where it comes from: json and yaml hold them",)
@@ -81,6 +92,22 @@ def _line(exported: Exported, i: int, gyro: GyroCalibration) -> dict[str, str]:
         named = f"{effect.effect}: {effect.parameter} ({effect.unit})"
         values |= {named: effect.value, f"sd {named}": effect.sd}
     who = {"gyro": array.names[i], "source": gyro.source, "device": gyro.device}
+    return who | {heading: number(value) for heading, value in values.items()}
+
+
+def _force_line(force: ForceCalibration, one: AccelerometerCalibration, row: Floats) -> dict[str, str]:
+    """Return the values of an accelerometer as texts by heading; ``row`` (3,) is its sensitivity."""
+    values: dict[str, float] = {}
+    for letter, axis in (("p", one.p), ("j", one.j), ("k", one.k_axis), ("g", row)):
+        values |= {f"{letter}_{part}": x for part, x in zip("xyz", axis, strict=True)}
+    for state, value, sd in zip(ACCELEROMETER.states, one.states, one.sd, strict=True):
+        values |= {f"{state.key} ({state.unit})": value, f"sd {state.key} ({state.unit})": sd}
+    for part, place_m, sd_m in zip("xyz", one.place_m, one.place_sd_m, strict=True):
+        values |= {f"place_{part} (m)": place_m, f"sd place_{part} (m)": sd_m}
+    values["noise of a sample (m/s2)"] = one.noise_mps2
+    if force.offset is not None:
+        values |= {"delay (s)": force.offset.offset_s, "sd delay (s)": force.offset.sd_s}
+    who = {"accelerometer": one.name, "source": one.source, "device": one.device}
     return who | {heading: number(value) for heading, value in values.items()}
 
 
@@ -117,7 +144,35 @@ def _object(exported: Exported) -> dict[str, Any]:
         "notes": list(exported.calibration.notes),
         "nis_mean": json_object(exported.calibration.nis_mean),
         **named(exported.calibration, ("samples", "lost")),
+        **_forces(exported),
     }
+
+
+def _forces(exported: Exported) -> dict[str, Any]:
+    """Return the part of the export about accelerometers, by key; empty if none were calibrated."""
+    if not exported.forces:
+        return {}
+    return {"force_formula": _FORCE_FORMULA, "accelerometers": [_force(one) for one in exported.forces]}
+
+
+def _force(one: ForceCalibration) -> dict[str, Any]:
+    """Return the JSON object of the accelerometers of a source; ``solution_m`` is null if they do not span space."""
+    found = force_object(one)
+    for told, accelerometer in zip(found["accelerometers"], one.accelerometers, strict=True):
+        told["p"] = accelerometer.p.tolist()
+        told["j"] = accelerometer.j.tolist()
+        told["k_axis"] = accelerometer.k_axis.tolist()
+        told["covariance"] = accelerometer.covariance.tolist()
+        told["place_covariance_m2"] = accelerometer.place_covariance_m2.tolist()
+    found["notes"] = list(one.notes)
+    found["doubts"] = list(one.doubts)
+    if one.accelerometers:
+        sensitivity = sensitivity_of(one.accelerometers)
+        found["lever_arm"]["covariance_m2"] = one.arm_covariance_m2.tolist()
+        found["sensitivity_s"] = sensitivity.tolist()
+        found["bias_b_mps2"] = [accelerometer.states[1] for accelerometer in one.accelerometers]
+        found["solution_m"] = np.linalg.pinv(sensitivity).tolist() if spans_space(sensitivity) else None
+    return found
 
 
 def _gyro(exported: Exported, number_of: int, gyro: GyroCalibration) -> dict[str, Any]:

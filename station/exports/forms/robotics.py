@@ -1,30 +1,42 @@
 """Files of robotics tools: the ROS package imu_calib, Kalibr, OpenVINS.
 
-Sources: imu_calib reads the keys ``SM`` (nine numbers, by rows) and ``bias`` (three) of the accelerometer and puts out
-``SM a - bias``; of the gyros it only takes off the mean of the first samples (github.com/dpkoch/imu_calib,
+Sources: imu_calib reads the keys ``SM`` (nine numbers, by rows) and ``bias`` (three) of the accelerometer and puts
+out ``SM a - bias``; of the gyros it only takes off the mean of the first samples (github.com/dpkoch/imu_calib,
 src/accel_calib/accel_calib.cpp, src/apply_calib.cpp). Kalibr predicts the output of the model "scale-misalignment" as
-``M C_gyro_i w + A C_gyro_i a + bias``, with M lower triangular and the bias a function of time that no file holds; its
-reader asks for the noise of both sensors (github.com/ethz-asl/kalibr, kalibr_imu_camera_calibration/IccSensors.py,
+``M C_gyro_i w + A C_gyro_i a + bias``, with M lower triangular and the bias a function of time that no file holds;
+its reader asks for the noise of both sensors. The output of accelerometers is ``M a + bias``, M lower triangular,
+which sets the axes of the IMU; in the model "scale-misalignment-size-effect" each one sits at its own place, rx_i,
+ry_i, rz_i in these axes, the first at zero (github.com/ethz-asl/kalibr, kalibr_imu_camera_calibration/IccSensors.py,
 kalibr_common/ConfigReader.py). OpenVINS takes ``R_IMUtoGYRO^T Dw (output - bias - Tg a)`` for the rate, Dw the lower
-triangle of the inverse of Tw (github.com/rpng/open_vins, ov_msckf/src/core/VioManagerOptions.h, state/Propagator.cpp);
-its parser is cv::FileStorage, which wants the first line %YAML:1.0.
+triangle of the inverse of Tw, and likewise ``R_IMUtoACC^T Da (output - bias)`` for the specific force a
+(github.com/rpng/open_vins, ov_msckf/src/core/VioManagerOptions.h, state/Propagator.cpp); its parser is
+cv::FileStorage, which wants the first line %YAML:1.0.
 """
 
 import numpy as np
 
-from drivers.types import Floats
 from estimator.effects.site import G_SENSITIVITY
 from estimator.geometry.kinematics import GRAVITY_MPS2
 from station.errors import UsageError, sentence
+from station.exports.accelerations import ForceCorrection, HeldForces, held_forces, lower_and_rotation
 from station.exports.exported import Exported
 from station.exports.written import Written, as_triad, from_template
 
 
 def write_ros(exported: Exported) -> Written:
-    """Return a file that imu_calib loads, with the gyros in keys of the same form: gyro_SM y - gyro_bias."""
+    """Return a file that imu_calib loads, with the gyros in keys of the same form: gyro_SM y - gyro_bias.
+
+    SM and bias are those of the accelerometers, or leave them as they are.
+    """
     constants, dropped = as_triad(exported, "imu_calib")
     h = constants.solution
-    return from_template("ros", exported, dropped, solution=h, bias_rps=-h @ constants.bias_rps)
+    forces = held_forces(exported, "imu_calib", triad=True)
+    force_bias = np.zeros(3)
+    if forces.correction is not None:
+        force_bias = -forces.correction.solution @ forces.correction.bias_mps2
+    return from_template(
+        "ros", exported, dropped, forces, solution=h, bias_rps=-h @ constants.bias_rps, force_bias_mps2=force_bias
+    )
 
 
 def write_kalibr(exported: Exported) -> Written:
@@ -48,25 +60,36 @@ def _chain(exported: Exported, form: str, called: str) -> Written:
     gravity and noise; the result lists what is not.
     """
     constants, dropped = as_triad(exported, called, (G_SENSITIVITY.name,))
-    m, c = _lower_and_rotation(constants.sensitivity, called)
+    of_gyros = lower_and_rotation(constants.sensitivity)
+    if of_gyros is None:
+        raise UsageError(sentence("export.left_handed", form=called))
+    m, c = of_gyros
     felt = constants.held(G_SENSITIVITY.name)
     values: dict[str, object] = {"m": m, "c": c, "felt": np.zeros((3, 3)) if felt is None else felt / GRAVITY_MPS2}
     density, walk = _noise(exported)
     values |= {"density": density, "walk": walk, "rate_hz": exported.seen.rate_hz}
-    return from_template(form, exported, dropped, at_rest=-constants.bias_rps, **values)
+    forces, of_forces = _forces(exported, called)
+    return from_template(form, exported, dropped, forces, at_rest=-constants.bias_rps, **values, **of_forces)
 
 
-def _lower_and_rotation(sensitivity: Floats, form: str) -> tuple[Floats, Floats]:
-    """Return a lower triangular matrix with positive diagonal and a rotation, whose product is ``sensitivity`` (3, 3).
-
-    UsageError, which names ``form``, if it is left-handed.
-    """
-    q, r = np.linalg.qr(sensitivity.T)
-    signs = np.sign(np.diag(r))
-    rotation = (q * signs).T
-    if np.linalg.det(rotation) < 0:
-        raise UsageError(sentence("export.left_handed", form=form))
-    return r.T * signs + 0.0, rotation  # no minus zeros
+def _forces(exported: Exported, called: str) -> tuple[HeldForces, dict[str, object]]:
+    """Return what a model of a lower triangular matrix and a rotation holds of the accelerometers, and its values."""
+    forces = held_forces(exported, called, triad=True)
+    if forces.correction is None:
+        return forces, {}
+    found = lower_and_rotation(forces.correction.sensitivity)
+    if found is None:
+        return HeldForces(lines=(sentence("export.left_handed_accelerometers", form=called),)), {}
+    m, rotation = found
+    places = np.array([one.place_m for one in forces.correction.accelerometers])
+    density, walk = _force_noise(exported, forces.correction)
+    return forces, {
+        "force_m": m,
+        "force_rotation": rotation,
+        "force_places": (places - places[0]) @ rotation.T,
+        "force_density": density,
+        "force_walk": walk,
+    }
 
 
 def _noise(exported: Exported) -> tuple[float, float]:
@@ -75,4 +98,15 @@ def _noise(exported: Exported) -> tuple[float, float]:
     if len(found) == len(exported.gyros):
         return float(np.sqrt(np.mean([n.arw**2 for n in found]))), float(np.sqrt(np.mean([n.walk**2 for n in found])))
     samples = np.sqrt(np.mean([gyro.noise_rps**2 for gyro in exported.gyros]))
+    return float(samples / np.sqrt(exported.seen.rate_hz)), 0.0
+
+
+def _force_noise(exported: Exported, correction: ForceCorrection) -> tuple[float, float]:
+    """Return velocity random walk in m/s2/rtHz and acceleration random walk in m/s3/rtHz, rms over the
+    accelerometers.
+    """
+    found = [one.noise.mean for one in correction.accelerometers if one.noise is not None]
+    if len(found) == len(correction.accelerometers):
+        return float(np.sqrt(np.mean([n.arw**2 for n in found]))), float(np.sqrt(np.mean([n.walk**2 for n in found])))
+    samples = np.sqrt(np.mean([one.noise_mps2**2 for one in correction.accelerometers]))
     return float(samples / np.sqrt(exported.seen.rate_hz)), 0.0

@@ -1,4 +1,6 @@
-"""Source code with the function that turns outputs of the gyros into the rate of their body: C99, plain Python."""
+"""Source code with the functions that turn outputs of the gyros into the rate of their body, and outputs of
+accelerometers into the specific force: C99, plain Python.
+"""
 
 import re
 from collections.abc import Callable, Mapping
@@ -13,6 +15,7 @@ from estimator.effects.effect import Acts
 from estimator.effects.law import LAST_SHARE
 from estimator.geometry.kinematics import GRAVITY_MPS2
 from station.errors import sentence
+from station.exports.accelerations import ForceCorrection, HeldForces, Part, held_forces
 from station.exports.exported import Exported
 from station.exports.terms import AXIS_TABLES, Term, Terms, terms_of
 from station.exports.written import Written, delay_line, head, lines_of, number
@@ -42,11 +45,18 @@ def write_c_float(exported: Exported) -> Written:
 def _header(exported: Exported, real: str, prefix: str) -> Written:
     """Return the C99 header, in type ``real`` and with names that begin with ``prefix``, and what it leaves out."""
     terms = terms_of(exported.compensation)
-    not_held = _cautions(exported, terms)
+    forces = _held_forces(exported)
+    not_held = _cautions(exported, terms, forces)
     purpose = (
         f"{prefix}_correct: outputs of {len(exported.gyros)} gyros (rad/s) to the rate of their body (rad/s). C99."
     )
-    samples, rates = _vectors(exported, terms)
+    module = _module_of(exported)
+    samples, rates = _vectors(exported, terms, module)
+    if forces.correction is not None:
+        purpose += f" {prefix}_correct_force: {_force_purpose(forces.correction)}"
+        outputs, specific_forces = _force_vectors(forces.correction, module)
+    else:
+        outputs, specific_forces = np.empty((0, 0)), np.empty((0, 3))
     text = _function_text(
         "header.jinja",
         exported,
@@ -65,6 +75,10 @@ def _header(exported: Exported, real: str, prefix: str) -> Written:
         macros=_macros(exported),
         samples=samples,
         rates=rates,
+        force=forces.correction,
+        force_names=_comment_text(_names_of(forces.correction)),
+        force_outputs=outputs,
+        forces=specific_forces,
     )
     return Written(text, tuple(not_held))
 
@@ -108,16 +122,45 @@ def _single(found: re.Match[str]) -> str:
     return number(float(np.float32(min(float(text), 3e38))), 9) + "f"
 
 
-def _vectors(exported: Exported, terms: Terms) -> tuple[Floats, Floats]:
+def _held_forces(exported: Exported) -> HeldForces:
+    """Return what source code holds of the accelerometers."""
+    return held_forces(exported, triad=False, parts={Part.LEVER_ARM})
+
+
+def _names_of(force: ForceCorrection | None) -> str:
+    """Return the names of the accelerometers in the order of the outputs; empty without any."""
+    return "" if force is None else ", ".join(force.names)
+
+
+def _force_purpose(force: ForceCorrection) -> str:
+    """Return what the function for accelerometers does."""
+    return f"outputs of {len(force.names)} accelerometers (m/s2) to the specific force at their place (m/s2)."
+
+
+def _module_of(exported: Exported) -> dict[str, Any]:
+    """Return the names that the exported Python module defines; it is executed for it."""
+    made: dict[str, Any] = {}
+    exec(write_python(exported).text, made)  # no text of the recording's stands in it but in comments and quotes
+    return made
+
+
+def _force_vectors(force: ForceCorrection, module: Mapping[str, Any]) -> tuple[Floats, Floats]:
+    """Return test inputs (8, a), outputs of the accelerometers in m/s2, and the forces (8, 3) that a module makes of
+    them.
+    """
+    given = GRAVITY_MPS2 * np.cos(np.outer(np.arange(8), (1.0, 1.7, 2.3)))
+    outputs = given @ force.sensitivity.T - force.bias_mps2
+    return outputs, np.array([module["correct_force"](row) for row in outputs.tolist()])
+
+
+def _vectors(exported: Exported, terms: Terms, module: Mapping[str, Any]) -> tuple[Floats, Floats]:
     """Return test inputs (8, n + 5) of n gyros over the conditions of the calibration, and their results (8, 3) in
     rad/s.
 
     Inputs: outputs in rad/s, specific force in m/s2 (3), temperature in degC, time step in s. The results are those of
-    the Python module, which is executed for it.
+    the Python ``module``.
     """
-    made: dict[str, Any] = {}
-    exec(write_python(exported).text, made)  # no text of the recording's stands in it but in comments and quotes
-    correct = made["Correction"]().correct if terms.keeps_state else made["correct"]
+    correct = module["Correction"]().correct if terms.keeps_state else module["correct"]
     held, seen, turns = exported.compensation, exported.seen, np.outer(np.arange(8), (1.0, 1.7, 2.3))
     rate = seen.largest_rps / np.sqrt(3) * np.sin(turns) @ held.sensitivity.T - held.bias_rps
     low, _, high = seen.temperature_c if np.isfinite(seen.temperature_c[1]) else (REFERENCE_C,) * 3
@@ -133,9 +176,12 @@ def write_python(exported: Exported) -> Written:
     It has a class instead of a function if effects keep a state.
     """
     terms = terms_of(exported.compensation)
-    not_held = _cautions(exported, terms)
+    forces = _held_forces(exported)
+    not_held = _cautions(exported, terms, forces)
     call = "Correction().correct" if terms.keeps_state else "correct"
     purpose = f"{call}(...): outputs of {len(exported.gyros)} gyros (rad/s) to the rate of their body (rad/s)."
+    if forces.correction is not None:
+        purpose += f" correct_force(...): {_force_purpose(forces.correction)}"
     text = _function_text(
         "module.jinja",
         exported,
@@ -150,6 +196,8 @@ def write_python(exported: Exported) -> Written:
         simple="_solve" if terms.of(Acts.RATE) else "_invert",
         arguments=", ".join(_argument_names(terms)),
         beside="".join(f", {name}" for name in terms.given_to_the_rate),
+        force=forces.correction,
+        force_names=list(forces.correction.names) if forces.correction else [],
     )
     used = [name for name in _MATH if re.search(rf"\b{name}\b", text)]
     imported = f"from math import {', '.join(used)}\n\n" if used else ""
@@ -186,16 +234,16 @@ def _argument_comments(exported: Exported, terms: Terms) -> list[str]:
     return rendered("station.exports", "arguments.jinja", given | used).splitlines()
 
 
-def _cautions(exported: Exported, terms: Terms) -> list[str]:
-    """Return the effects that the function does not correct, and the noise that correcting a lag adds, one line
-    each.
+def _cautions(exported: Exported, terms: Terms, forces: HeldForces) -> list[str]:
+    """Return the effects that the function does not correct, the noise that correcting a lag adds, and what is lacking
+    of the accelerometers, one line each.
     """
     lines = [*lines_of(exported.compensation.left_out), *delay_line(exported)]
     if terms.lag is not None and np.isfinite(exported.seen.rate_hz):
         share = float(terms.lag.values.max()) * exported.seen.rate_hz
         noise = np.hypot(1 + share, share)
         lines.append(sentence("export.lag", lag=terms.lag.table, rate_hz=exported.seen.rate_hz, noise=noise))
-    return lines
+    return [*lines, *forces.lines]
 
 
 def _function_text(
