@@ -25,8 +25,8 @@ from station.bench.units import USUAL, Units
 from station.errors import BenchError, UsageError, sentence
 from station.render.template import rendered
 from station.run.outcome import Outcome, Verdict
+from station.views.accelerometers.result import FORCE_FIGURES
 from station.views.figures import state_figures
-from station.views.forces import FORCE_FIGURES
 from station.views.seen import Seen, seen_by
 
 _RAW = ("imu", "table", "reference")

@@ -19,7 +19,7 @@ from estimator.sensors.gyros import GYRO
 from station.exports.accelerations import sensitivity_of, spans_space
 from station.exports.exported import Exported
 from station.exports.written import Written, json_text, lines_of, number, yaml_text
-from station.views.forces import force_object
+from station.views.accelerometers.result import force_object
 from station.views.json_values import budget_and_noise, by_state, json_object, named
 
 FORMAT = "turntable-calibration"
