@@ -71,8 +71,9 @@ class ForceCalibration:
     """The accelerometers of one source.
 
     ``covariance`` (4 a, 4 a) is that of all states, accelerometer by accelerometer. ``arm_m`` (3,) is the mean place,
-    with ``arm_covariance_m2`` (3, 3). ``offset`` is by how much the accelerometers are later than the table's readings;
-    ``gravity_mps2`` is the gravity that was assumed. ``doubts`` are the notes that question the sigmas.
+    with ``arm_covariance_m2`` (3, 3). ``offset`` is by how much the accelerometers are later than the table's readings.
+    ``gravity_mps2`` is the gravity that was assumed, ``gravity_from`` where it comes from. ``doubts`` are notes that
+    question the sigmas.
     """
 
     source: str
@@ -82,6 +83,7 @@ class ForceCalibration:
     arm_m: Floats
     arm_covariance_m2: Floats
     gravity_mps2: float
+    gravity_from: str = ""
     offset: TimeOffset | None = None
     excluded: tuple[Excluded, ...] = ()
     notes: tuple[str, ...] = ()

@@ -19,6 +19,19 @@ UNMEASURED_GRAVITY = 5e-5
 """Standard uncertainty of a gravity that is computed from the latitude, relative: anomalies of 50 to 100 mGal."""
 
 
+UNKNOWN_GRAVITY = 1.5e-3
+"""Standard uncertainty of standard gravity for a place that nobody states, relative: 9.780 m/s2 to 9.832 m/s2."""
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class Gravity:
+    """Local gravity, its relative standard uncertainty (0 for a stated one), and where it comes from."""
+
+    value_mps2: float
+    sd: float
+    source: str
+
+
 def normal_gravity_mps2(latitude_rad: float, height_m: float = 0.0) -> float:
     """Return normal gravity on and above the ellipsoid of WGS 84: Somigliana's formula, and the free-air gradient."""
     square = np.sin(latitude_rad) ** 2

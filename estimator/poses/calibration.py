@@ -5,24 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from estimator.geometry.kinematics import Gravity
 from estimator.poses.intrinsic import NAMES, Intrinsic
 from estimator.types import Flags, Floats
-
-STANDARD_GRAVITY_MPS2 = 9.80665
-"""Gravity where none is stated."""
-UNSTATED_SD = 1.5e-3
-"""Standard uncertainty, relative, of gravity at an unstated place: it is 9.780 to 9.832 m/s2 at sea level."""
-SITE_SD = 5e-5
-"""Standard uncertainty, relative, of gravity by the formula for a site: local anomalies."""
-
-
-@dataclass(kw_only=True, frozen=True, slots=True)
-class Gravity:
-    """Local gravity and its relative standard uncertainty, and where it comes from."""
-
-    value_mps2: float
-    sd: float
-    source: str
 
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)

@@ -7,12 +7,12 @@ import h5py
 import numpy as np
 
 from estimator.errors import MISSHAPEN, RecordingError, first_line
+from estimator.geometry.kinematics import Gravity
 from estimator.poses.calibration import (
     GYRO_NAMES,
     TRIAD_NAMES,
     Board,
     BoardImu,
-    Gravity,
     GyroTurnCalibration,
     PoseCalibration,
     PoseRest,

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimator.errors import RecordingError
-from estimator.poses.calibration import ACCELEROMETER, GYRO, TRIAD_NAMES, Gravity, Triad, gyro_vector
+from estimator.geometry.kinematics import Gravity
+from estimator.poses.calibration import ACCELEROMETER, GYRO, TRIAD_NAMES, Triad, gyro_vector
 from estimator.poses.intrinsic import PAIRS
 from estimator.types import Flags, Floats
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimator.errors import RecordingError
-from estimator.poses.calibration import Gravity, PoseCalibration, PoseRest
+from estimator.geometry.kinematics import Gravity
+from estimator.poses.calibration import PoseCalibration, PoseRest
 from estimator.poses.gross import check_alive, check_responding, check_unit, faults_at_rest, gross_errors
 from estimator.poses.intrinsic import NAMES, Intrinsic, Lengths
 from estimator.poses.noise import variance_of_means

@@ -1,7 +1,7 @@
 """A recording read from its HDF5 file."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -210,19 +210,34 @@ def _read_source(path: Path, name: str, group: Any) -> ImuData:
         device=device,
         rate_hz=rate_hz if 0 < rate_hz < math.inf else None,
         accel_axes=accel_axes,
-        accel_sheet=_read_sheet(group),
+        accel_sheet=_read_sheet(where, group),
         **cast(Any, columns),
     )
 
 
-def _read_sheet(group: Any) -> ForceSheet | None:
-    """Return the data sheet of the accelerometers of a source; None if it states none."""
+def _read_sheet(where: str, group: Any) -> ForceSheet | None:
+    """Return the data sheet of the accelerometers of a source, None if it states none; RecordingError if invalid."""
     if "accel_prior" not in group.attrs or "accel_noise" not in group.attrs:
         return None
     names = [field.name for field in fields(ForcePrior)]
-    values = [float(value) for value in group.attrs["accel_prior"]]
-    prior = ForcePrior(**dict(zip(names, values, strict=True)))
-    return ForceSheet(prior=prior, noise=NoiseModel(*(float(value) for value in group.attrs["accel_noise"])))
+    values = _sheet_values(where, group, "accel_prior", names)
+    if min(values) <= 0:
+        raise RecordingError(f"{where}: accel_prior has {', '.join(names)}, each above 0; it is {values}")
+    noise = _sheet_values(where, group, "accel_noise", [field.name for field in fields(NoiseModel)])
+    if min(noise) < 0:
+        raise RecordingError(f"{where}: accel_noise holds no negative values; it is {noise}")
+    return ForceSheet(prior=ForcePrior(**dict(zip(names, values, strict=True))), noise=NoiseModel(*noise))
+
+
+def _sheet_values(where: str, group: Any, key: str, names: Sequence[str]) -> list[float]:
+    """Return the values of an attribute, one for each name; RecordingError if they are others or no numbers."""
+    try:
+        values = np.asarray(group.attrs[key], dtype=np.float64).ravel()
+    except (TypeError, ValueError):
+        values = np.empty(0)
+    if len(values) != len(names) or not np.isfinite(values).all():
+        raise RecordingError(f"{where}: {key} must have {len(names)} numbers: {', '.join(names)}")
+    return [float(value) for value in values]
 
 
 def read_array(where: str, name: str, group: Any) -> SensorArray:

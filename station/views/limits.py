@@ -171,7 +171,12 @@ def limit_lines(found: Calibration, limits: Limits, labels: Sequence[str] | None
             )
     for source in found.forces:
         for accelerometer in source.accelerometers:
-            lines += _force_lines(accelerometer, limits.forces)
+            label = (
+                accelerometer.name
+                if len(found.forces) == 1
+                else f"{source.device or source.source} {accelerometer.name}"
+            )
+            lines += _force_lines(accelerometer, label, limits.forces)
     if math.isfinite(found.nis_mean):
         lines.append(
             LimitLine(gyro="all", what=MEAN_NIS, value=found.nis_mean, low=limits.nis_low, high=limits.nis_high)
@@ -183,15 +188,18 @@ def limit_lines(found: Calibration, limits: Limits, labels: Sequence[str] | None
     return [line for line in lines if line.stated]
 
 
-def _force_lines(one: AccelerometerCalibration, limits: ForceLimits) -> list[LimitLine]:
-    """Return the limits of the states of an accelerometer and of their sigmas, with what was found."""
+def _force_lines(one: AccelerometerCalibration, label: str, limits: ForceLimits) -> list[LimitLine]:
+    """Return the limits of the states of an accelerometer and of their sigmas, with what was found.
+
+    ``label`` is what the accelerometer is called in them.
+    """
     lines = []
     for number, figure in enumerate(FORCE_FIGURES):
         size, written_size, sd, written_sd = limits.of_state(number)
         value, found_sd = float(one.states[number]), float(one.sd[number])
         lines.append(
             LimitLine(
-                gyro=one.name,
+                gyro=label,
                 what=figure.name,
                 value=value,
                 low=-size,
@@ -202,7 +210,7 @@ def _force_lines(one: AccelerometerCalibration, limits: ForceLimits) -> list[Lim
         )
         lines.append(
             LimitLine(
-                gyro=one.name,
+                gyro=label,
                 what=figure.name,
                 value=found_sd,
                 low=0.0,

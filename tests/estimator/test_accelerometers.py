@@ -6,11 +6,13 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
 from estimator.calibration.accelerometer import ForceCalibration
 from estimator.calibration.calibration_file import read_calibration, write_calibration
+from estimator.errors import RecordingError
 from estimator.estimation.accelerometers.calibrate_forces import calibrate_forces
 from estimator.estimation.calibrate import calibrate
 from estimator.geometry.kinematics import GRAVITY_MPS2, normal_gravity_mps2
@@ -176,9 +178,9 @@ def test_a_table_that_does_not_tilt_shows_little_and_says_so() -> None:
             table, t_ns=table.t_ns[:reads], angle_rad=table.angle_rad[:reads], rate_rps=table.rate_rps[:reads]
         ),
     )
-    (found,), notes = calibrate_forces(short)
+    (found,), _ = calibrate_forces(short)
     assert not found.excluded
-    assert any("accel x: bias b is not determined" in note for note in notes)
+    assert any("accel x: k, b" in doubt and "not determined by this run" in doubt for doubt in found.doubts)
 
 
 def _first(data: ImuData, rows: int) -> ImuData:
@@ -191,6 +193,55 @@ def _first(data: ImuData, rows: int) -> ImuData:
         accel_mps2=data.accel_mps2[:rows],
         temperature_c=data.temperature_c[:rows],
     )
+
+
+def test_gravity_of_an_unknown_place_is_not_known_to_50_ppm() -> None:
+    """At the equator standard gravity is wrong by 2700 ppm."""
+    recording = run()[0]
+    (found,), _ = calibrate_forces(replace(with_outputs(outputs() * 9.7803 / 9.8062), site=None))
+    assert "no site" in found.gravity_from
+    for one, k in zip(found.accelerometers, run()[1].k, strict=True):
+        assert abs(one.states[0] - k) < 2 * one.sd[0]
+    assert recording.site is not None
+
+
+def test_a_few_impossible_samples_are_left_out_and_change_nothing() -> None:
+    felt = outputs().copy()
+    felt[[100, 101, 102, 9000, 9001, 9002, 9003], 0] = [3e4] * 3 + [-3e4] * 4
+    (found,), notes = calibrate_forces(with_outputs(felt))
+    assert any("accel x" in note and "more than any force" in note for note in notes)
+    for one, whole in zip(found.accelerometers, calibrated().accelerometers, strict=True):
+        assert np.all(np.abs(one.states - whole.states) < 0.5 * one.sd)
+
+
+def test_an_accelerometer_that_sticks_for_a_time_is_told_and_not_believed_there() -> None:
+    felt = outputs().copy()
+    since = 2 * len(felt) // 3
+    felt[since:, 1] = felt[since, 1]
+    (found,), _ = calibrate_forces(with_outputs(felt))
+    assert any("accel y repeats one value" in doubt for doubt in found.doubts)
+    for one, whole in zip(found.accelerometers, calibrated().accelerometers, strict=True):
+        assert np.all(np.abs(one.states - whole.states) < SURE * one.sd)
+
+
+def test_a_channel_that_loses_data_of_all_is_told() -> None:
+    felt = outputs().copy()
+    felt[len(felt) // 2 :, 0] = np.nan
+    _, notes = calibrate_forces(with_outputs(felt))
+    assert any("accel x has no usable value in 50%" in note for note in notes)
+
+
+@pytest.mark.parametrize(
+    ("key", "values"),
+    [("accel_prior", [0.01, 0.2, 0.02]), ("accel_prior", [0.01, 0.2, 0.02, 0.1, 0.0]), ("accel_noise", [1e-3])],
+)
+def test_a_data_sheet_that_makes_no_sense_is_refused_in_words(tmp_path: Path, key: str, values: list[float]) -> None:
+    path = tmp_path / "imu.h5"
+    write_recording(path, run()[0])
+    with h5py.File(path, "r+") as file:
+        file[f"imu/{DEVICE}"].attrs[key] = values
+    with pytest.raises(RecordingError, match=f"/imu/{DEVICE}: {key}"):
+        read_recording(path)
 
 
 def test_a_recording_keeps_data_sheet_and_calibration(tmp_path: Path) -> None:

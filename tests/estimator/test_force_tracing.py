@@ -84,6 +84,21 @@ def test_an_effect_that_nobody_has_named_gets_no_name() -> None:
     assert "function_of_force" in found.suspects
 
 
+@pytest.mark.full
+def test_runs_are_compared_by_the_accelerometers_that_all_have() -> None:
+    """In the second run the first accelerometer is stuck: the others are judged each by its own."""
+    first, second = run(VIBRATION, 1), run(VIBRATION, 2)
+    data = second.sources[DEVICE]
+    assert data.accel_mps2 is not None
+    stuck = data.accel_mps2.copy()
+    stuck[:, 0] = 0.3
+    second = replace(second, sources={DEVICE: replace(data, accel_mps2=stuck)})
+    for fitted, judging in (([first], [second]), ([second], [first]), ([first, second], [])):
+        (found,) = trace_forces(fitted, judging)
+        assert found.names == ("accel y", "accel z")
+        assert np.all(found.after_mps2 < found.before_mps2)
+
+
 def test_a_recording_without_accelerometers_has_no_finding() -> None:
     plain = run("", 1)
     bare = replace(plain, sources={DEVICE: replace(plain.sources[DEVICE], accel_sheet=None)})

@@ -9,7 +9,8 @@ import pytest
 from handheld import SIX, G, Log, Session, Truth, bumped, device, general_poses, make, saturated
 
 from estimator.errors import RecordingError
-from estimator.poses.calibration import Gravity, PoseCalibration
+from estimator.geometry.kinematics import Gravity
+from estimator.poses.calibration import PoseCalibration
 from estimator.poses.session import PoseSamples, calibrate_poses
 
 GRAVITY = Gravity(value_mps2=G, sd=5e-5, source="stated")

@@ -6,13 +6,15 @@ from dataclasses import replace
 import numpy as np
 
 from estimator.calibration.accelerometer import ForceCalibration
-from estimator.calibration.values import unseen_notes
 from estimator.errors import RecordingError
 from estimator.estimation.accelerometers.estimate import estimate_forces
 from estimator.estimation.accelerometers.samples import Checked, checked
 from estimator.observations.health import Excluded
+from estimator.packaged import sentence
 from estimator.recordings.recording import Recording
 from estimator.sensors.accelerometers import ACCELEROMETER
+
+_UNSEEN = 0.5  # share of the prior's sigma above which a run did not show a state
 
 
 def calibrate_forces(recording: Recording) -> tuple[tuple[ForceCalibration, ...], list[str]]:
@@ -36,8 +38,14 @@ def calibrate_forces(recording: Recording) -> tuple[tuple[ForceCalibration, ...]
             notes += doubts
             notes.append(f"{source}: the accelerometers are not calibrated: {error}")
             continue
+        doubts += seen.doubts
         for one in own.accelerometers:
-            notes += unseen_notes(one.name, one.covariance, seen.samples.prior, ACCELEROMETER.states)
+            ratio = np.sqrt(np.diag(one.covariance) / seen.samples.prior.variances())
+            unseen = [s.symbol for s, share in zip(ACCELEROMETER.states, ratio, strict=True) if share > _UNSEEN]
+            if unseen:
+                doubts.append(
+                    sentence("estimation.accelerometer_undetermined", name=one.name, states=", ".join(unseen))
+                )
         found.append(replace(own, excluded=seen.excluded, doubts=tuple(doubts)))
     return tuple(found), notes
 

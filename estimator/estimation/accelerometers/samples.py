@@ -15,22 +15,29 @@ from estimator.packaged import sentence
 from estimator.recordings.motion.body_rates import BodyRates
 from estimator.recordings.recording import ImuData
 from estimator.recordings.reference import TableReadings
-from estimator.types import Floats
+from estimator.types import Flags, Floats, Stamps, runs_of
 
 _MOST_ROWS = 20000
 _FAR_OFF = 0.2  # of 1: a scale this far from it is a wrong unit or range, not a scale factor error
 _UNIT = 0.05  # of itself: how near a wrong scale is to that of a unit to be called by its name
 _DEAD = 0.1
+_LOST = 0.02  # share of samples without a number that is told
+_LONGEST_ARM_M, _ALLOWED = 1.0, 3.0
+_HELD_S, _CHANGED_MPS2 = 1.0, 1.0  # a value that is held for longer while the force changes by more is stuck
 _ALONG = 0.8  # cosine above which an accelerometer lies along a body axis
 
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Checked:
-    """The accelerometers of a source that can be calibrated (None if none can), those that cannot, and notes."""
+    """The accelerometers of a source that can be calibrated (None if none can), those that cannot, and notes.
+
+    ``doubts`` are notes that question what comes of it.
+    """
 
     samples: ForceSamples | None
     excluded: tuple[Excluded, ...]
     notes: tuple[str, ...]
+    doubts: tuple[str, ...] = ()
 
 
 def accelerometer_names(count: int) -> tuple[str, ...]:
@@ -47,15 +54,22 @@ def checked(data: ImuData, table: TableReadings) -> Checked:
     assert data.accel_mps2 is not None
     assert data.accel_sheet is not None
     names = accelerometer_names(data.accel_mps2.shape[1])
+    if data.accel_axes is None and len(names) != 3:
+        reason = (
+            "its axis is not stated, and three axes of the body can only be taken for those of three accelerometers"
+        )
+        return Checked(samples=None, excluded=tuple(Excluded(name, reason) for name in names), notes=())
     axes = np.eye(3) if data.accel_axes is None else data.accel_axes
     array = sensor_array(axes, names=names, part_of_array=True)
     order = np.argsort(data.t_ns, kind="stable")
     t_ns, outputs = data.t_ns[order], data.accel_mps2[order]
     kept, notes = without_odd("accelerometer", np.asarray(t_ns * 1e-9, dtype=np.float64), outputs, names)
     t_ns, outputs = t_ns[kept], outputs[kept]
+    outputs, impossible = _without_impossible(outputs, names, table)
+    notes += impossible
     samples = ForceSamples(array=array, t_ns=t_ns, output_mps2=outputs, prior=data.accel_sheet.prior)
-    excluded, limited = _compared(samples, table)
-    notes += [sentence("estimation.accelerometer_limit", name=name) for name in limited]
+    excluded, limited, stuck = _compared(samples, table)
+    notes += [sentence("estimation.accelerometer_limit", name=name) for name in limited if name not in stuck]
     wrong = {one.name for one in excluded}
     good = [number for number, name in enumerate(names) if name not in wrong]
     if not good:
@@ -64,28 +78,68 @@ def checked(data: ImuData, table: TableReadings) -> Checked:
     for name, flags in limited.items():
         if name not in wrong:
             within[flags, good.index(names.index(name))] = np.nan
+    together = np.isfinite(within).all(axis=1).mean()
+    for column, number in enumerate(good):
+        lost = 1 - np.isfinite(within[:, column]).mean()
+        if lost > max(_LOST, 0.5 * (1 - together)):
+            notes.append(sentence("estimation.accelerometer_lost", name=names[number], share=lost))
     samples = replace(samples, array=array.select(good), output_mps2=within)
-    return Checked(samples=samples, excluded=tuple(excluded), notes=tuple(notes))
+    return Checked(samples=samples, excluded=tuple(excluded), notes=tuple(notes), doubts=tuple(stuck.values()))
 
 
-def _compared(samples: ForceSamples, table: TableReadings) -> tuple[list[Excluded], dict[str, np.ndarray]]:
-    """Return the accelerometers that are not what is stated, and flags (n,) of the samples of others at a limit."""
+def _without_impossible(outputs: Floats, names: tuple[str, ...], table: TableReadings) -> tuple[Floats, list[str]]:
+    """Return outputs (n, c) with NaN for values beyond any force on the table, in any unit, and notes on those.
+
+    The largest force is gravity and that of the fastest turn at an arm of ``_LONGEST_ARM_M``; a few times that are
+    allowed. Where most of the values of an accelerometer are beyond, its unit is wrong, and they stay.
+    """
+    fastest_rps = float(np.abs(table.rate_rps).sum(axis=1).max(initial=0.0))
+    most_mps2 = _ALLOWED * (GRAVITY_MPS2 + _LONGEST_ARM_M * fastest_rps**2)
+    with np.errstate(invalid="ignore"):
+        beyond = np.abs(outputs) > most_mps2
+    beyond[:, beyond.mean(axis=0) > 0.5] = False
+    notes = [
+        sentence("estimation.accelerometer_impossible", name=name, count=int(flags.sum()), most=most_mps2)
+        for name, flags in zip(names, beyond.T, strict=True)
+        if flags.any()
+    ]
+    return np.where(beyond, np.nan, outputs), notes
+
+
+def _compared(
+    samples: ForceSamples, table: TableReadings
+) -> tuple[list[Excluded], dict[str, np.ndarray], dict[str, str]]:
+    """Return the accelerometers that are not what is stated, flags (n,) of the samples of others at a limit or stuck,
+    and sentences on those that stuck for a time.
+    """
     rates = BodyRates.of(table, None)
     t_ns, outputs = samples.t_ns, samples.output_mps2
     inside = (t_ns >= rates.starts_ns) & (t_ns <= rates.final_until_ns)
     if not inside.any():
-        return [], {}
+        return [], {}, {}
     force = np.full((len(t_ns), 3), np.nan)
     force[inside] = force_at_place(rates, table, t_ns[inside], np.zeros(3), GRAVITY_MPS2)
     rows = np.flatnonzero(inside)[:: max(int(inside.sum()) // _MOST_ROWS, 1)]
     excluded: list[Excluded] = []
     limited: dict[str, np.ndarray] = {}
+    stuck: dict[str, str] = {}
     for number, name in enumerate(samples.array.names):
         output = outputs[:, number]
         finite = rows[np.isfinite(output[rows])]
-        if not len(finite) or np.ptp(output[finite]) == 0:
-            excluded.append(Excluded(name, "its output is constant or no number: disconnected or stuck"))
+        if not len(finite):
+            excluded.append(Excluded(name, "none of its samples beside readings of the table is a number"))
             continue
+        if np.ptp(output[finite]) == 0:
+            excluded.append(Excluded(name, "its output is constant: disconnected or stuck"))
+            continue
+        expected = force @ samples.array.p[number]
+        held = _held(t_ns, output, expected)
+        if held.any():
+            first_s = float(t_ns[np.argmax(held)] - t_ns[0]) * 1e-9
+            stuck[name] = sentence("estimation.accelerometer_stuck", name=name, since_s=first_s, share=held.mean())
+            limited[name] = held
+            finite = finite[~held[finite]]
+            output = np.where(held, np.nan, output)
         # Where the table does not tilt, nothing speaks against the stated axis.
         columns = np.column_stack([np.ones(len(finite)), force[finite]])
         beyond = output[finite] - force[finite] @ samples.array.p[number]
@@ -94,14 +148,29 @@ def _compared(samples: ForceSamples, table: TableReadings) -> tuple[list[Exclude
         if reason:
             excluded.append(Excluded(name, reason))
             continue
-        expected = force @ samples.array.p[number]
         scatter = SD_OF_MEDIAN * float(np.median(np.abs(output[finite] - expected[finite])))
         flags = at_limits(t_ns, output, float(np.nanmin(output)), float(np.nanmax(output)))
         for limit in limits_of(output[rows], expected[rows], max(scatter, 1e-6)):
             flags |= widened(limit.reached(output, expected), t_ns)
         if flags.any():
-            limited[name] = flags
-    return excluded, limited
+            limited[name] = flags | held
+    return excluded, limited, stuck
+
+
+def _held(t_ns: Stamps, output: Floats, expected: Floats) -> Flags:
+    """Return as flags (n,) the samples of long runs of one value within which the output ought to have changed.
+
+    Runs of the least and the largest value do not count: they are at a limit.
+    """
+    ends = np.nanmin(output), np.nanmax(output)
+    held = np.zeros(len(output), dtype=np.bool_)
+    for start, stop in runs_of(np.diff(output) == 0):
+        own = expected[start : stop + 1]
+        own = own[np.isfinite(own)]
+        long = t_ns[stop] - t_ns[start] > _HELD_S * 1e9
+        if long and output[start] not in ends and len(own) and np.ptp(own) > _CHANGED_MPS2:
+            held[start : stop + 1] = True
+    return held
 
 
 def _unlike(gain: Floats, array: SensorArray, number: int) -> str:

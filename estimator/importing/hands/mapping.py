@@ -8,6 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from estimator.errors import RecordingError
+from estimator.geometry.kinematics import (
+    GRAVITY_MPS2,
+    UNKNOWN_GRAVITY,
+    UNMEASURED_GRAVITY,
+    Gravity,
+    normal_gravity_mps2,
+)
 from estimator.importing.mapping.columns import KEYS, Columns
 from estimator.importing.mapping.mapping import (
     FileFormat,
@@ -20,8 +27,6 @@ from estimator.importing.mapping.mapping import (
     read_timing,
 )
 from estimator.importing.mapping.reference import KnownSections, Pose, Turn, read_pose, read_sections, read_turn
-from estimator.poses.calibration import SITE_SD, STANDARD_GRAVITY_MPS2, UNSTATED_SD, Gravity
-from estimator.poses.gravity import normal_gravity_mps2
 from estimator.poses.known import Accuracy
 from estimator.strict_toml import StrictTable
 from estimator.untrusted import read_text
@@ -194,13 +199,13 @@ def _gravity(section: StrictTable, latitude_rad: float | None) -> Gravity:
         if latitude_rad is not None:
             raise section.fail("gravity_mps2", "is stated beside a table [site]: leave one of them out")
         value = section.number("gravity_mps2", least=9.7, most=9.9)
-        sd = section.number("gravity_ppm", SITE_SD * 1e6, least=0.0) * 1e-6
+        sd = section.number("gravity_ppm", UNMEASURED_GRAVITY * 1e6, least=0.0) * 1e-6
         return Gravity(value_mps2=value, sd=sd, source="stated")
     if latitude_rad is not None:
         height_m = section.number("height_m", 0.0)
-        sd = section.number("gravity_ppm", SITE_SD * 1e6, least=0.0) * 1e-6
+        sd = section.number("gravity_ppm", UNMEASURED_GRAVITY * 1e6, least=0.0) * 1e-6
         return Gravity(value_mps2=normal_gravity_mps2(latitude_rad, height_m), sd=sd, source="of the site")
     for key in ("gravity_ppm", "height_m"):
         if section.has(key):
             raise section.fail(key, "needs gravity_mps2, or a table [site] with latitude_deg")
-    return Gravity(value_mps2=STANDARD_GRAVITY_MPS2, sd=UNSTATED_SD, source="standard, as no site is stated")
+    return Gravity(value_mps2=GRAVITY_MPS2, sd=UNKNOWN_GRAVITY, source="standard, as no site is stated")

@@ -6,7 +6,7 @@ rest better, there is an effect, but no name.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -122,9 +122,13 @@ def _usable(recording: Recording) -> list[tuple[str, ForceSamples]]:
 
 def _trace(source: str, fitted: Sequence[Recording], judging: Sequence[Recording]) -> ForceFinding | None:
     """Return what the accelerometers of one source lack; None if no run has enough of their samples."""
-    runs = [_fitted(r, source, samples) for r in fitted for name, samples in _usable(r) if name == source]
+    samples = {place: own for place, r in enumerate([*fitted, *judging]) for name, own in _usable(r) if name == source}
+    names = _common_names(list(samples.values()))
+    chosen = {place: _only(own, names) for place, own in samples.items()} if names else {}
+    runs = [_fitted(r, source, chosen[place]) for place, r in enumerate(fitted) if place in chosen]
     if not runs:
         return None
+    checks = [(r, chosen[place]) for place, r in enumerate(judging, len(fitted)) if place in chosen]
     added: list[str] = []
     found: dict[str, tuple[float, dict[str, float]]] = {}
     suspects: dict[str, float] = {}
@@ -139,7 +143,20 @@ def _trace(source: str, fitted: Sequence[Recording], judging: Sequence[Recording
         rivals = {name: chance for name, chance in chances.items() if name not in ("", best) and chance > _RIVAL}
         found[best] = (chances[best], rivals)
         added.append(best)
-    return _judged(source, runs, judging, added, found, suspects)
+    return _judged(source, runs, checks, added, found, suspects)
+
+
+def _common_names(samples: Sequence[ForceSamples]) -> list[str]:
+    """Return the names of the accelerometers that can be used in all of some samples, in the order of the first."""
+    if not samples:
+        return []
+    return [name for name in samples[0].array.names if all(name in own.array.names for own in samples)]
+
+
+def _only(samples: ForceSamples, names: Sequence[str]) -> ForceSamples:
+    """Return the samples of the accelerometers with these names, in this order."""
+    columns = [samples.array.names.index(name) for name in names]
+    return replace(samples, array=samples.array.select(columns), output_mps2=samples.output_mps2[:, columns])
 
 
 def _fitted(recording: Recording, source: str, samples: ForceSamples) -> _Fitted:
@@ -183,13 +200,12 @@ def _chances(runs: Sequence[_Fitted], added: Sequence[str]) -> dict[str, float]:
 def _judged(
     source: str,
     runs: Sequence[_Fitted],
-    judging: Sequence[Recording],
+    checks: Sequence[tuple[Recording, ForceSamples]],
     added: Sequence[str],
     found: Mapping[str, tuple[float, dict[str, float]]],
     suspects: Mapping[str, float],
 ) -> ForceFinding:
     """Return the finding, without those effects that make the verification runs worse."""
-    checks = [(recording, samples) for recording in judging for name, samples in _usable(recording) if name == source]
     kept = list(added)
     dropped: list[str] = []
     before = _errors(runs, [], checks)

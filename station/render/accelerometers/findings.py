@@ -32,7 +32,8 @@ def _verdict(one: ForceFinding) -> str:
         return f"[bold]{who}: added {escape(names)}[/bold]"
     if one.suspects:
         return f"[bold]{who}: there is an effect, but no run decides which[/bold]"
-    return f"[bold]{who}: nothing to add[/bold]"
+    where = "" if one.verified else " (in-sample: --verify judges by a run that was not used)"
+    return f"[bold]{who}: nothing to add[/bold]{where}"
 
 
 def _effects_table(one: ForceFinding) -> Table:

@@ -16,7 +16,7 @@ from station.views.figures import number
 def print_planned_forces(planned: Sequence[PlannedForces]) -> None:
     """Print the predicted sigmas of the accelerometers of each device, and the effects that a run would detect."""
     for one in planned:
-        shown: list[Shown] = [(_sigmas(one), {}), (_effects(one), {})]
+        shown: list[Shown] = [(_sigmas(one), {}), (_effects(one), {})] if one.found.accelerometers else []
         shown += [(escape(line), {"highlight": False}) for line in (*_not_shown(one), *one.notes)]
         print_all(stdout(), shown)
 

@@ -68,7 +68,7 @@ def _place_row(name: str, place_m: Sequence[float], sd_m: Sequence[float], figur
 
 def _lines(one: ForceCalibration) -> list[str]:
     """Return sentences on the delay and the gravity."""
-    lines = [f"gravity: {one.gravity_mps2:.5f} m/s2 (from the site, unless it was stated)"]
+    lines = [f"gravity: {one.gravity_mps2:.5f} m/s2, {one.gravity_from}"]
     if one.offset is not None:
         late_ms = 1e3 * one.offset.offset_s
         lines.insert(0, f"delay: {late_ms:.3f} ± {1e3 * one.offset.sd_s:.3f} ms after the readings of the table")
@@ -104,11 +104,6 @@ def _budget_table(one: ForceCalibration) -> Table:
     rows.append(["combined", *(number(v * f.factor, f.digits) for v, f in zip(combined, figures, strict=True))])
     heads = ["\nsource of uncertainty", *(f"{f.name}\n{f.unit}" for f in FORCE_FIGURES)]
     return rich_table("Sources of the standard deviations, rms over the accelerometers", heads, "lr", rows)
-
-
-def _cells(values: Sequence[float], figures: Sequence[StateUnit]) -> list[str]:
-    """Return values of the states, in SI, as digits in their units."""
-    return [number(value * figure.factor, figure.digits) for value, figure in zip(values, figures, strict=True)]
 
 
 def _line_of(accelerometer: AccelerometerCalibration, name: str) -> np.ndarray:

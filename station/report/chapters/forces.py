@@ -48,7 +48,7 @@ def _chapter(one: ForceCalibration) -> ForceChapter:
         wide_ms = COVERAGE * 1e3 * one.offset.sd_s
         lines.append(f"Delay after the readings of the table: {late_ms:.3f} ms, U {wide_ms:.3f} ms.")
     if one.accelerometers:
-        lines.append(f"Assumed gravity: {one.gravity_mps2:.5f} m/s².")
+        lines.append(f"Gravity: {one.gravity_mps2:.5f} m/s², {one.gravity_from}.")
     return ForceChapter(
         device=one.device or one.source,
         tables=tables,

@@ -51,6 +51,7 @@ def force_object(one: ForceCalibration) -> dict[str, Any]:
         "source": one.source,
         "device": one.device,
         "gravity_mps2": one.gravity_mps2,
+        "gravity_from": one.gravity_from,
         "accelerometers": [_accelerometer_object(a) for a in one.accelerometers],
         "excluded": {e.name: e.reason for e in one.excluded},
     }
