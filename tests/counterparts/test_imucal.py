@@ -10,11 +10,13 @@ import pytest
 from strangers import needs_python
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "station"))
-from test_export import EFFECTS, at_mean_temperature, export, record
+from test_export import EFFECTS, at_mean_temperature, record
 from test_export_accelerometers import MOUNTINGS, RecordForces, assert_same, felt, record_forces
 
 from estimator.calibration.correction import compensate
 from estimator.geometry.array import SensorArray
+from station.exports.exported import exported_of
+from station.exports.formats import FORMATS
 
 __all__ = ["record", "record_forces"]  # the fixtures
 
@@ -25,7 +27,7 @@ def test_imucal_corrects_samples_with_the_file(record_forces: RecordForces, arra
     from imucal import CalibrationInfo, FerrarisCalibrationInfo
 
     path = record_forces(array, {"g_sensitivity": EFFECTS["g_sensitivity"]})
-    info = CalibrationInfo.from_json_file(export(path, "imucal"))
+    info = CalibrationInfo.from_json(str(FORMATS["imucal"].write(exported_of(path)).text))
     assert isinstance(info, FerrarisCalibrationInfo)
     force, outputs = felt(path)
     plain, (rate, t_s, _, _) = at_mean_temperature(path, ("g_sensitivity",))
