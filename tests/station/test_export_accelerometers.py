@@ -505,7 +505,17 @@ def test_accelerometers_of_another_device_change_nothing(record_forces: RecordFo
     for name, before in texts.items():
         after = FORMATS[name].write(beside)
         assert after.not_held == before.not_held, name
-        assert _without_hash(after.text) == _without_hash(before.text), name
+        if name == "yaml":  # which style it takes depends on whether the file's hash begins with a digit
+            assert _values(after.text) == _values(before.text)
+        else:
+            assert _without_hash(after.text) == _without_hash(before.text), name
+
+
+def _values(text: str | bytes) -> dict[str, Any]:
+    """Return the values of a YAML file without the hash of the recording."""
+    values: dict[str, Any] = yaml.safe_load(text)
+    del values["identity"]["sha256_of_the_recording"]
+    return values
 
 
 def _without_hash(text: str | bytes) -> str:
