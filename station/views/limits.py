@@ -2,14 +2,13 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from drivers.units import split_quantity
-from estimator.calibration.accelerometer import AccelerometerCalibration
 from estimator.calibration.values import Calibration
-from station.bench.bench import ForceLimits, Limits
+from station.bench.bench import Limits
 from station.errors import sentence
 from station.views.accelerometers.result import FORCE_FIGURES
 from station.views.figures import StateUnit, state_figures
@@ -139,36 +138,9 @@ def limit_lines(found: Calibration, limits: Limits, labels: Sequence[str] | None
     for row, gyro in enumerate(found.gyros):
         label = labels[row] if labels else gyro.name
         for s, unit in enumerate(state_figures(limits.units)):
-            size, sd = limits.sizes[s], limits.sds[s]
-            of_size, of_sd = limits.written_sizes[s], limits.written_sds[s]
-            value, found_sd = float(gyro.states[s]), float(gyro.sd[s])
-            lines.append(
-                LimitLine(
-                    gyro=label,
-                    what=unit.name,
-                    value=value,
-                    low=-size,
-                    high=size,
-                    row=row,
-                    state=s,
-                    unit=unit,
-                    written=of_size,
-                )
-            )
-            lines.append(
-                LimitLine(
-                    gyro=label,
-                    what=unit.name,
-                    value=found_sd,
-                    low=0.0,
-                    high=sd,
-                    row=row,
-                    state=s,
-                    of_u=True,
-                    unit=unit,
-                    written=of_sd,
-                )
-            )
+            bounds = limits.sizes[s], limits.written_sizes[s], limits.sds[s], limits.written_sds[s]
+            values = float(gyro.states[s]), float(gyro.sd[s])
+            lines += _state_lines(label, unit, values, bounds, row=row, state=s)
     for source in found.forces:
         for accelerometer in source.accelerometers:
             label = (
@@ -176,7 +148,9 @@ def limit_lines(found: Calibration, limits: Limits, labels: Sequence[str] | None
                 if len(found.forces) == 1
                 else f"{source.device or source.source} {accelerometer.name}"
             )
-            lines += _force_lines(accelerometer, label, limits.forces)
+            for s, unit in enumerate(FORCE_FIGURES):
+                values = float(accelerometer.states[s]), float(accelerometer.sd[s])
+                lines += _state_lines(label, unit, values, limits.forces.of_state(s))
     if math.isfinite(found.nis_mean):
         lines.append(
             LimitLine(gyro="all", what=MEAN_NIS, value=found.nis_mean, low=limits.nis_low, high=limits.nis_high)
@@ -188,36 +162,30 @@ def limit_lines(found: Calibration, limits: Limits, labels: Sequence[str] | None
     return [line for line in lines if line.stated]
 
 
-def _force_lines(one: AccelerometerCalibration, label: str, limits: ForceLimits) -> list[LimitLine]:
-    """Return the limits of the states of an accelerometer and of their sigmas, with what was found.
+def _state_lines(
+    label: str,
+    unit: StateUnit,
+    values: tuple[float, float],
+    bounds: tuple[float, str, float, str],
+    *,
+    row: int | None = None,
+    state: int | None = None,
+) -> tuple[LimitLine, LimitLine]:
+    """Return the limits of a state and of its sigma, with the ``values`` of both that were found, in SI.
 
-    ``label`` is what the accelerometer is called in them.
+    ``bounds`` are the largest size and the largest sigma, each followed by its text in the bench file. ``label`` names
+    the sensor; ``row`` and ``state`` are those of a gyro in the calibration.
     """
-    lines = []
-    for number, figure in enumerate(FORCE_FIGURES):
-        size, written_size, sd, written_sd = limits.of_state(number)
-        value, found_sd = float(one.states[number]), float(one.sd[number])
-        lines.append(
-            LimitLine(
-                gyro=label,
-                what=figure.name,
-                value=value,
-                low=-size,
-                high=size,
-                unit=figure,
-                written=written_size,
-            )
-        )
-        lines.append(
-            LimitLine(
-                gyro=label,
-                what=figure.name,
-                value=found_sd,
-                low=0.0,
-                high=sd,
-                of_u=True,
-                unit=figure,
-                written=written_sd,
-            )
-        )
-    return lines
+    (value, sd), (size, written_size, most_sd, written_sd) = values, bounds
+    of_state = LimitLine(
+        gyro=label,
+        what=unit.name,
+        value=value,
+        low=-size,
+        high=size,
+        row=row,
+        state=state,
+        unit=unit,
+        written=written_size,
+    )
+    return of_state, replace(of_state, value=sd, low=0.0, high=most_sd, of_u=True, written=written_sd)
