@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from estimator.errors import GeometryError
+from estimator.geometry.kinematics import AXES
 from estimator.packaged import sentence
 from estimator.types import Floats
 
@@ -99,6 +100,11 @@ def dodecahedron() -> SensorArray:
 def cone(n: int, half_angle_rad: float) -> SensorArray:
     """Return n gyros evenly spaced on a cone about +z with this half angle."""
     return sensor_array(_cone_axes(n, half_angle_rad))
+
+
+def accelerometer_names(count: int) -> tuple[str, ...]:
+    """Return the names of the accelerometers of a source: by axis if there are three."""
+    return tuple(f"accel {axis}" for axis in (AXES if count == 3 else range(1, count + 1)))
 
 
 def accelerometer_axes(array: SensorArray) -> Floats:

@@ -3,6 +3,7 @@
 import numpy as np
 
 from estimator.errors import RecordingError
+from estimator.geometry.array import accelerometer_names
 from estimator.observations.allan.sensor import FORCE, RATE, SensorNoise, Series, sensor_noise
 from estimator.packaged import sentence
 from estimator.recordings.recording import ImuData, Recording
@@ -54,8 +55,7 @@ def accelerometer_series(data: ImuData, spans_ns: list[tuple[int, int]]) -> Seri
     """Return the specific force along the axes of a source, as recorded, within spans of rest."""
     assert data.accel_mps2 is not None
     columns = data.accel_mps2.reshape(len(data.accel_mps2), -1)
-    names = [f"accel {axis}" for axis in ("xyz" if columns.shape[1] == 3 else range(1, columns.shape[1] + 1))]
-    return Series.of(names, FORCE, data.t_ns, columns, spans_ns)
+    return Series.of(accelerometer_names(columns.shape[1]), FORCE, data.t_ns, columns, spans_ns)
 
 
 def motion_notes(recording: Recording) -> list[str]:

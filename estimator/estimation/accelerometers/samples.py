@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimator.estimation.accelerometers.force_runs import ForceSamples, force_at_place
-from estimator.geometry.array import SensorArray, sensor_array
+from estimator.geometry.array import SensorArray, accelerometer_names, sensor_array
 from estimator.geometry.kinematics import AXES, GRAVITY_MPS2
 from estimator.geometry.noise import SD_OF_MEDIAN
 from estimator.observations.defects.limits import limits_of
@@ -38,11 +38,6 @@ class Checked:
     excluded: tuple[Excluded, ...]
     notes: tuple[str, ...]
     doubts: tuple[str, ...] = ()
-
-
-def accelerometer_names(count: int) -> tuple[str, ...]:
-    """Return the names of the accelerometers of a source: by axis if there are three."""
-    return tuple(f"accel {axis}" for axis in (AXES if count == 3 else range(1, count + 1)))
 
 
 def checked(data: ImuData, table: TableReadings) -> Checked:
