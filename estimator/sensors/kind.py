@@ -2,10 +2,6 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from estimator.types import Floats
-
 
 @dataclass(kw_only=True, frozen=True, slots=True)
 class State:
@@ -50,12 +46,3 @@ class SensorKind:
     def units(self) -> tuple[str, ...]:
         """SI units of the states."""
         return tuple(state.unit for state in self.states)
-
-    @property
-    def symbols(self) -> tuple[str, ...]:
-        """Symbols of the states."""
-        return tuple(state.symbol for state in self.states)
-
-    def no_states(self) -> Floats:
-        """Return states that are all zero."""
-        return np.zeros(len(self.states))
