@@ -94,8 +94,15 @@ def trace_forces(fitted: Sequence[Recording], judging: Sequence[Recording] = ())
 
     A source is looked at if it states a data sheet for its accelerometers. Nothing without such sources.
     """
-    sources = dict.fromkeys(name for recording in fitted for name, _ in _usable(recording))
-    return [finding for source in sources if (finding := _trace(source, fitted, judging)) is not None]
+    usable = [_usable(recording) for recording in (*fitted, *judging)]
+    sources = dict.fromkeys(source for own in usable[: len(fitted)] for source in own)
+    found = []
+    for source in sources:
+        samples = {place: own[source] for place, own in enumerate(usable) if source in own}
+        finding = _trace(source, fitted, judging, samples)
+        if finding is not None:
+            found.append(finding)
+    return found
 
 
 def effect_sigmas(recording: Recording, source: str) -> dict[str, Floats]:
@@ -103,26 +110,29 @@ def effect_sigmas(recording: Recording, source: str) -> dict[str, Floats]:
 
     They are rms over the accelerometers of the source; those of effects that need what was not measured are missing.
     """
+    samples = _usable(recording).get(source)
+    if samples is None:
+        return {}
+    run = _fitted(recording, source, samples)
     found: dict[str, Floats] = {}
-    for name, samples in _usable(recording):
-        if name != source:
-            continue
-        run = _fitted(recording, source, samples)
-        for effect in run.columns:
-            if BY_NAME[effect].named:
-                _, sd = _parameters([run], [effect], effect)
-                found[effect] = np.asarray(np.sqrt(np.mean(sd**2, axis=0)))
+    for effect in (name for name in run.columns if BY_NAME[name].named):
+        _, sd = _parameters([_with_effects(run, [effect])], effect)
+        found[effect] = np.asarray(np.sqrt(np.mean(sd**2, axis=0)))
     return found
 
 
-def _usable(recording: Recording) -> list[tuple[str, ForceSamples]]:
-    """Return the sources of a recording on a table whose accelerometers can be calibrated, with their samples."""
-    return [(source, seen.samples) for source, seen in usable_forces(recording) if seen.samples is not None]
+def _usable(recording: Recording) -> dict[str, ForceSamples]:
+    """Return by source the samples of the accelerometers of a recording on a table that can be calibrated."""
+    return {source: seen.samples for source, seen in usable_forces(recording) if seen.samples is not None}
 
 
-def _trace(source: str, fitted: Sequence[Recording], judging: Sequence[Recording]) -> ForceFinding | None:
-    """Return what the accelerometers of one source lack; None if no run has enough of their samples."""
-    samples = {place: own for place, r in enumerate([*fitted, *judging]) for name, own in _usable(r) if name == source}
+def _trace(
+    source: str, fitted: Sequence[Recording], judging: Sequence[Recording], samples: Mapping[int, ForceSamples]
+) -> ForceFinding | None:
+    """Return what the accelerometers of one source lack; None if no fitted run has samples of them.
+
+    ``samples`` are by the number of the recording, those that verify after those that are fitted.
+    """
     names = _common_names(list(samples.values()))
     chosen = {place: _only(own, names) for place, own in samples.items()} if names else {}
     runs = [_fitted(r, source, chosen[place]) for place, r in enumerate(fitted) if place in chosen]
@@ -208,15 +218,18 @@ def _judged(
     """Return the finding, without those effects that make the verification runs worse."""
     kept = list(added)
     dropped: list[str] = []
-    before = _errors(runs, [], checks)
-    after = _errors(runs, kept, checks)
+    checked = [_verifying(runs[0].settled, recording, samples) for recording, samples in checks]
+    before = _errors(runs, [run.settled.joint for run in runs], checked)
+    joints = [_with_effects(run, kept) for run in runs]
+    after = _errors(runs, joints, checked)
     while kept and np.sum(after**2) > np.sum(before**2):
         dropped.append(kept.pop())
-        after = _errors(runs, kept, checks)
+        joints = [_with_effects(run, kept) for run in runs]
+        after = _errors(runs, joints, checked)
     effects = []
     for name in kept:
         probability, rivals = found[name]
-        values, sd = _parameters(runs, kept, name)
+        values, sd = _parameters(joints, name)
         effects.append(FoundEffect(effect=BY_NAME[name], probability=probability, values=values, sd=sd, rivals=rivals))
     return ForceFinding(
         source=source,
@@ -240,12 +253,11 @@ def _with_effects(run: _Fitted, effects: Sequence[str]) -> Joint:
     return joint_estimate([run.settled.run], laws, sheet.noise if sheet is not None else None)
 
 
-def _parameters(runs: Sequence[_Fitted], effects: Sequence[str], name: str) -> tuple[Floats, Floats]:
+def _parameters(joints: Sequence[Joint], name: str) -> tuple[Floats, Floats]:
     """Return the parameters (a, p) of an effect and their standard deviations, combined over the fitted runs."""
-    shape = len(runs[0].settled.run.array), len(BY_NAME[name].parameters)
+    shape = len(joints[0].means), len(BY_NAME[name].parameters)
     weights, sums = np.zeros(shape), np.zeros(shape)
-    for run in runs:
-        joint = _with_effects(run, effects)
+    for joint in joints:
         number = next(n for n, law in enumerate(joint.laws) if law.called == name)
         where = joint.slice_of(number)
         sd = joint.laws[number].sd
@@ -256,25 +268,26 @@ def _parameters(runs: Sequence[_Fitted], effects: Sequence[str], name: str) -> t
     return np.asarray(sums / weights), np.asarray(1 / np.sqrt(weights))
 
 
-def _errors(
-    runs: Sequence[_Fitted], effects: Sequence[str], checks: Sequence[tuple[Recording, ForceSamples]]
-) -> Floats:
-    """Return the rms errors (a,) of predictions with some effects on the verification runs, else on the fitted ones."""
-    first = runs[0]
-    joint = _with_effects(first, effects)
-    squares = []
-    if not checks:
-        squares = [_squares(_with_effects(run, effects), run.settled.run) for run in runs]
-    for recording, samples in checks:
-        run = force_run(
-            recording,
-            first.settled.run.source,
-            samples,
-            arm_m=first.settled.arm_m,
-            delay_s=first.settled.delay_s,
-            gravity_mps2=first.settled.gravity_mps2,
-        )
-        squares.append(_squares(joint, run))
+def _verifying(settled: Settled, recording: Recording, samples: ForceSamples) -> ForceRun:
+    """Return a verification run about the lever arm and the delay that a fitted one found."""
+    return force_run(
+        recording,
+        settled.run.source,
+        samples,
+        arm_m=settled.arm_m,
+        delay_s=settled.delay_s,
+        gravity_mps2=settled.gravity_mps2,
+    )
+
+
+def _errors(runs: Sequence[_Fitted], joints: Sequence[Joint], checked: Sequence[ForceRun]) -> Floats:
+    """Return the rms errors (a,) of predictions on the verification runs, by the first estimate, or on the fitted runs
+    by their own if there are none.
+    """
+    if checked:
+        squares = [_squares(joints[0], run) for run in checked]
+    else:
+        squares = [_squares(joint, run.settled.run) for joint, run in zip(joints, runs, strict=True)]
     return np.asarray(np.sqrt(np.mean(squares, axis=0)))
 
 
