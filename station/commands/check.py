@@ -4,7 +4,6 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
 
 from rich.markup import escape
 
@@ -18,6 +17,7 @@ from station.opening.checking import DeviceCheck, check_bench
 from station.render.check_printed import print_check
 from station.render.terminal import print_all, stdout
 from station.run.outcome import Outcome
+from station.views.check import BenchCheck
 from station.views.json_values import json_object
 
 
@@ -50,8 +50,8 @@ def command_check(arguments: argparse.Namespace) -> int:
     computer += watch.findings()
     well = not any(device.wrong for device in found) and not any(finding.wrong for finding in computer)
     if arguments.json:
-        findings = [asdict(finding) for finding in computer]
-        print(json.dumps({"ok": well, "devices": json_object(found), "computer": findings}))
+        answer = BenchCheck(ok=well, devices=tuple(found), computer=tuple(computer))
+        print(json.dumps(json_object(answer)))
     else:
         print_check(bench.name, found)
         print_computer(computer)

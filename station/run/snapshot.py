@@ -5,10 +5,11 @@ All figures in SI units; NaN where nothing is known, null in JSON.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, is_dataclass
+from dataclasses import dataclass
 from enum import StrEnum
-from functools import cache
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import Any
+
+from station.views.typed_json import view_of
 
 AFTER_THIS_STEP, PAUSED = "after this step", "paused"
 """Words of ``Snapshot.paused``, beside ""."""
@@ -156,20 +157,4 @@ def snapshot_of(found: Mapping[str, Any]) -> Snapshot:
 
     KeyError, TypeError or ValueError if it is not a snapshot.
     """
-    snapshot: Snapshot = of_type(Snapshot, found)
-    return snapshot
-
-
-def of_type(kind: Any, value: Any) -> Any:
-    """Return a JSON value converted to a field's type; null becomes an unknown number."""
-    if get_origin(kind) is tuple:
-        return tuple(of_type(get_args(kind)[0], item) for item in value)
-    if types := _types_of(kind):
-        return kind(**{name: of_type(types[name], value[name]) for name in types if name in value})
-    return math.nan if kind is float and value is None else kind(value)
-
-
-@cache
-def _types_of(kind: Any) -> dict[str, Any]:
-    """Return the types of the fields of a dataclass, nothing of another type."""
-    return get_type_hints(kind) if is_dataclass(kind) else {}
+    return view_of(Snapshot, found)

@@ -1,10 +1,14 @@
-"""Views read back from JSON: objects become the dataclasses that their types name."""
+"""Values read back from JSON: objects become the dataclasses that their types name."""
 
+import math
 import types
 from collections.abc import Mapping
 from dataclasses import MISSING, fields, is_dataclass
+from enum import Enum
 from functools import cache
 from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+
+import numpy as np
 
 View = TypeVar("View")
 _UNIONS = (Union, types.UnionType)
@@ -13,10 +17,12 @@ _UNIONS = (Union, types.UnionType)
 def view_of(kind: type[View], found: Mapping[str, Any]) -> View:
     """Return the dataclass ``kind`` that an object of JSON holds, with all that is nested in it.
 
-    Fields may be other dataclasses, texts, numbers, flags, None, and tuples and mappings of them. Unknown keys are
-    ignored; a missing key takes the default of its field.
+    Fields may be other dataclasses, texts, words of an enumeration, numbers, flags, None, arrays of numbers, and lists,
+    tuples and mappings of them. null where a number is expected becomes NaN. Unknown keys are ignored; a missing key
+    takes the default of its field.
 
-    KeyError for a missing key without a default, TypeError for a value of another type.
+    KeyError for a missing key without a default, TypeError for a value of another type, ValueError for a word that is
+    none of its enumeration.
     """
     return cast(View, _read(kind, found))
 
@@ -29,6 +35,10 @@ def _read(kind: Any, value: Any) -> Any:
         return _read_optional(kind, value)
     if origin is tuple:
         return _read_tuple(get_args(kind), value)
+    if origin is list:
+        return list(_read_tuple((*get_args(kind), Ellipsis), value))
+    if origin is np.ndarray:
+        return np.array(value, dtype=np.float64)
     if origin is not None:
         return _read_mapping(get_args(kind)[1], value)
     if is_dataclass(kind):
@@ -71,9 +81,13 @@ def _read_dataclass(kind: type, value: Any) -> Any:
 
 
 def _read_plain(kind: type, value: Any) -> Any:
-    """Return a text, number or flag. A whole number of JSON may stand for any number."""
+    """Return a text, word, number or flag. A whole number of JSON may stand for any number."""
+    if kind is float and value is None:
+        return math.nan
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
+    if issubclass(kind, Enum):
+        return kind(value)
     if not isinstance(value, kind):
         raise TypeError(f"{value!r} is not of type {kind.__name__}")
     return value

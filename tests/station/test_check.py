@@ -19,7 +19,7 @@ from station.cli import main
 from station.opening import open_bench
 from station.opening.checking import check_bench
 from station.run.event_loop.loops import VirtualLoop
-from station.screen.sessions.answers import CheckAnswer
+from station.views.check import bench_check_of
 
 BENCHES = Path(__file__).parents[1] / "data" / "benches"
 SCALE = "2"
@@ -52,7 +52,7 @@ def checked_on_wires(bench: Path, *links: str) -> dict[str, dict[str, Any]]:
 def devices_in(printed: str) -> dict[str, dict[str, Any]]:
     result = json.loads(printed)
     assert result["ok"] is not any(device["wrong"] for device in result["devices"])
-    answer = CheckAnswer.read(result)  # as the screen has it
+    answer = bench_check_of(result)  # as the screen has it
     assert [device.device for device in answer.devices] == [device["device"] for device in result["devices"]]
     assert [list(device.wrong) for device in answer.devices] == [device["wrong"] for device in result["devices"]]
     return {device["device"]: device for device in result["devices"]}

@@ -24,10 +24,11 @@ from estimator.recordings.reading import read_recording
 from station.cli import main
 from station.screen.choices import Choices
 from station.screen.panes.start import ScriptView, script_text
-from station.screen.sessions.answers import PlanAnswer, Reply
+from station.screen.sessions.answers import Reply
 from station.screen.tabs.prospects import look_ahead
 from station.scripts.script import paper_script
 from station.views.figures import STATE_FIGURES
+from station.views.planned import plan_view_of
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
 EFFECT, FORM = str(EXAMPLES / "sticking_mass.py"), str(EXAMPLES / "octave_form.py")
@@ -200,7 +201,7 @@ def test_a_plan_and_the_screen_show_a_step_whose_duration_is_not_known(
     assert "within 5 degC: 6 to 30 s. The prediction is for the shortest run." in shown
 
     prospect = look_ahead(Choices(bench="bench.toml", script="waits.toml"))
-    reply = Reply(code=0, value=PlanAnswer.read(planned), reason="")
+    reply = Reply(code=0, value=plan_view_of(planned), reason="")
     shown = script_text(ScriptView(prospect=prospect, plan=reply, figures=STATE_FIGURES)).plain
     assert "Script waits: 0:26 to 0:50 min" in shown
     assert all(f"\n{gyro['name']} " in shown for gyro in planned["gyros"])

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 from rich.text import Text
 
 from station.computer.finding import Finding
+from station.opening.checking import AxisCheck, DeviceCheck, SourceCheck
 from station.screen.panes.lines import TITLE, Mark, joined, line, marked
-from station.screen.sessions.answers import AxisAnswer, CheckAnswer, DeviceAnswer, Reply, SourceAnswer
+from station.screen.sessions.answers import Reply
+from station.views.check import BenchCheck
 from station.views.figures import number
 
 _INDENT = " " * 6
@@ -20,7 +22,7 @@ class DevicesView:
     """The check of a bench, None before its answer; ``checking`` is how far it is, or why there is none."""
 
     bench: str
-    check: Reply[CheckAnswer] | None
+    check: Reply[BenchCheck] | None
     checking: str
 
 
@@ -43,7 +45,7 @@ def _answer_lines(view: DevicesView) -> list[Text]:
     return lines
 
 
-def _device_lines(device: DeviceAnswer) -> list[Text]:
+def _device_lines(device: DeviceCheck) -> list[Text]:
     """Return who the device is, its axes or sources, and what is wrong with it."""
     mark = Mark.WRONG if device.wrong else Mark.OK
     lines = [marked(mark, (device.device, "bold"), f"  {'  '.join(_identity(device))}")]
@@ -53,17 +55,17 @@ def _device_lines(device: DeviceAnswer) -> list[Text]:
     return lines
 
 
-def _identity(device: DeviceAnswer) -> Sequence[str]:
+def _identity(device: DeviceCheck) -> Sequence[str]:
     known = device.identity
     serial = f"serial {known.serial}" if known.serial else ""
     return [text for text in (device.kind, device.link, known.model, serial, known.firmware) if text]
 
 
-def _axis(axis: AxisAnswer) -> str:
+def _axis(axis: AxisCheck) -> str:
     return f"{axis.name}: {axis.text}, at {number(math.degrees(axis.angle_rad), 3)} deg"
 
 
-def _source(source: SourceAnswer) -> str:
+def _source(source: SourceCheck) -> str:
     text = f"{source.name}: {source.rate_hz:.1f} Hz, {source.lost} lost"
     return f"{text}, {source.temperature_c:.1f} degC" if math.isfinite(source.temperature_c) else text
 

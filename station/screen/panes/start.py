@@ -1,16 +1,17 @@
 """What stands against a start, the limits of the bench, and the script with what it will show."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from rich.text import Text
 
 from station.screen.panes.lines import MARK_STYLES, TITLE, Mark, joined, line, marked, padded
-from station.screen.sessions.answers import PlanAnswer, Reply
+from station.screen.sessions.answers import Reply
 from station.screen.tabs.prospects import Prospect
 from station.views.figures import StateUnit, clock_between, three_digits
+from station.views.planned import PlanView
 
 if TYPE_CHECKING:
     from station.bench.bench import Limits
@@ -94,7 +95,7 @@ class ScriptView:
     """A script and its plan, None while that is computed, in the units of ``figures``."""
 
     prospect: Prospect
-    plan: Reply[PlanAnswer] | None
+    plan: Reply[PlanView] | None
     figures: Sequence[StateUnit]
 
 
@@ -117,13 +118,14 @@ def script_text(view: ScriptView) -> Text:
     return joined(lines)
 
 
-def _predicted(plan: PlanAnswer, figures: Sequence[StateUnit]) -> list[Text]:
+def _predicted(plan: PlanView, figures: Sequence[StateUnit]) -> list[Text]:
     """Return the predicted sigmas of each gyro, those that do not reach the required ones in yellow."""
     heads = ["predicted", *(f"{figure.name} {figure.unit}" for figure in figures)]
-    rows = [heads, *([gyro.name, *_sigmas(gyro.sd, figures)] for gyro in plan.gyros)]
+    rows = [heads, *([gyro.name, *_sigmas(gyro.sd.values(), figures)] for gyro in plan.gyros)]
     styles = ["bold", *("" if gyro.reached else "yellow" for gyro in plan.gyros)]
-    if any(sd is not None for sd in plan.required):
-        rows.append(["required", *_sigmas(plan.required, figures)])
+    required = plan.required.values()
+    if any(sd is not None for sd in required):
+        rows.append(["required", *_sigmas(required, figures)])
         styles.append("")
     lines = [Text(), *(line((" ".join(cells), style)) for cells, style in zip(padded(rows), styles, strict=True))]
     weak = [axis.axis for axis in plan.constancy if not axis.proved]
@@ -133,7 +135,7 @@ def _predicted(plan: PlanAnswer, figures: Sequence[StateUnit]) -> list[Text]:
     return lines
 
 
-def _sigmas(sds: Sequence[float | None], figures: Sequence[StateUnit]) -> list[str]:
+def _sigmas(sds: Iterable[float | None], figures: Sequence[StateUnit]) -> list[str]:
     """Return sigmas in the units of the states, a dash for an unknown one."""
     shown = [None if sd is None else sd * figure.factor for sd, figure in zip(sds, figures, strict=False)]
     return [three_digits(sd) for sd in shown]

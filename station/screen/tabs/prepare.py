@@ -32,12 +32,14 @@ from station.screen.panes.start import (
     script_text,
     summary_text,
 )
-from station.screen.sessions.answers import CheckAnswer, PlanAnswer, Reply
+from station.screen.sessions.answers import Reply
 from station.screen.sessions.link import sessions_on
 from station.screen.sessions.live_run import LiveRun
 from station.screen.sessions.programs import ask
 from station.screen.tabs.prospects import Prospect, look_ahead, matches
+from station.views.check import BenchCheck, bench_check_of
 from station.views.figures import STATE_FIGURES, state_figures
+from station.views.planned import PlanView, plan_view_of
 
 _FIELDS = (
     ("bench", "Bench file", "built-in twins"),
@@ -69,8 +71,8 @@ class PrepareScreen(StationScreen):
         """Start without answers."""
         super().__init__()
         self._prospect: Prospect | None = None
-        self._check: Reply[CheckAnswer] | None = None
-        self._plan: Reply[PlanAnswer] | None = None
+        self._check: Reply[BenchCheck] | None = None
+        self._plan: Reply[PlanView] | None = None
         self._checking = ""
         self._looked_for: tuple[str, str] | None = None
         self._confirmed = ("", "", "")  # number as entered, number reported by the device, reason why both are right
@@ -259,13 +261,13 @@ class PrepareScreen(StationScreen):
             self.redraw()
             return
         self._checking = ""
-        self._check = await ask(choices.check_arguments(found.all_twins), CheckAnswer.read, self._tell)
+        self._check = await ask(choices.check_arguments(found.all_twins), bench_check_of, self._tell)
         self._suggest()
         self.redraw()
 
     async def _look_at_plan(self, choices: Choices, found: Prospect) -> None:
         if not found.script_wrong:
-            self._plan = await ask(choices.plan_arguments(), PlanAnswer.read)
+            self._plan = await ask(choices.plan_arguments(), plan_view_of)
             self.redraw()
 
     def _tell(self, line: str) -> None:

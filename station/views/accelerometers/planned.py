@@ -1,6 +1,7 @@
-"""What a script will show of accelerometers, for JSON."""
+"""What a script will show of accelerometers, as --json prints it."""
 
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 from estimator.sensors.accelerometers import ACCELEROMETER
 from station.opening.planned_forces import PlannedForces
@@ -10,21 +11,37 @@ DETECTED = 4.2
 """Standard deviations of an effect that is detected in 95 % of runs at 1 % false alarms."""
 
 
-def planned_object(one: PlannedForces) -> dict[str, Any]:
-    """Return the predicted sigmas of the accelerometers of a device, and the least size of each effect, in SI."""
-    found: dict[str, Any] = json_object(
-        {
-            "device": one.device,
-            "accelerometers": [
-                {
-                    "name": a.name,
-                    "sd": dict(zip(ACCELEROMETER.keys, a.sd.tolist(), strict=True)),
-                    "place_sd_m": a.place_sd_m,
-                }
-                for a in one.found.accelerometers
-            ],
-            "detected": {name: DETECTED * sd for name, sd in one.effects.items()},
-            "notes": one.notes,
-        }
+@dataclass(kw_only=True, frozen=True, slots=True)
+class PlannedAccelerometer:
+    """Predicted standard deviations of the states of an accelerometer, by name, and of its place (x, y, z)."""
+
+    name: str
+    sd: Mapping[str, float | None]
+    place_sd_m: tuple[float | None, ...]
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class PlannedForcesView:
+    """The accelerometers of a device, and by effect the least size of each of its parameters that is detected."""
+
+    device: str
+    accelerometers: tuple[PlannedAccelerometer, ...]
+    detected: Mapping[str, tuple[float | None, ...]]
+    notes: tuple[str, ...]
+
+
+def planned_forces_view(planned: PlannedForces) -> PlannedForcesView:
+    """Return the view of what a script shows of the accelerometers of a device."""
+    return PlannedForcesView(
+        device=planned.device,
+        accelerometers=tuple(
+            PlannedAccelerometer(
+                name=accelerometer.name,
+                sd=dict(zip(ACCELEROMETER.keys, json_object(accelerometer.sd), strict=True)),
+                place_sd_m=tuple(json_object(accelerometer.place_sd_m)),
+            )
+            for accelerometer in planned.found.accelerometers
+        ),
+        detected={name: tuple(json_object(DETECTED * sd)) for name, sd in planned.effects.items()},
+        notes=planned.notes,
     )
-    return found
