@@ -4,6 +4,8 @@ import ast
 from collections.abc import Iterable, Iterator
 from functools import cache
 from graphlib import TopologicalSorter
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
 from jinja2 import Environment, nodes
@@ -209,3 +211,39 @@ def _compares_strings(comparison: nodes.Compare) -> bool:
         operand.op in ("eq", "ne") and isinstance(operand.expr, nodes.Const) and isinstance(operand.expr.value, str)
         for operand in comparison.ops
     )
+
+
+def test_what_the_benches_import_is_there() -> None:
+    """Benches run by hand only: a name that moved would be noticed when one is needed."""
+    missing = set()
+    for path in sorted((ROOT / "tests" / "bench").rglob("*.py")):
+        for node in nodes_of(path):
+            if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] in PACKAGES:
+                missing |= {
+                    f"{named(path)}: {node.module}.{a.name}" for a in node.names if not _has(node.module, a.name)
+                }
+    assert not missing
+
+
+def _has(module: str, name: str) -> bool:
+    """Return whether a module defines or imports a name, or a package holds a module of this name."""
+    place = ROOT.joinpath(*module.split("."))
+    source = place.with_suffix(".py")
+    if not source.exists():
+        return hasattr(import_module(module), name) or find_spec(f"{module}.{name}") is not None
+    return name in _names_in(source)
+
+
+@cache
+def _names_in(path: Path) -> set[str]:
+    names = set()
+    for node in nodes_of(path):
+        match node:
+            case ast.FunctionDef() | ast.AsyncFunctionDef() | ast.ClassDef():
+                names.add(node.name)
+            case ast.Import() | ast.ImportFrom():
+                names |= {(alias.asname or alias.name).split(".")[0] for alias in node.names}
+            case ast.Assign() | ast.AnnAssign():
+                targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+                names |= {part.id for target in targets for part in ast.walk(target) if isinstance(part, ast.Name)}
+    return names

@@ -17,7 +17,7 @@ from station.opening.checking import DeviceCheck, check_bench
 from station.render.check_printed import print_check
 from station.render.terminal import print_all, stdout
 from station.run.outcome import Outcome
-from station.views.check import BenchCheck
+from station.views.answers.check import BenchCheck
 from station.views.json_values import json_object
 
 

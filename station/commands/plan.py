@@ -21,8 +21,8 @@ from station.run.outcome import Outcome
 from station.scripts.early_late import early_and_late
 from station.scripts.plan import TEMPERATURE_RISE_K, Plan, make_plan
 from station.scripts.script import load_script, paper_script
+from station.views.answers.plan import early_late_view, plan_view, planned_gyros
 from station.views.json_values import json_object
-from station.views.planned import early_late_view, plan_view, planned_gyros
 
 EARLY_LATE_FILE = "early-late.toml"
 

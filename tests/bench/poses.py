@@ -23,14 +23,15 @@ import numpy as np
 from handheld import G, Log, Session, Truth, device, general_poses, make
 from scipy.io import loadmat
 
+from estimator.geometry.kinematics import GRAVITY_MPS2
 from estimator.importing.hands.mapping import read_pose_mapping
 from estimator.importing.hands.session import calibrate_by_hand
-from estimator.poses.calibration import STANDARD_GRAVITY_MPS2, Gravity, PoseCalibration, gyro_vector
+from estimator.poses.calibration import Gravity, PoseCalibration, gyro_vector
 from estimator.poses.intrinsic import NAMES
 from estimator.poses.session import PoseSamples, calibrate_poses
 
 EXACT = Gravity(value_mps2=G, sd=0.0, source="simulated")
-STANDARD = Gravity(value_mps2=STANDARD_GRAVITY_MPS2, sd=0.0, source="standard")
+STANDARD = Gravity(value_mps2=GRAVITY_MPS2, sd=0.0, source="standard")
 MG = 9.80665e-3
 IMUCAL_MATRICES = (
     [[0.996608, -0.014782, -0.007457], [0.008598, 1.002399, 0.001848], [0.013643, 0.00205, 1.023302]],
@@ -136,7 +137,7 @@ def measured(bars: Bars, mpu: Sequence[str], means: str | None, phone: str | Non
         bars.see(f"{text}{result.after_mps2:.4f} after ({MPU_MPS2})", result.after_mps2 <= MPU_MPS2)
         halves_agree(Path(path).name, t_s, outputs, result, bars)
     if means is not None:
-        outputs = loadmat(means)["CalibrationOfLowCostTriaxialInertialSensors"].T * STANDARD_GRAVITY_MPS2
+        outputs = loadmat(means)["CalibrationOfLowCostTriaxialInertialSensors"].T * GRAVITY_MPS2
         result = calibrate_poses([PoseSamples(name="means", t_s=None, outputs=outputs)], STANDARD, 1.0)
         after = result.after_mps2
         bars.see(

@@ -19,7 +19,7 @@ from station.cli import main
 from station.opening import open_bench
 from station.opening.checking import check_bench
 from station.run.event_loop.loops import VirtualLoop
-from station.views.check import bench_check_of
+from station.views.answers.check import bench_check_of
 
 BENCHES = Path(__file__).parents[1] / "data" / "benches"
 SCALE = "2"

@@ -27,8 +27,8 @@ from station.screen.panes.start import ScriptView, script_text
 from station.screen.sessions.answers import Reply
 from station.screen.tabs.prospects import look_ahead
 from station.scripts.script import paper_script
+from station.views.answers.plan import plan_view_of
 from station.views.figures import STATE_FIGURES
-from station.views.planned import plan_view_of
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
 EFFECT, FORM = str(EXAMPLES / "sticking_mass.py"), str(EXAMPLES / "octave_form.py")

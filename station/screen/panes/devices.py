@@ -10,7 +10,7 @@ from station.computer.finding import Finding
 from station.opening.checking import AxisCheck, DeviceCheck, SourceCheck
 from station.screen.panes.lines import TITLE, Mark, joined, line, marked
 from station.screen.sessions.answers import Reply
-from station.views.check import BenchCheck
+from station.views.answers.check import BenchCheck
 from station.views.figures import number
 
 _INDENT = " " * 6

@@ -10,8 +10,8 @@ from rich.text import Text
 from station.screen.panes.lines import MARK_STYLES, TITLE, Mark, joined, line, marked, padded
 from station.screen.sessions.answers import Reply
 from station.screen.tabs.prospects import Prospect
+from station.views.answers.plan import PlanView
 from station.views.figures import StateUnit, clock_between, three_digits
-from station.views.planned import PlanView
 
 if TYPE_CHECKING:
     from station.bench.bench import Limits

@@ -37,9 +37,9 @@ from station.screen.sessions.link import sessions_on
 from station.screen.sessions.live_run import LiveRun
 from station.screen.sessions.programs import ask
 from station.screen.tabs.prospects import Prospect, look_ahead, matches
-from station.views.check import BenchCheck, bench_check_of
+from station.views.answers.check import BenchCheck, bench_check_of
+from station.views.answers.plan import PlanView, plan_view_of
 from station.views.figures import STATE_FIGURES, state_figures
-from station.views.planned import PlanView, plan_view_of
 
 _FIELDS = (
     ("bench", "Bench file", "built-in twins"),
