@@ -103,3 +103,28 @@ def test_a_recording_without_accelerometers_has_no_finding() -> None:
     plain = run("", 1)
     bare = replace(plain, sources={DEVICE: replace(plain.sources[DEVICE], accel_sheet=None)})
     assert trace_forces([bare]) == []
+
+
+def test_a_recording_that_is_too_short_is_left_out_with_the_reason() -> None:
+    whole = run("", 1)
+    data = whole.sources[DEVICE]
+    assert data.accel_mps2 is not None
+    few = int(np.searchsorted(data.t_ns, data.t_ns[0] + 5_000_000_000))
+    begun = replace(data, t_ns=data.t_ns[:few], rate_rps=data.rate_rps[:few], accel_mps2=data.accel_mps2[:few])
+    short = replace(whole, path=Path("short.h5"), sources={DEVICE: replace(begun, temperature_c=None, counter=None)})
+    (found,) = trace_forces([short])
+    assert found.names == ()
+    assert "short.h5" in found.left_out["short.h5"]
+    (found,) = trace_forces([whole, short], [run("", 2), short])
+    assert found.names == ("accel x", "accel y", "accel z")
+    assert list(found.left_out) == ["short.h5"]
+
+
+@pytest.mark.full
+@pytest.mark.timeout(600)
+def test_several_fitted_runs_predict_together() -> None:
+    """The error of a prediction by two runs is no larger than by the worse of them."""
+    judging = [run(VIBRATION, 5)]
+    alone = [trace_forces([run(VIBRATION, seed)], judging)[0].after_mps2 for seed in (1, 2)]
+    (together,) = trace_forces([run(VIBRATION, seed) for seed in (1, 2)], judging)
+    assert np.all(together.after_mps2 <= np.max(alone, axis=0))

@@ -15,7 +15,7 @@ from estimator.estimation.accelerometers.estimate import Settled, settle
 from estimator.estimation.accelerometers.force_runs import ForceRun, ForceSamples, force_run
 from estimator.estimation.accelerometers.laws import rest_angle_law
 from estimator.estimation.evidence import SCALES, Term, log_mean
-from estimator.estimation.noise_evidence import Joint, columns_of, expected_of, joint_estimate, terms_of
+from estimator.estimation.noise_evidence import Joint, TooShort, columns_of, expected_of, joint_estimate, terms_of
 from estimator.estimation.spectra import Z
 from estimator.recordings.recording import Recording
 from estimator.tracing.accelerometers.force_effects import BY_NAME, EFFECTS, ForceEffect
@@ -51,6 +51,7 @@ class ForceFinding:
     ``_MEAN_S`` on the verification runs, noise included, after a constant for each run; on the fitted runs if there are
     none (``verified`` False). ``suspects`` are effects, with their probabilities, of a rest that none explains for
     certain. ``dropped`` are effects that made the fitted runs more probable and the verification runs worse.
+    ``left_out`` are by recording the reasons why it was not used; without any that was, there are no ``names``.
     """
 
     source: str
@@ -61,6 +62,7 @@ class ForceFinding:
     verified: bool
     suspects: Mapping[str, float] = field(default_factory=dict)
     dropped: tuple[str, ...] = ()
+    left_out: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
@@ -92,7 +94,8 @@ class _Fitted:
 def trace_forces(fitted: Sequence[Recording], judging: Sequence[Recording] = ()) -> list[ForceFinding]:
     """Return what the accelerometers of each source lack, by runs on a table that are fitted and runs that verify.
 
-    A source is looked at if it states a data sheet for its accelerometers. Nothing without such sources.
+    A source is looked at if it states a data sheet for its accelerometers. Nothing without such sources. Recordings
+    that are too short for accelerometers are left out.
     """
     usable = [_usable(recording) for recording in (*fitted, *judging)]
     sources = dict.fromkeys(source for own in usable[: len(fitted)] for source in own)
@@ -135,10 +138,23 @@ def _trace(
     """
     names = _common_names(list(samples.values()))
     chosen = {place: _only(own, names) for place, own in samples.items()} if names else {}
-    runs = [_fitted(r, source, chosen[place]) for place, r in enumerate(fitted) if place in chosen]
+    runs: list[_Fitted] = []
+    left_out: dict[str, str] = {}
+    for place, recording in enumerate(fitted):
+        if place in chosen:
+            try:
+                runs.append(_fitted(recording, source, chosen[place]))
+            except TooShort as error:
+                left_out[recording.name] = str(error)
     if not runs:
-        return None
-    checks = [(r, chosen[place]) for place, r in enumerate(judging, len(fitted)) if place in chosen]
+        return _not_examined(source, left_out) if left_out else None
+    checks: list[ForceRun] = []
+    for place, recording in enumerate(judging, len(fitted)):
+        if place in chosen:
+            try:
+                checks.append(_as_the_first(runs, recording, chosen[place]))
+            except TooShort as error:
+                left_out[recording.name] = str(error)
     added: list[str] = []
     found: dict[str, tuple[float, dict[str, float]]] = {}
     suspects: dict[str, float] = {}
@@ -153,7 +169,20 @@ def _trace(
         rivals = {name: chance for name, chance in chances.items() if name not in ("", best) and chance > _RIVAL}
         found[best] = (chances[best], rivals)
         added.append(best)
-    return _judged(source, runs, checks, added, found, suspects)
+    return replace(_judged(source, runs, checks, added, found, suspects), left_out=left_out)
+
+
+def _not_examined(source: str, left_out: Mapping[str, str]) -> ForceFinding:
+    """Return that no recording could be used."""
+    return ForceFinding(
+        source=source,
+        names=(),
+        effects=(),
+        before_mps2=np.zeros(0),
+        after_mps2=np.zeros(0),
+        verified=False,
+        left_out=left_out,
+    )
 
 
 def _common_names(samples: Sequence[ForceSamples]) -> list[str]:
@@ -210,7 +239,7 @@ def _chances(runs: Sequence[_Fitted], added: Sequence[str]) -> dict[str, float]:
 def _judged(
     source: str,
     runs: Sequence[_Fitted],
-    checks: Sequence[tuple[Recording, ForceSamples]],
+    checks: Sequence[ForceRun],
     added: Sequence[str],
     found: Mapping[str, tuple[float, dict[str, float]]],
     suspects: Mapping[str, float],
@@ -218,14 +247,12 @@ def _judged(
     """Return the finding, without those effects that make the verification runs worse."""
     kept = list(added)
     dropped: list[str] = []
-    checked = [_verifying(runs[0].settled, recording, samples) for recording, samples in checks]
-    before = _errors(runs, [run.settled.joint for run in runs], checked)
-    joints = [_with_effects(run, kept) for run in runs]
-    after = _errors(runs, joints, checked)
+    before = _errors(runs, checks, ())
+    after = _errors(runs, checks, kept)
     while kept and np.sum(after**2) > np.sum(before**2):
         dropped.append(kept.pop())
-        joints = [_with_effects(run, kept) for run in runs]
-        after = _errors(runs, joints, checked)
+        after = _errors(runs, checks, kept)
+    joints = [_with_effects(run, kept) for run in runs]
     effects = []
     for name in kept:
         probability, rivals = found[name]
@@ -248,9 +275,14 @@ def _with_effects(run: _Fitted, effects: Sequence[str]) -> Joint:
     joint = run.settled.joint
     if not effects:
         return joint
-    laws = [*joint.laws, *(BY_NAME[name].law() for name in effects)]
-    sheet = run.settled.run.data.accel_sheet
-    return joint_estimate([run.settled.run], laws, sheet.noise if sheet is not None else None)
+    return _joint(run.settled.run, run, effects)
+
+
+def _joint(run: ForceRun, about: _Fitted, effects: Sequence[str]) -> Joint:
+    """Return the joint estimate of a run with some effects beside the laws of a fitted one."""
+    laws = [*about.settled.joint.laws, *(BY_NAME[name].law() for name in effects)]
+    sheet = about.settled.run.data.accel_sheet
+    return joint_estimate([run], laws, sheet.noise if sheet is not None else None)
 
 
 def _parameters(joints: Sequence[Joint], name: str) -> tuple[Floats, Floats]:
@@ -268,8 +300,12 @@ def _parameters(joints: Sequence[Joint], name: str) -> tuple[Floats, Floats]:
     return np.asarray(sums / weights), np.asarray(1 / np.sqrt(weights))
 
 
-def _verifying(settled: Settled, recording: Recording, samples: ForceSamples) -> ForceRun:
-    """Return a verification run about the lever arm and the delay that a fitted one found."""
+def _as_the_first(runs: Sequence[_Fitted], recording: Recording, samples: ForceSamples) -> ForceRun:
+    """Return a recording as a run about the lever arm and the delay that the first fitted run found.
+
+    Raises TooShort for too few samples beside readings of the table.
+    """
+    settled = runs[0].settled
     return force_run(
         recording,
         settled.run.source,
@@ -280,15 +316,31 @@ def _verifying(settled: Settled, recording: Recording, samples: ForceSamples) ->
     )
 
 
-def _errors(runs: Sequence[_Fitted], joints: Sequence[Joint], checked: Sequence[ForceRun]) -> Floats:
-    """Return the rms errors (a,) of predictions on the verification runs, by the first estimate, or on the fitted runs
-    by their own if there are none.
+def _errors(runs: Sequence[_Fitted], checks: Sequence[ForceRun], effects: Sequence[str]) -> Floats:
+    """Return the rms errors (a,) of a model with some effects on the verification runs, as all fitted runs together
+    predict them; without verification runs those on the fitted runs, each by its own estimate.
     """
-    if checked:
-        squares = [_squares(joints[0], run) for run in checked]
+    if checks:
+        joint = _together(runs, effects)
+        squares = [_squares(joint, run) for run in checks]
     else:
-        squares = [_squares(joint, run.settled.run) for joint, run in zip(joints, runs, strict=True)]
+        squares = [_squares(_with_effects(run, effects), run.settled.run) for run in runs]
     return np.asarray(np.sqrt(np.mean(squares, axis=0)))
+
+
+def _together(runs: Sequence[_Fitted], effects: Sequence[str]) -> Joint:
+    """Return the estimate of the first fitted run, its means combined with those of the others by their covariances."""
+    first = runs[0]
+    joints = [_with_effects(first, effects)]
+    for run in runs[1:]:
+        settled = run.settled.run
+        joints.append(_joint(_as_the_first(runs, settled.recording, settled.samples), first, effects))
+    means = []
+    for number in range(len(first.settled.run.array)):
+        precisions = [np.linalg.inv(joint.covariances[number]) for joint in joints]
+        weighed = [precision @ joint.means[number] for precision, joint in zip(precisions, joints, strict=True)]
+        means.append(np.linalg.solve(np.sum(precisions, axis=0), np.sum(weighed, axis=0)))
+    return replace(joints[0], means=means)
 
 
 def _squares(joint: Joint, run: ForceRun) -> Floats:

@@ -27,6 +27,8 @@ def print_force_findings(findings: Sequence[ForceFinding]) -> None:
 def _verdict(one: ForceFinding) -> str:
     """Return in one sentence what was found."""
     who = f"accelerometers of {escape(one.source)}"
+    if not one.names:
+        return f"[bold]{who}: not examined[/bold]"
     if one.effects:
         names = ", ".join(effect.effect.words for effect in one.effects)
         return f"[bold]{who}: added {escape(names)}[/bold]"
@@ -63,8 +65,8 @@ def _errors_table(one: ForceFinding) -> Table:
 
 
 def _remarks(one: ForceFinding) -> list[str]:
-    """Return sentences on rivals, suspects and effects that were dropped."""
-    lines = []
+    """Return sentences on rivals, suspects, effects that were dropped and recordings that were left out."""
+    lines = [f"left out: {escape(reason)}" for reason in one.left_out.values()]
     for effect in one.effects:
         rivals = ", ".join(f"{BY_NAME[name].words} ({chance:.0%})" for name, chance in effect.rivals.items())
         if rivals:

@@ -15,6 +15,7 @@ def finding_object(one: ForceFinding) -> dict[str, Any]:
             "effects": [_effect_object(effect, one.names) for effect in one.effects],
             "suspects": dict(one.suspects),
             "dropped": one.dropped,
+            "left_out": dict(one.left_out),
             "verified": one.verified,
             "error_before_mps2": one.before_mps2,
             "error_after_mps2": one.after_mps2,
