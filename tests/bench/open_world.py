@@ -1,9 +1,9 @@
 """Effects that are not in the catalogue: what station investigate says of them, judged by the truth.
 
 python tests/bench/open_world.py                           development half, sizes 1 and 0.3
-python tests/bench/open_world.py --half fresh              ten newer kinds; third: six more
+python tests/bench/open_world.py --half fresh              ten newer kinds; third: six more; fourth: ten
 python tests/bench/open_world.py --half all --kinds rate_sign chirp --sizes 1 --seeds 2
-python tests/bench/open_world.py --half sealed             once, at the end; so are fresh-sealed, third-sealed
+python tests/bench/open_world.py --half sealed             once, at the end; so is every half whose name ends in -sealed
 python tests/bench/open_world.py --half fresh-sealed --oracle    whether the scripts show them: no investigation
 python tests/bench/open_world.py --half fresh --json new.json --compare old.json    what a change has changed
 python tests/bench/open_world.py --stored new.json --compare old.json    the same of answers that are there already
