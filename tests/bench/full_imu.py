@@ -40,7 +40,8 @@ def drawn_bench(seed: int) -> Bench:
     random = np.random.default_rng([seed, 29])
     text = BENCH.read_text(encoding="utf-8")
     before, _, _ = text.partition("[twin.mti]")
-    lines = ["[twin.mti]", *_drawn(random, GYRO), "", "[twin.mti.accelerometers]", *_drawn(random, FORCE | PLACES)]
+    lines = ["[twin.mti]", *_drawn(random, GYRO), 'bias_instability = "0.3 deg/h"', ""]
+    lines += ["[twin.mti.accelerometers]", *_drawn(random, FORCE | PLACES)]
     gravity = 9.80619777 * (1 + 5e-5 * random.standard_normal())
     delay_ms = 1.0 + random.standard_normal()
     lines += ['vrw = "60 ug/rtHz"', 'bias_instability = "15 ug"', f'delay = "{delay_ms:.6f} ms"']
