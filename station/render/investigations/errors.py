@@ -52,6 +52,7 @@ def _errors_table(what: InvestigationView) -> Table:
 
 
 def _errors(before: ErrorsView, after: ErrorsView) -> list[str]:
+    """Return rms error, largest error (both in deg/h) and coverage of the 95 % intervals, each before and after."""
     return [
         dph(before.rms_rps),
         dph(after.rms_rps),
@@ -79,6 +80,7 @@ def _ratio(value: float | None) -> str:
 
 
 def _chain(models: tuple[ModelView, ...]) -> Table:
+    """Return a row for each model: its effects, log evidence relative to the first one, errors and coverage."""
     chain = rich_table("Chain of models", _MODEL_HEADS, "lr", fold=True)
     for model in models:
         names = ["four states", *map(readable, model.effects)]
