@@ -118,7 +118,10 @@ def _count(attributes: Mapping[str, Any], key: str, where: str) -> Content:
 
 
 def _clock(attributes: Mapping[str, Any], key: str, unit: Unit, where: str) -> Content:
-    """Return a property of the clock, with its standard deviation if that is known."""
+    """Return a property of a clock, with its standard deviation if that is stored; ``_UNKNOWN`` if it is not.
+
+    ``where`` is the place of the attributes in the recording, to which each figure of the report refers.
+    """
     if key not in attributes:
         return _UNKNOWN
     value = fixed(attributes[key], unit, 2, where + key)

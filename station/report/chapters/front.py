@@ -168,6 +168,7 @@ def _reference(recorded: Recorded) -> list[tuple[str, Content]]:
 
 
 def _site(recorded: Recorded) -> Content:
+    """Return latitude and heading in words, or that no site is stated and Earth rate is therefore not in the model."""
     site = recorded.recording.site
     if site is None:
         return "not stated: Earth rate is not in the model"
@@ -200,6 +201,7 @@ def _approval(recorded: Recorded, formal: Formal) -> list[tuple[str, Content]]:
 
 
 def _equipment(formal: Formal) -> EquipmentView:
+    """Return the equipment that was used, and the names of those whose calibration is expired or has no due date."""
     rows = [
         [instrument.name, instrument.serial_number or _NOT_STATED, instrument.due or instrument.no_due or _NOT_STATED]
         for instrument in formal.equipment
