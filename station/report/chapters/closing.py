@@ -139,6 +139,7 @@ def _event(event: Event, start_ns: int) -> list[Content]:
 def _software(
     recorded: Recorded, traced: Traced | None, hashes: Mapping[str, str], made_with: str, *, simulated: bool
 ) -> list[tuple[str, Content]]:
+    """Return versions, files and hashes that identify how the document was made; None where a fact is missing."""
     version = recorded.text("software_version")
     apart = traced is not None and "investigation" in hashes
     return [
@@ -159,6 +160,7 @@ def _hash(text: str) -> Content:
 
 
 def _signatures(recorded: Recorded, formal: Formal) -> Table:
+    """Return the rows to be signed by the operator and by who approves; blanks to fill in where a name is missing."""
     operator = recorded.text("operator") or _BLANK
     approved_by = formal.certificate_approved_by or _BLANK
     rows: list[list[Content]] = [

@@ -84,6 +84,7 @@ def _identity(model: str | None, serial: str | None, firmware: str | None) -> st
 
 
 def _device(recorded: Recorded, formal: Formal) -> list[tuple[str, Content]]:
+    """Return customer, device under test, maker, serial number and condition, as far as they are stated."""
     names = ", ".join(name for name in links_of(recorded) if name != "table")
     received = str(formal.item_received) if formal.item_received else ""
     return [
@@ -133,6 +134,7 @@ def _origin(recorded: Recorded, formal: Formal) -> list[tuple[str, Content]]:
 
 
 def _when_and_where(recorded: Recorded, formal: Formal, standing: Standing) -> list[tuple[str, Content]]:
+    """Return dates, place, ambient conditions and procedure; None where a line is to be left out."""
     begun = recorded.begun_utc
     undated = "none: the run was in simulated time" if standing.simulated else _NOT_STATED
     on_another_day = begun is not None and formal.performed_date != begun.date()
@@ -191,6 +193,7 @@ def _adjustment(adjusted: bool) -> str:
 
 
 def _approval(recorded: Recorded, formal: Formal) -> list[tuple[str, Content]]:
+    """Return who approved and who accepted the calibration, and when the next one is due; None where not stated."""
     accepted = recorded.utc("accepted_utc")
     when = f"{accepted:%Y-%m-%d %H:%M UTC}" if accepted else recorded.text("accepted_utc")
     return [
@@ -239,6 +242,7 @@ def motion_view(recorded: Recorded) -> MotionView:
 
 
 def _steps_table(recorded: Recorded, driven: Sequence[tuple[Step, Rotate | None]]) -> Table:
+    """Return a row for each step that was driven: begin, duration, axis, steady rate and angle turned."""
     heads = ["step", "begins, s", "lasts, s", "axis", "steady rate, °/s", "turned by, °"]
     rows: list[list[Content]] = []
     for number, (step, turn) in enumerate(driven, start=1):
