@@ -23,6 +23,7 @@ def print_check(bench: str, found: Sequence[DeviceCheck]) -> None:
 
 
 def _shown(bench: str, checks: Sequence[DeviceCheck]) -> Iterator[Shown]:
+    """Yield the table of devices, then what is wrong, which drivers are experimental, and whether all answer."""
     yield _devices(bench, checks), {}
     for device in checks:
         for reason in device.wrong:

@@ -41,6 +41,7 @@ def errors_shown(what: InvestigationView) -> Iterator[Shown]:
 
 
 def _errors_table(what: InvestigationView) -> Table:
+    """Return a row for each gyro, and one for all if there are several: errors before and after, and moved states."""
     where = "cross-validated by step, in-sample" if what.in_sample else "verification run"
     errors = rich_table(f"Error of the compensated rate, before and after ({where})", _HEADS, "lr")
     for name, gyro in what.gyros.items():

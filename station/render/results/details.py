@@ -109,6 +109,7 @@ def sources_shown(sources: "Sequence[SourceReport]") -> Iterator[Shown]:
 
 
 def _source(source: "SourceReport") -> Iterator[str]:
+    """Yield samples and losses of a source, and as far as known drift and jitter of its clock and its time offset."""
     counts = source.counts
     losses = f"{counts.lost} lost, {counts.repeated} repeated, {counts.late} late, {counts.corrupt} corrupt"
     yield f"{counts.samples} samples, {losses}"
