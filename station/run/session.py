@@ -378,7 +378,7 @@ class Session:
         if not acquisition.closed:
             self._open.table.close()
             attributes = {"ended_early": self._ended_early} if self._ended_early else {}
-            await acquisition.close(attributes, whole=self._verdict is None)
+            await acquisition.close(attributes, undisturbed=self._verdict is None)
         calibration, agreement = None, float("nan")
         verdict = self._verdict or (MANUAL_VERDICT if self._options.manual else None)
         if verdict is None:
