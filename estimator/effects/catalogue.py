@@ -25,7 +25,8 @@ def record_of(name: str) -> Record | None:
 def register(*effects: Record, origin: str = "") -> None:
     """Add effects to the catalogue, replacing others of the same name that came from outside.
 
-    ``origin`` is the file or package. EffectError for an invalid record, or one with the name of a built-in effect.
+    ``origin`` is the file or package. EffectError for an invalid record, or one with the name of a built-in effect;
+    the effects before it have then been added.
     """
     for record in effects:
         record.check()

@@ -269,7 +269,10 @@ class Base:
     """
 
     def __init__(self, evidence: Evidence, terms: Sequence[Term], others: Sequence[int] = ()) -> None:
-        """Eliminate the states and own terms of a model; ``others`` are columns asked about besides its terms."""
+        """Eliminate the states and the terms that each gyro has for itself; terms shared by all gyros stay.
+
+        ``others`` are further columns whose products with the eliminated ones are needed later.
+        """
         own, self._shared = _split(terms)
         model = np.array(_columns(own))
         self._last = np.array([*(c for term in self._shared for c in term.columns), Z])

@@ -136,10 +136,11 @@ def _by_another(runs: Sequence[Run]) -> bool:
 
 
 def _further(joint: Joint, whole: Joint, found: Undeclared) -> list[tuple[Contribution, ...]]:
-    """Return by gyro the budget lines of undeclared effects that only widen the estimate and move none of its states.
+    """Return for each gyro the budget lines of undeclared effects that widen its uncertainty and leave its states.
 
-    ``whole`` is the estimate with all undeclared laws that the recording can show (none if it is ``joint``). Laws that
-    are merely assumed add the line ``UNMEASURED``.
+    ``joint`` is the estimate to be widened. ``whole`` also fits the undeclared laws that only widen; it is the same
+    object if there are none, and the line ``UNSEEN`` is then left out. Laws in ``found`` that are merely assumed add
+    the line ``UNMEASURED``. Without either a gyro has no lines.
     """
     lines: list[tuple[Contribution, ...]] = [()] * len(joint.means)
     if whole is not joint:

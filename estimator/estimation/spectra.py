@@ -125,14 +125,14 @@ class NoiseShapes:
         return cls(b, k, t, np.log(np.einsum("b,k,t->bkt", chance_b, chance_k, chance_t).ravel()), span_s)
 
     def select(self, keep: NDArray[np.bool_]) -> "NoiseShapes":
-        """Return only these."""
+        """Return the noise models for which ``keep`` (G,) is true."""
         parts = (self.instability[keep], self.walk[keep], self.turn_on[keep], self.log_prior[keep])
         return NoiseShapes(*parts, self.span_s)
 
     def density(self, stretch: Stretch) -> Floats:
-        """Return the variance (G, bands) of a coefficient in each band, over that of white noise.
+        """Return for each of the G noise models the variance of a coefficient in each band, relative to white noise.
 
-        Band 0 is the mean of the stretch, so that its value is the variance of the bias.
+        The result is (G, bands). Band 0 is the mean of the stretch: its value includes the variance of the bias.
         """
         circle = 2 * np.pi * np.maximum(stretch.band_hz, 1e-12)
         out = stretch.level + self.instability[:, None] ** 2 / circle + (self.walk[:, None] / circle) ** 2

@@ -142,12 +142,12 @@ def _of_rows(recording: Recording, data: ImuData) -> list[_Gain | None]:
     return found
 
 
-def _signs(array: SensorArray, found: Sequence[_Gain | None], notes: list[str]) -> Floats:
+def _signs(array: SensorArray, gains: Sequence[_Gain | None], notes: list[str]) -> Floats:
     """Return the sign (m,) of each gyro by the data, 1 where they do not show it; notes on both are appended to
     ``notes``.
     """
     signs = np.ones(len(array))
-    for i, (name, gain) in enumerate(zip(array.names, found, strict=True)):
+    for i, (name, gain) in enumerate(zip(array.names, gains, strict=True)):
         if gain is None or not gain.told:
             notes.append(f"{name}: the motion does not show its sign, so the stated sign is used")
         elif gain.factor < 0:
@@ -156,14 +156,14 @@ def _signs(array: SensorArray, found: Sequence[_Gain | None], notes: list[str]) 
     return signs
 
 
-def _factors(array: SensorArray, found: Sequence[_Gain | None], gyro: GyroColumns, notes: list[str]) -> Floats:
+def _factors(array: SensorArray, gains: Sequence[_Gain | None], gyro: GyroColumns, notes: list[str]) -> Floats:
     """Return the factor (m,) for each output, rounded to three digits; what remains is its scale factor error.
 
     It is 1 where the output is right to 10 %, and the median of the others where the motion does not show it. What was
     applied is appended to ``notes``.
     """
     size_dps = float(np.degrees(gyro.columns.scale)) if gyro.columns.raw else 1.0
-    own = [abs(1 / gain.factor) if gain and gain.told and gain.factor else np.nan for gain in found]
+    own = [abs(1 / gain.factor) if gain and gain.told and gain.factor else np.nan for gain in gains]
     others = float(np.nanmedian(own)) if np.isfinite(own).any() else 1.0
     factors = np.empty(len(array))
     for i, (name, factor) in enumerate(zip(array.names, own, strict=True)):
@@ -179,31 +179,32 @@ def _factors(array: SensorArray, found: Sequence[_Gain | None], gyro: GyroColumn
     return factors
 
 
-def _prior(data: ImuData, found: Sequence[_Gain | None]) -> Prior:
-    """Return one prior for all gyros: the usual one, wider where the largest factor error or offset found asks for it.
+def _prior(data: ImuData, gains: Sequence[_Gain | None]) -> Prior:
+    """Return one prior for all gyros: the usual one, wider where the largest factor error or offset asks for it.
 
-    ``found`` has a gain for each gyro, None if it was not determined. ``k`` becomes at least ``_WIDER`` times the
+    ``gains`` has one for each gyro, None if it was not determined. ``k`` becomes at least ``_WIDER`` times the
     largest deviation of a factor from 1 if that is above ``_NARROW``, ``b_rps`` at least ``_WIDER`` times the largest
     offset. A gyro without a meaningful factor counts with its mean output as offset. ``sigma_rad`` is kept.
     """
-    usual, told = data.prior, [gain for gain in found if gain is not None and gain.told]
+    usual, told = data.prior, [gain for gain in gains if gain is not None and gain.told]
     off = max((abs(gain.factor - 1) for gain in told), default=0.0)
     offset = [abs(gain.offset_rps) for gain in told]
     offset += [
-        abs(float(np.nanmean(y))) for y, g in zip(data.rate_rps.T, found, strict=True) if g is None or not g.told
+        abs(float(np.nanmean(y))) for y, g in zip(data.rate_rps.T, gains, strict=True) if g is None or not g.told
     ]
     return Prior(
         max(usual.k, _WIDER * off if off > _NARROW else 0.0), max(usual.b_rps, _WIDER * max(offset)), usual.sigma_rad
     )
 
 
-def _gain_notes(array: SensorArray, found: Sequence[_Gain | None], size_rps: float) -> list[str]:
-    """Return notes on wrong signs, scales and axes of gyros, with what to write in the mapping.
+def _gain_notes(array: SensorArray, gains: Sequence[_Gain | None], size_rps: float) -> list[str]:
+    """Return notes on gyros that do not follow the reference, or whose axis, sign or scale is wrong.
 
-    ``size_rps`` is the unit of their columns.
+    The notes say what to write in the mapping. ``gains`` has one for each gyro, None if it was not determined; such
+    gyros get no note. ``size_rps`` is the stated unit of their columns in rad/s.
     """
     notes = []
-    for name, axis, gain in zip(array.names, array.p, found, strict=True):
+    for name, axis, gain in zip(array.names, array.p, gains, strict=True):
         if gain is None:
             continue
         if gain.follows < _FOLLOWS:

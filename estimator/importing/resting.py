@@ -90,9 +90,10 @@ def rests_of(
 
 
 def rest_rates(rests: Sequence[Rest], rows: int, site: Site | None) -> Floats:
-    """Return the body rate (rows, 3) of a file: NaN in motion, at rest Earth rate as far as the pose is known.
+    """Return the body rate (rows, 3) of a file in rad/s: NaN in motion, Earth rate at rest.
 
-    Zero at rest without a site.
+    Only the component along a known direction is included: the vertical one if ``up`` of the rest is known, the
+    horizontal one if ``north`` is known as well. The rate at rest is zero if neither is known or there is no site.
     """
     known = np.full((rows, 3), np.nan)
     for rest in rests:

@@ -196,6 +196,11 @@ def following(data: ImuData, reference: Reference, site: Site | None) -> Followi
 
 
 def _followed(data: ImuData, reference: Reference, site: Site | None) -> Following | None:
+    """Return delay, rows and scatter of the outputs as a function of the body rate.
+
+    Intervals with the largest errors are left out of the fit. None if the reference does not give the motion at all
+    instants, there are fewer than ``_FEWEST`` intervals, or the body turns too slowly to show a delay.
+    """
     body = body_turned(reference, site)
     means = None if body is None else _means(data, body)
     if body is None or means is None:

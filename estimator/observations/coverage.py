@@ -117,15 +117,15 @@ def _of_turnings(seen: Sequence[tuple[Stamps, Sequence[_Turning]]]) -> tuple[Axi
     return tuple(found)
 
 
-def coverage_object(one: AxisCoverage) -> dict[str, Any]:
+def coverage_object(coverage: AxisCoverage) -> dict[str, Any]:
     """Return a coverage as a JSON object; times in seconds since the first sample."""
     return {
-        "axis": one.axis,
-        "proved": one.proved,
-        "covered_s": None if one.covered_s is None else list(one.covered_s),
-        "not_proved_s": [list(span) for span in one.not_proved_s],
-        "length_s": one.length_s,
-        "concerns": list(one.concerns),
+        "axis": coverage.axis,
+        "proved": coverage.proved,
+        "covered_s": None if coverage.covered_s is None else list(coverage.covered_s),
+        "not_proved_s": [list(span) for span in coverage.not_proved_s],
+        "length_s": coverage.length_s,
+        "concerns": list(coverage.concerns),
     }
 
 

@@ -119,7 +119,7 @@ class Turned:
         return np.asarray(np.column_stack(turned) / (after - before)[:, None])
 
     def means(self, first_s: Floats, last_s: Floats) -> Floats:
-        """Return the mean rates (n, c) from each of some instants (n,) to another, NaN where they are not known."""
+        """Return the mean rates (n, c) from ``first_s`` (n,) to ``last_s`` (n,), NaN where they are not known."""
         begin, end = first_s - self.reach_s, last_s + self.reach_s
         known = (begin >= self.t_s[0]) & (end <= self.t_s[-1])
         if self.gaps[-1]:
@@ -130,13 +130,14 @@ class Turned:
         return mean
 
     def known(self, at_s: Floats) -> NDArray[np.bool_]:
-        """Return at which instants (n,) it is known how the body turns."""
+        """Return for each instant (n,) whether the motion of the body is known there."""
         inside = (at_s >= self.t_s[0]) & (at_s <= self.t_s[-1])
         return np.asarray(inside & (self._gaps(at_s + _AT_ONCE_S, 1) == self._gaps(at_s - _AT_ONCE_S, -1)))
 
     def rates(self, at_s: Floats) -> Floats:
-        """Return the rates (n, c) at instants: slopes over a reading to each side, at least 20 ms; NaN outside and in
-        gaps.
+        """Return the rates (n, c) at instants (n,), one for each column of the integrals; NaN outside and in gaps.
+
+        A rate is the slope from one reading, or 20 ms if that is longer, before the instant to as much after it.
         """
         half_s = max(float(np.median(np.diff(self.t_s))), _SLOPE_S)
         inside = (at_s >= self.t_s[0]) & (at_s <= self.t_s[-1])

@@ -53,7 +53,10 @@ def write_pose_session(path: Path, session: PoseSession) -> None:
 
 
 def read_pose_session(path: Path) -> PoseSession:
-    """Return the calibration in a file; RecordingError if it is damaged, or of another format."""
+    """Return the calibration by poses in a file.
+
+    RecordingError if the file is missing, damaged, of another format, or written by a newer version.
+    """
     probe(path)
     try:
         with h5py.File(path, "r") as file:

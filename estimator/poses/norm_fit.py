@@ -142,10 +142,11 @@ def fit_robustly(rests: Rests, start: Intrinsic) -> tuple[NormFit, list[Doubtful
 
 
 def fit(rests: Rests, start: Intrinsic) -> NormFit:
-    """Return the generalised least-squares fit of rests.
+    """Return the generalised least-squares fit of the rests, from the parameters ``start``.
 
-    The variance between rests follows from the residuals (Paule and Mandel 1982). If the rests do not determine all
-    parameters, plausible sizes stand in for the rest of the information.
+    With more rests than parameters, the residuals give the variance between rests (Paule and Mandel 1982), or the scale
+    of all variances if the noise of the means is not known. If the rests do not determine all parameters, the residuals
+    are not used and a prior of plausible sizes is added to the information.
     """
     from scipy.stats import norm, t
 
@@ -249,7 +250,11 @@ def _shown(rests: Rests, parameters: Intrinsic) -> Flags:
 
 
 def _with_between(rests: Rests, parameters: Intrinsic, freedom: int) -> tuple[Intrinsic, float]:
-    """Return parameters and the standard deviation between rests at which residuals are as large as expected."""
+    """Return parameters and the standard deviation between rests, in m/s2, at which residuals are as large as expected.
+
+    The squares of the residuals, over their variances, then add up to ``freedom``. The standard deviation is 0 if they
+    add up to no more than that without it.
+    """
 
     def excess(parameters: Intrinsic, between: float) -> float:
         linear = _linear(rests, parameters)

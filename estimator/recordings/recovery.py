@@ -306,7 +306,7 @@ class _Found:
             writer.flush()
         finally:
             writer.close()
-        if not writer.whole:
+        if not writer.complete:
             raise OSError("it could not be closed completely")
         sync(part)
         return told

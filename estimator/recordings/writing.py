@@ -64,7 +64,7 @@ class RecordingWriter:
         cannot be created, or the disk is full; then nothing is left behind.
         """
         self.path = path
-        self.whole = False
+        self.complete = False
         """Whether it has been closed with all that was taken."""
         self.journal: Journal | None = None
         self._unwritten: list[Entry] = []
@@ -281,8 +281,9 @@ class RecordingWriter:
         return dataset
 
     def close(self) -> None:
-        """Flush if there is room, and close; harmless if closed already. No error is raised: ``whole`` says whether all
-        is written.
+        """Flush if there is room, and close; harmless if closed already.
+
+        No error is raised: ``complete`` says whether all rows are written.
         """
         if self._file:
             self._ballast.close()
@@ -292,7 +293,7 @@ class RecordingWriter:
                     self._write()
             with suppress(RecordingError), _told_of(self.path):
                 self._file.close()
-                self.whole = not self._pending
+                self.complete = not self._pending
 
     def finish(self, *, synced: bool = True) -> None:
         """Remove the journal of a complete file, after syncing that unless ``synced`` is false.
@@ -303,13 +304,13 @@ class RecordingWriter:
         if self.journal is not None:
             try:
                 with _told_of(self.path):
-                    if self.whole and synced:
+                    if self.complete and synced:
                         sync(self.path)
             except RecordingError:
-                self.whole = False
+                self.complete = False
                 raise
             finally:
-                self.journal.close(remove=self.whole)
+                self.journal.close(remove=self.complete)
 
 
 def _joined(blocks: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:

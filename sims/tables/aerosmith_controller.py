@@ -112,7 +112,7 @@ class AerosmithController(LineController):
         return ""
 
     def _switch(self, on: bool) -> None:
-        """Switch the servo on, which clears faults, or brake and switch it off."""
+        """Switch the servo on, which clears faults and trips, or brake and switch it off, which ends homing."""
         if on:
             self._table.tripped.pop(self._axis, None)
             self._faulty = False

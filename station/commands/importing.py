@@ -59,6 +59,7 @@ def _calibrate_by_hand(arguments: argparse.Namespace, output: Path) -> int:
 
 
 def _print_pose_session(session: PoseSession, path: Path, *, as_json: bool) -> None:
+    """Print a calibration by poses and its file, or both as JSON; in the former case refused files go to stderr."""
     if as_json:
         print(json.dumps(session_object(session, str(path))))
         return

@@ -36,6 +36,10 @@ def refused(reason: str, arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _paper(arguments: argparse.Namespace) -> paper.PaperStudy:
+    """Run the study of the paper, print it, and write the picture and the curves that were asked for.
+
+    UsageError, before anything is run, if a file cannot be written there.
+    """
     picture = Path(arguments.plot) if arguments.plot else None
     curves = Path(arguments.output) if arguments.output else None
     if picture is not None:
@@ -63,6 +67,7 @@ def _paper(arguments: argparse.Namespace) -> paper.PaperStudy:
 
 
 def _baselines(arguments: argparse.Namespace) -> baselines.BaselineStudy:
+    """Run the comparison with other methods and print it; UsageError for options of the other study."""
     if arguments.plot or arguments.output:
         raise UsageError("--plot and --output belong to `station study paper`")
     study = baselines.run_study(arguments.seeds or _SEEDS_OF_BASELINES, **_where(arguments))

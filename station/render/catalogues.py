@@ -42,6 +42,7 @@ def print_formats(formats: Sequence[FormatView]) -> None:
 
 
 def _add_effect(table: Table, effect: EffectView) -> None:
+    """Add the row of an effect: name, parameters, what shows it and what that needs, and similar effects."""
     needs = f"; needs {' and '.join(effect.needs)}" if effect.needs else ""
     table.add_row(
         _name(effect),

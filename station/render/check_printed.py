@@ -22,22 +22,24 @@ def print_check(bench: str, found: Sequence[DeviceCheck]) -> None:
     print_all(stdout(), _shown(bench, found))
 
 
-def _shown(bench: str, found: Sequence[DeviceCheck]) -> Iterator[Shown]:
-    yield _devices(bench, found), {}
-    for device in found:
+def _shown(bench: str, checks: Sequence[DeviceCheck]) -> Iterator[Shown]:
+    """Yield the table of devices, then what is wrong, which drivers are experimental, and whether all answer."""
+    yield _devices(bench, checks), {}
+    for device in checks:
         for reason in device.wrong:
             yield line(f"[red]{escape(device.device)}:[/] {escape(reason)}")
-    for device in found:
+    for device in checks:
         if device.experimental:
             yield line(f"[yellow]{escape(device.device)}:[/] {escape(device.kind)} {_EXPERIMENTAL}")
-    if not any(device.wrong for device in found):
+    if not any(device.wrong for device in checks):
         yield line(_ALL_ANSWER)
 
 
-def _devices(bench: str, found: Sequence[DeviceCheck]) -> Table:
+def _devices(bench: str, checks: Sequence[DeviceCheck]) -> Table:
+    """Return a row for each device of a bench: link, identity, answers, and whether anything is wrong."""
     heads = ["device", "link", "identity", "found", ""]
     devices = rich_table(f"Bench {escape(bench)}", heads, fold=True)
-    for device in found:
+    for device in checks:
         devices.add_row(
             _device(device),
             escape(device.link),

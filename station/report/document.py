@@ -206,6 +206,7 @@ def _headings(sources: _Sources) -> dict[str, Heading]:
 
 
 def _head(sources: _Sources) -> HeadView:
+    """Return title, number, laboratory, warning, outcome and foot of the document."""
     recorded, formal, standing = sources.recorded, sources.formal, sources.standing
     device = formal.item_serial_number or recorded.text("device")
     return HeadView(

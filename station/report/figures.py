@@ -153,7 +153,10 @@ def stated(value: float, unit: Unit) -> Markup:
 
 
 def significant(value: float, digits: int) -> str:
-    """Return a value with ``digits`` significant digits, in exponential form if very large or small."""
+    """Return a value with ``digits`` significant digits; ``UNKNOWN`` if it is not finite.
+
+    The form is exponential below 1e-5 and from 1e7 on.
+    """
     if not math.isfinite(value):
         return UNKNOWN
     if value == 0:

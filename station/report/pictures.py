@@ -411,7 +411,10 @@ def _every(t_s: Floats) -> int:
 
 
 def _thinned(t_s: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Return a curve of fewer points that looks the same: the least and the largest value of each stretch."""
+    """Return a curve of fewer points that looks the same: the least and the largest value of each stretch.
+
+    Stretches without a finite value are left out. A curve of at most ``2 * _MOST_POINTS`` points is returned as it is.
+    """
     if len(t_s) <= 2 * _MOST_POINTS:
         return t_s, values
     edges = np.linspace(0, len(t_s), _MOST_POINTS + 1).astype(int)

@@ -385,11 +385,11 @@ class Acquisition:
             for source, name in about
         }
 
-    async def close(self, attributes: Mapping[str, str], *, whole: bool) -> None:
+    async def close(self, attributes: Mapping[str, str], *, undisturbed: bool) -> None:
         """Close all sources and other devices, write ``attributes``, and close the recording.
 
-        A ``whole`` run (no verdict so far) first gets its live estimate finished and identities checked: DeviceFault if
-        another device is there; the recording then stays open.
+        Of an ``undisturbed`` run, which has no verdict so far, the live estimate is finished and identities are checked
+        first: DeviceFault if another device is there; the recording then stays open.
         """
         self.monitor.end()
         for imu in self._imus:
@@ -400,15 +400,15 @@ class Acquisition:
         for imu in self._imus:
             for name in imu.source.names:
                 self.writer.set_source(name, self.reports[name].attributes() | _link_attributes("", imu.counts))
-            if whole:
+            if undisturbed:
                 await self._reopening.ask_at_end(imu.config.name, imu.source)
         for device in self._others:
             device.driver.close()
             if device.counts is not None and device.name in self._described:
                 self.writer.set_attributes(_link_attributes("", device.counts), f"{DEVICES}/{device.name}")
-            if whole:
+            if undisturbed:
                 await self._reopening.ask_at_end(device.name, device.driver)
-        if whole:
+        if undisturbed:
             with suppress(EstimatorError):  # the batch estimate reports it
                 self.live.finish()
         self._take_histories(1)

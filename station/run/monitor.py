@@ -84,7 +84,11 @@ class Monitor:
     def __init__(
         self, opened: OpenBench, live: LiveEstimate, reopening: Reopening, time_scale: float, beside: Beside
     ) -> None:
-        """Start without data; progress comes from the sequencer once it is set. Failures go to ``beside``."""
+        """Start without data; progress comes from the sequencer once it is set.
+
+        Work of the monitor that fails does not end the run: it goes through ``beside``, which notes the failure.
+        Times are stretched by ``time_scale``, how fast the loop's clock runs.
+        """
         self._beside = beside
         self._counts: dict[str, SourceCounts] = {}
         self._open, self._live, self._reopening, self._scale = opened, live, reopening, time_scale

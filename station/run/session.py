@@ -137,11 +137,11 @@ class Session:
         self._early_end = EarlyEnd(bench, self._live, time_scale) if options.end_early else None
 
     async def run(self) -> Result:
-        """Run to the end and return the result; nothing is raised. The table is always brought to rest and the
-        recording closed.
+        """Run to the end, bring the table to rest, close the recording and return the result; nothing is raised.
 
-        Whatever interrupts the run, a KeyboardInterrupt, a cancel or an error, becomes its verdict, and the rest is
-        skipped.
+        Whatever interrupts the run, a KeyboardInterrupt, a cancel or an error, becomes its verdict, and the remaining
+        steps are skipped. After ``_MOST_INTERRUPTIONS`` of them, the way out included, only the recording is closed;
+        the reason of the verdict then says whether the table may still move.
         """
         this = asyncio.current_task()
         with heeded_signals(self.stop, self._outlive if self._options.outlives_terminal else None):
@@ -378,7 +378,7 @@ class Session:
         if not acquisition.closed:
             self._open.table.close()
             attributes = {"ended_early": self._ended_early} if self._ended_early else {}
-            await acquisition.close(attributes, whole=self._verdict is None)
+            await acquisition.close(attributes, undisturbed=self._verdict is None)
         calibration, agreement = None, float("nan")
         verdict = self._verdict or (MANUAL_VERDICT if self._options.manual else None)
         if verdict is None:

@@ -214,10 +214,9 @@ class _Way:
     """What the readings of one time window show; there are at least two, oldest first."""
 
     def __init__(self, readings: tuple[AxisState, ...], resolution_rad: float) -> None:
-        """Compute times, angle turned and length of the path of the readings, and the rates of which the window has
-        all.
+        """Compute times, angle turned, length of the path, and rates of the readings.
 
-        ``resolution_rad`` is that of the encoder. A rate that is a mean counts if it began after the first reading.
+        Rates that are means count only if they began after the first reading. ``resolution_rad`` is the encoder's.
         """
         first, last = readings[0], readings[-1]
         self._resolution_rad = resolution_rad

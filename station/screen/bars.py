@@ -43,7 +43,7 @@ class TopBar(Static):
     """The names of the screens, the present one marked; a click changes to another."""
 
     def __init__(self, mode: str) -> None:
-        """``mode`` is the screen's own."""
+        """List all screens with their keys, that of ``mode`` highlighted and the others as links."""
         names = [
             f"[bold reverse] {key} {name} [/]"
             if mode == screen_name

@@ -115,7 +115,11 @@ def _errors_by_gyro(study: PaperStudy) -> Table:
 
 
 def _errors_by_heading(study: PaperStudy) -> Table:
-    """Return the table of errors to the letter for each heading: the bias of each gyro, and the mean of each state."""
+    """Return the table of errors of the method as the paper states it, Earth rate being in the data.
+
+    Each row is one heading: the error of each gyro's bias, then the mean error of each state over the gyros. The last
+    row has the figures of the paper.
+    """
     heads = ["heading,\ndeg", *(f"b{gyro + 1},\ndeg/s" for gyro in range(len(TABLE_2)))]
     heads += [f"mean {name},\n{unit}" for name, unit in zip(NAMES, UNITS, strict=True)]
     table = rich_table("To the letter, Earth rate at 45 deg latitude in the data and not in the model", heads, "r")

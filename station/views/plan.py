@@ -70,23 +70,23 @@ class HiddenEffect:
     states: tuple[StateShifts, ...]
 
 
-def detectable_sizes(found: EffectForecast) -> Iterator[DetectableSizes]:
-    """Yield the sizes of an effect that are detected, for each unit of its parameters."""
-    parameters = found.effect.parameters
+def detectable_sizes(forecast: EffectForecast) -> Iterator[DetectableSizes]:
+    """Yield the sizes at which an effect is detected, one record for each unit that its parameters have."""
+    parameters = forecast.effect.parameters
     for si_unit in dict.fromkeys(parameter.unit for parameter in parameters):
         rows = [row for row, parameter in enumerate(parameters) if parameter.unit == si_unit]
         unit, factor = shown_unit(si_unit)
-        seen = found.seen[rows]
-        sizes = found.smallest[rows][seen] * factor
+        seen = forecast.seen[rows]
+        sizes = forecast.smallest[rows][seen] * factor
         yield DetectableSizes(
-            effect=readable(found.effect.name),
+            effect=readable(forecast.effect.name),
             unit=unit,
             least=float(sizes.min()) if sizes.size else None,
             most=float(sizes.max()) if sizes.size else None,
             detected=int(seen.sum()),
             count=int(seen.size),
-            has_influence=bool(found.shift[rows].any()),
-            largest=float(found.largest[rows].max() * factor),
+            has_influence=bool(forecast.shift[rows].any()),
+            largest=float(forecast.largest[rows].max() * factor),
         )
 
 

@@ -106,8 +106,8 @@ class Bands:
     def crossing(self, best: Floats, term: int, rise: float, *, above: bool) -> Floats:
         """Return the square (p,) of a term at which the deviance, the others fitted, is ``rise`` above its minimum.
 
-        ``best`` (p, 3) are the most likely squares; the crossing is searched ``above`` or below that of the term. Below
-        it is 0 if the deviance does not rise that much.
+        ``best`` (p, 3) are the most likely squares of the three terms of each of p sensors. The crossing is searched
+        above that of the term, or below it if ``above`` is false; there it is 0 if the deviance rises less than that.
         """
         least = self.deviance(best)
         inner = best[:, term]

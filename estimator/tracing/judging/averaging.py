@@ -40,7 +40,10 @@ def between_recordings(search: Search, terms: Sequence[Term]) -> Floats:
 
 
 def between_notes(between: Floats) -> list[str]:
-    """Return, in words, which states differ from run to run."""
+    """Return one sentence on the states that differ from run to run, or an empty list if none does.
+
+    ``between`` (4,) are the standard deviations of the states between runs, in SI, 0 where a state does not differ.
+    """
     told = []
     for state, size in zip(GYRO.states, between.tolist(), strict=True):
         factor, unit = _SHOWN[state.unit]

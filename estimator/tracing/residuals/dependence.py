@@ -100,10 +100,10 @@ def dependences(
 
 
 def _squares_explained(gram: Floats, columns: Columns, beside: Columns, rest: int) -> tuple[float, int]:
-    """Return the squares of the residual that columns explain beside others, and the number of independent columns.
+    """Return the squares of the residual that ``columns`` explain after ``beside``, and how many are independent.
 
-    ``gram`` holds the products of all columns, of which ``rest`` is the residual. Columns of zeros do not count; (0.0,
-    0) if there are no others.
+    ``gram`` (c, c) holds the products of all columns; column number ``rest`` is the residual. Columns of zeros are left
+    out. Return (0.0, 0) if all ``columns`` are zeros.
     """
     size = np.sqrt(np.diag(gram)[columns])
     columns, size = columns[size > 0], size[size > 0]

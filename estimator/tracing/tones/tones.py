@@ -107,9 +107,9 @@ def find_tone(runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequen
 def _coherent(
     found: ToneFound, samples: Sequence[Samples], rests: Sequence[Floats], variances: Sequence[Floats]
 ) -> bool:
-    """Return whether a line lasts through each run: one that comes and goes explains more in parts than in the whole.
+    """Return whether a tone lasts through each run: one that comes and goes explains more in parts than in the whole.
 
-    ``rests`` (n, m) are the samples beside the model, ``variances`` (m,) their noise, each for a run.
+    ``rests`` has the residuals (n, m) of the samples of each run, ``variances`` the variances (m,) of their noise.
     """
     parts, part_rests, part_variances = [], [], []
     for s, rest, variance in zip(samples, rests, variances, strict=True):

@@ -54,7 +54,7 @@ def _effects_table(one: ForceFinding) -> Table:
 
 
 def _errors_table(one: ForceFinding) -> Table:
-    """Return the rms errors before and after."""
+    """Return a row for each accelerometer: rms error before and after in ug, and their ratio."""
     where = "the verification runs" if one.verified else "the fitted runs: give --verify for runs that were not used"
     rows = [
         [escape(name), f"{before * _MICRO_G:.1f}", f"{after * _MICRO_G:.1f}", f"{before / after:.2f}"]

@@ -58,6 +58,10 @@ def history_shown(
 
 
 def _chart(serial: str | None, view: ChartView) -> Iterator[Shown]:
+    """Yield the control chart of a device: a title, a table for each state, and a line for each run out of limits.
+
+    The last line says that the limits are provisional if there are few runs.
+    """
     failed = list(view.counted).count(False)
     counts = f"{len(view.files)} runs of {view.script or 'no script'} on {view.bench or 'no bench'}"
     unused = f", {failed} FAIL not used for the limits" if failed else ""
@@ -79,6 +83,7 @@ def _table(view: ChartView, figure: StateUnit, places: Sequence[_Place]) -> Tabl
 
 
 def _row(view: ChartView, place: _Place) -> list[str]:
+    """Return the name of a gyro, and of one state: mean, limits, last value, moving average, its limit, and zones."""
     chart = view.chart
     at = place.gyro, place.state
     low, high = chart.limits

@@ -41,6 +41,10 @@ def _heads(names: Sequence[str]) -> list[str]:
 
 
 def _line(row: HistoryRow, names: Sequence[str]) -> list[str]:
+    """Return the cells of a recording: its facts, what moved, and value and sigma of each state of the gyros ``names``.
+
+    Cells of gyros that the recording does not have are empty.
+    """
     cells = [_quoted(value(row)) for value in _COLUMNS.values()]
     cells.append(_quoted("; ".join(map(_move, row.moved))))
     gyros = {gyro.name: gyro for gyro in row.gyros}

@@ -36,6 +36,7 @@ def gauge_shown(folder: str, studies: Sequence[GaugeView]) -> Iterator[Shown]:
 
 
 def _title(view: GaugeView) -> str:
+    """Return the script and the numbers of runs, devices, operators and benches in a gauge study."""
     counts = [
         f"{_counted(view.runs, 'run')} of {_counted(view.devices, 'device')}",
         _counted(len(view.operators), "operator"),
@@ -67,6 +68,7 @@ def _study(study: GaugeStudy, figures: Sequence[StateUnit]) -> Iterator[Shown]:
 
 
 def _table(study: GaugeStudy, figures: Sequence[StateUnit]) -> Table:
+    """Return a row for each state: repeatability, reproducibility, spread of devices, GRR, and ratio with interval."""
     table = rich_table(None, _HEADS, "lr")
     for state, figure in zip(STATES, figures, strict=True):
         ratio, low, high = study.ratio[state], study.ratio_low[state], study.ratio_high[state]

@@ -27,31 +27,33 @@ _HEADS = (
 _MODEL_HEADS = ("model", "log evidence", "rms deg/h", "largest deg/h", "in 95 %")
 
 
-def errors_shown(what: InvestigationView) -> Iterator[Shown]:
+def errors_shown(view: InvestigationView) -> Iterator[Shown]:
     """Yield the errors by gyro before and after, how much smaller they became, and the chain of models."""
-    yield _errors_table(what), {}
-    if what.improvement is None:
-        yield line(f"rms error {dph(what.before.rms_rps)} deg/h; unchanged, since no effect was added")
+    yield _errors_table(view), {}
+    if view.improvement is None:
+        yield line(f"rms error {dph(view.before.rms_rps)} deg/h; unchanged, since no effect was added")
     else:
-        yield line(_improved(what, what.improvement))
-    if what.in_sample:
+        yield line(_improved(view, view.improvement))
+    if view.in_sample:
         yield line(_IN_SAMPLE)
-    if len(what.models) > 1:
-        yield _chain(what.models), {}
+    if len(view.models) > 1:
+        yield _chain(view.models), {}
 
 
-def _errors_table(what: InvestigationView) -> Table:
-    where = "cross-validated by step, in-sample" if what.in_sample else "verification run"
+def _errors_table(view: InvestigationView) -> Table:
+    """Return a row for each gyro, and one for all if there are several: errors before and after, and moved states."""
+    where = "cross-validated by step, in-sample" if view.in_sample else "verification run"
     errors = rich_table(f"Error of the compensated rate, before and after ({where})", _HEADS, "lr")
-    for name, gyro in what.gyros.items():
+    for name, gyro in view.gyros.items():
         errors.add_row(escape(name), *_errors(gyro.before, gyro.after), _moved(gyro))
-    if len(what.gyros) > 1:
+    if len(view.gyros) > 1:
         errors.add_section()
-        errors.add_row("all", *_errors(what.before, what.after), "")
+        errors.add_row("all", *_errors(view.before, view.after), "")
     return errors
 
 
 def _errors(before: ErrorsView, after: ErrorsView) -> list[str]:
+    """Return rms error, largest error (both in deg/h) and coverage of the 95 % intervals, each before and after."""
     return [
         dph(before.rms_rps),
         dph(after.rms_rps),
@@ -66,9 +68,9 @@ def _moved(gyro: GyroView) -> str:
     return " / ".join(number(sigmas, 1, signed=True) for sigmas in gyro.moved_sigmas.values())
 
 
-def _improved(what: InvestigationView, gain: ImprovementView) -> str:
+def _improved(view: InvestigationView, gain: ImprovementView) -> str:
     return (
-        f"rms error {dph(what.before.rms_rps)} -> {dph(what.after.rms_rps)} deg/h: {_ratio(gain.ratio)} times smaller "
+        f"rms error {dph(view.before.rms_rps)} -> {dph(view.after.rms_rps)} deg/h: {_ratio(gain.ratio)} times smaller "
         f"(95 %: {_ratio(gain.low)} to {_ratio(gain.high)}), over the entire run, noise removed"
     )
 
@@ -79,6 +81,7 @@ def _ratio(value: float | None) -> str:
 
 
 def _chain(models: tuple[ModelView, ...]) -> Table:
+    """Return a row for each model: its effects, log evidence relative to the first one, errors and coverage."""
     chain = rich_table("Chain of models", _MODEL_HEADS, "lr", fold=True)
     for model in models:
         names = ["four states", *map(readable, model.effects)]

@@ -26,6 +26,7 @@ def print_loop(loop: "Loop") -> None:
 
 
 def _shown(loop: "Loop") -> Iterator[Shown]:
+    """Yield the runs of a loop, its investigations, why it ended, the table time used and the folder of the results."""
     yield _runs(loop.runs), {}
     for number, turn in enumerate(loop.rounds[:-1], 1):
         yield line(escape(_round(number, turn)))
@@ -39,6 +40,7 @@ def _shown(loop: "Loop") -> Iterator[Shown]:
 
 
 def _runs(driven: "list[Driven]") -> Table:
+    """Return a row for each run: purpose, script, recording, table time, and the verdict on this run alone."""
     runs = rich_table("Runs", ["run", "script", "recording", "table time", "verdict alone"], "lllrl", fold=True)
     for number, run in enumerate(driven, 1):
         runs.add_row(

@@ -68,6 +68,7 @@ def _is_improbable(probability: float | None) -> bool:
 
 
 def _table(compared: _Compared) -> Table:
+    """Return a row for each gyro: the figures of its residual, side by side before and after if there are both."""
     by_chance = max((gyro.nis_sd or 0.0 for gyro in compared.before.gyros.values()), default=0.0)
     title = f"Residual, {compared.recordings} (misfit of noise: 1 ± {by_chance:.2f})"
     rows = [_row(name, compared.stages) for name in compared.before.gyros]

@@ -79,6 +79,7 @@ def _shift(shift: Shift) -> str:
 
 
 def _pairs_table(pairs: Sequence[Pair]) -> Table:
+    """Return a row for each pair of effects that the script cannot tell apart, with parameter and correlation."""
     rows = [
         [
             escape(readable(pair.first)),

@@ -21,6 +21,7 @@ def print_improved(improved: Improved, path: Path, units: Units) -> None:
 
 
 def _shown(improved: Improved, path: Path, units: Units) -> Iterator[Shown]:
+    """Yield durations before and after, predicted sigmas, the steps of the script found, the search, and its file."""
     yield line(_durations(improved))
     yield _sigmas(improved, units), {}
     if improved.wanted.total_s is not None:

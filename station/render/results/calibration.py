@@ -33,6 +33,7 @@ def calibration_shown(calibration: Calibration, verdict: Verdict, units: Units) 
 
 
 def _states(calibration: Calibration, verdict: Verdict, units: Units) -> Table:
+    """Return a row for each gyro: states and sigmas in the units chosen, those beyond their limits marked."""
     broken = {(limit.row, limit.state, limit.of_u) for limit in verdict.broken}
     figures = fitted_figures(units, calibration)
     heads = ["gyro"]

@@ -57,6 +57,7 @@ def details_shown(calibration: Calibration, units: Units) -> Iterator[Shown]:
 
 
 def _budget_table(budget: Mapping[str, Floats], figures: Sequence[StateUnit]) -> Table:
+    """Return a row for each line of the budget, in the units shown; negligible shares of a state as such."""
     heads = ["source", *(f"{figure.name} ({figure.unit})" for figure in figures)]
     table = rich_table("Uncertainty budget, rms over the gyros", heads, "lr")
     combined = budget["combined"].tolist()
@@ -73,6 +74,7 @@ def _contribution(size: float, combined: float, figure: StateUnit) -> str:
 
 
 def _undeclared_table(shares: Sequence[UndeclaredShare]) -> Table:
+    """Return a row for each state: sigma with and without undeclared effects, the largest one, and what shows it."""
     rows = [
         [
             f"{share.figure.name} ({share.figure.unit})",
@@ -107,6 +109,7 @@ def sources_shown(sources: "Sequence[SourceReport]") -> Iterator[Shown]:
 
 
 def _source(source: "SourceReport") -> Iterator[str]:
+    """Yield samples and losses of a source, and as far as known drift and jitter of its clock and its time offset."""
     counts = source.counts
     losses = f"{counts.lost} lost, {counts.repeated} repeated, {counts.late} late, {counts.corrupt} corrupt"
     yield f"{counts.samples} samples, {losses}"

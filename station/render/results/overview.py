@@ -49,6 +49,7 @@ def _shown(folder: str, rows: Sequence[OverviewRow], reasons: Mapping[str, Seque
 
 
 def _table(folder: str, rows: Sequence[OverviewRow]) -> Table:
+    """Return a row for each recording: device, script, outcome, largest sigma relative to its prior, mean NIS."""
     overview = rich_table(f"Recordings in {escape(folder)}", _HEADS, "llllrr")
     for row in rows:
         overview.add_row(

@@ -118,7 +118,10 @@ def _count(attributes: Mapping[str, Any], key: str, where: str) -> Content:
 
 
 def _clock(attributes: Mapping[str, Any], key: str, unit: Unit, where: str) -> Content:
-    """Return a property of the clock, with its standard deviation if that is known."""
+    """Return a property of a clock, with its standard deviation if that is stored; ``_UNKNOWN`` if it is not.
+
+    ``where`` is the place of the attributes in the recording, to which each figure of the report refers.
+    """
     if key not in attributes:
         return _UNKNOWN
     value = fixed(attributes[key], unit, 2, where + key)
@@ -136,6 +139,7 @@ def _event(event: Event, start_ns: int) -> list[Content]:
 def _software(
     recorded: Recorded, traced: Traced | None, hashes: Mapping[str, str], made_with: str, *, simulated: bool
 ) -> list[tuple[str, Content]]:
+    """Return versions, files and hashes that identify how the document was made; None where a fact is missing."""
     version = recorded.text("software_version")
     apart = traced is not None and "investigation" in hashes
     return [
@@ -156,6 +160,7 @@ def _hash(text: str) -> Content:
 
 
 def _signatures(recorded: Recorded, formal: Formal) -> Table:
+    """Return the rows to be signed by the operator and by who approves; blanks to fill in where a name is missing."""
     operator = recorded.text("operator") or _BLANK
     approved_by = formal.certificate_approved_by or _BLANK
     rows: list[list[Content]] = [

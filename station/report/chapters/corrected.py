@@ -75,6 +75,7 @@ def correction_view(
 
 
 def _axes_table(recorded: Recorded, calibration: Calibration) -> Table:
+    """Return a row for each gyro: the stated directions p, j and k of its axes."""
     rows: list[list[Content]] = []
     for gyro in calibration.gyros:
         array = recorded.recording.sources[gyro.source].array
@@ -91,6 +92,7 @@ def _direction(axis: Floats) -> Markup:
 
 
 def _device(correction: Correction, title: str, states: States, origin: str) -> DeviceView:
+    """Return the correction of one device, with the effects that it cannot undo and its code in C."""
     compensation = correction.compensation
     delay_s = compensation.delay_s
     return DeviceView(

@@ -84,6 +84,7 @@ def _identity(model: str | None, serial: str | None, firmware: str | None) -> st
 
 
 def _device(recorded: Recorded, formal: Formal) -> list[tuple[str, Content]]:
+    """Return customer, device under test, maker, serial number and condition, as far as they are stated."""
     names = ", ".join(name for name in links_of(recorded) if name != "table")
     received = str(formal.item_received) if formal.item_received else ""
     return [
@@ -133,6 +134,7 @@ def _origin(recorded: Recorded, formal: Formal) -> list[tuple[str, Content]]:
 
 
 def _when_and_where(recorded: Recorded, formal: Formal, standing: Standing) -> list[tuple[str, Content]]:
+    """Return dates, place, ambient conditions and procedure; None where a line is to be left out."""
     begun = recorded.begun_utc
     undated = "none: the run was in simulated time" if standing.simulated else _NOT_STATED
     on_another_day = begun is not None and formal.performed_date != begun.date()
@@ -168,6 +170,7 @@ def _reference(recorded: Recorded) -> list[tuple[str, Content]]:
 
 
 def _site(recorded: Recorded) -> Content:
+    """Return latitude and heading in words, or that no site is stated and Earth rate is therefore not in the model."""
     site = recorded.recording.site
     if site is None:
         return "not stated: Earth rate is not in the model"
@@ -190,6 +193,7 @@ def _adjustment(adjusted: bool) -> str:
 
 
 def _approval(recorded: Recorded, formal: Formal) -> list[tuple[str, Content]]:
+    """Return who approved and who accepted the calibration, and when the next one is due; None where not stated."""
     accepted = recorded.utc("accepted_utc")
     when = f"{accepted:%Y-%m-%d %H:%M UTC}" if accepted else recorded.text("accepted_utc")
     return [
@@ -200,6 +204,7 @@ def _approval(recorded: Recorded, formal: Formal) -> list[tuple[str, Content]]:
 
 
 def _equipment(formal: Formal) -> EquipmentView:
+    """Return the equipment that was used, and the names of those whose calibration is expired or has no due date."""
     rows = [
         [instrument.name, instrument.serial_number or _NOT_STATED, instrument.due or instrument.no_due or _NOT_STATED]
         for instrument in formal.equipment
@@ -237,6 +242,7 @@ def motion_view(recorded: Recorded) -> MotionView:
 
 
 def _steps_table(recorded: Recorded, driven: Sequence[tuple[Step, Rotate | None]]) -> Table:
+    """Return a row for each step that was driven: begin, duration, axis, steady rate and angle turned."""
     heads = ["step", "begins, s", "lasts, s", "axis", "steady rate, °/s", "turned by, °"]
     rows: list[list[Content]] = []
     for number, (step, turn) in enumerate(driven, start=1):

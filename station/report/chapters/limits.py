@@ -53,7 +53,10 @@ def limits_view(standing: Standing, false_accept: float | None) -> LimitsView | 
 
 
 def _table(lines: Sequence[LimitLine], *, guarded: bool) -> Table:
-    """Return a row for each quantity of a gyro: the comparison of its value, and that of its uncertainty."""
+    """Return a row for each quantity of a gyro: the comparison of its value, and that of its uncertainty.
+
+    With ``guarded`` a column has the guarded limit, up to which values are accepted.
+    """
     accepted = ["accepted up to"] if guarded else []
     heads = ["gyro", "quantity", "unit", "found", "limit", *accepted, "verdict", _U, _LIMIT_OF_U, "verdict"]
     align = "lllrrrlrrl" if guarded else "lllrrlrrl"
@@ -107,6 +110,7 @@ def _value(line: LimitLine | None) -> Content:
 
 
 def _limit(line: LimitLine | None) -> Content:
+    """Return a limit as an interval; a dash without one, "estimated" for a gyro that had to be estimated but is not."""
     if line is None:
         return _NONE
     if line.note:

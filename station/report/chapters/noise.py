@@ -37,6 +37,7 @@ def noise_view(recorded: Recorded, calibration: Calibration) -> NoiseView:
 
 
 def _data_table(labels: Sequence[str], gyros: Sequence[GyroCalibration], *, coloured: bool) -> Table:
+    """Return a row for each gyro: noise of one sample, and with ``coloured`` the terms estimated from all data."""
     heads = ["gyro", "one sample, °/s"]
     if coloured:
         heads += ["angle random walk, °/s/√Hz", "bias instability, below, °/h", "rate random walk, below, °/h/√h"]

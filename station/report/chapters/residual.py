@@ -116,6 +116,7 @@ def _errors_table(what: InvestigationView) -> Table:
 
 
 def _error_row(name: str, before: ErrorsView, after: ErrorsView) -> list[Content]:
+    """Return rms error, largest error (both in deg/h) and coverage of the 95 % intervals, each before and after."""
     return [
         name,
         known(before.rms_rps, DEG_PER_H),

@@ -68,6 +68,10 @@ def _chain(equipment: Sequence[Equipment]) -> Table:
 
 
 def _instrument(instrument: Equipment) -> list[Content]:
+    """Return the row of an instrument: name and number, certificate, laboratory, dates, uncertainty.
+
+    What is missing is said to be not stated, except for the certificate, which stays empty.
+    """
     return [
         ", ".join(filter(None, (instrument.name, instrument.serial_number))),
         instrument.certificate,

@@ -232,6 +232,7 @@ def unseen_view(recorded: Recorded, unseen: Unseen | None) -> UnseenView:
 
 
 def _steady_motion(recorded: Recorded, unseen: Unseen) -> SteadyMotion:
+    """Return what a steady motion cannot show: combinations of states, and effects, hidden or shown."""
     found = unseen.forecast
     effects = hidden(unseen)
     seen = [effect for effect in found.effects if effect.seen.all()]
@@ -258,6 +259,10 @@ def _hidden_table(unseen: Unseen, effects: Sequence[tuple[EffectForecast, Floats
 
 
 def _hidden_row(unseen: Unseen, effect: EffectForecast, shifts: Floats) -> list[Content]:
+    """Return the row of an effect: smallest size detected, largest plausible size, shift of the states, what shows it.
+
+    ``held by the budget`` stands in place of the shift if the uncertainty budget includes the effect.
+    """
     budgeted = effect.effect.name in unseen.budgeted
     return [
         unseen.words(effect.effect.name),

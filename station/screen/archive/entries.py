@@ -165,20 +165,25 @@ def last_comparable(run: Entry, entries: Iterable[Entry]) -> Entry | None:
     return max(earlier, key=lambda other: other.when_utc_s, default=None)
 
 
-def comparable(entries: Iterable[Entry], whatever: int = 0) -> list[list[Entry]]:
-    """Return the groups of comparable runs, oldest first; ``whatever`` ignores serial number (1) and bench (2)."""
+def comparable(entries: Iterable[Entry], ignored: int = 0) -> list[list[Entry]]:
+    """Return the groups of comparable runs, each oldest first.
+
+    Runs are comparable if their ``series`` agree, apart from the first ``ignored`` parts: with 1 the serial number may
+    differ, with 2 also the bench. Entries without a series, or with a value that is not finite, are left out.
+    """
     found = defaultdict(list)
     for entry in sorted(entries, key=lambda entry: entry.when_utc_s):
         if (series := entry.series) is not None and math.isfinite(sum(sum(g.values + g.sds) for g in entry.gyros)):
-            found[series[whatever:]].append(entry)
+            found[series[ignored:]].append(entry)
     return list(found.values())
 
 
 def moves(entries: Iterable[Entry]) -> dict[str, list[Move]]:
-    """Return, by file, the states that moved since the last comparable run that did not fail by more than chance
-    explains.
+    """Return, for the file of each comparable run, the states that moved by more than chance explains.
 
-    A copy of a run gets the same list as the run.
+    A run is compared with the run before it in its group of comparable runs; runs before it that failed are skipped.
+    The list is empty for the first run of a group, and while all runs before it failed. A copy of a run gets the same
+    list as the run.
     """
     from statistics import NormalDist  # as numpy takes a while to load, and few look at a second run
 

@@ -23,7 +23,7 @@ from station.screen.memory import is_of_this_user_alone, state_folder
 
 _VERSION = 2  # of the content of an entry: an older index is left to older stations
 _PATIENCE_S = 1.0  # for another station, which writes for some milliseconds
-_TOLD = ("when_utc_s", "wrong", "foreign", "devices", "texts", "nis_mean", "units")
+_AS_JSON = ("when_utc_s", "wrong", "foreign", "devices", "texts", "nis_mean", "units")
 
 
 def index_file(folder: Path) -> Path:
@@ -53,10 +53,10 @@ def load(folder: Path) -> dict[File, Entry]:
 
 
 def keep(folder: Path, entries: Mapping[File, Entry]) -> bool:
-    """Add entries to the index of a folder; return whether that succeeded."""
+    """Add entries to the index of a folder, or replace those of the same files; return whether that succeeded."""
     rows = []
     for file, entry in entries.items():
-        as_json = json.dumps({name: getattr(entry, name) for name in _TOLD})
+        as_json = json.dumps({name: getattr(entry, name) for name in _AS_JSON})
         rows.append([os.fsencode(os.path.relpath(file[0], folder)), *file[1:], as_json.encode(), entry.figures])
     sql = "REPLACE INTO recordings VALUES (CAST(? AS TEXT), ?, ?, CAST(? AS TEXT), CAST(? AS TEXT), ?)"
     return _done(folder, sql, [[*row, _checksum(row)] for row in rows]) is not None

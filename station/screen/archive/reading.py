@@ -171,6 +171,7 @@ def _judged(whole: Whole, bench: str) -> Whole:
 
 
 def _exceeded(line: "LimitLine") -> Exceeded:
+    """Return a limit that was exceeded in words, with its place among gyros and states."""
     subject, found, bound, missed_by = line.cells
     return Exceeded(
         subject=subject,

@@ -92,6 +92,10 @@ def _section(table: str) -> str:
 
 
 def _form_line(form: Form, checked: Checked, table: str, key: Key) -> FormLine:
+    """Return the line of a field: its text, and where that comes from, what is wrong with it, or that it is missing.
+
+    Entered text goes before that of the recording, and that before the bench file.
+    """
     field = f"{table}.{key.name}"
     # A list of the bench file is taken over as a whole, or not at all.
     of_bench = "" if "." in table else form.sources[BENCH_FILE].get(field, "")
@@ -125,6 +129,7 @@ def form_question(form: Form, checked: Checked) -> str:
 
 
 def _remarks(form: Form, formal: "Formal") -> list[str]:
+    """Return what the operator should check: the customer, what prevents a certificate, and facts not stated."""
     lines = []
     last_customer = form.sources.get(LAST_FORM, {}).get(_CUSTOMER)
     if last_customer and form.entered.get(_CUSTOMER) == last_customer:
@@ -171,6 +176,7 @@ def form_toml(form: Form) -> str:
 
 
 def _toml_lines(form: Form, table: str) -> Iterator[str]:
+    """Yield the TOML lines of entered fields that differ from the recording, and of the serial number in any case."""
     for key in keys_of(f"certificate.{_section(table)}"):
         field = f"{table}.{key.name}"
         text = form.entered.get(field)

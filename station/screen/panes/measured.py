@@ -99,6 +99,7 @@ def _source_table(snapshot: Snapshot) -> list[tuple[Text, bool]]:
 
 
 def _source_row(source: SourceSnapshot) -> list[str]:
+    """Return name, rate in Hz, counts, latency and jitter in ms, temperature in deg C and link of a source."""
     return [
         source.name,
         number(source.rate_hz, 1),

@@ -64,6 +64,7 @@ def _no_run(others: int) -> str:
 
 
 def _run_lines(run: LiveRun, width: int) -> list[Text]:
+    """Return the lines on a run, fitted to ``width`` columns: ended, lost, silent, starting, by hand, or under way."""
     recording = f"recording: {run.recording}"
     if run.stage is Stage.ENDED:
         begun = run.hello is not None

@@ -117,6 +117,10 @@ def _change_lines(view: ChangeView) -> list[Text]:
 
 
 def _change_row(old: GyroSnapshot, new: GyroSnapshot, figures: Sequence[StateUnit]) -> list[str]:
+    """Return the name of a gyro and, for each state, its change in the unit shown and in sigmas of the difference.
+
+    Sigmas are left blank if they are 0.
+    """
     cells = [new.name]
     for at, figure in enumerate(figures):
         change = new.values[at] - old.values[at]

@@ -40,6 +40,7 @@ def verdict_text(view: VerdictView) -> Text:
 
 
 def _outcome_lines(whole: Whole) -> list[Text]:
+    """Return why a recording cannot be read, or its outcome or exceeded limits, date, names, and acceptance."""
     entry = whole.entry
     if entry.wrong:
         return [line(("CANNOT BE READ", "bold red"), f"  {entry.wrong}")]

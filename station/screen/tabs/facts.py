@@ -151,7 +151,10 @@ def _stated(whole: Whole) -> tuple["Recorded", tuple[Path, Path], Mapping[str, M
 
 
 def _texts(toml: str) -> dict[str, str]:
-    """Return the facts in a TOML text, by names such as "equipment.0.due", as they are entered."""
+    """Return the facts in a TOML text as they are entered, by names such as "equipment.0.due".
+
+    Items of a list are joined by " | ". Tables other than ``SECTIONS`` are left out. TOMLDecodeError if it is no TOML.
+    """
     found = {}
     for name, facts in tomllib.loads(toml).items():
         for number, table in enumerate(facts if isinstance(facts, list) else [facts]):

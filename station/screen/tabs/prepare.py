@@ -135,8 +135,10 @@ class PrepareScreen(StationScreen):
             self.redraw()
 
     def note_key(self, event: events.Key) -> None:
-        """Collect characters that come as fast as a scanner's, wherever the focus is; called before any other handling
-        of the key.
+        """Collect characters that come as fast as a scanner's, wherever the focus is, until Enter or Tab is pressed.
+
+        Called before any other handling of the key. A pause or another key begins anew. The focused field and its text
+        before the first character are noted, so that ``_take_scan`` can restore them.
         """
         gap_s = event.time - self._burst_at_s
         self._burst_at_s = event.time

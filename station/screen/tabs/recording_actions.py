@@ -25,10 +25,11 @@ def offered(app: Any, recording: Path) -> Iterator[SystemCommand]:
 
 
 async def _make(app: Any, recording: Path, suffix: str) -> None:
-    """Write a report or export of a recording in the format ``suffix``, and report the result; HTML is opened in a
-    browser.
+    """Write a report or export of a recording beside it, and tell the operator the file or the reason of a failure.
 
-    The browser is opened on a desktop only: a browser in this terminal would hide STOP.
+    ``suffix`` is that of the file: "html" or "pdf" for a report, "xml" for a DCC with the report as PDF, "h" for source
+    code in C, others for the export of that name. On a desktop HTML is then opened in a browser; elsewhere a browser
+    would run in this terminal and hide STOP.
     """
     named = recording.with_suffix(".pdf" if suffix == "xml" else f".{suffix}")
     file = await asyncio.to_thread(free_path, named, beside=[".html", ".xml"] if suffix in _PAPER else [])

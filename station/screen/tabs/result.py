@@ -100,7 +100,10 @@ class ResultScreen(StationScreen):
         self.station.work(partial(self._read, path, fresh), "open")
 
     async def _read(self, path: Path, fresh: bool) -> None:
-        """Read a recording and others of the same device; for a ``fresh`` one that failed, start an investigation."""
+        """Read a recording and others of the same device.
+
+        For a ``fresh`` one that has a calibration and the outcome FAIL, start an investigation.
+        """
         whole = await self.station.archive.read(path)
         self._whole, self._busy = whole, ""
         await self._take_investigation(whole.investigation)

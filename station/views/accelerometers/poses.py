@@ -173,6 +173,7 @@ def session_object(session: PoseSession, path: str) -> dict[str, Any]:
 
 
 def _accelerometer_object(result: PoseCalibration) -> dict[str, Any]:
+    """Return a calibrated triad; covariance and matrix are None if the rests did not show all parameters."""
     complete = bool(result.shown.all())
     return {
         "unit": result.unit,
@@ -191,6 +192,7 @@ def _accelerometer_object(result: PoseCalibration) -> dict[str, Any]:
 
 
 def _gyro_object(result: GyroTurnCalibration) -> dict[str, Any]:
+    """Return calibrated gyros; covariance and matrix are None if the turns did not show all parameters."""
     complete = bool(result.shown.all())
     return {
         "parameters": [_parameter_object(own) for own in result.parameters],
@@ -213,6 +215,7 @@ def _board_object(board: Board) -> dict[str, Any]:
 
 
 def _imu_object(imu: BoardImu) -> dict[str, Any]:
+    """Return an IMU of a board: its place and rotation relative to the first one, and both calibrations."""
     return {
         "name": imu.name,
         "arm_m": imu.arm_m.tolist(),
@@ -240,6 +243,7 @@ def _parameter_object(own: Parameter) -> dict[str, Any]:
 
 
 def _rest_object(rest: PoseRest) -> dict[str, Any]:
+    """Return a rest: its time in the file, mean output, deviation from gravity, and why it was refused, if it was."""
     return {
         "number": rest.number,
         "file": rest.file,
