@@ -48,6 +48,20 @@ class AccelerometerCalibration:
 
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
+class ForceEffectValues:
+    """An effect of a model, estimated with the states: its parameters (a, p) by accelerometer, with their sigmas.
+
+    ``parameters`` are their names, in ``unit``.
+    """
+
+    name: str
+    unit: str
+    parameters: tuple[str, ...]
+    values: Floats
+    sd: Floats
+
+
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Intrinsic:
     """What does not depend on how a device is mounted: sensitivities (a,), offsets (a,), angles between the axes.
 
@@ -73,7 +87,7 @@ class ForceCalibration:
     ``covariance`` (4 a, 4 a) is that of all states, accelerometer by accelerometer. ``arm_m`` (3,) is the mean place,
     with ``arm_covariance_m2`` (3, 3). ``offset`` is by how much the accelerometers are later than the table's readings.
     ``gravity_mps2`` is the gravity that was assumed, ``gravity_from`` where it comes from. ``doubts`` are notes that
-    question the sigmas.
+    question the sigmas. ``effects`` are those of the model that was given.
     """
 
     source: str
@@ -88,6 +102,7 @@ class ForceCalibration:
     excluded: tuple[Excluded, ...] = ()
     notes: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
+    effects: tuple[ForceEffectValues, ...] = ()
 
     @property
     def arm_sd_m(self) -> Floats:

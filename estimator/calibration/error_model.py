@@ -1,4 +1,4 @@
-"""The error model of a type of gyro: the effects that an investigation added, and how large they typically are.
+"""The error model of a type of device: the effects that an investigation added, and how large they typically are.
 
 An investigation finds effects on one device. What it says of the next device of the same type is which effects to
 expect, the value of what is not linear in them (a time constant, a frequency), and their typical size: the prior under
@@ -113,15 +113,40 @@ class KnownEffect:
         return replace(made, parameters=tuple(replace(p, name=s.name, largest=s.sd) for p, s in sizes))
 
 
+@dataclass(kw_only=True, frozen=True, slots=True)
+class KnownForceEffect:
+    """An effect of accelerometers, each with its own parameters, with their expected sizes for a type of device.
+
+    The expected values are zero. ``found`` is their origin: by accelerometer value and standard deviation of each
+    parameter.
+    """
+
+    name: str
+    sizes: tuple[Size, ...]
+    found: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
+
+    @property
+    def sd(self) -> Floats:
+        """Expected standard deviation of each parameter (p,)."""
+        return np.array([size.sd for size in self.sizes])
+
+
 @dataclass(frozen=True, slots=True)
 class ErrorModel:
     """Effects beyond the four states, and effects that were found but do not apply to another device, with the reason.
 
-    ``text`` returns the file's content; ``parse`` and ``read`` restore the model.
+    ``effects`` are those of gyros, ``forces`` those of accelerometers. ``text`` returns the file's content; ``parse``
+    and ``read`` restore the model.
     """
 
     effects: tuple[KnownEffect, ...]
     left_out: Mapping[str, str] = field(default_factory=dict)
+    forces: tuple[KnownForceEffect, ...] = ()
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether it has no effect at all."""
+        return not self.effects and not self.forces
 
     def made(self, gimbals: Sequence[str], offers: frozenset[str]) -> list[Effect]:
         """Return the effects for a recording with the data in ``offers``; ModelError if one needs more."""
@@ -145,13 +170,19 @@ class ErrorModel:
                 **({"from": known.record.origin} if known.record.origin else {}),
                 **known.settings,
                 "shared": known.shared,
-                "parameters": [{"name": s.name, "unit": s.unit, "mean": s.mean, "sd": s.sd} for s in known.sizes],
-                "found": {who: [list(pair) for pair in pairs] for who, pairs in known.found.items()},
+                **_sizes_object(known.sizes, known.found),
             }
             for known in self.effects
         ]
-        whole = {"format": FORMAT, "format_version": FORMAT_VERSION, "effects": effects, "left_out": {**self.left_out}}
-        return json.dumps(whole, indent=1)
+        forces = [{"effect": known.name, **_sizes_object(known.sizes, known.found)} for known in self.forces]
+        model = {
+            "format": FORMAT,
+            "format_version": FORMAT_VERSION,
+            "effects": effects,
+            "left_out": {**self.left_out},
+            "accelerometers": forces,
+        }
+        return json.dumps(model, indent=1)
 
     @classmethod
     def parse(cls, text: str, where: str) -> Self:
@@ -167,11 +198,13 @@ class ErrorModel:
         try:
             effects = tuple(_read_effect(entry, where) for entry in whole["effects"])
             left_out = {str(name): str(reason) for name, reason in whole.get("left_out", {}).items()}
+            forces = tuple(map(_read_force_effect, whole.get("accelerometers", [])))
         except MISSHAPEN as error:
             raise ModelError(f"{where} is a damaged error model ({type(error).__name__}: {error}). {_GIVE}") from None
-        if len({known.called for known in effects}) < len(effects):
+        names = [*(known.called for known in effects), *(f"accelerometers: {known.name}" for known in forces)]
+        if len(set(names)) < len(names):
             raise ModelError(f"{where} is a damaged error model: it lists an effect twice")
-        return cls(effects, left_out)
+        return cls(effects, left_out, forces)
 
     @classmethod
     def read(cls, path: Path | str) -> Self:
@@ -206,6 +239,26 @@ def _read_effect(entry: Mapping[str, Any], where: str) -> KnownEffect:
             remedy = f"it is of {entry['from']}; install the package, or give the file with --plugin"
         raise ModelError(f"{where} has the effect {name}, which this station's catalogue does not know: {remedy}")
     settings = {setting.key: setting.read(setting.key, entry[setting.key]) for setting in record.kept_settings}
+    sizes, found = _read_sizes(entry)
+    known = KnownEffect(name, bool(entry["shared"]), sizes, settings, found)
+    made = record.effect((str(settings.get("axis", "z")),), **settings)
+    units = [parameter.unit for parameter in made.parameters]
+    # The number of the parameters of effects of the table follows the table.
+    if known.shared != made.shared or (not record.of_table and units != [size.unit for size in sizes]):
+        raise ValueError(f"{name} of the catalogue has other parameters")
+    return known
+
+
+def _sizes_object(sizes: Sequence[Size], found: Mapping[str, tuple[tuple[float, float], ...]]) -> dict[str, Any]:
+    """Return the parameters of an effect, and what they come from, as values of JSON."""
+    return {
+        "parameters": [{"name": s.name, "unit": s.unit, "mean": s.mean, "sd": s.sd} for s in sizes],
+        "found": {who: [list(pair) for pair in pairs] for who, pairs in found.items()},
+    }
+
+
+def _read_sizes(entry: Mapping[str, Any]) -> tuple[tuple[Size, ...], dict[str, tuple[tuple[float, float], ...]]]:
+    """Return the parameters of an effect, and what they come from; see ``_sizes_object``."""
     sizes = tuple(
         Size(str(p["name"]), str(p["unit"]), _finite("mean", p["mean"]), positive("sd", p["sd"]))
         for p in entry["parameters"]
@@ -214,13 +267,13 @@ def _read_effect(entry: Mapping[str, Any], where: str) -> KnownEffect:
         str(who): tuple((_finite("found", value), _finite("found", sd)) for value, sd in pairs)
         for who, pairs in entry.get("found", {}).items()
     }
-    known = KnownEffect(name, bool(entry["shared"]), sizes, settings, found)
-    made = record.effect((str(settings.get("axis", "z")),), **settings)
-    units = [parameter.unit for parameter in made.parameters]
-    # The number of the parameters of effects of the table follows the table.
-    if known.shared != made.shared or (not record.of_table and units != [size.unit for size in sizes]):
-        raise ValueError(f"{name} of the catalogue has other parameters")
-    return known
+    return sizes, found
+
+
+def _read_force_effect(entry: Mapping[str, Any]) -> KnownForceEffect:
+    """Return one effect of accelerometers; whether the station knows it shows when it is used."""
+    sizes, found = _read_sizes(entry)
+    return KnownForceEffect(name=str(entry["effect"]), sizes=sizes, found=found)
 
 
 def _finite(key: str, value: object) -> float:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from estimator.calibration.accelerometer import AccelerometerCalibration, ForceCalibration
+from estimator.calibration.accelerometer import AccelerometerCalibration, ForceCalibration, ForceEffectValues
 from estimator.calibration.budget import Contribution
 from estimator.geometry.noise import NoiseFound, NoiseModel
 from estimator.observations.health import Excluded
@@ -43,6 +43,18 @@ def _object(one: ForceCalibration) -> dict[str, Any]:
         "excluded": [[e.name, e.reason] for e in one.excluded],
         "notes": list(one.notes),
         "doubts": list(one.doubts),
+        "effects": [_effect_object(effect) for effect in one.effects],
+    }
+
+
+def _effect_object(effect: ForceEffectValues) -> dict[str, Any]:
+    """Return an effect of a model as values of JSON."""
+    return {
+        "name": effect.name,
+        "unit": effect.unit,
+        "parameters": list(effect.parameters),
+        "values": effect.values.tolist(),
+        "sd": effect.sd.tolist(),
     }
 
 
@@ -78,6 +90,18 @@ def _calibration(own: Mapping[str, Any]) -> ForceCalibration:
         excluded=tuple(Excluded(str(name), str(reason)) for name, reason in own["excluded"]),
         notes=tuple(map(str, own["notes"])),
         doubts=tuple(map(str, own["doubts"])),
+        effects=tuple(_effect(effect) for effect in own.get("effects", [])),
+    )
+
+
+def _effect(own: Mapping[str, Any]) -> ForceEffectValues:
+    """Return an effect of a model."""
+    return ForceEffectValues(
+        name=str(own["name"]),
+        unit=str(own["unit"]),
+        parameters=tuple(map(str, own["parameters"])),
+        values=np.array(own["values"], dtype=np.float64),
+        sd=np.array(own["sd"], dtype=np.float64),
     )
 
 

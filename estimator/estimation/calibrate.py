@@ -55,12 +55,13 @@ def calibrate(
     """
     if model is not None:
         check_model(model, recording)
-        model = model if model.effects else None
+    of_forces = model.forces if model is not None else ()
+    model = model if model is not None and model.effects else None
     recording, sources, notes, defective = _usable(recording)
     devices = _devices(recording, sources, model, excluded, defective)
     estimates = [one for device in devices for one in device.sources]
     gyros, checks, gyro_notes = _gyros_of(recording, devices)
-    forces, force_notes = calibrate_forces(recording)
+    forces, force_notes = calibrate_forces(recording, of_forces)
     nis = _mean_nis(recording, model, estimates) if innovations else float("nan")
     spoilt, doubts = _doubts(recording, devices, forces)
     effects = tuple(one for device in devices for one in device.undeclared)

@@ -1,10 +1,13 @@
 """What an investigation says of the next devices of the same type."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from estimator.calibration.error_model import ErrorModel, KnownEffect, Size
+from estimator.calibration.error_model import ErrorModel, KnownEffect, KnownForceEffect, Size
 from estimator.effects.catalogue import record_of
 from estimator.effects.effect import Settings
+from estimator.tracing.accelerometers.trace_forces import ForceFinding, FoundEffect
 from estimator.tracing.augmented import Augmented, Part
 from estimator.types import Floats
 
@@ -34,6 +37,35 @@ def error_model_of(found: Augmented) -> ErrorModel:
             other = effects.get(known.called, known)
             effects[known.called] = max(known, other, key=lambda effect: float(effect.sd.sum()))
     return ErrorModel(tuple(effects.values()), left_out)
+
+
+def force_effects_of(findings: Sequence[ForceFinding]) -> tuple[KnownForceEffect, ...]:
+    """Return the effects that were added to accelerometers, as the next device of the type is expected to have them.
+
+    Their size is 1.5 times the rms over the accelerometers of all sources, as the next ones have other signs.
+    """
+    every: dict[str, list[tuple[ForceFinding, FoundEffect]]] = {}
+    for finding in findings:
+        for found in finding.effects:
+            every.setdefault(found.effect.name, []).append((finding, found))
+    return tuple(_known_force_effect(name, found) for name, found in every.items())
+
+
+def _known_force_effect(name: str, found: Sequence[tuple[ForceFinding, FoundEffect]]) -> KnownForceEffect:
+    """Return an effect of accelerometers with its expected size, and the values found by accelerometer."""
+    effect = found[0][1].effect
+    squares = np.concatenate([one.values**2 + one.sd**2 for _, one in found])
+    sd = _NEXT * np.sqrt(squares.mean(axis=0))
+    sizes = zip(effect.parameters, sd.tolist(), strict=True)
+    return KnownForceEffect(
+        name=name,
+        sizes=tuple(Size(parameter, effect.unit, 0.0, size) for parameter, size in sizes),
+        found={
+            f"{finding.source} {who}": _pairs(values, sigmas)
+            for finding, one in found
+            for who, values, sigmas in zip(finding.names, one.values, one.sd, strict=True)
+        },
+    )
 
 
 def _known_effect(found: Augmented, part: Part) -> KnownEffect:

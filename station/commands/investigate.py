@@ -68,7 +68,7 @@ def command_investigate(arguments: argparse.Namespace) -> int:
     view = investigation_view(found, written, fitted, judging)
     result = investigation_object(view)
     if model is not None:
-        write_investigation(model, found, result)
+        write_investigation(model, found, result, of_forces)
     if picture is not None:
         draw_investigation(picture, found)
     if arguments.json:

@@ -153,6 +153,9 @@ def _lacking(exported: Exported, correction: ForceCorrection, parts: Collection[
     if Part.LEVER_ARM not in parts:
         arm = ", ".join(f"{value:.6g}" for value in correction.calibration.arm_m)
         yield sentence("export.lever_arm", arm=arm)
+    if correction.calibration.effects:
+        names = ", ".join(effect.name.replace("_", " ") for effect in correction.calibration.effects)
+        yield sentence("export.force_effects", names=names)
     if Part.SIGMAS not in parts:
         yield sentence("export.force_sigmas")
     mean_c = exported.seen.temperature_c[1]

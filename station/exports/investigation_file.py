@@ -1,16 +1,18 @@
 """The file of an investigation: HDF5 with the verdict as JSON and the residuals before and after."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from estimator.calibration.error_model import WHERE
+from estimator.calibration.error_model import WHERE, ErrorModel
+from estimator.tracing.accelerometers.trace_forces import ForceFinding
 from estimator.tracing.investigation import Investigation
-from estimator.tracing.type_model import error_model_of
+from estimator.tracing.type_model import error_model_of, force_effects_of
 from station.errors import UsageError
 from station.views.investigation import spectra_of
 
@@ -18,12 +20,15 @@ FORMAT = "turntable-investigation"
 FORMAT_VERSION = 1
 
 
-def write_investigation(path: Path, found: Investigation, what: Mapping[str, Any]) -> None:
+def write_investigation(
+    path: Path, found: Investigation, what: Mapping[str, Any], forces: Sequence[ForceFinding] = ()
+) -> None:
     """Write group /investigation: ``what`` as its attribute ``json``, states, and residuals by run and gyro.
 
     Group ``spectrum`` holds by gyro the densities (rad/s)^2/Hz at ``frequency_hz`` of the residual of the fitted
     recordings, before and after, and of the noise model; ``spectrum_verification`` those of the verification run. The
-    text of the error model, for the next device of the type, is stored as ``estimator.calibration.error_model`` has it.
+    text of the error model, for the next device of the type, is stored as ``estimator.calibration.error_model`` has it,
+    with the effects that were added to accelerometers (``forces``).
     UsageError if the file exists or cannot be written; an incomplete file is removed.
     """
     import h5py
@@ -37,8 +42,10 @@ def write_investigation(path: Path, found: Investigation, what: Mapping[str, Any
             file.attrs.update({"format": FORMAT, "format_version": FORMAT_VERSION})
             group = file.create_group("investigation")
             group.attrs.update({"verdict": str(found.finding), "reason": found.reason, "json": json.dumps(what)})
-            if found.model is not None:
-                file[WHERE] = error_model_of(found.model).text()
+            model = error_model_of(found.model) if found.model is not None else ErrorModel(())
+            model = replace(model, forces=force_effects_of(forces))
+            if found.model is not None or not model.is_empty:
+                file[WHERE] = model.text()
             group["name"] = np.array([gyro.name.encode() for gyro in found.gyros])
             for key in ("states_before", "states_after", "moved"):
                 group[key] = np.array([getattr(gyro, key) for gyro in found.gyros])

@@ -137,7 +137,9 @@ class Acquisition:
             self.writer.add_source(name, array, config.prior, about)
             if config.force_sheet is not None:
                 self._force_sheets[name] = config.force_sheet
-            effects = SampleColumns(self._model, table.gimbals, self._bench.site, array) if self._model else None
+            effects = None
+            if self._model is not None and self._model.effects:
+                effects = SampleColumns(self._model, table.gimbals, self._bench.site, array)
             self.live.sources[name] = LiveSource(
                 array=array,
                 rate_hz=config.rate_hz,

@@ -110,7 +110,7 @@ class Session:
         snapshot.
         """
         config, time_scale = bench.bench, options.time_scale
-        self._model = options.model if options.model is not None and options.model.effects else None
+        self._model = options.model if options.model is not None and not options.model.is_empty else None
         self._open, self._bench, self._script = bench, config, script
         self._options, self._time_scale = options, max(time_scale, 1.0)  # below 1 devices are slow, too
         self._on_progress = on_progress

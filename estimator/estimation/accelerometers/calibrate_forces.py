@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from estimator.calibration.accelerometer import ForceCalibration
+from estimator.calibration.error_model import KnownForceEffect
 from estimator.errors import RecordingError
 from estimator.estimation.accelerometers.estimate import estimate_forces
 from estimator.estimation.accelerometers.samples import Checked, checked
@@ -17,10 +18,13 @@ from estimator.sensors.accelerometers import ACCELEROMETER
 _UNSEEN = 0.5  # share of the prior's sigma above which a run did not show a state
 
 
-def calibrate_forces(recording: Recording) -> tuple[tuple[ForceCalibration, ...], list[str]]:
+def calibrate_forces(
+    recording: Recording, effects: Sequence[KnownForceEffect] = ()
+) -> tuple[tuple[ForceCalibration, ...], list[str]]:
     """Return the calibrations of the accelerometers by source, and notes.
 
-    Calibrated are those with a data sheet, on a table. A source of which too little was recorded has a note only.
+    Calibrated are those with a data sheet, on a table. A source of which too little was recorded has a note only. The
+    ``effects`` of a model are estimated with the states; ModelError for one that cannot be.
     """
     found: list[ForceCalibration] = []
     notes: list[str] = []
@@ -33,7 +37,7 @@ def calibrate_forces(recording: Recording) -> tuple[tuple[ForceCalibration, ...]
             continue
         try:
             noise = data.accel_sheet.noise if data.accel_sheet is not None else None
-            own = estimate_forces(recording, source, seen.samples, noise)
+            own = estimate_forces(recording, source, seen.samples, noise, effects)
         except RecordingError as error:
             notes += doubts
             notes.append(f"{source}: the accelerometers are not calibrated: {error}")

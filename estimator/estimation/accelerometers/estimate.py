@@ -5,12 +5,15 @@ depends on the lever arm and the states on the force: the estimate is repeated w
 neither changes.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from estimator.calibration.accelerometer import AccelerometerCalibration, ForceCalibration
+from estimator.calibration.accelerometer import AccelerometerCalibration, ForceCalibration, ForceEffectValues
 from estimator.calibration.budget import Contribution
+from estimator.calibration.error_model import KnownForceEffect
+from estimator.estimation.accelerometers.force_effects import BY_NAME, laws_of_model
 from estimator.estimation.accelerometers.force_runs import ForceRun, ForceSamples, force_run
 from estimator.estimation.accelerometers.laws import (
     APART,
@@ -65,13 +68,18 @@ def gravity_of(recording: Recording) -> Gravity:
 
 
 def estimate_forces(
-    recording: Recording, source: str, samples: ForceSamples, noise: NoiseModel | None = None
+    recording: Recording,
+    source: str,
+    samples: ForceSamples,
+    noise: NoiseModel | None = None,
+    effects: Sequence[KnownForceEffect] = (),
 ) -> ForceCalibration:
     """Return the calibration of the accelerometers of a source on a table; ``noise`` is that of their data sheet.
 
-    Raises TooShort for too few samples beside readings of the table.
+    The ``effects`` of a model are estimated with the states. Raises TooShort for too few samples beside readings of the
+    table, ModelError for an effect that cannot be estimated.
     """
-    settled = settle(recording, source, samples, noise)
+    settled = settle(recording, source, samples, noise, effects)
     joint = settled.joint
     laws = {law.called: number for number, law in enumerate(joint.laws)}
     delay, delay_variance = _parameters(joint, laws[DELAY], 0)
@@ -109,10 +117,29 @@ def estimate_forces(
         gravity_mps2=settled.gravity_mps2,
         gravity_from=gravity_of(recording).source,
         offset=TimeOffset(settled.delay_s + float(delay[0]), float(np.sqrt(delay_variance[0, 0]))),
+        effects=tuple(_effect_values(joint, laws[known.name], known.name) for known in effects),
     )
 
 
-def settle(recording: Recording, source: str, samples: ForceSamples, noise: NoiseModel | None) -> Settled:
+def _effect_values(joint: Joint, law: int, name: str) -> ForceEffectValues:
+    """Return the parameters of an effect of the model for each accelerometer."""
+    found = [_parameters(joint, law, number) for number in range(len(joint.means))]
+    return ForceEffectValues(
+        name=name,
+        unit=BY_NAME[name].unit,
+        parameters=BY_NAME[name].parameters,
+        values=np.array([values for values, _ in found]),
+        sd=np.array([np.sqrt(np.diag(covariance)) for _, covariance in found]),
+    )
+
+
+def settle(
+    recording: Recording,
+    source: str,
+    samples: ForceSamples,
+    noise: NoiseModel | None,
+    effects: Sequence[KnownForceEffect] = (),
+) -> Settled:
     """Return the joint estimate of the accelerometers of a source about the lever arm and the delay that it finds.
 
     The arm and the delay are subtracted and estimated again until neither changes. Raises TooShort for too few samples
@@ -123,7 +150,8 @@ def settle(recording: Recording, source: str, samples: ForceSamples, noise: Nois
     delay_s = 0.0
     for step in range(_MOST_STEPS):
         run = force_run(recording, source, samples, arm_m=arm_m, delay_s=delay_s, gravity_mps2=gravity_mps2)
-        joint = joint_estimate([run], _laws(run, samples, arm_m, delay_s), noise)
+        laws_of_run = [*_laws(run, samples, arm_m, delay_s), *laws_of_model(effects, run.grid.offers)]
+        joint = joint_estimate([run], laws_of_run, noise)
         laws = {law.called: number for number, law in enumerate(joint.laws)}
         arm_step, arm_covariance = _parameters(joint, laws[ARM], 0)
         delay_step, delay_variance = _parameters(joint, laws[DELAY], 0)

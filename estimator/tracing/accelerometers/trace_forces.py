@@ -12,13 +12,13 @@ import numpy as np
 
 from estimator.estimation.accelerometers.calibrate_forces import usable_forces
 from estimator.estimation.accelerometers.estimate import Settled, settle
+from estimator.estimation.accelerometers.force_effects import BY_NAME, EFFECTS, ForceEffect
 from estimator.estimation.accelerometers.force_runs import ForceRun, ForceSamples, force_run
 from estimator.estimation.accelerometers.laws import rest_angle_law
 from estimator.estimation.evidence import SCALES, Term, log_mean
 from estimator.estimation.noise_evidence import Joint, TooShort, columns_of, expected_of, joint_estimate, terms_of
 from estimator.estimation.spectra import Z
 from estimator.recordings.recording import Recording
-from estimator.tracing.accelerometers.force_effects import BY_NAME, EFFECTS, ForceEffect
 from estimator.types import Floats
 
 CERTAIN = 0.95

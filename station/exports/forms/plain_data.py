@@ -10,7 +10,7 @@ import numpy as np
 from scipy.io import savemat
 
 from drivers.types import Floats
-from estimator.calibration.accelerometer import AccelerometerCalibration, ForceCalibration
+from estimator.calibration.accelerometer import ForceCalibration
 from estimator.calibration.compensation import CompensationError
 from estimator.calibration.gyro import GyroCalibration
 from estimator.geometry.model import STATES
@@ -70,7 +70,7 @@ def write_csv(exported: Exported) -> Written:
     lines = [_line(exported, i, gyro) for i, gyro in enumerate(exported.gyros)]
     for force in exported.forces:
         rows = sensitivity_of(force.accelerometers) if force.accelerometers else ()
-        lines += [_force_line(force, *pair) for pair in zip(force.accelerometers, rows, strict=True)]
+        lines += [_force_line(force, place, row) for place, row in enumerate(rows)]
     headings = dict.fromkeys(heading for line in lines for heading in line)
     file = io.StringIO()
     writer = csv.DictWriter(file, list(headings), restval="", lineterminator="\n")
@@ -95,8 +95,9 @@ def _line(exported: Exported, i: int, gyro: GyroCalibration) -> dict[str, str]:
     return who | {heading: number(value) for heading, value in values.items()}
 
 
-def _force_line(force: ForceCalibration, one: AccelerometerCalibration, row: Floats) -> dict[str, str]:
-    """Return the values of an accelerometer as texts by heading; ``row`` (3,) is its sensitivity."""
+def _force_line(force: ForceCalibration, place: int, row: Floats) -> dict[str, str]:
+    """Return the values of an accelerometer of a source as texts by heading; ``row`` (3,) is its sensitivity."""
+    one = force.accelerometers[place]
     values: dict[str, float] = {}
     for letter, axis in (("p", one.p), ("j", one.j), ("k", one.k_axis), ("g", row)):
         values |= {f"{letter}_{part}": x for part, x in zip("xyz", axis, strict=True)}
@@ -107,6 +108,11 @@ def _force_line(force: ForceCalibration, one: AccelerometerCalibration, row: Flo
     values["noise of a sample (m/s2)"] = one.noise_mps2
     if force.offset is not None:
         values |= {"delay (s)": force.offset.offset_s, "sd delay (s)": force.offset.sd_s}
+    for effect in force.effects:
+        pairs = zip(effect.parameters, effect.values[place].tolist(), effect.sd[place].tolist(), strict=True)
+        for parameter, value, sd in pairs:
+            heading = f"{effect.name}: {parameter} ({effect.unit})"
+            values |= {heading: value, f"sd {heading}": sd}
     who = {"accelerometer": one.name, "source": one.source, "device": one.device}
     return who | {heading: number(value) for heading, value in values.items()}
 

@@ -5,10 +5,11 @@ from collections.abc import Sequence
 from rich.markup import escape
 from rich.table import Table
 
+from estimator.estimation.accelerometers.force_effects import BY_NAME
 from estimator.geometry.kinematics import GRAVITY_MPS2
-from estimator.tracing.accelerometers.force_effects import BY_NAME
 from estimator.tracing.accelerometers.trace_forces import ForceFinding
 from station.render.terminal import Shown, print_all, rich_table, stdout
+from station.views.figures import StateUnit
 
 _MICRO_G = 1e6 / GRAVITY_MPS2
 
@@ -45,8 +46,11 @@ def _effects_table(one: ForceFinding) -> Table:
         for number, parameter in enumerate(effect.effect.parameters):
             label = effect.effect.name.replace("_", " ")
             cells = [label if len(effect.effect.parameters) == 1 else f"{label}, {parameter}"]
-            for value, sd in zip(effect.values[:, number], effect.sd[:, number], strict=True):
-                cells.append(f"{value * effect.effect.shown:.3g} ± {sd * effect.effect.shown:.2g}")
+            sds = effect.sd[:, number].tolist()
+            figure = StateUnit(label, effect.effect.shown_unit, effect.effect.shown, 0, 8).fitted(sds)
+            cells += [
+                figure.figure(value, sd) for value, sd in zip(effect.values[:, number].tolist(), sds, strict=True)
+            ]
             cells += [effect.effect.shown_unit, f"{effect.probability:.1%}"]
             rows.append(cells)
     heads = ["effect", *(escape(name) for name in one.names), "unit", "probability"]

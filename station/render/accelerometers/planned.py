@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from rich.markup import escape
 from rich.table import Table
 
-from estimator.tracing.accelerometers.force_effects import BY_NAME
+from estimator.estimation.accelerometers.force_effects import BY_NAME
 from station.opening.planned_forces import PlannedForces
 from station.render.terminal import Shown, print_all, rich_table, stdout
 from station.views.accelerometers.planned import DETECTED

@@ -8,7 +8,15 @@ from rich.table import Table
 
 from estimator.calibration.accelerometer import AccelerometerCalibration, ForceCalibration
 from station.render.terminal import Shown, print_all, rich_table, stdout
-from station.views.accelerometers.result import FORCE_FIGURES, LINE_WORDS, OFFSET, PLACE, fitted_forces, place_figure
+from station.views.accelerometers.result import (
+    FORCE_FIGURES,
+    LINE_WORDS,
+    OFFSET,
+    PLACE,
+    effect_rows,
+    fitted_forces,
+    place_figure,
+)
 from station.views.figures import StateUnit, number
 
 
@@ -21,6 +29,8 @@ def print_forces(forces: Sequence[ForceCalibration], *, details: bool) -> None:
         if one.accelerometers:
             shown.append((_states_table(one), {}))
             shown.append((_places_table(one), {}))
+            if one.effects:
+                shown.append((_effects_table(one), {}))
             shown += [(line, {"highlight": False}) for line in _lines(one)]
         shown += [
             (f"[red]{escape(excluded.name)} is not calibrated:[/red] {escape(excluded.reason)}", {"highlight": False})
@@ -56,6 +66,20 @@ def _places_table(one: ForceCalibration) -> Table:
     for axis in "xyz":
         heads += [f"{axis}\n{PLACE.unit}", "±"]
     return rich_table("Places from where the axes of the table meet", heads, "lr", rows)
+
+
+def _effects_table(one: ForceCalibration) -> Table:
+    """Return the parameters of the effects of the model, with their standard deviations."""
+    heads = ["\neffect", "\nunit"]
+    for accelerometer in one.accelerometers:
+        heads += [f"{escape(accelerometer.name)}\nvalue", "±"]
+    rows = []
+    for row in effect_rows(one):
+        cells = [row.name, row.figure.unit]
+        for value, sd in zip(row.values, row.sds, strict=True):
+            cells += [row.figure.text(value), row.figure.text(sd)]
+        rows.append(cells)
+    return rich_table("Effects of the model", heads, "ll" + 2 * len(one.accelerometers) * "r", rows)
 
 
 def _place_row(name: str, place_m: Sequence[float], sd_m: Sequence[float], figure: StateUnit) -> list[str]:

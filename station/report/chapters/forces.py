@@ -10,7 +10,15 @@ from estimator.calibration.accelerometer import ForceCalibration
 from station.report.figures import COVERAGE, SYMBOLS, typographic
 from station.report.recorded import Recorded
 from station.report.tables import Table, table_of
-from station.views.accelerometers.result import FORCE_FIGURES, LINE_WORDS, OFFSET, PLACE, fitted_forces, place_figure
+from station.views.accelerometers.result import (
+    FORCE_FIGURES,
+    LINE_WORDS,
+    OFFSET,
+    PLACE,
+    effect_rows,
+    fitted_forces,
+    place_figure,
+)
 from station.views.figures import StateUnit
 
 
@@ -42,6 +50,8 @@ def chapters(recorded: Recorded) -> list[ForceChapter]:
 def _chapter(one: ForceCalibration) -> ForceChapter:
     """Return what is said of one source."""
     tables = [_states(one), _places(one), _intrinsic(one), _budget(one)] if one.accelerometers else []
+    if one.effects:
+        tables.insert(1, _effects(one))
     lines = []
     if one.offset is not None:
         late_ms = 1e3 * one.offset.offset_s
@@ -79,6 +89,22 @@ def _states(one: ForceCalibration) -> ForceTable:
     rows = [[a.name, *_cells(a.states.tolist(), a.sd.tolist(), figures)] for a in one.accelerometers]
     note = "The model is that of the gyros, with the specific force at the place of each as input."
     return ForceTable(caption="States", table=table_of(heads, "l" + 8 * "r", rows), note=note)
+
+
+def _effects(one: ForceCalibration) -> ForceTable:
+    """Return the effects of the model, with expanded uncertainties."""
+    heads = ["effect", "unit"]
+    for accelerometer in one.accelerometers:
+        heads += [accelerometer.name, "U"]
+    rows = []
+    for row in effect_rows(one):
+        cells = [row.name, typographic(row.figure.unit)]
+        for value, sd in zip(row.values, row.sds, strict=True):
+            cells += _cells([value], [sd], [row.figure])
+        rows.append(cells)
+    note = "These effects were estimated with the states. The constants of the states do not correct them."
+    caption = "Effects of the model"
+    return ForceTable(caption=caption, table=table_of(heads, "ll" + 2 * len(one.accelerometers) * "r", rows), note=note)
 
 
 def _places(one: ForceCalibration) -> ForceTable:

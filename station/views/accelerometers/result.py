@@ -1,10 +1,12 @@
 """The calibration of accelerometers for tables and for JSON: units of the states, objects with named values."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from estimator.calibration.accelerometer import AccelerometerCalibration, ForceCalibration
+from estimator.calibration.accelerometer import AccelerometerCalibration, ForceCalibration, ForceEffectValues
+from estimator.estimation.accelerometers.force_effects import BY_NAME
 from estimator.geometry.kinematics import GRAVITY_MPS2
 from estimator.sensors.accelerometers import ACCELEROMETER
 from station.views.figures import StateUnit
@@ -34,6 +36,16 @@ LINE_WORDS = {
 """What the lines of the budget are called."""
 
 
+@dataclass(kw_only=True, frozen=True, slots=True)
+class EffectRow:
+    """A parameter of an effect: its value and standard deviation for each accelerometer, shown in ``figure``'s unit."""
+
+    name: str
+    figure: StateUnit
+    values: tuple[float, ...]
+    sds: tuple[float, ...]
+
+
 def fitted_forces(one: ForceCalibration) -> tuple[StateUnit, ...]:
     """Return the states with the digits that their standard deviations deserve."""
     sds = zip(*(a.sd.tolist() for a in one.accelerometers), strict=True)
@@ -54,6 +66,7 @@ def force_object(one: ForceCalibration) -> dict[str, Any]:
         "gravity_from": one.gravity_from,
         "accelerometers": [_accelerometer_object(a) for a in one.accelerometers],
         "excluded": {e.name: e.reason for e in one.excluded},
+        "effects": {effect.name: _effect_object(effect, one) for effect in one.effects},
     }
     if one.offset is not None:
         found["delay"] = {"value_s": one.offset.offset_s, "sd_s": one.offset.sd_s}
@@ -72,6 +85,34 @@ def force_object(one: ForceCalibration) -> dict[str, Any]:
         }
     checked: dict[str, Any] = json_object(found)
     return checked
+
+
+def _effect_object(effect: ForceEffectValues, one: ForceCalibration) -> dict[str, Any]:
+    """Return an effect of the model: its unit, and by accelerometer each parameter with its sigma."""
+    found: dict[str, Any] = {"unit": effect.unit}
+    for accelerometer, values, sds in zip(one.accelerometers, effect.values, effect.sd, strict=True):
+        pairs = zip(effect.parameters, values.tolist(), sds.tolist(), strict=True)
+        found[accelerometer.name] = {name: {"value": value, "sd": sd} for name, value, sd in pairs}
+    return found
+
+
+def effect_rows(one: ForceCalibration) -> list[EffectRow]:
+    """Return a row for each parameter of each effect of the model, in the units that people read."""
+    rows = []
+    for effect in one.effects:
+        shown = BY_NAME[effect.name]
+        for number, parameter in enumerate(effect.parameters):
+            name = effect.name.replace("_", " ")
+            figure = StateUnit(name, shown.shown_unit, shown.shown, 0, 8).fitted(effect.sd[:, number].tolist())
+            rows.append(
+                EffectRow(
+                    name=name if len(effect.parameters) == 1 else f"{name}, {parameter}",
+                    figure=figure,
+                    values=tuple(effect.values[:, number].tolist()),
+                    sds=tuple(effect.sd[:, number].tolist()),
+                )
+            )
+    return rows
 
 
 def _accelerometer_object(one: AccelerometerCalibration) -> dict[str, Any]:

@@ -4,11 +4,12 @@ The model equation of IEEE 1293 without what a rate table cannot excite. Columns
 is the specific force along the sense axis, a_j and a_k that along the tilt axes, w the body rate.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from estimator.calibration.error_model import KnownForceEffect, ModelError
 from estimator.effects.conditions import Axes, Conditions
 from estimator.effects.effect import Effect, Parameter, Record
 from estimator.estimation.noise_evidence import Law
@@ -41,8 +42,11 @@ class ForceEffect:
     shown_unit: str = ""
     shown_by: str = ""
 
-    def law(self) -> Law:
-        """Return the law of the effect, each accelerometer with its own parameters, at the largest plausible size."""
+    def law(self, expected: Floats | None = None) -> Law:
+        """Return the law of the effect, each accelerometer with its own parameters.
+
+        ``expected`` (p,) are their standard deviations about zero, the largest plausible size if None.
+        """
         parameters = tuple(Parameter(name, self.unit, self.largest) for name in self.parameters)
         effect = Effect(
             name=self.name,
@@ -51,7 +55,7 @@ class ForceEffect:
             needs=frozenset(),
             record=Record(name=self.name, parameters=parameters, shared=False),
         )
-        sd = np.full(len(parameters), self.largest)
+        sd = np.full(len(parameters), self.largest) if expected is None else expected
         return Law(called=self.name, effect=effect, mean=np.zeros(len(parameters)), sd=sd)
 
 
@@ -257,3 +261,25 @@ EFFECTS: tuple[ForceEffect, ...] = (
     ),
 )
 BY_NAME: Mapping[str, ForceEffect] = {effect.name: effect for effect in EFFECTS}
+
+
+def laws_of_model(known: Sequence[KnownForceEffect], offers: Collection[str]) -> list[Law]:
+    """Return the laws of the effects of a model, for a run that has the data in ``offers``.
+
+    Raises ModelError for an effect that this station does not know or that the run cannot show.
+    """
+    laws = []
+    for one in known:
+        effect = BY_NAME.get(one.name)
+        if effect is None or not effect.named or len(effect.parameters) != len(one.sizes):
+            raise ModelError(
+                f"the model has the effect {one.name} of accelerometers, which this station does not know: use the "
+                "version of the station that found it, or investigate again"
+            )
+        if effect.needs and effect.needs not in offers:
+            raise ModelError(
+                f"the model has {one.name} of accelerometers, for which the recording must hold the {effect.needs}: "
+                "record it, or leave out --model"
+            )
+        laws.append(effect.law(one.sd))
+    return laws
