@@ -15,12 +15,15 @@ from drivers.protocols import AppendsSeries, EarlySource
 from drivers.types import Identity, ImuBlock, LinkCounts, SourceCounts
 from estimator.calibration.error_model import ErrorModel
 from estimator.errors import EstimatorError
+from estimator.estimation.live.forces import LiveForces
 from estimator.estimation.live.sample_columns import SampleColumns
 from estimator.estimation.live.source import LiveSource
-from estimator.geometry.array import accelerometer_axes
+from estimator.geometry.array import accelerometer_axes, accelerometer_names, sensor_array
+from estimator.geometry.kinematics import gravity_at
 from estimator.observations.timing import TimeOffset
-from estimator.recordings.recording import DEVICES, ForceSheet
+from estimator.recordings.recording import DEVICES
 from estimator.recordings.writing import RecordingWriter
+from station.bench.imu import ImuConfig
 from station.errors import sentence
 from station.opening import OpenBench, OpenDevice, OpenImu
 from station.opening.links import ends_here
@@ -115,7 +118,7 @@ class Acquisition:
         self.closed = False
         self._last_seen_s: dict[str, float] = {}
         self._accelerometers: set[str] = set()  # sources whose accelerometers the recording has the axes of
-        self._force_sheets: dict[str, ForceSheet] = {}  # of sources whose accelerometers are calibrated
+        self._configs: dict[str, ImuConfig] = {}  # of the device of each source
         self._noted: dict[str, dict[str, float | int]] = {}
         self._half_width_ns, self._rate_window_ns = 0, 0
         self.host = HostWatch(time_scale)
@@ -135,8 +138,7 @@ class Acquisition:
             noise = [config.noise.arw, config.noise.instability, config.noise.walk]
             about = {"device": config.name, "rate_hz": config.rate_hz, "lost": 0, "noise": noise}
             self.writer.add_source(name, array, config.prior, about)
-            if config.force_sheet is not None:
-                self._force_sheets[name] = config.force_sheet
+            self._configs[name] = config
             effects = SampleColumns(self._model, table.gimbals, self._bench.site, array) if self._model else None
             self.live.sources[name] = LiveSource(
                 array=array,
@@ -245,11 +247,27 @@ class Acquisition:
         columns = {key: values for key in keys if (values := getattr(block, key)) is not None}
         if block.accel_mps2 is not None and name not in self._accelerometers:
             self._accelerometers.add(name)
-            self.writer.add_accelerometers(
-                name, accelerometer_axes(self.live.sources[name].array), self._force_sheets.get(name)
-            )
+            self._add_accelerometers(name, block.accel_mps2.shape[1])
         self.writer.append_rows(f"imu/{name}", columns)
         self.live.sources[name].add(block)
+        if name in self.live.forces:
+            self.live.forces[name].add(block)
+
+    def _add_accelerometers(self, name: str, count: int) -> None:
+        """Add the accelerometers of a source to the recording and, if they have a data sheet, to the live estimate."""
+        config, table = self._configs[name], self._bench.table
+        axes, sheet = accelerometer_axes(self.live.sources[name].array), config.force_sheet
+        self.writer.add_accelerometers(name, axes, sheet)
+        if sheet is None or count != len(axes):
+            return
+        self.live.forces[name] = LiveForces(
+            array=sensor_array(axes, names=accelerometer_names(count), part_of_array=True),
+            rate_hz=config.rate_hz,
+            sheet=sheet,
+            gimbals=table.gimbals,
+            gravity=gravity_at(self._bench.site),
+            uncertainty=table.uncertainty,
+        )
 
     def take_row(self, row: TableRow) -> None:
         """Record a row of table readings and pass it to live estimate and monitor; note the widest half width."""
@@ -422,8 +440,10 @@ class Acquisition:
         self.closed = True
 
     def _take_histories(self, fewest: int) -> None:
-        for name, source in self.live.sources.items():
-            for group, columns in source.take_history(fewest).items():
+        taken = [(name, source.take_history(fewest)) for name, source in self.live.sources.items()]
+        taken += [(name, forces.take_history(fewest)) for name, forces in self.live.forces.items()]
+        for name, groups in taken:
+            for group, columns in groups.items():
                 self.writer.append_rows(f"{group}/{name}", columns)
 
     def causes(self) -> list[str]:

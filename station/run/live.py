@@ -7,6 +7,7 @@ import numpy as np
 
 from drivers.types import Floats, Stamps
 from estimator.estimation.live.filter import Innovation
+from estimator.estimation.live.forces import LiveForces
 from estimator.estimation.live.source import LiveSource
 from estimator.geometry.kinematics import Site, body_rate
 from estimator.recordings.motion.body_rates import BodyRates
@@ -32,6 +33,8 @@ class LiveEstimate:
         """
         self.rates = BodyRates(gimbals, site)
         self.sources: dict[str, LiveSource] = {}
+        self.forces: dict[str, LiveForces] = {}
+        """The accelerometers of sources that have a data sheet for them, from their first sample on."""
         self._rows: deque[TableRow] = deque()
         self._working = threading.Lock()
         self._keeping = threading.Lock()
@@ -75,6 +78,8 @@ class LiveEstimate:
             self._take_rows()
             for source in self.sources.values():
                 source.advance(self.rates)
+            for forces in tuple(self.forces.values()):  # the first samples of another source may come meanwhile
+                forces.advance(self.rates)
             self.rates.forget(self.rates.final_until_ns - _HELD_NS)
 
     def body_rate(self, row: TableRow) -> Floats:
@@ -88,6 +93,8 @@ class LiveEstimate:
             self.rates.finish()
             for source in self.sources.values():
                 source.advance(self.rates, everything=True)
+            for forces in self.forces.values():
+                forces.advance(self.rates, everything=True)
 
     def _take_rows(self) -> None:
         """Move the rows that have arrived into the body rates and the kept readings, if these are kept; nothing without

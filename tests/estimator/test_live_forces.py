@@ -73,7 +73,8 @@ def replayed(recording: Recording, kept: np.ndarray | None = None) -> LiveForces
     for since_ns in range(int(table.t_ns[0]), int(table.t_ns[-1]) + 1, 1_000_000_000):
         read = (table.t_ns >= since_ns) & (table.t_ns < since_ns + 1_000_000_000)
         taken = (own.t_ns >= since_ns) & (own.t_ns < since_ns + 1_000_000_000) & kept
-        rates.add(table.t_ns[read], table.angle_rad[read], table.rate_rps[read])
+        half_ns = None if table.half_width_ns is None else table.half_width_ns[read]
+        rates.add(table.t_ns[read], table.angle_rad[read], table.rate_rps[read], half_ns, table.rate_window_ns)
         live.add(Samples(t_ns=own.t_ns[taken], accel_mps2=own.accel_mps2[taken]))
         live.advance(rates)
     rates.finish()

@@ -30,7 +30,7 @@ class About:
 class ForceColumns:
     """Columns (n, a, c) of the parameters of each of a accelerometers, and the outputs (n, a) without any error.
 
-    NaN where the motion is not known.
+    The latter are NaN where the motion is not known.
     """
 
     columns: Floats
@@ -95,8 +95,9 @@ class ForceProblem:
             columns[:, i] = np.hstack([one @ self._maps[i].T, *beside])
         taken = columns[:, :, self._slices[ARM]] @ (arm_m / self._sds[ARM])
         taken += columns[:, :, self._slices[DELAY]] @ (about.delay_s / self._sds[DELAY])
-        columns[~np.isfinite(rates.at(earlier_ns)).all(axis=1)] = np.nan
-        return ForceColumns(columns=columns, expected_mps2=force @ self.array.p.T - taken)
+        expected = force @ self.array.p.T - taken
+        expected[~np.isfinite(rates.at(earlier_ns)).all(axis=1)] = np.nan
+        return ForceColumns(columns=columns, expected_mps2=expected)
 
     def plausible_mps2(self, columns: Floats) -> Floats:
         """Return the standard deviations (n, a) of outputs about the expected ones, before any sample."""

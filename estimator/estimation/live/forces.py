@@ -224,7 +224,7 @@ class LiveForces:
                 break
             self._about = about
             found = self.problem.at(rates, t_ns, about)
-            usable &= np.isfinite(found.expected_mps2) & np.isfinite(found.columns).all(axis=2)
+            usable &= np.isfinite(found.expected_mps2)
             rows = _rows(self.problem, found.columns, y - found.expected_mps2, usable)
         with self.lock:
             self._note_unused(t_ns, usable)
@@ -272,7 +272,7 @@ class LiveForces:
         for i, count in enumerate(rows.counts):
             own = slice(first, first + count)
             columns = np.column_stack([rows.h[own][:, self.problem.places[i]], rows.z[own]])
-            self._kept[i] = np.linalg.qr(np.vstack([self._kept[i], columns]), mode="r")
+            self._kept[i] = np.asarray(np.linalg.qr(np.vstack([self._kept[i], columns]), mode="r"))
             first += count
         delay = self.delay
         self._keep("force_innovation", t_ns, innovation.nis, innovation.dof, innovation.normalised)
@@ -346,11 +346,11 @@ def white_forces(recording: Recording, source: str, live: LiveForces) -> ForceSt
         found = problem.at(rates, t_ns[start:stop], abouts[of_row[start]])
         z = outputs[start:stop] - found.expected_mps2
         for i, places in enumerate(problem.places):
-            known = np.isfinite(z[:, i]) & np.isfinite(found.columns[:, i]).all(axis=1)
+            known = np.isfinite(z[:, i])
             columns = found.columns[known, i] / live.noise_mps2
             information[np.ix_(places, places)] += columns.T @ columns
             right[places] += columns.T @ (z[known, i] / live.noise_mps2)
-    covariance = np.linalg.inv(information)
+    covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
     return ForceState(x=covariance @ right, covariance=covariance)
 
 
