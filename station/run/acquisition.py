@@ -15,11 +15,9 @@ from drivers.protocols import AppendsSeries, EarlySource
 from drivers.types import Identity, ImuBlock, LinkCounts, SourceCounts
 from estimator.calibration.error_model import ErrorModel
 from estimator.errors import EstimatorError
-from estimator.estimation.live.forces import LiveForces
 from estimator.estimation.live.sample_columns import SampleColumns
 from estimator.estimation.live.source import LiveSource
-from estimator.geometry.array import accelerometer_axes, accelerometer_names, sensor_array
-from estimator.geometry.kinematics import gravity_at
+from estimator.geometry.array import accelerometer_axes
 from estimator.observations.timing import TimeOffset
 from estimator.recordings.recording import DEVICES
 from estimator.recordings.writing import RecordingWriter
@@ -247,27 +245,13 @@ class Acquisition:
         columns = {key: values for key in keys if (values := getattr(block, key)) is not None}
         if block.accel_mps2 is not None and name not in self._accelerometers:
             self._accelerometers.add(name)
-            self._add_accelerometers(name, block.accel_mps2.shape[1])
+            config, axes = self._configs[name], accelerometer_axes(self.live.sources[name].array)
+            self.writer.add_accelerometers(name, axes, config.force_sheet)
+            if config.force_sheet is not None and block.accel_mps2.shape[1] == len(axes):
+                table = self._bench.table
+                self.live.add_accelerometers(name, axes, config.rate_hz, config.force_sheet, table.uncertainty)
         self.writer.append_rows(f"imu/{name}", columns)
-        self.live.sources[name].add(block)
-        if name in self.live.forces:
-            self.live.forces[name].add(block)
-
-    def _add_accelerometers(self, name: str, count: int) -> None:
-        """Add the accelerometers of a source to the recording and, if they have a data sheet, to the live estimate."""
-        config, table = self._configs[name], self._bench.table
-        axes, sheet = accelerometer_axes(self.live.sources[name].array), config.force_sheet
-        self.writer.add_accelerometers(name, axes, sheet)
-        if sheet is None or count != len(axes):
-            return
-        self.live.forces[name] = LiveForces(
-            array=sensor_array(axes, names=accelerometer_names(count), part_of_array=True),
-            rate_hz=config.rate_hz,
-            sheet=sheet,
-            gimbals=table.gimbals,
-            gravity=gravity_at(self._bench.site),
-            uncertainty=table.uncertainty,
-        )
+        self.live.add(name, block)
 
     def take_row(self, row: TableRow) -> None:
         """Record a row of table readings and pass it to live estimate and monitor; note the widest half width."""
@@ -440,11 +424,8 @@ class Acquisition:
         self.closed = True
 
     def _take_histories(self, fewest: int) -> None:
-        taken = [(name, source.take_history(fewest)) for name, source in self.live.sources.items()]
-        taken += [(name, forces.take_history(fewest)) for name, forces in self.live.forces.items()]
-        for name, groups in taken:
-            for group, columns in groups.items():
-                self.writer.append_rows(f"{group}/{name}", columns)
+        for group, columns in self.live.take_histories(fewest):
+            self.writer.append_rows(group, columns)
 
     def causes(self) -> list[str]:
         """Return possible causes of a failure besides the gyros: mistimed samples, a slow table, a late computer."""

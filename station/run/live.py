@@ -2,20 +2,25 @@
 
 import threading
 from collections import deque
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
-from drivers.types import Floats, Stamps
+from drivers.types import Floats, ImuBlock, Stamps
 from estimator.estimation.live.filter import Innovation
 from estimator.estimation.live.forces import LiveForces
 from estimator.estimation.live.source import LiveSource
-from estimator.geometry.kinematics import Site, body_rate
+from estimator.geometry.array import accelerometer_names, sensor_array
+from estimator.geometry.kinematics import Site, body_rate, gravity_at, into_body
 from estimator.recordings.motion.body_rates import BodyRates
 from estimator.recordings.motion.growing_rows import GrowingRows
+from estimator.recordings.recording import ForceSheet
 from estimator.recordings.reference import TableReadings, TableUncertainty
 from station.run.table_watch import TableRow
 
 _ROWS_AT_ONCE = 20  # table readings are taken in by handfuls: a second at 20 Hz
+_GYRO_BLOCKS = 5  # of the filter of gyros, for one of accelerometers
 _FEWEST_PAIRS = 20  # of blocks, for a meaningful correlation
 _HELD_NS = 60_000_000_000  # of body rates, for samples that come late
 
@@ -41,6 +46,34 @@ class LiveEstimate:
         self._gimbals, self._site = gimbals, site
         self._kept_rows: GrowingRows | None = None
         self._window_ns = 0
+
+    def add_accelerometers(
+        self, name: str, axes: Floats, rate_hz: float, sheet: ForceSheet, uncertainty: TableUncertainty | None
+    ) -> None:
+        """Add the accelerometers of a source: their axes (a, 3) in the body, and their data sheet."""
+        self.forces[name] = LiveForces(
+            array=sensor_array(axes, names=accelerometer_names(len(axes)), part_of_array=True),
+            rate_hz=rate_hz,
+            sheet=sheet,
+            gimbals=self._gimbals,
+            gravity=gravity_at(self._site),
+            uncertainty=uncertainty,
+        )
+
+    def add(self, name: str, block: ImuBlock) -> None:
+        """Add samples of a source; they are used once readings cover them."""
+        self.sources[name].add(block)
+        if name in self.forces:
+            self.forces[name].add(block)
+
+    def take_histories(self, fewest: int) -> Iterator[tuple[str, dict[str, Any]]]:
+        """Yield the name of a group of the recording and new columns for it, of sources with ``fewest`` new blocks."""
+        for name, source in self.sources.items():
+            for group, columns in source.take_history(fewest).items():
+                yield f"{group}/{name}", columns
+        for name, forces in self.forces.items():
+            for group, columns in forces.take_history(max(fewest // _GYRO_BLOCKS, 1)).items():
+                yield f"{group}/{name}", columns
 
     def keep_blocks(self) -> None:
         """Keep from now on the data for estimates under coloured noise: block sums and table readings."""
@@ -85,6 +118,10 @@ class LiveEstimate:
     def body_rate(self, row: TableRow) -> Floats:
         """Return the rate of the body (1, 3), in rad/s, as one row of table readings has it."""
         return body_rate(row.angle_rad[None], row.rate_rps[None], self._gimbals, self._site)
+
+    def gravity(self, row: TableRow, gravity_mps2: float) -> Floats:
+        """Return the specific force of the body at rest (1, 3), in m/s2, as one row of table readings has it."""
+        return into_body(np.array([0.0, 0.0, gravity_mps2]), row.angle_rad[None], self._gimbals)
 
     def finish(self) -> None:
         """Use all remaining rows and samples."""
