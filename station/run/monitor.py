@@ -303,10 +303,11 @@ class Monitor:
     def _accelerometer_snapshots(self) -> Iterator[AccelerometerSnapshot]:
         """Yield the state of each accelerometer by the live filter, with its latest output and the one expected of it.
 
-        NaN where nothing is known yet.
+        NaN where nothing is known yet, and for one that is not what is stated.
         """
         for name, forces in tuple(self._live.forces.items()):
             states, sd = forces.decoded()
+            states[np.array(forces.excluded)] = sd[np.array(forces.excluded)] = np.nan
             x = np.array([one.normalised for one in forces.recent_innovations()]).reshape(-1, len(forces.array))
             nothing, last = np.full(len(forces.array), np.nan), self._last.get(name)
             nis = [float(np.mean(own[np.isfinite(own)] ** 2)) if np.isfinite(own).any() else math.nan for own in x.T]

@@ -110,11 +110,11 @@ class ForceProblem:
         sd = float(self._sds[DELAY][0])
         return float(x[place]) * sd, float(np.sqrt(covariance[place, place])) * sd
 
-    def arm(self, x: Floats, covariance: Floats) -> tuple[Floats, Floats]:
-        """Return the mean place (3,) of the accelerometers and its standard deviations (3,)."""
+    def arm(self, x: Floats, covariance: Floats, counted: Sequence[int]) -> tuple[Floats, Floats]:
+        """Return the mean place (3,) of the ``counted`` accelerometers and its standard deviations (3,)."""
         weights = np.zeros((3, len(x)))
-        for places in self.places:
+        for i in counted:
             for law in (ARM, APART):
-                at = places[self._slices[law]]
-                weights[np.arange(3), at] += self._sds[law] / len(self.places)
+                at = self.places[i][self._slices[law]]
+                weights[np.arange(3), at] += self._sds[law] / len(counted)
         return weights @ x, np.sqrt(np.diag(weights @ covariance @ weights.T))

@@ -154,13 +154,19 @@ class LiveForces:
         return np.array([s for s, _ in pairs]), np.array([np.sqrt(np.diag(c)) for _, c in pairs])
 
     def arm(self) -> tuple[Floats, Floats]:
-        """Return the mean place (3,) of the accelerometers in m, and its sigmas."""
-        return self.problem.arm(*self.state())
+        """Return the mean place (3,) of the accelerometers that are not excluded in m, and its sigmas."""
+        return self.problem.arm(*self.state(), self._counted())
 
     @property
     def delay(self) -> TimeOffset:
         """By how much the accelerometers are later than the readings of the table."""
         return TimeOffset(*self.problem.delay(*self.state()))
+
+    @property
+    def excluded(self) -> tuple[bool, ...]:
+        """By accelerometer whether it is not what is stated, so that nothing of it counts."""
+        with self.lock:
+            return tuple(judge.excluded for judge in self._judges)
 
     @property
     def left_out(self) -> tuple[str, ...]:
@@ -185,6 +191,11 @@ class LiveForces:
             if len(self._history["force_innovation"]) < fewest:
                 return {}
             return {group: rows.take() for group, rows in self._history.items() if len(rows)}
+
+    def _counted(self) -> list[int]:
+        """Return the accelerometers that are not excluded, by number; all if none is left."""
+        numbers = range(len(self.array))
+        return [i for i in numbers if not self._judges[i].excluded] or list(numbers)
 
     def _begin(self) -> None:
         """Make the filter with the data sheet alone."""
@@ -243,7 +254,7 @@ class LiveForces:
         if innovation.nis > _TRUSTED_NIS * innovation.dof:
             return None
         delay_s = float(np.clip(self.problem.delay(x, covariance)[0], -_LARGEST_S, _LARGEST_S))
-        arm_m = self.problem.arm(x, covariance)[0]
+        arm_m = self.problem.arm(x, covariance, self._counted())[0]
         near = abs(delay_s - self._about.delay_s) < _SETTLED_S
         if near and np.abs(arm_m - self._about.arm_m).max() < _SETTLED_M:
             return None

@@ -11,9 +11,9 @@ _FEWEST_EQUAL = 4
 _SIGMAS = 8.0  # beyond the data sheet
 _FEW = 0.2  # share of a block that may be beyond the data sheet: spikes
 
-NO_NUMBERS = "its outputs are no numbers"
-CONSTANT = "its output does not change: stuck, or at a limit"
-UNLIKE = "its outputs are not those that its data sheet allows: dead, or another axis, sign or unit"
+NO_NUMBERS = "no numbers"
+CONSTANT = "does not change (stuck, or at a limit)"
+UNLIKE = "unlike its data sheet (dead, other axis, sign or unit)"
 
 
 class UsableRows:

@@ -58,7 +58,7 @@ def _accelerometer_lines(snapshot: Snapshot) -> list[Text]:
         lines.append(line(f"delay {delay}   NIS {number(arm.nis_recent, 2)}  ", _judgement_of_forces(arm)))
     for one in accelerometers:
         if one.left_out:
-            lines.append(line((f"{snapshot.called(one)} is left out: {one.left_out}", _ALARM)))
+            lines.append(line((f"{snapshot.called(one)} left out: {one.left_out}", _ALARM)))
     return lines
 
 
