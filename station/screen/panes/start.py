@@ -10,6 +10,7 @@ from rich.text import Text
 from station.screen.panes.lines import MARK_STYLES, TITLE, Mark, joined, line, marked, padded
 from station.screen.sessions.answers import PlanAnswer, Reply
 from station.screen.tabs.prospects import Prospect
+from station.views.accelerometers.result import FORCE_FIGURES
 from station.views.figures import StateUnit, clock_between, three_digits
 
 if TYPE_CHECKING:
@@ -118,7 +119,9 @@ def script_text(view: ScriptView) -> Text:
 
 
 def _predicted(plan: PlanAnswer, figures: Sequence[StateUnit]) -> list[Text]:
-    """Return the predicted sigmas of each gyro, those that do not reach the required ones in yellow."""
+    """Return the predicted sigmas of each gyro, those that do not reach the required ones in yellow, and of each
+    accelerometer.
+    """
     heads = ["predicted", *(f"{figure.name} {figure.unit}" for figure in figures)]
     rows = [heads, *([gyro.name, *_sigmas(gyro.sd, figures)] for gyro in plan.gyros)]
     styles = ["bold", *("" if gyro.reached else "yellow" for gyro in plan.gyros)]
@@ -126,6 +129,11 @@ def _predicted(plan: PlanAnswer, figures: Sequence[StateUnit]) -> list[Text]:
         rows.append(["required", *_sigmas(plan.required, figures)])
         styles.append("")
     lines = [Text(), *(line((" ".join(cells), style)) for cells, style in zip(padded(rows), styles, strict=True))]
+    if plan.accelerometers:
+        force_heads = ["predicted", *(f"{figure.name} {figure.unit}" for figure in FORCE_FIGURES)]
+        force_rows = [[one.name, *_sigmas(one.sd, FORCE_FIGURES)] for one in plan.accelerometers]
+        head, *others = padded([force_heads, *force_rows])
+        lines += [Text(), line((" ".join(head), "bold")), *(line(" ".join(cells)) for cells in others)]
     weak = [axis.axis for axis in plan.constancy if not axis.proved]
     if weak:
         unproved = f"constancy not proved: {', '.join(weak)}"

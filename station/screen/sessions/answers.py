@@ -1,6 +1,6 @@
 """What the station's commands answer to the screen as JSON, read back as values."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, Self, TypeVar
 
@@ -76,6 +76,14 @@ class PlannedGyro:
 
 
 @dataclass(kw_only=True, frozen=True, slots=True)
+class PlannedAccelerometer:
+    """The predicted sigmas of an accelerometer; ``name`` begins with that of its device if there are several."""
+
+    name: str
+    sd: tuple[float | None, ...]
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
 class PlannedAxis:
     """An axis of the table, and whether the script proves that nothing about it drifts."""
 
@@ -90,6 +98,7 @@ class PlanAnswer:
     gyros: tuple[PlannedGyro, ...]
     required: tuple[float | None, ...]
     constancy: tuple[PlannedAxis, ...]
+    accelerometers: tuple[PlannedAccelerometer, ...] = ()
 
     @classmethod
     def read(cls, data: Mapping[str, Any]) -> Self:
@@ -103,6 +112,7 @@ class PlanAnswer:
             gyros=gyros,
             required=tuple((data.get("required") or {}).values()),
             constancy=tuple(of_type(PlannedAxis, axis) for axis in data.get("constancy", [])),
+            accelerometers=tuple(_planned_accelerometers(data.get("accelerometers", []))),
         )
 
     @property
@@ -129,3 +139,11 @@ class InvestigationAnswer:
         if not data["verdict"]:
             raise ValueError("an investigation without a verdict")
         return cls(verdict=str(data["verdict"]), next_script=data.get("next_script"), view=data)
+
+
+def _planned_accelerometers(devices: Sequence[Mapping[str, Any]]) -> Iterator[PlannedAccelerometer]:
+    """Yield the accelerometers of the devices of a plan in JSON."""
+    for device in devices:
+        before = f"{device['device']} " if len(devices) > 1 else ""
+        for row in device["accelerometers"]:
+            yield PlannedAccelerometer(name=f"{before}{row['name']}", sd=tuple(row["sd"].values()))
