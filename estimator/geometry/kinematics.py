@@ -66,6 +66,15 @@ class Site:
         )
 
 
+def gravity_at(site: Site | None) -> Gravity:
+    """Return the gravity of a site: stated, by latitude and height, or standard gravity without a site."""
+    if site is None:
+        return Gravity(value_mps2=GRAVITY_MPS2, sd=UNKNOWN_GRAVITY, source="standard gravity, no site stated")
+    if site.gravity_mps2 is not None:
+        return Gravity(value_mps2=site.gravity_mps2, sd=0.0, source="stated")
+    return Gravity(value_mps2=site.local_gravity_mps2, sd=UNMEASURED_GRAVITY, source="by latitude and height")
+
+
 def into_body(base_vector: Floats, angles_rad: Floats, gimbals: Sequence[str]) -> Floats:
     """Return a base-frame vector (3,) in body axes at each row of ``angles_rad`` (k, gimbals): (k, 3)."""
     v = np.broadcast_to(np.asarray(base_vector, dtype=np.float64), (len(angles_rad), 3))

@@ -208,9 +208,9 @@ class Host:
 
         Beyond ``_MOST_POINTS`` every other point is dropped.
         """
-        gyros = {gyro.name: (_rounded(gyro.values), _rounded(gyro.sds)) for gyro in snapshot.gyros}
-        if gyros and snapshot.elapsed_s > 0:
-            point = {"t_s": snapshot.elapsed_s, "gyros": gyros}
+        sensors = {one.full_name: (_rounded(one.values), _rounded(one.sds)) for one in snapshot.sensors}
+        if sensors and snapshot.elapsed_s > 0:
+            point = {"t_s": snapshot.elapsed_s, "sensors": sensors}
             self._course.append(json.dumps(point, allow_nan=False, separators=(",", ":")).encode())
         if len(self._course) > _MOST_POINTS:
             del self._course[1::2]

@@ -19,8 +19,9 @@ from estimator.estimation.live.sample_columns import SampleColumns
 from estimator.estimation.live.source import LiveSource
 from estimator.geometry.array import accelerometer_axes
 from estimator.observations.timing import TimeOffset
-from estimator.recordings.recording import DEVICES, ForceSheet
+from estimator.recordings.recording import DEVICES
 from estimator.recordings.writing import RecordingWriter
+from station.bench.imu import ImuConfig
 from station.errors import sentence
 from station.opening import OpenBench, OpenDevice, OpenImu
 from station.opening.links import ends_here
@@ -115,7 +116,7 @@ class Acquisition:
         self.closed = False
         self._last_seen_s: dict[str, float] = {}
         self._accelerometers: set[str] = set()  # sources whose accelerometers the recording has the axes of
-        self._force_sheets: dict[str, ForceSheet] = {}  # of sources whose accelerometers are calibrated
+        self._configs: dict[str, ImuConfig] = {}  # of the device of each source
         self._noted: dict[str, dict[str, float | int]] = {}
         self._half_width_ns, self._rate_window_ns = 0, 0
         self.host = HostWatch(time_scale)
@@ -135,8 +136,7 @@ class Acquisition:
             noise = [config.noise.arw, config.noise.instability, config.noise.walk]
             about = {"device": config.name, "rate_hz": config.rate_hz, "lost": 0, "noise": noise}
             self.writer.add_source(name, array, config.prior, about)
-            if config.force_sheet is not None:
-                self._force_sheets[name] = config.force_sheet
+            self._configs[name] = config
             effects = None
             if self._model is not None and self._model.effects:
                 effects = SampleColumns(self._model, table.gimbals, self._bench.site, array)
@@ -247,11 +247,13 @@ class Acquisition:
         columns = {key: values for key in keys if (values := getattr(block, key)) is not None}
         if block.accel_mps2 is not None and name not in self._accelerometers:
             self._accelerometers.add(name)
-            self.writer.add_accelerometers(
-                name, accelerometer_axes(self.live.sources[name].array), self._force_sheets.get(name)
-            )
+            config, axes = self._configs[name], accelerometer_axes(self.live.sources[name].array)
+            self.writer.add_accelerometers(name, axes, config.force_sheet)
+            if config.force_sheet is not None and block.accel_mps2.shape[1] == len(axes):
+                table = self._bench.table
+                self.live.add_accelerometers(name, axes, config.rate_hz, config.force_sheet, table.uncertainty)
         self.writer.append_rows(f"imu/{name}", columns)
-        self.live.sources[name].add(block)
+        self.live.add(name, block)
 
     def take_row(self, row: TableRow) -> None:
         """Record a row of table readings and pass it to live estimate and monitor; note the widest half width."""
@@ -424,9 +426,8 @@ class Acquisition:
         self.closed = True
 
     def _take_histories(self, fewest: int) -> None:
-        for name, source in self.live.sources.items():
-            for group, columns in source.take_history(fewest).items():
-                self.writer.append_rows(f"{group}/{name}", columns)
+        for group, columns in self.live.take_histories(fewest):
+            self.writer.append_rows(group, columns)
 
     def causes(self) -> list[str]:
         """Return possible causes of a failure besides the gyros: mistimed samples, a slow table, a late computer."""

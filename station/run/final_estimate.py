@@ -10,6 +10,7 @@ from estimator.calibration.calibration_file import write_calibration
 from estimator.calibration.error_model import ErrorModel
 from estimator.calibration.values import Calibration
 from estimator.estimation.calibrate import calibrate
+from estimator.estimation.live.forces import white_forces
 from estimator.estimation.live.sample_columns import white_solution
 from estimator.recordings.reading import read_recording
 from estimator.recordings.recording import Recording
@@ -50,4 +51,9 @@ def _agreement(recording: Recording, live: LiveEstimate) -> float:
         x, _ = source.filter.state()
         sd = np.sqrt(np.diagonal(batch.covariance, axis1=1, axis2=2))
         largest = max(largest, float(np.abs((x - batch.x) / sd).max()))
+    for name, forces in live.forces.items():
+        if forces.blocks:
+            found, (all_x, _) = white_forces(recording, name, forces), forces.state()
+            all_sd = np.sqrt(np.diag(found.covariance))
+            largest = max(largest, float(np.abs((all_x - found.x) / all_sd).max()))
     return largest

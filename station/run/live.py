@@ -2,19 +2,25 @@
 
 import threading
 from collections import deque
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
-from drivers.types import Floats, Stamps
+from drivers.types import Floats, ImuBlock, Stamps
 from estimator.estimation.live.filter import Innovation
+from estimator.estimation.live.forces import LiveForces
 from estimator.estimation.live.source import LiveSource
-from estimator.geometry.kinematics import Site, body_rate
+from estimator.geometry.array import accelerometer_names, sensor_array
+from estimator.geometry.kinematics import Site, body_rate, gravity_at, into_body
 from estimator.recordings.motion.body_rates import BodyRates
 from estimator.recordings.motion.growing_rows import GrowingRows
+from estimator.recordings.recording import ForceSheet
 from estimator.recordings.reference import TableReadings, TableUncertainty
 from station.run.table_watch import TableRow
 
 _ROWS_AT_ONCE = 20  # table readings are taken in by handfuls: a second at 20 Hz
+_GYRO_BLOCKS = 5  # of the filter of gyros, for one of accelerometers
 _FEWEST_PAIRS = 20  # of blocks, for a meaningful correlation
 _HELD_NS = 60_000_000_000  # of body rates, for samples that come late
 
@@ -32,12 +38,42 @@ class LiveEstimate:
         """
         self.rates = BodyRates(gimbals, site)
         self.sources: dict[str, LiveSource] = {}
+        self.forces: dict[str, LiveForces] = {}
+        """The accelerometers of sources that have a data sheet for them, from their first sample on."""
         self._rows: deque[TableRow] = deque()
         self._working = threading.Lock()
         self._keeping = threading.Lock()
         self._gimbals, self._site = gimbals, site
         self._kept_rows: GrowingRows | None = None
         self._window_ns = 0
+
+    def add_accelerometers(
+        self, name: str, axes: Floats, rate_hz: float, sheet: ForceSheet, uncertainty: TableUncertainty | None
+    ) -> None:
+        """Add the accelerometers of a source: their axes (a, 3) in the body, and their data sheet."""
+        self.forces[name] = LiveForces(
+            array=sensor_array(axes, names=accelerometer_names(len(axes)), part_of_array=True),
+            rate_hz=rate_hz,
+            sheet=sheet,
+            gimbals=self._gimbals,
+            gravity=gravity_at(self._site),
+            uncertainty=uncertainty,
+        )
+
+    def add(self, name: str, block: ImuBlock) -> None:
+        """Add samples of a source; they are used once readings cover them."""
+        self.sources[name].add(block)
+        if name in self.forces:
+            self.forces[name].add(block)
+
+    def take_histories(self, fewest: int) -> Iterator[tuple[str, dict[str, Any]]]:
+        """Yield the name of a group of the recording and new columns for it, of sources with ``fewest`` new blocks."""
+        for name, source in self.sources.items():
+            for group, columns in source.take_history(fewest).items():
+                yield f"{group}/{name}", columns
+        for name, forces in self.forces.items():
+            for group, columns in forces.take_history(max(fewest // _GYRO_BLOCKS, 1)).items():
+                yield f"{group}/{name}", columns
 
     def keep_blocks(self) -> None:
         """Keep from now on the data for estimates under coloured noise: block sums and table readings."""
@@ -75,11 +111,17 @@ class LiveEstimate:
             self._take_rows()
             for source in self.sources.values():
                 source.advance(self.rates)
+            for forces in tuple(self.forces.values()):  # the first samples of another source may come meanwhile
+                forces.advance(self.rates)
             self.rates.forget(self.rates.final_until_ns - _HELD_NS)
 
     def body_rate(self, row: TableRow) -> Floats:
         """Return the rate of the body (1, 3), in rad/s, as one row of table readings has it."""
         return body_rate(row.angle_rad[None], row.rate_rps[None], self._gimbals, self._site)
+
+    def gravity(self, row: TableRow, gravity_mps2: float) -> Floats:
+        """Return the specific force of the body at rest (1, 3), in m/s2, as one row of table readings has it."""
+        return into_body(np.array([0.0, 0.0, gravity_mps2]), row.angle_rad[None], self._gimbals)
 
     def finish(self) -> None:
         """Use all remaining rows and samples."""
@@ -88,6 +130,8 @@ class LiveEstimate:
             self.rates.finish()
             for source in self.sources.values():
                 source.advance(self.rates, everything=True)
+            for forces in self.forces.values():
+                forces.advance(self.rates, everything=True)
 
     def _take_rows(self) -> None:
         """Move the rows that have arrived into the body rates and the kept readings, if these are kept; nothing without

@@ -21,7 +21,16 @@ from station.opening import OpenBench
 from station.opening.reopening import Reopening
 from station.run.live import LiveEstimate
 from station.run.sequencer import Sequencer
-from station.run.snapshot import AxisSnapshot, GyroSnapshot, Phase, SeriesSnapshot, Snapshot, SourceSnapshot
+from station.run.snapshot import (
+    AccelerometerSnapshot,
+    ArmSnapshot,
+    AxisSnapshot,
+    GyroSnapshot,
+    Phase,
+    SeriesSnapshot,
+    Snapshot,
+    SourceSnapshot,
+)
 from station.run.table_watch import TableRow
 from station.scripts.steps.kind import Span
 
@@ -197,6 +206,8 @@ class Monitor:
             axes=tuple(self._axis_snapshots(now_s)),
             sources=tuple(self._source_snapshots(now_s)),
             gyros=tuple(self._gyro_snapshots()),
+            accelerometers=tuple(self._accelerometer_snapshots()),
+            arms=tuple(self._arm_snapshots()),
             links=tuple(f"link of {name}: {counts.text}" for name, counts in self.link_counts().items()),
             series=tuple(column for columns in self._series.values() for column in columns),
         )
@@ -292,3 +303,47 @@ class Monitor:
                     rate_rps=measured,
                     expected_rps=predicted,
                 )
+
+    def _accelerometer_snapshots(self) -> Iterator[AccelerometerSnapshot]:
+        """Yield the state of each accelerometer by the live filter, with its latest output and the one expected of it.
+
+        NaN where nothing is known yet, and for one that is not what is stated.
+        """
+        for name, forces in tuple(self._live.forces.items()):
+            states, sd = forces.decoded()
+            states[np.array(forces.excluded)] = sd[np.array(forces.excluded)] = np.nan
+            x = np.array([one.normalised for one in forces.recent_innovations()]).reshape(-1, len(forces.array))
+            nothing, last = np.full(len(forces.array), np.nan), self._last.get(name)
+            nis = [float(np.mean(own[np.isfinite(own)] ** 2)) if np.isfinite(own).any() else math.nan for own in x.T]
+            outputs = nothing if last is None or last.accel_mps2 is None else last.accel_mps2[-1]
+            expected = nothing
+            if self.row is not None:
+                expected = predicted_output(forces.array, states, self._live.gravity(self.row, forces.gravity_mps2))[0]
+            for place, accelerometer in enumerate(forces.array.names):
+                yield AccelerometerSnapshot(
+                    name=accelerometer,
+                    source=name,
+                    values=tuple(states[place].tolist()),
+                    sds=tuple(sd[place].tolist()),
+                    nis=nis[place],
+                    force_mps2=float(outputs[place]),
+                    residual=float(x[-1, place]) if len(x) else math.nan,
+                    expected_mps2=float(expected[place]),
+                    left_out=forces.left_out[place],
+                )
+
+    def _arm_snapshots(self) -> Iterator[ArmSnapshot]:
+        """Yield lever arm, delay and innovations of the accelerometers of each source."""
+        for name, forces in tuple(self._live.forces.items()):
+            arm_m, arm_sd_m = forces.arm()
+            delay, recent = forces.delay, forces.recent_innovations()
+            count = sum(one.dof for one in recent)
+            yield ArmSnapshot(
+                source=name,
+                arm_m=tuple(arm_m.tolist()),
+                arm_sd_m=tuple(arm_sd_m.tolist()),
+                delay_s=delay.offset_s,
+                delay_sd_s=delay.sd_s,
+                nis_recent=sum(one.nis for one in recent) / count if count else math.nan,
+                recent=count,
+            )

@@ -74,9 +74,71 @@ class GyroSnapshot:
     expected_rps: float = math.nan
 
     @property
+    def output(self) -> float:
+        """Its newest sample."""
+        return self.rate_rps
+
+    @property
+    def expected(self) -> float:
+        """What was expected of it."""
+        return self.expected_rps
+
+    @property
     def full_name(self) -> str:
         """Its source and name: two devices may have gyros of one name."""
         return " ".join(dict.fromkeys((self.source, self.name)))
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class AccelerometerSnapshot:
+    """One accelerometer as seen by the live filter.
+
+    ``values`` (k, b_mps2, sigma_j_rad, sigma_k_rad) and their standard deviations ``sds``; ``nis``, ``residual``: as of
+    a gyro. ``force_mps2``: its newest output; ``expected_mps2``: that of an accelerometer with these values where the
+    table stands, without the force of its motion. ``left_out``: why its last samples were not used, "" if they were.
+    """
+
+    name: str
+    source: str
+    values: tuple[float, ...]
+    sds: tuple[float, ...]
+    nis: float = math.nan
+    force_mps2: float = math.nan
+    residual: float = math.nan
+    expected_mps2: float = math.nan
+    left_out: str = ""
+
+    @property
+    def output(self) -> float:
+        """Its newest sample."""
+        return self.force_mps2
+
+    @property
+    def expected(self) -> float:
+        """What was expected of it."""
+        return self.expected_mps2
+
+    @property
+    def full_name(self) -> str:
+        """Its source and name: two devices may have accelerometers of one name."""
+        return " ".join(dict.fromkeys((self.source, self.name)))
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class ArmSnapshot:
+    """What the accelerometers of a source have in common: their lever arm (x, y, z), their delay, and sigmas.
+
+    ``nis_recent`` per degree of freedom is that of their innovations over the last half minute, ``recent`` the number
+    of these.
+    """
+
+    source: str
+    arm_m: tuple[float, ...]
+    arm_sd_m: tuple[float, ...]
+    delay_s: float
+    delay_sd_s: float
+    nis_recent: float = math.nan
+    recent: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,6 +201,18 @@ class Snapshot:
     links: tuple[str, ...] = ()
     longer_s: float = 0.0
     series: tuple[SeriesSnapshot, ...] = ()
+    accelerometers: tuple[AccelerometerSnapshot, ...] = ()
+    arms: tuple[ArmSnapshot, ...] = ()
+
+    @property
+    def sensors(self) -> tuple[GyroSnapshot | AccelerometerSnapshot, ...]:
+        """Gyros, then accelerometers."""
+        return (*self.gyros, *self.accelerometers)
+
+    def called(self, sensor: GyroSnapshot | AccelerometerSnapshot) -> str:
+        """Return what a sensor is called: its name, with that of its source if another source has one of that name."""
+        alike = sum(other.name == sensor.name for other in self.sensors)
+        return sensor.name if alike < 2 else sensor.full_name
 
     @property
     def doing(self) -> str:

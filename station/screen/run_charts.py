@@ -5,10 +5,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from station.run.snapshot import AxisSnapshot, GyroSnapshot, Snapshot
+from station.run.snapshot import AccelerometerSnapshot, AxisSnapshot, GyroSnapshot, Snapshot
 from station.screen.drawings import STATE_CHARTS, Curve, Drawing, StateLimit, levels, state_drawing
 from station.screen.sessions.live_run import LiveRun, Trend
+from station.views.accelerometers.result import LIVE_FORCE_FIGURES
 from station.views.figures import number
+
+Sensor = GyroSnapshot | AccelerometerSnapshot
 
 _SIGMAS = 2.0
 _DEG = math.degrees(1)
@@ -20,22 +23,22 @@ _UNSEEN = GyroSnapshot("", "", (), ())
 
 @dataclass(kw_only=True, frozen=True, slots=True)
 class RunChart:
-    """A chart of a run: its name, and what draws it for a gyro; a ``dial`` shows the present, not a course."""
+    """A chart of a run: its name, and what draws it for a sensor; a ``dial`` shows the present, not a course."""
 
     name: str
-    draw: Callable[[LiveRun, GyroSnapshot], Drawing]
+    draw: Callable[[LiveRun, Sensor], Drawing]
     dial: bool = False
 
 
-def run_drawing(name: str, run: LiveRun, gyro: GyroSnapshot) -> Drawing | None:
+def run_drawing(name: str, run: LiveRun, sensor: Sensor) -> Drawing | None:
     """Return a chart of a run, one of ``RUN_CHARTS`` or ``series_charts``, with its steps marked.
 
     None for a series of a device that this run does not have. The run must have been seen.
     """
     chart = _BY_NAME.get(name)
     if chart is not None and chart.dial:
-        return chart.draw(run, gyro)
-    found = _series_drawing(name, run) if chart is None else chart.draw(run, gyro)
+        return chart.draw(run, sensor)
+    found = _series_drawing(name, run) if chart is None else chart.draw(run, sensor)
     return None if found is None else found._replace(marks=run.steps_begin_s, span=(0.0, run.seen[-1].elapsed_s))
 
 
@@ -61,59 +64,80 @@ def _times_s(run: LiveRun) -> list[float]:
     return [snapshot.elapsed_s for snapshot in run.seen]
 
 
-def _courses(run: LiveRun, gyro: GyroSnapshot) -> list[GyroSnapshot]:
-    """Return a gyro in each snapshot, without figures where it is missing."""
-    return [next((each for each in s.gyros if each.name == gyro.name), _UNSEEN) for s in run.seen]
+def _courses(run: LiveRun, sensor: Sensor) -> list[Sensor]:
+    """Return a sensor in each snapshot, without figures where it is missing."""
+    names = sensor.full_name
+    return [next((each for each in s.sensors if each.full_name == names), _UNSEEN) for s in run.seen]
 
 
-def _rate(run: LiveRun, gyro: GyroSnapshot) -> Drawing:
-    """Return the rate of a gyro, beside the one that is expected of it by the table."""
+def _name(run: LiveRun, sensor: Sensor) -> str:
+    return run.seen[-1].called(sensor)
+
+
+def _output(run: LiveRun, sensor: Sensor) -> Drawing:
+    """Return the output of a sensor, beside the one that is expected of it by the table."""
     times = _times_s(run)
-    courses = _courses(run, gyro)
-    words = [("rate (deg/s)", ""), (gyro.name, "line")]
-    curves = [Curve(times, [each.rate_rps * _DEG for each in courses])]
-    expected = [each.expected_rps * _DEG for each in courses]
+    courses = _courses(run, sensor)
+    what, factor = ("rate (deg/s)", _DEG) if isinstance(sensor, GyroSnapshot) else ("specific force (m/s2)", 1.0)
+    words = [(what, ""), (_name(run, sensor), "line")]
+    curves = [Curve(times, [each.output * factor for each in courses])]
+    expected = [each.expected * factor for each in courses]
     if any(map(math.isfinite, expected)):
         words.append(("by the table", "first"))
         curves.insert(0, Curve(times, expected, "first"))
     return Drawing(words, curves)
 
 
-def _residual(run: LiveRun, gyro: GyroSnapshot) -> Drawing:
-    residual = Curve(_times_s(run), [each.residual for each in _courses(run, gyro)])
-    words = [("residual (sigmas)", ""), (gyro.name, "line"), ("95 %", "band")]
+def _residual(run: LiveRun, sensor: Sensor) -> Drawing:
+    residual = Curve(_times_s(run), [each.residual for each in _courses(run, sensor)])
+    words = [("residual (sigmas)", ""), (_name(run, sensor), "line"), ("95 %", "band")]
     return Drawing(words, [*levels((_SIGMAS, -_SIGMAS), "band"), residual], (-2 * _SIGMAS, 2 * _SIGMAS))
 
 
-def _nis(run: LiveRun, gyro: GyroSnapshot) -> Drawing:
-    """Return the mean NIS of the last half minute, with the band in which it stays by chance, and its limits."""
+def _nis(run: LiveRun, sensor: Sensor) -> Drawing:
+    """Return the mean NIS of the last half minute, with the band in which it stays by chance, and its limits.
+
+    It is that of all gyros, or of the accelerometers of a source; limits are those of gyros.
+    """
     times = _times_s(run)
-    reach = [_SIGMAS * math.sqrt(2 / s.recent) if s.recent else math.nan for s in run.seen]
+    of_gyros = isinstance(sensor, GyroSnapshot)
+    values = [(s.nis_recent, s.recent) if of_gyros else _nis_of_forces(s, sensor.source) for s in run.seen]
+    reach = [_SIGMAS * math.sqrt(2 / count) if count else math.nan for _, count in values]
     band = [Curve(times, [1 + sign * r for r in reach], "band") for sign in (1, -1)]
-    limits = run.limits.nis
-    nis = Curve(times, [s.nis_recent for s in run.seen])
-    words = [("NIS (30 s)", ""), (number(run.seen[-1].nis_recent, 2), "line"), ("95 %", "band")]
+    limits = run.limits.nis if of_gyros else ()
+    nis = Curve(times, [value for value, _ in values])
+    words = [("NIS (30 s)", ""), (number(values[-1][0], 2), "line"), ("95 %", "band")]
     if limits:
         words.append(("limits", "limit"))
+    if not of_gyros:
+        words.append(("accelerometers", ""))
     return Drawing(words, [*band, *levels(limits, "limit"), nis], (0.5, 1.5))
 
 
-def _temperature(run: LiveRun, gyro: GyroSnapshot) -> Drawing:
-    """Return the temperature of the source of a gyro."""
-    degc = [next((u.temperature_c for u in s.sources if u.name == gyro.source), math.nan) for s in run.seen]
-    words = [("temperature (degC)", ""), (number(degc[-1], 1), "line"), (gyro.source, "")]
+def _nis_of_forces(snapshot: Snapshot, source: str) -> tuple[float, int]:
+    """Return the mean NIS of the accelerometers of a source over the last half minute, and of how many innovations."""
+    return next(((arm.nis_recent, arm.recent) for arm in snapshot.arms if arm.source == source), (math.nan, 0))
+
+
+def _temperature(run: LiveRun, sensor: Sensor) -> Drawing:
+    """Return the temperature of the source of a sensor."""
+    degc = [next((u.temperature_c for u in s.sources if u.name == sensor.source), math.nan) for s in run.seen]
+    words = [("temperature (degC)", ""), (number(degc[-1], 1), "line"), (sensor.source, "")]
     return Drawing(words, [Curve(_times_s(run), degc)])
 
 
-def _state(index: int, run: LiveRun, gyro: GyroSnapshot) -> Drawing:
-    """Return the live estimate of a state."""
+def _state(index: int, run: LiveRun, sensor: Sensor) -> Drawing:
+    """Return the live estimate of a state; limits are those of gyros."""
     limits = run.limits
-    trend = run.trends.get(gyro.name) or Trend()
+    trend = run.trends.get(sensor.full_name) or Trend()
+    if not isinstance(sensor, GyroSnapshot):
+        drawing = state_drawing(index, trend, StateLimit(), figures=LIVE_FORCE_FIGURES)
+        return drawing._replace(words=[drawing.words[0], (_name(run, sensor), ""), *drawing.words[1:]])
     limit = StateLimit(limits.sizes[index], limits.written[index])
     return state_drawing(index, trend, limit, figures=limits.figures)
 
 
-def _axes(run: LiveRun, gyro: GyroSnapshot) -> Drawing:
+def _axes(run: LiveRun, sensor: Sensor) -> Drawing:
     """Return a dial of the gimbals, outermost outside, each with a hand at its angle, zero on top, and an arc to its
     target; axes that turn are named first.
     """
@@ -156,7 +180,7 @@ def _arc(radius: float, begin_rad: float, end_rad: float, style: str) -> Curve:
 
 
 _CHARTS: Sequence[RunChart] = (
-    RunChart(name="rate", draw=_rate),
+    RunChart(name="rate", draw=_output),
     RunChart(name="residual", draw=_residual),
     RunChart(name="NIS", draw=_nis),
     RunChart(name="temperature", draw=_temperature),

@@ -303,10 +303,11 @@ def test_who_comes_late_is_told_how_the_estimates_went(watched: Watched) -> None
     assert times_s == sorted(times_s)
     assert times_s[0] < 5
     assert 5 < len(points) <= 300
-    assert points[-1]["gyros"].keys() == set(watched.hello["gyros"])
-    values, sds = points[-1]["gyros"]["gyro1"]
+    first = watched.snapshots()[-1].gyros[0]
+    assert points[-1]["sensors"].keys() == {gyro.full_name for gyro in watched.snapshots()[-1].gyros}
+    values, sds = points[-1]["sensors"][first.full_name]
     assert len(values) == len(sds) == 4
-    assert sds[1] < points[0]["gyros"]["gyro1"][1][1]
+    assert sds[1] < points[0]["sensors"][first.full_name][1][1]
 
 
 def test_a_pause_holds_the_table_and_the_time_while_samples_go_on(watched: Watched) -> None:

@@ -6,6 +6,7 @@ import json
 import re
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -112,6 +113,15 @@ def test_a_twin_puts_its_errors_on_the_wire(tmp_path: Path) -> None:
     lying = data.accel_mps2[-200:].mean(axis=0)  # y points up
     assert lying[1] == pytest.approx((1 - TRUE_K[1]) * 9.8062 - TRUE_B_MPS2[1], abs=2e-3)
     assert data.accel_mps2[-200:].std(axis=0) == pytest.approx([60e-6 * 9.80665 * 10] * 3, rel=0.3)
+    with h5py.File(path) as file:
+        assert file["calibration"].attrs["live_batch_difference_sigma"] < 1e-6
+        live = {name: values[-1] for name, values in file["force_estimate/mti"].items()}
+        nis = file["force_innovation/mti/nis"][()].sum() / file["force_innovation/mti/dof"][()].sum()
+    # Both tilts have one state in common with the truth: the bias of x, which is level in both.
+    assert live["states"][0, 1] == pytest.approx(TRUE_B_MPS2[0], abs=4.5 * live["sd"][0, 1])
+    assert live["sd"][0, 1] < 0.1 * 20e-3 * 9.80665
+    assert live["delay_s"] == pytest.approx(1.5e-3, abs=4.5 * live["delay_sd_s"])
+    assert nis == pytest.approx(1.0, abs=0.3)
 
 
 def test_an_unknown_script_names_those_that_come_with_the_station(

@@ -23,17 +23,12 @@ from estimator.estimation.accelerometers.laws import (
     LEVEL,
     ORTHOGONALITY,
     RESOLUTION,
-    UNSTATED_LEVEL_RAD,
-    apart_law,
-    arm_law,
-    delay_law,
-    gravity_law,
-    laws_of_table,
+    laws_beside,
     rest_angle_law,
 )
 from estimator.estimation.accelerometers.resolution import resolution_covariance
 from estimator.estimation.noise_evidence import Joint, Law, joint_estimate
-from estimator.geometry.kinematics import GRAVITY_MPS2, UNKNOWN_GRAVITY, UNMEASURED_GRAVITY, Gravity
+from estimator.geometry.kinematics import gravity_at
 from estimator.geometry.model import decode, decoding
 from estimator.geometry.noise import NoiseModel
 from estimator.observations.timing import TimeOffset, expected_sd_s
@@ -55,16 +50,6 @@ class Settled:
     arm_m: Floats
     delay_s: float
     gravity_mps2: float
-
-
-def gravity_of(recording: Recording) -> Gravity:
-    """Return the gravity of a recording's site: stated, by latitude and height, or standard gravity without a site."""
-    site = recording.site
-    if site is None:
-        return Gravity(value_mps2=GRAVITY_MPS2, sd=UNKNOWN_GRAVITY, source="standard gravity, no site stated")
-    if site.gravity_mps2 is not None:
-        return Gravity(value_mps2=site.gravity_mps2, sd=0.0, source="stated")
-    return Gravity(value_mps2=site.local_gravity_mps2, sd=UNMEASURED_GRAVITY, source="by latitude and height")
 
 
 def estimate_forces(
@@ -115,7 +100,7 @@ def estimate_forces(
         arm_m=np.mean([one.place_m for one in found], axis=0),
         arm_covariance_m2=_middle_covariance(joint, laws),
         gravity_mps2=settled.gravity_mps2,
-        gravity_from=gravity_of(recording).source,
+        gravity_from=gravity_at(recording.site).source,
         offset=TimeOffset(settled.delay_s + float(delay[0]), float(np.sqrt(delay_variance[0, 0]))),
         effects=tuple(_effect_values(joint, laws[known.name], known.name) for known in effects),
     )
@@ -145,7 +130,7 @@ def settle(
     The arm and the delay are subtracted and estimated again until neither changes. Raises TooShort for too few samples
     beside readings of the table.
     """
-    gravity_mps2 = gravity_of(recording).value_mps2
+    gravity_mps2 = gravity_at(recording.site).value_mps2
     arm_m = np.zeros(3)
     delay_s = 0.0
     for step in range(_MOST_STEPS):
@@ -179,21 +164,16 @@ def _laws(run: ForceRun, samples: ForceSamples, arm_m: Floats, delay_s: float) -
     recording = run.recording
     table = recording.table
     assert table is not None
-    stated = table.uncertainty
-    gravity = gravity_of(recording)
-    timing_s = stated.timing_s if stated is not None else 0.0
-    level_rad = stated.level_rad if stated is not None and stated.level_rad else UNSTATED_LEVEL_RAD
-    return [
-        arm_law(np.full(3, samples.prior.arm_m), arm_m),
-        apart_law(np.full(3, samples.prior.apart_m)),
-        delay_law(expected_sd_s(timing_s, table.half_width_ns), delay_s),
-        *laws_of_table(
-            table.gimbals,
-            level_rad=level_rad,
-            orthogonality_rad=stated.orthogonality_rad if stated is not None else 0.0,
-        ),
-        *([gravity_law(gravity.sd)] if gravity.sd else []),
-    ]
+    timing_s = table.uncertainty.timing_s if table.uncertainty is not None else 0.0
+    return laws_beside(
+        samples.prior,
+        table.gimbals,
+        table.uncertainty,
+        gravity_at(recording.site),
+        delay_sd_s=expected_sd_s(timing_s, table.half_width_ns),
+        arm_m=arm_m,
+        delay_s=delay_s,
+    )
 
 
 def _parameters(joint: Joint, law: int, accelerometer: int) -> tuple[Floats, Floats]:

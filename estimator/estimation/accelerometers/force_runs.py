@@ -1,5 +1,6 @@
 """Runs of specific force: block means of the force at the accelerometers of a source, and of their output errors."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -93,7 +94,7 @@ def force_run(
         t_ns, outputs = t_ns[known], outputs[known]
     if len(t_ns) < _FEWEST_BLOCKS:
         raise TooShort(sentence("estimation.short_for_effects", recording=recording.name, source=source))
-    force = force_at_place(rates, table, t_ns, arm_m, gravity_mps2)
+    force = force_at_place(rates, table.gimbals, t_ns, arm_m, gravity_mps2)
     period_s = float(np.median(np.diff(t_ns))) * 1e-9
     length_s = max(block_s, 2 * period_s)
     origin_ns = int(table.t_ns[0])
@@ -128,17 +129,19 @@ def force_run(
     )
 
 
-def force_at_place(rates: BodyRates, table: TableReadings, t_ns: Stamps, arm_m: Floats, gravity_mps2: float) -> Floats:
+def force_at_place(
+    rates: BodyRates, gimbals: Sequence[str], t_ns: Stamps, arm_m: Floats, gravity_mps2: float
+) -> Floats:
     """Return the specific force (n, 3) at instants (n,), in body axes: g + a x r + w x (w x r).
 
     ``arm_m`` (3,) is the place r from the point in which the axes of the table meet.
     """
     angle, rate = rates.angles_at(t_ns), rates.gimbals_at(t_ns)[1]
-    force = into_body(np.array([0.0, 0.0, gravity_mps2]), angle, table.gimbals)
+    force = into_body(np.array([0.0, 0.0, gravity_mps2]), angle, gimbals)
     if not np.any(arm_m):
         return force
-    w = body_rate(angle, rate, table.gimbals)
-    wdot = body_acceleration(angle, rate, rates.accelerations_at(t_ns), table.gimbals)
+    w = body_rate(angle, rate, gimbals)
+    wdot = body_acceleration(angle, rate, rates.accelerations_at(t_ns), gimbals)
     return np.asarray(force + np.cross(wdot, arm_m) + np.cross(w, np.cross(w, arm_m)))
 
 
@@ -173,14 +176,33 @@ def _conditions(
     offsets = (np.arange(steps) + 0.5) / steps * length_s
     grid_s = (t_s[:, None] - 0.5 * length_s + offsets).ravel()
     grid_ns = np.round(grid_s * 1e9).astype(np.int64)
-    angle, rate = rates.angles_at(grid_ns), rates.gimbals_at(grid_ns)[1]
+    return force_conditions(
+        rates, table.gimbals, grid_ns, arm_m, gravity_mps2, t_s=grid_s, temperature_c=temperature_at(data, grid_s)
+    )
+
+
+def force_conditions(
+    rates: BodyRates,
+    gimbals: Sequence[str],
+    t_ns: Stamps,
+    arm_m: Floats,
+    gravity_mps2: float,
+    *,
+    t_s: Floats | None = None,
+    temperature_c: Floats | None = None,
+) -> Conditions:
+    """Return the conditions at instants (n,), with the specific force at a place ``arm_m`` (3,).
+
+    ``t_s`` (n,) are the instants in s, unrounded if they are known so; ``temperature_c`` (n,) is None if not known.
+    """
+    angle, rate = rates.angles_at(t_ns), rates.gimbals_at(t_ns)[1]
     conditions = Conditions.on_table(
-        grid_s,
+        np.asarray(t_ns * 1e-9) if t_s is None else t_s,
         angle,
         rate,
-        rates.accelerations_at(grid_ns),
-        table.gimbals,
-        temperature_c=temperature_at(data, grid_s),
+        rates.accelerations_at(t_ns),
+        gimbals,
+        temperature_c=temperature_c,
         site=None,
     )
-    return replace(conditions, specific_force_mps2=force_at_place(rates, table, grid_ns, arm_m, gravity_mps2))
+    return replace(conditions, specific_force_mps2=force_at_place(rates, gimbals, t_ns, arm_m, gravity_mps2))

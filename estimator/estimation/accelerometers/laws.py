@@ -10,8 +10,9 @@ import numpy as np
 from estimator.effects.conditions import Axes, Conditions
 from estimator.effects.effect import Effect, Parameter, Record, Regressors
 from estimator.estimation.noise_evidence import Law
-from estimator.geometry.kinematics import AXES, GRAVITY_MPS2, into_body
-from estimator.recordings.reference import TableReadings
+from estimator.geometry.kinematics import AXES, GRAVITY_MPS2, Gravity, into_body
+from estimator.geometry.model import ForcePrior
+from estimator.recordings.reference import TableReadings, TableUncertainty
 from estimator.types import Floats, least_steps
 
 ARM, APART, DELAY = "lever arm", "size effect", "delay"
@@ -101,6 +102,34 @@ def laws_of_table(gimbals: Sequence[str], *, level_rad: float, orthogonality_rad
     if orthogonality_rad > 0 and len(gimbals) > 1:
         laws.append(orthogonality_law(gimbals, orthogonality_rad))
     return laws
+
+
+def laws_beside(
+    prior: ForcePrior,
+    gimbals: Sequence[str],
+    stated: TableUncertainty | None,
+    gravity: Gravity,
+    *,
+    delay_sd_s: float,
+    arm_m: Floats,
+    delay_s: float,
+) -> list[Law]:
+    """Return all laws beside the states, about the lever arm (3,) and the delay that were subtracted.
+
+    ``prior`` is the data sheet, ``stated`` the uncertainty of the table, ``delay_sd_s`` what is expected of the delay.
+    """
+    level_rad = stated.level_rad if stated is not None and stated.level_rad else UNSTATED_LEVEL_RAD
+    return [
+        arm_law(np.full(3, prior.arm_m), arm_m),
+        apart_law(np.full(3, prior.apart_m)),
+        delay_law(delay_sd_s, delay_s),
+        *laws_of_table(
+            gimbals,
+            level_rad=level_rad,
+            orthogonality_rad=stated.orthogonality_rad if stated is not None else 0.0,
+        ),
+        *([gravity_law(gravity.sd)] if gravity.sd else []),
+    ]
 
 
 def rest_angle_law(table: TableReadings) -> Law | None:

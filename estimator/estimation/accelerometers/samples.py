@@ -113,7 +113,7 @@ def _compared(
     if not inside.any():
         return [], {}, {}
     force = np.full((len(t_ns), 3), np.nan)
-    force[inside] = force_at_place(rates, table, t_ns[inside], np.zeros(3), GRAVITY_MPS2)
+    force[inside] = force_at_place(rates, table.gimbals, t_ns[inside], np.zeros(3), GRAVITY_MPS2)
     rows = np.flatnonzero(inside)[:: max(int(inside.sum()) // _MOST_ROWS, 1)]
     excluded: list[Excluded] = []
     limited: dict[str, np.ndarray] = {}

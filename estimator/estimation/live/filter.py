@@ -83,12 +83,12 @@ class LiveFilter:
         kept = min(len(z), shared.shape[1] + (width - 4 if apart else 0))
         h, compressed = np.zeros((m * kept, self._size)), np.empty((m, kept))
         if not apart:  # all gyros have the same columns: compressed together
-            turned, r = _compressed(shared, z)
+            turned, r = compressed_rows(shared, z)
             compressed[:] = turned.T
         for i in range(m):
             if apart:
                 assert further is not None
-                compressed[i], r = _compressed(np.hstack([shared, further[:, i]]), z[:, i])
+                compressed[i], r = compressed_rows(np.hstack([shared, further[:, i]]), z[:, i])
             rows = slice(i * kept, (i + 1) * kept)
             h[rows, width * i : width * i + 4] = r[:, :4] @ self._maps[i].T
             if apart:
@@ -153,7 +153,7 @@ def _slopes(rows: int, columns: int) -> Floats:
     return np.asarray(slopes)
 
 
-def _compressed(regressors: Floats, z: Floats) -> tuple[Floats, Floats]:
+def compressed_rows(regressors: Floats, z: Floats) -> tuple[Floats, Floats]:
     """Apply one orthogonal transform to outputs (rows, m) or (rows,) and regressors (rows, c), leaving c rows or fewer.
 
     At rest the columns of the body rate are constant, so that rounding would choose the directions that complete the

@@ -186,7 +186,7 @@ def _exceeded(line: "LimitLine") -> Exceeded:
 
 
 def _curves(file: Any) -> dict[str, Trend]:
-    """Return the live estimates by gyro, thinned to a number of points."""
+    """Return the live estimates by full name of the gyro, thinned to a number of points."""
     found = {}
     for source, estimate in file.get("estimate", {}).items():
         step = max(len(estimate["t_ns"]) // _MOST_POINTS, 1)
@@ -194,7 +194,7 @@ def _curves(file: Any) -> dict[str, Trend]:
         t_s = [t * 1e-9 for t in t_ns]
         for number, name in enumerate(file[f"imu/{source}"].attrs.get("names", [source])):
             values, sigmas = ([tuple(row[number]) for row in rows] for rows in (states, sds))
-            found[str(plain(name))] = Trend(t_s, values, sigmas)
+            found[" ".join(dict.fromkeys((source, str(plain(name)))))] = Trend(t_s, values, sigmas)
     return found
 
 

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 from rich.text import Text
 
-from station.run.snapshot import AxisSnapshot, Snapshot, SourceSnapshot
+from station.run.snapshot import ArmSnapshot, AxisSnapshot, Snapshot, SourceSnapshot
 from station.screen.panes.lines import joined, line, padded
 from station.screen.panes.states import StatesView, state_lines
+from station.views.accelerometers.result import LIVE_FORCE_FIGURES, PLACE
 from station.views.figures import StateUnit, number
 
 _NIS_OFF = 0.25
@@ -39,7 +40,35 @@ def measured_text(view: MeasuredView) -> Text:
     """Return the axes, the sources unless they have a place of their own, and the states."""
     states = StatesView(figures=view.figures, gyros=view.snapshot.gyros, with_nis=True)
     between = [Text()] if view.large else [*_troubled_sources(view.snapshot), _sources_in_a_line(view.snapshot)]
-    return joined([*_axis_lines(view), *between, *state_lines(states)])
+    return joined([*_axis_lines(view), *between, *state_lines(states), *_accelerometer_lines(view.snapshot)])
+
+
+def _accelerometer_lines(snapshot: Snapshot) -> list[Text]:
+    """Return the states of the accelerometers, what those of a source have in common, and what is left out."""
+    if not snapshot.accelerometers:
+        return []
+    accelerometers = snapshot.accelerometers
+    states = StatesView(figures=LIVE_FORCE_FIGURES, gyros=accelerometers, kind="accelerometer", with_nis=True)
+    lines = [*state_lines(states)]
+    for arm in snapshot.arms:
+        of_source = f" of {arm.source}" if len(snapshot.arms) > 1 else ""
+        places = [PLACE.figure(*of_axis) for of_axis in zip(arm.arm_m, arm.arm_sd_m, strict=True)]
+        lines.append(line(f"lever arm{of_source} {'  '.join(places)} {PLACE.unit}"))
+        delay = f"{number(arm.delay_s * 1e3, 2)} ± {number(arm.delay_sd_s * 1e3, 2)} ms"
+        lines.append(line(f"delay {delay}   NIS {number(arm.nis_recent, 2)}  ", _judgement_of_forces(arm)))
+    for one in accelerometers:
+        if one.left_out:
+            lines.append(line((f"{snapshot.called(one)} left out: {one.left_out}", _ALARM)))
+    return lines
+
+
+def _judgement_of_forces(arm: ArmSnapshot) -> tuple[str, str]:
+    """Return a text on the innovations of the accelerometers of a source, and its style."""
+    if not math.isfinite(arm.nis_recent):
+        return "not known yet", _DIM
+    if abs(arm.nis_recent - 1) > max(_NIS_OFF, _MANY_SIGMAS * math.sqrt(2 / max(arm.recent, 1))):
+        return "NIS OFF 1: the noise or the model differs from what was assumed", _ALARM
+    return "good: near 1", "green"
 
 
 def _axis_lines(view: MeasuredView) -> list[Text]:

@@ -10,6 +10,7 @@ from rich.text import Text
 from station.screen.panes.lines import MARK_STYLES, TITLE, Mark, joined, line, marked, padded
 from station.screen.sessions.answers import Reply
 from station.screen.tabs.prospects import Prospect
+from station.views.accelerometers.result import FORCE_FIGURES
 from station.views.answers.plan import PlanView
 from station.views.figures import StateUnit, clock_between, three_digits
 
@@ -119,7 +120,9 @@ def script_text(view: ScriptView) -> Text:
 
 
 def _predicted(plan: PlanView, figures: Sequence[StateUnit]) -> list[Text]:
-    """Return the predicted sigmas of each gyro, those that do not reach the required ones in yellow."""
+    """Return the predicted sigmas of each gyro, those that do not reach the required ones in yellow, and of each
+    accelerometer.
+    """
     heads = ["predicted", *(f"{figure.name} {figure.unit}" for figure in figures)]
     rows = [heads, *([gyro.name, *_sigmas(gyro.sd.values(), figures)] for gyro in plan.gyros)]
     styles = ["bold", *("" if gyro.reached else "yellow" for gyro in plan.gyros)]
@@ -128,6 +131,11 @@ def _predicted(plan: PlanView, figures: Sequence[StateUnit]) -> list[Text]:
         rows.append(["required", *_sigmas(required, figures)])
         styles.append("")
     lines = [Text(), *(line((" ".join(cells), style)) for cells, style in zip(padded(rows), styles, strict=True))]
+    if plan.accelerometers:
+        force_heads = ["predicted", *(f"{figure.name} {figure.unit}" for figure in FORCE_FIGURES)]
+        force_rows = [[name, *_sigmas(sd.values(), FORCE_FIGURES)] for name, sd in plan.accelerometer_sds]
+        head, *others = padded([force_heads, *force_rows])
+        lines += [Text(), line((" ".join(head), "bold")), *(line(" ".join(cells)) for cells in others)]
     weak = [axis.axis for axis in plan.constancy if not axis.proved]
     if weak:
         unproved = f"constancy not proved: {', '.join(weak)}"

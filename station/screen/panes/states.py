@@ -1,13 +1,14 @@
 """Tables of the four states by gyro: the states with their sigmas, and their change since an earlier calibration."""
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
 
 from rich.text import Text
 
-from station.run.snapshot import GyroSnapshot
+from station.run.snapshot import AccelerometerSnapshot, GyroSnapshot
 from station.screen.panes.lines import TITLE, joined, line, padded
 from station.views.figures import StateUnit, number
 
@@ -26,36 +27,42 @@ class StateCell:
 
 @dataclass(kw_only=True, frozen=True, slots=True)
 class StatesView:
-    """The states of the gyros with their sigmas, in the units of ``figures``.
+    """The states of gyros or accelerometers with their sigmas, in the units of ``figures``.
 
-    ``exceeded`` are figures beyond a limit. ``with_nis``: with the NIS of each gyro.
+    ``exceeded`` are figures beyond a limit. ``with_nis``: with the NIS of each. ``kind`` heads the column of names.
     """
 
     figures: Sequence[StateUnit]
-    gyros: Sequence[GyroSnapshot]
+    gyros: Sequence[GyroSnapshot | AccelerometerSnapshot]
+    kind: str = "gyro"
     exceeded: frozenset[StateCell] = frozenset()
     with_nis: bool = False
 
 
 def state_lines(view: StatesView) -> list[Text]:
-    """Return a line for each gyro below two lines of headings; figures beyond a limit are red."""
-    heads = _headings(view.figures, "±")
-    rows = [*heads, *(_state_row(gyro, view.figures) for gyro in view.gyros)]
+    """Return a line for each gyro below two lines of headings; figures beyond a limit are red.
+
+    Names that two sources have are preceded by that of the source.
+    """
+    heads = _headings(view.figures, "±", view.kind)
+    times = Counter(gyro.name for gyro in view.gyros)
+    names = [gyro.name if times[gyro.name] < 2 else gyro.full_name for gyro in view.gyros]
+    rows = [*heads, *([name, *_state_cells(gyro, view.figures)] for name, gyro in zip(names, view.gyros, strict=True))]
     if view.with_nis:
         nis = [number(gyro.nis, 2).rjust(4) for gyro in view.gyros]
         rows = [[*row, cell] for row, cell in zip(rows, ["NIS", "", *nis], strict=True)]
     return [_styled(cells, row - _HEAD_ROWS, view.exceeded) for row, cells in enumerate(padded(rows))]
 
 
-def _headings(figures: Sequence[StateUnit], beside: str) -> list[list[str]]:
+def _headings(figures: Sequence[StateUnit], beside: str, kind: str = "gyro") -> list[list[str]]:
     """Return the rows of names and units, with a pair of columns for each state."""
     names = chain.from_iterable((figure.name, beside) for figure in figures)
     units = chain.from_iterable((figure.unit, "") for figure in figures)
-    return [["gyro", *names], ["", *units]]
+    return [[kind, *names], ["", *units]]
 
 
-def _state_row(gyro: GyroSnapshot, figures: Sequence[StateUnit]) -> list[str]:
-    cells = [gyro.name]
+def _state_cells(gyro: GyroSnapshot | AccelerometerSnapshot, figures: Sequence[StateUnit]) -> list[str]:
+    cells = []
     for figure, value, sd in zip(figures, gyro.values, gyro.sds, strict=False):
         cells.append(figure.text(value).rjust(figure.width))
         cells.append(figure.text(sd).rjust(figure.width - 1))

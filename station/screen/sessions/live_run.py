@@ -32,7 +32,7 @@ class Stage(Enum):
 
 @dataclass(slots=True)
 class Trend:
-    """The course of one gyro's states: instants, values and sigmas of the four states."""
+    """The course of one sensor's states: instants, values and sigmas of the four states."""
 
     times_s: list[float] = field(default_factory=list)
     values: list[tuple[float, ...]] = field(default_factory=list)
@@ -63,6 +63,7 @@ class LiveRun:
         self.result: RunEnd | None = None
         self.events: deque[tuple[float, str]] = deque(maxlen=_MOST_EVENTS)
         self.trends: dict[str, Trend] = {}
+        """By full name of a gyro or accelerometer."""
         self.seen: list[Snapshot] = []
         """Snapshots since the script began, as time went on; of a long run every other, and so on."""
         self.trouble = ""
@@ -180,7 +181,7 @@ class LiveRun:
         """Prepend earlier estimates to the trends; incomplete points are skipped."""
         found: dict[str, Trend] = {}
         for point in points:
-            for name, (values, sds) in point["gyros"].items():
+            for name, (values, sds) in point["sensors"].items():
                 if None not in (*values, *sds):
                     found.setdefault(name, Trend()).add(float(point["t_s"]), tuple(values), tuple(sds))
         for name, trend in found.items():
@@ -197,6 +198,6 @@ class LiveRun:
             self.seen.append(snapshot)
             if len(self.seen) > _MOST_POINTS:
                 del self.seen[1:-1:2]
-        for gyro in snapshot.gyros:
-            if all(map(math.isfinite, gyro.values)) and all(map(math.isfinite, gyro.sds)):
-                self.trends.setdefault(gyro.name, Trend()).add(snapshot.elapsed_s, gyro.values, gyro.sds)
+        for one in snapshot.sensors:
+            if all(map(math.isfinite, one.values)) and all(map(math.isfinite, one.sds)):
+                self.trends.setdefault(one.full_name, Trend()).add(snapshot.elapsed_s, one.values, one.sds)

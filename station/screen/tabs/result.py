@@ -319,7 +319,7 @@ class ResultScreen(StationScreen):
         gyro, curve = list(whole.curves.items())[self.gyro % len(whole.curves)]
         limit = StateLimit(whole.sizes[index], whole.written[index])
         drawing = state_drawing(index, curve, limit, figures=figures_from(whole.entry.units))
-        calibrated = next((found for found in whole.entry.gyros if found.name == gyro), None)
+        calibrated = next((found for found in whole.entry.gyros if found.full_name == gyro), None)
         if calibrated is None:
             return drawing
         # The curve is that of the live filter; the figure is that of the calibration, as in the table beside it.

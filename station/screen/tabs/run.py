@@ -80,8 +80,8 @@ class RunScreen(ManualScreen):
         run = self.station.shown
         if run is None or not run.seen or not run.seen[-1].gyros:
             return None
-        gyros = run.seen[-1].gyros
-        return run_drawing(name, run, gyros[self.gyro % len(gyros)])
+        sensors = run.seen[-1].sensors
+        return run_drawing(name, run, sensors[self.gyro % len(sensors)])
 
     def action_pause(self) -> None:
         """Pause after the current step, or resume."""

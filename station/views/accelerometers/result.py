@@ -1,6 +1,6 @@
 """The calibration of accelerometers for tables and for JSON: units of the states, objects with named values."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,8 @@ FORCE_FIGURES = (
     StateUnit("sigma_k", "urad", 1e6, 0, 6),
 )
 """How the states of accelerometers are shown, in order."""
-
+LIVE_FORCE_FIGURES = tuple(replace(figure, digits=3) if figure.name == "b" else figure for figure in FORCE_FIGURES)
+"""How they are shown while their sigmas narrow."""
 
 LINE_WORDS = {
     "noise": "noise",

@@ -166,6 +166,16 @@ class PlanView:
         """Names of the gyros that do not reach the required standard deviations."""
         return [gyro.name for gyro in self.gyros if not gyro.reached]
 
+    @property
+    def accelerometer_sds(self) -> list[tuple[str, States]]:
+        """Name and standard deviations of each accelerometer; of several devices, the name begins with the device."""
+        several = len(self.accelerometers) > 1
+        return [
+            (f"{device.device} {one.name}" if several else one.name, one.sd)
+            for device in self.accelerometers
+            for one in device.accelerometers
+        ]
+
 
 def plan_view_of(data: Mapping[str, Any]) -> PlanView:
     """Return the answer in an object of JSON; KeyError, TypeError or ValueError if it is none."""

@@ -104,16 +104,16 @@ def test_stop_right_after_start_starts_nothing(place: Path) -> None:
 
 
 def test_who_attaches_late_sees_how_the_estimates_went() -> None:
-    early = {"t_s": 1.0, "gyros": {"g": [[0.1] * 4, [1.0] * 4]}}
-    late = {"t_s": 2.0, "gyros": {"g": [[0.2] * 4, [0.5] * 4], "unknown": [[None] * 4, [1.0] * 4]}}
+    early = {"t_s": 1.0, "sensors": {"s g": [[0.1] * 4, [1.0] * 4]}}
+    late = {"t_s": 2.0, "sensors": {"s g": [[0.2] * 4, [0.5] * 4], "unknown": [[None] * 4, [1.0] * 4]}}
     run = LiveRun()
     gyro = GyroSnapshot("g", "s", (0.3,) * 4, (0.4,) * 4, 1.0)
     run.take({"kind": "snapshot", **json_object(Snapshot(Phase.RUNNING, "x", 2.0, 1, 1, 0, 1.0, gyros=(gyro,)))})
     run.take({"kind": "course", "points": [early, late]})
     run.take({"kind": "course", "points": [{}]})
-    assert run.trends["g"].times_s == [1.0, 2.0]
-    assert [values[0] for values in run.trends["g"].values] == [0.1, 0.2]
-    assert set(run.trends) == {"g"}
+    assert run.trends["s g"].times_s == [1.0, 2.0]
+    assert [values[0] for values in run.trends["s g"].values] == [0.1, 0.2]
+    assert set(run.trends) == {"s g"}
 
 
 def test_a_press_on_the_bar_stops_also_in_a_terminal_that_is_too_small(place: Path) -> None:

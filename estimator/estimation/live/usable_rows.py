@@ -1,0 +1,76 @@
+"""Which outputs of an accelerometer can be used while a run goes on: told from what came so far."""
+
+import math
+
+import numpy as np
+
+from estimator.types import Flags, Floats
+
+_BY_CHANCE = 1e-6  # that so many outputs in a row are equal
+_FEWEST_EQUAL = 4
+_SIGMAS = 8.0  # beyond the data sheet
+_FEW = 0.2  # share of a block that may be beyond the data sheet: spikes
+
+NO_NUMBERS = "no numbers"
+CONSTANT = "does not change (stuck, or at a limit)"
+UNLIKE = "unlike its data sheet (dead, other axis, sign or unit)"
+
+
+class UsableRows:
+    """Judges one accelerometer, block by block; ``reason`` says why its last block was left out, "" if it was not.
+
+    ``excluded``: it is not what is stated, so that nothing of it counts, from the beginning.
+    """
+
+    def __init__(self, noise_mps2: float) -> None:
+        """Begin without outputs; ``noise_mps2`` is the white noise of one sample."""
+        self.reason = ""
+        self.excluded = False
+        self._noise_mps2 = noise_mps2
+        self._step_mps2 = math.inf  # the least between two outputs
+        self._last, self._equal = math.nan, 0
+
+    def judge(self, output_mps2: Floats, error_mps2: Floats, plausible_mps2: Floats) -> Flags:
+        """Return as flags (n,) the outputs of the next block that can be used.
+
+        ``error_mps2`` (n,) are their errors, ``plausible_mps2`` (n,) their standard deviations by the data
+        sheet.
+        """
+        numbers = np.isfinite(output_mps2)
+        known = np.isfinite(error_mps2)
+        if not numbers.any():
+            self.reason = self.reason if self.excluded else NO_NUMBERS
+            return numbers
+        moving = numbers & ~self._stuck(output_mps2)
+        if not (moving & known).any():
+            if known.any() and not self.excluded:
+                self.reason = CONSTANT
+            return moving & known
+        with np.errstate(invalid="ignore"):
+            beyond = np.abs(error_mps2) > _SIGMAS * np.hypot(plausible_mps2, self._noise_mps2)
+        judged = moving & known
+        self.excluded = self.excluded or bool((beyond & judged).sum() > _FEW * judged.sum())
+        self.reason = UNLIKE if self.excluded else ""
+        return judged & ~beyond & (not self.excluded)
+
+    def _stuck(self, output_mps2: Floats) -> Flags:
+        """Return as flags (n,) the outputs in runs of equal ones that are longer than chance explains."""
+        before = np.concatenate([[self._last], output_mps2[:-1]])
+        steps = np.abs(output_mps2 - before)
+        changes = steps > 0
+        self._step_mps2 = min(self._step_mps2, float(np.min(steps[changes], initial=math.inf)))
+        ends = np.append(np.flatnonzero(steps != 0), len(output_mps2))  # beginnings of runs, NaN is one of its own
+        lengths = np.diff(np.concatenate([[0], ends]))
+        lengths[0] += self._equal
+        stuck = np.repeat(lengths >= self._longest_by_chance(), np.diff(np.concatenate([[0], ends])))
+        self._last, self._equal = float(output_mps2[-1]), int(lengths[-1])
+        return np.asarray(stuck)
+
+    def _longest_by_chance(self) -> float:
+        """Return how many outputs in a row are never equal, by the least step and the noise; 1 before the first."""
+        if not math.isfinite(self._step_mps2):
+            return 1.0
+        alike = self._step_mps2 / (2 * math.sqrt(math.pi) * self._noise_mps2)
+        if alike >= 1.0:
+            return math.inf  # so coarse that nothing changes at rest
+        return max(math.log(_BY_CHANCE) / math.log(alike), _FEWEST_EQUAL)
