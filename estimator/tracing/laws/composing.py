@@ -140,7 +140,8 @@ def _largest_coefficients(runs: Sequence[Run], law: str) -> list[float | None]:
 def _mean_squares(run: Run, effect: Effect) -> Floats:
     """Return the mean squares (p,) of an effect's columns."""
     gyros = range(len(run.array) if of_each_gyro(effect.law) else 1)
-    columns = [effect.columns(run.grid, run.array, gyro) for gyro in gyros]
+    with run.grid.sharing_memories():
+        columns = [effect.columns(run.grid, run.array, gyro) for gyro in gyros]
     return np.asarray(np.max([np.einsum("np,np->p", one, one) / len(one) for one in columns], axis=0))
 
 
