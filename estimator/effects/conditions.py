@@ -1,6 +1,7 @@
 """Conditions of gyros on a table: everything on which the regressor of an effect may depend."""
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple, Self
 
@@ -87,6 +88,21 @@ class Conditions:
             self.cache[key] = values
         found: Floats = self.cache[key]
         return found
+
+    @property
+    def memories(self) -> dict[str, Floats] | None:
+        """By text the functions with memory that are the same for all gyros; None while they are not shared."""
+        found: dict[str, Floats] | None = self.cache.get("memories")
+        return found
+
+    @contextmanager
+    def sharing_memories(self) -> Iterator[None]:
+        """Share ``memories`` among the laws and gyros that are evaluated inside, and drop them in the end."""
+        self.cache["memories"] = {}
+        try:
+            yield
+        finally:
+            del self.cache["memories"]
 
     def thinned(self, first: int, stride: int) -> "Conditions":
         """Return the rows ``first``, ``first + stride``, ...: always the same object, so that it keeps its values."""

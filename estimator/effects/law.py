@@ -26,6 +26,7 @@ LAST_SHARE = 0.05
 """Share of the largest size beyond which a sign counts."""
 _MOST_CHARACTERS = 2000
 _EVEN = 1e-6  # share by which steps of time may differ and still be the same
+_NAME = re.compile(r"\b[A-Za-z]\w*")
 _CHARACTERS = re.compile(r"[A-Za-z0-9_.+\-*/(),; ]*")  # no comments, no line ends: laws stand in source code
 
 VARIABLES: Mapping[str, tuple[str, str, str]] = {
@@ -66,7 +67,8 @@ def columns_of(law: str, conditions: Conditions, axes: Axes) -> Floats:
 @lru_cache(4096)
 def needs_of(law: str) -> frozenset[str]:
     """Return the quantities that conditions must offer for a law."""
-    names = variables_of(law)
+    parsed(law)  # or LawError
+    names = _named_in(law)
     needs = {_NEEDS[VARIABLES[name][0]] for name in names if VARIABLES[name][0] in _NEEDS}
     return frozenset(needs | {"gimbals" for name in names if "_" in name})
 
@@ -96,8 +98,17 @@ def variables_of(law: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for tree in parsed(law) for name in _names(tree)))
 
 
+def _named_in(text: str) -> frozenset[str]:
+    """Return the variables that a text names."""
+    return frozenset(_NAME.findall(text)) & VARIABLES.keys()
+
+
 def _names(tree: ast.expr) -> list[str]:
     return [node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and node.id in VARIABLES]
+
+
+def _varies(tree: ast.expr) -> bool:
+    return any(isinstance(node, ast.Name) and node.id in VARIABLES for node in ast.walk(tree))
 
 
 @lru_cache(4096)
@@ -116,7 +127,8 @@ def axes_of(law: str) -> tuple[str, ...]:
 
 def of_each_gyro(law: str) -> bool:
     """Return whether a law differs from gyro to gyro: it names something along or about the sense axis."""
-    return not _OF_GYROS.keys().isdisjoint(variables_of(law))
+    parsed(law)  # or LawError
+    return not _OF_GYROS.keys().isdisjoint(_named_in(law))
 
 
 def in_words(law: str) -> str:
@@ -173,13 +185,13 @@ def _check_grammar(node: ast.expr) -> None:
             _check_grammar(node.operand)
         case ast.Call(func=ast.Name(id=name), args=[inner], keywords=[]) if name in _PLAIN:
             _check_grammar(inner)
-        case ast.Call(func=ast.Name(id="last"), args=[inner], keywords=[]) if _names(inner):
+        case ast.Call(func=ast.Name(id="last"), args=[inner], keywords=[]) if _varies(inner):
             _check_grammar(inner)
         case ast.Call(
             func=ast.Name(id="lag" | "play" | "last"),
             args=[inner, ast.Constant(value=int() | float() as size)],
             keywords=[],
-        ) if _names(inner) and 0 < size < np.inf:
+        ) if _varies(inner) and 0 < size < np.inf:
             _check_grammar(inner)
         case _:
             raise LawError(f"{ast.unparse(node)!r} is not of the grammar of laws")
@@ -191,16 +203,29 @@ _PLAIN: Mapping[str, Callable[[Any], Any]] = {
 
 
 class Variables:
-    """The variables of laws for one gyro under given conditions, each computed when first used."""
+    """The variables of laws for one gyro under given conditions, each computed when first used.
+
+    The same holds for functions with memory, which take long: those of a law are computed once for all of its terms,
+    and for all gyros while the conditions share them.
+    """
 
     def __init__(self, conditions: Conditions, axes: Axes) -> None:
         self.causal = conditions.causal
         self._conditions, self._axes = conditions, axes
+        self._own_memories: dict[str, Floats] = {}
 
     def __getitem__(self, name: str) -> Floats:
         axis = _OF_GYROS.get(name)
         key = name if axis is None else (name, getattr(self._axes, axis).tobytes())
         return self._conditions.once(key, lambda: np.array(_variable(name, self._conditions, self._axes)))
+
+    def remembered(self, text: str, work: Compiled, *, of_gyro: bool) -> Floats:
+        """Return what a function with memory gives, by its text; ``of_gyro``: it differs from gyro to gyro."""
+        shared = None if of_gyro else self._conditions.memories
+        known = self._own_memories if shared is None else shared
+        if text not in known:
+            known[text] = work(self)
+        return known[text]
 
     @property
     def steps_s(self) -> Floats:
@@ -263,11 +288,14 @@ def _turning_about(axis: str, c: Conditions) -> Floats:
 @lru_cache(4096)
 def compiled(law: str) -> tuple[Compiled, ...]:
     """Return the terms of a law as functions; LawError for a text that is none."""
-    return tuple(_compiled(tree) for tree in parsed(law))
+    return tuple(_compiled(tree, term.strip()) for tree, term in zip(parsed(law), law.split(";"), strict=True))
 
 
-def _compiled(node: ast.expr) -> Compiled:
-    """Return a checked syntax tree as a function of the variables; LawError for syntax that laws do not have."""
+def _compiled(node: ast.expr, text: str) -> Compiled:
+    """Return a checked syntax tree as a function of the variables; LawError for syntax that laws do not have.
+
+    ``text`` is the term that the tree is a part of.
+    """
     match node:
         case ast.Constant(value=int() | float() as number):
             constant = np.asarray(float(number))
@@ -275,18 +303,23 @@ def _compiled(node: ast.expr) -> Compiled:
         case ast.Name(id=name):
             return lambda known: np.asarray(known[name])
         case ast.UnaryOp(operand=operand):
-            positive = _compiled(operand)
+            positive = _compiled(operand, text)
             return lambda known: -positive(known)
         case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=int() as power)):
-            base = _compiled(left)
+            base = _compiled(left, text)
             return lambda known: np.asarray(base(known) ** power)
         case ast.BinOp(left=left, op=op, right=right):
             combine = _COMBINED[type(op)]
-            first = _compiled(left)
-            second = _compiled(right)
+            first = _compiled(left, text)
+            second = _compiled(right, text)
             return lambda known: combine(first(known), second(known))
         case ast.Call(func=ast.Name(id=name), args=[inner, *numbers]):
-            return _call(name, _compiled(inner), [ast.literal_eval(number) for number in numbers])
+            function = _call(name, _compiled(inner, text), [ast.literal_eval(number) for number in numbers])
+            if name in _PLAIN:
+                return function
+            its_text = text[node.col_offset : node.end_col_offset]
+            of_gyro = not _OF_GYROS.keys().isdisjoint(_named_in(its_text))
+            return lambda known: known.remembered(its_text, function, of_gyro=of_gyro)
     raise LawError(ast.unparse(node))
 
 

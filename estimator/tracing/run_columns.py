@@ -49,7 +49,8 @@ class RunColumns:
         run = self.run
         alike = candidate.alike and run.earth_rps is None
         gyros = range(1 if alike else len(run.array))
-        columns = np.array([run.weighed(candidate.regressors(run, gyro), gyro).T for gyro in gyros])
+        with run.grid.sharing_memories():
+            columns = np.array([run.weighed(candidate.regressors(run, gyro), gyro).T for gyro in gyros])
         turned = [cosines(columns[..., blocks], axis=-1) for blocks in self._stretches]
         return turned[0] if len(turned) == 1 else np.concatenate([columns[..., :0], *turned], axis=-1)
 

@@ -9,6 +9,7 @@ from estimator.estimation.evidence import SCALES, Evidence, Term
 from estimator.estimation.runs.run import with_gyro
 from estimator.estimation.spectra import Z
 from estimator.tracing.candidates import Candidate
+from estimator.tracing.option_columns import Stack
 from estimator.tracing.run_columns import RunColumns, of_gyro
 from estimator.tracing.tones.peaks import highest
 from estimator.types import Floats
@@ -17,6 +18,7 @@ _NEAR_S = 0.005  # around its apparent size an effect is searched that is exact 
 _SHORTEST_S = 1e-4  # of a time constant, which is not negative
 _LONGEST_S = 0.3  # of a delay or a time constant: slower effects are not of this kind
 _ROUNDING = 1e-9  # share by which gains of the same columns may differ, scanned with others
+_LOST = 1e-14  # share of squares to which those that a model leaves of them are known
 _FIRST_STEP = 0.02  # share of a constant
 _CLOSE = 0.2  # sigmas to which a constant of a law is found
 _TOGETHER = 8  # candidates that are scanned at once: so many columns fit the cache of a processor
@@ -60,26 +62,43 @@ class Scan:
     def gains(self, candidates: Sequence[Candidate]) -> Floats:
         """Return by how much half the squares fall if one of some effects is added (k,), each gyro fitted by itself.
 
-        Their columns are kept for the next scan.
+        All have the same number of parameters. Their columns are kept for the next scan.
         """
-        return self.bounds(candidates)[0]
+        found = np.zeros(len(candidates))
+        for start in range(0, len(candidates), _TOGETHER):
+            part = slice(start, start + _TOGETHER)
+            found[part] = _gains(*self._products(candidates[part], keep=True))
+        return found
 
-    def bounds(self, candidates: Sequence[Candidate]) -> tuple[Floats, Floats]:
+    def bounds(self, stacks: Sequence[Stack]) -> tuple[Floats, Floats]:
         """Return bounds (k,) on the rise of the log evidence if each candidate is added: at most and at least.
 
-        The upper bound is the gain, half of the fall of the squares. The lower is the log evidence with parameters
-        whose expected size is the largest plausible one, less the cost of trying all sizes.
+        ``stacks`` hold the columns of all k candidates. The upper bound is the gain, half of the fall of the squares.
+        The lower is the log evidence with parameters whose expected size is the largest plausible one, less the cost of
+        trying all sizes.
         """
-        found = np.zeros((2, len(candidates)))
-        groups: dict[tuple[int, bool], list[int]] = {}
-        for n, candidate in enumerate(candidates):
-            groups.setdefault((len(candidate.effect.parameters), candidate.alike), []).append(n)
-        for group in groups.values():
-            for start in range(0, len(group), _TOGETHER):
-                part = group[start : start + _TOGETHER]
-                own, right = self._products([candidates[n] for n in part], keep=True)
-                found[:, part] = _gains(own, right), _evidence(own, right) - np.log(len(SCALES))
-        return found[0], found[1]
+        count = 1 + max((int(stack.numbers.max()) for stack in stacks), default=-1)
+        most, at_least = np.zeros(count), np.full(count, -np.log(len(SCALES)))
+        for stack in stacks:
+            own, right = self._products_of(stack)
+            most[stack.numbers] += _gains(own, right)
+            at_least[stack.numbers] += _evidence(own, right)
+        return most, at_least
+
+    def _products_of(self, stack: Stack) -> tuple[Floats, Floats]:
+        """Return the same as ``_products`` for the k candidates of a stack, and its gyros alone.
+
+        What the model explains of the columns is taken off their products, not off the columns.
+        """
+        k, p, rows = stack.columns.shape
+        left = [self._gyros[gyro] for gyro in stack.gyros]
+        model = np.hstack([np.column_stack([one.basis, one.rest]) * one.root[:, None] for one in left])
+        with_model = (stack.columns.reshape(-1, rows) @ model).reshape(k, p, len(left), -1).transpose(2, 0, 1, 3)
+        explained, with_rest = with_model[..., :-1], with_model[..., -1]
+        weight = np.array([one.root[stack.first_rows] ** 2 for one in left])
+        whole = (weight @ stack.products.reshape(k * p * p, -1).T).reshape(len(left), k, p, p)
+        rounding = _LOST * np.trace(whole, axis1=2, axis2=3)[..., None, None] * np.eye(p)
+        return whole - explained @ explained.swapaxes(2, 3) + rounding, with_rest
 
     def gain(self, candidate: Candidate) -> float:
         """Return by how much half the squares fall if an effect is added, each gyro fitted by itself."""
@@ -87,8 +106,17 @@ class Scan:
 
     def products(self, candidate: Candidate) -> tuple[Floats, Floats]:
         """Return products of an effect's columns beside the model, (gyros, p, p), and with what is left, (gyros, p)."""
-        own, with_rest = self._products([candidate], keep=True)
+        own, with_rest = self._products([candidate])
         return own[:, 0], with_rest[:, 0]
+
+    def products_of(self, stacks: Sequence[Stack], number: int) -> tuple[Floats, Floats]:
+        """Return the same for the candidate with this number among those of ``stacks``."""
+        found: dict[int, tuple[Floats, Floats]] = {}
+        for stack in (one for one in stacks if number in one.numbers):
+            own, with_rest = self._products_of(stack.only(number))
+            found |= dict(zip(stack.gyros, zip(own[:, 0], with_rest[:, 0], strict=True), strict=True))
+        of_gyros = [found[gyro] for gyro in range(len(self._gyros))]
+        return np.array([own for own, _ in of_gyros]), np.array([with_rest for _, with_rest in of_gyros])
 
     def _products(self, candidates: Sequence[Candidate], *, keep: bool = False) -> tuple[Floats, Floats]:
         """Return products of the columns of k candidates beside the model, over the noise.
@@ -179,9 +207,10 @@ class Scan:
             step *= 2
         return float(theta)
 
-    def tuned(self, candidate: Candidate) -> Candidate:
+    def tuned(self, candidate: Candidate, best: int | None = None) -> Candidate:
         """Return a candidate at the value of its nonlinear parameter with the largest gain, near its best start value.
 
+        ``best`` is the number of that start value if it is known.
         Its ``log_tries`` is the cost of the search: minus the logarithm of the share of the parameter's range that
         would do as well. For a candidate ``by_size`` the value is its size and there is no cost.
         """
@@ -189,8 +218,8 @@ class Scan:
         assert start is not None
         if candidate.by_size:
             return at(candidate, self.size(candidate))
-        options = [at(candidate, theta) for theta in start.tolist()]
-        best = first_of_best(self.gains(options))
+        if best is None:
+            best = first_of_best(self.gains([at(candidate, theta) for theta in start.tolist()]))
         known: dict[str | float | None, float] = {}
 
         def gain(theta: float) -> float:

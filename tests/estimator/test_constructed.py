@@ -48,6 +48,17 @@ def test_a_law_is_worked_out_as_it_is_written() -> None:
     assert two.needs == {"gimbals"}
 
 
+def test_gyros_that_share_what_remembers_have_columns_of_their_own() -> None:
+    other = Axes(AXES.k, AXES.j, AXES.p)
+    law = constructed("lag(u, 3)*lag(T, 3); play(lag(T, 3), 0.5); lag(abs(u), 3)*last(gx, 0.1)")
+    alone = [law.at(conditions(), axes) for axes in (AXES, other)]
+    shared = conditions()
+    with shared.sharing_memories():
+        together = [law.at(shared, axes) for axes in (AXES, other)]
+    np.testing.assert_array_equal(together, alone)
+    assert not np.allclose(alone[0], alone[1])
+
+
 def test_what_remembers_obeys_its_equation() -> None:
     t_s = np.arange(2000) * 0.01
     x = np.sin(0.7 * t_s)

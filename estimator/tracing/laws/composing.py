@@ -6,9 +6,10 @@ together are expected as often as a shorter one less some (Rissanen 1983).
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
+from typing import Self
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from estimator.packaged import packaged_toml
 from estimator.tracing.candidates import Candidate
 from estimator.tracing.laws.flexible import flexible_laws, values_of
 from estimator.tracing.laws.needed import needed
+from estimator.tracing.option_columns import stacks_of
 from estimator.tracing.scan import Scan, at, first_of_best
 from estimator.tracing.search import Found, Search
 from estimator.types import Floats
@@ -140,7 +142,8 @@ def _largest_coefficients(runs: Sequence[Run], law: str) -> list[float | None]:
 def _mean_squares(run: Run, effect: Effect) -> Floats:
     """Return the mean squares (p,) of an effect's columns."""
     gyros = range(len(run.array) if of_each_gyro(effect.law) else 1)
-    columns = [effect.columns(run.grid, run.array, gyro) for gyro in gyros]
+    with run.grid.sharing_memories():
+        columns = [effect.columns(run.grid, run.array, gyro) for gyro in gyros]
     return np.asarray(np.max([np.einsum("np,np->p", one, one) / len(one) for one in columns], axis=0))
 
 
@@ -172,11 +175,10 @@ class Composer:
     def __init__(self, search: Search, laws: Sequence[Candidate]) -> None:
         """Take the laws; none of them is among the candidates of the search yet."""
         self._search = search
-        # Each law with the constants that it is tried with.
-        self._laws = [
-            (law, [law] if law.start is None else [at(law, theta) for theta in law.start.tolist()]) for law in laws
-        ]
+        self._laws = _Tried.of(laws)
         self._coarse = [columns.coarse for columns in search.columns]
+        options = [option for law in self._laws for option in law.options]
+        self._stacks = stacks_of(self._coarse, search.evidence, options)
         self._kept: set[str] = set()
 
     def composed(self, found: Found, most: int) -> Found:
@@ -273,23 +275,23 @@ class Composer:
         scan = Scan(self._coarse, search.evidence, [term for _, term in base], noise)
         taken = {candidate.family or candidate.name for candidate, _ in base}
         missing = self._worth(known, noise) + least - self._worth(base, noise)
-        laws = [(law, options) for law, options in self._laws if law.name not in taken]
-        most, at_least = scan.bounds([option for _, options in laws for option in options])
-        ends = np.cumsum([len(options) for _, options in laws])[:-1]
-        ranked = []
-        for (law, options), gains, floors in zip(laws, np.split(most, ends), np.split(at_least, ends), strict=True):
+        most, at_least = scan.bounds(self._stacks)
+        promising: list[_Promising] = []
+        for law in (one for one in self._laws if one.candidate.name not in taken):
+            gains = most[law.first : law.first + len(law.options)]
             best = first_of_best(gains)
-            open_constant = law.start is not None
-            gain = float(gains[best])
-            reach = gain * (_BETWEEN if open_constant else 1.0) + law.log_prior
+            open_constant = law.candidate.start is not None
+            gain, prior = float(gains[best]), law.candidate.log_prior
+            reach = gain * (_BETWEEN if open_constant else 1.0) + prior
             # This probability is certain for some law: laws that cannot come near it need no constant.
-            missing = max(missing, float(floors[best]) + law.log_prior - _TRIES * open_constant + _RIVAL)
-            ranked.append((gain + law.log_prior, reach, options[best]))
-        ranked = [one for one in ranked if one[1] > missing]
-        ranked.sort(key=lambda pair: -pair[0])
+            floor = float(at_least[law.first + best])
+            missing = max(missing, floor + prior - _TRIES * open_constant + _RIVAL)
+            promising.append(_Promising(law=law, best=best, worth=gain + prior, reach=reach))
+        promising = [one for one in promising if one.reach > missing]
+        promising.sort(key=lambda one: -one.worth)
         chosen: list[Candidate] = []
-        for _, _, law in ranked:
-            settled, worth = self._settled(scan, law)
+        for one in promising:
+            settled, worth = self._settled(scan, one)
             if worth > missing:  # with all its terms a flexible law seems to be worth more than it is
                 chosen.append(settled)
             if len(chosen) == _LAWS_TRIED:
@@ -298,15 +300,53 @@ class Composer:
         search.add([law for law in chosen if law.name not in self._kept])
         return [law.name for law in chosen]
 
-    def _settled(self, scan: Scan, law: Candidate) -> tuple[Candidate, float]:
+    def _settled(self, scan: Scan, promising: "_Promising") -> tuple[Candidate, float]:
         """Return a law with its best constant, a flexible one with the terms that are needed, and its worth at most.
 
         The worth is what it adds to the log evidence, with its prior and the cost of the choice; inf for laws that are
         not flexible.
         """
-        law = law if law.start is None else scan.tuned(law)
+        number, law = promising.law.first + promising.best, promising.law.options[promising.best]
+        tuned = law if law.start is None else scan.tuned(law, promising.best)
         if not law.flexible:
-            return law, float("inf")
-        found = needed(*scan.products(law))
-        settled = replace(_with_terms(law, found.terms), log_tries=law.log_tries + found.log_tries)
+            return tuned, float("inf")
+        products = scan.products_of(self._stacks, number) if tuned is law else scan.products(tuned)
+        found = needed(*products)
+        settled = replace(_with_terms(tuned, found.terms), log_tries=tuned.log_tries + found.log_tries)
         return settled, found.log_evidence + settled.log_prior - settled.log_tries
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Tried:
+    """A law with the ``options`` that it is tried with: one for each start value of its constant.
+
+    ``first`` is the number of the first option among those of all laws.
+    """
+
+    candidate: Candidate
+    options: Sequence[Candidate]
+    first: int
+
+    @classmethod
+    def of(cls, laws: Sequence[Candidate]) -> list[Self]:
+        """Return laws with their options."""
+        found: list[Self] = []
+        first = 0
+        for law in laws:
+            options = [law] if law.start is None else [at(law, theta) for theta in law.start.tolist()]
+            found.append(cls(law, options, first))
+            first += len(options)
+        return found
+
+
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
+class _Promising:
+    """A law that may explain enough, the number of its ``best`` option, and what that is worth, its prior included.
+
+    ``reach`` is what the law may be worth at most.
+    """
+
+    law: _Tried
+    best: int
+    worth: float
+    reach: float
