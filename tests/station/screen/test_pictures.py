@@ -113,17 +113,18 @@ def test_prepare_says_what_is_not_green(place: Path, snap_compare: Compare) -> N
     assert snap_compare(app, terminal_size=SMALL, run_before=before)
 
 
-@pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
-def test_prepare_is_ready_when_all_is_green(place: Path, snap_compare: Compare, size: tuple[int, int]) -> None:
+def test_prepare_is_ready_when_all_is_green(place: Path, pictures: Pictures) -> None:
     app = StationApp(CHOICES)
 
     async def before(pilot: Pilot[None]) -> None:
         await pilot.press(*keys("A. Operator"), "enter")
         await pilot.press(*keys("SN-0042"))
         await until(pilot, lambda: "READY" in str(app.screen.query_one("#summary").render()).split()[:1])
+
+    async def settled(pilot: Pilot[None], name: str) -> None:
         await drawn(pilot, app)
 
-    assert snap_compare(app, terminal_size=size, run_before=before)
+    assert pictures(app, SIZES, before, settled) == []
 
 
 def test_a_bench_file_that_is_wrong_is_told_with_its_line(place: Path, snap_compare: Compare) -> None:
