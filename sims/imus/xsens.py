@@ -30,6 +30,7 @@ _FROM_FORCE = (mtdata2.ACCELERATION, mtdata2.EULER_ANGLES)
 _VALUES = (mtdata2.RATE_OF_TURN, mtdata2.TEMPERATURE, *_FROM_FORCE)
 _MORE_ANSWERS = {mid: bytes.fromhex(text) for mid, text in packaged_codes("sims", "xsens", "answer").items()}
 _CLOCK_HZ = 115_200  # unit of sampling periods
+_LONGEST_PERIOD = 0xFFFF  # that two bytes can state: of 1.8 Hz
 _FIRMWARE = bytes([1, 8, 2]) + (37).to_bytes(4, "big") + (70964).to_bytes(4, "big")
 _HARDWARE = bytes([2, 0])
 
@@ -70,7 +71,7 @@ class XsensDevice:
         )
         """Output configuration, which it keeps when it is switched off."""
         self.measuring = True
-        own, period = (int(serial, 16) + setup.number).to_bytes(4), _CLOCK_HZ // rate_hz
+        own, period = (int(serial, 16) + setup.number).to_bytes(4), min(_CLOCK_HZ // rate_hz, _LONGEST_PERIOD)
         self._answers: dict[int, bytes] = {
             **_MORE_ANSWERS,
             Mid.REQ_DEVICE_ID: own,

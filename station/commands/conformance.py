@@ -17,7 +17,7 @@ import numpy as np
 from drivers.errors import DeviceError, LinkLost
 from drivers.imus.described.imu import SPEC as DESCRIBED
 from drivers.imus.kind import SPEC as IMU
-from drivers.imus.registry import IMUS, USUAL_IMU
+from drivers.imus.registry import IMUS
 from drivers.kind import DeviceKind
 from drivers.kinds import KINDS
 from drivers.plugins import PluginError, load_file, records_of
@@ -291,23 +291,23 @@ def suites_of(spec: DeviceSpec) -> _Suites:
 def _bench_of(spec: DeviceSpec, faults: Mapping[str, Any], plugins: Sequence[Path], description: Path | None) -> Bench:
     """Return a bench with the device's twin, whose wire has ``faults``, and usual twins of the other kinds it needs."""
     table = spec if isinstance(spec, TableSpec) else TABLES[USUAL_TABLE]
-    imu = spec if isinstance(spec, ImuSpec) else IMUS[USUAL_IMU]
+    imu, rate = (spec, spec.proposed.rate) if isinstance(spec, ImuSpec) else _slowest_imu()
     axes = "zyx"[: spec.most_axes if isinstance(spec, TableSpec) else 1]
     keys = "\n".join(f"{key} = {json.dumps(value)}" for key, value in faults.items())
     values = {"table": table, "imu": imu, "axes": axes, "channels": built_in_channels(GYROS.get(imu.proposed.array, 0))}
     values |= {"description": str(description or USUAL_DESCRIPTION), "p": _axes_of(description)}
     values |= {"table_faults": keys if table is spec else "", "imu_faults": keys if imu is spec else ""}
-    values["rate"] = imu.proposed.rate if isinstance(spec, ImuSpec) else _slowest(imu)
+    values["rate"] = rate
     values["other"] = "" if spec in (table, imu) else _other_section(spec, keys, plugins)
     return read_bench(rendered("station.commands", "conformance.toml", values), "conformance", plugins=plugins)
 
 
-def _slowest(imu: ImuSpec) -> str:
-    """Return the lowest rate of an IMU that is not tried itself: nothing is gained by more of its samples."""
-    rates_hz = imu.rates_hz
-    if isinstance(rates_hz, Mapping) or not rates_hz:
-        return imu.proposed.rate
-    return f"{min(rates_hz):g} Hz"
+def _slowest_imu() -> tuple[ImuSpec, str]:
+    """Return the IMU with the lowest rate, and that rate: beside a device under test its samples only cost time."""
+    rates_hz = {name: spec.rates_hz for name, spec in IMUS.items()}
+    lowest_hz = {name: min(rates) for name, rates in rates_hz.items() if isinstance(rates, Sequence) and rates}
+    slowest = min(lowest_hz, key=lambda name: lowest_hz[name])
+    return IMUS[slowest], f"{lowest_hz[slowest]:g} Hz"
 
 
 def _other_section(spec: DeviceSpec, faults: str, plugins: Sequence[Path]) -> str:
