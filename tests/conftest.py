@@ -105,6 +105,12 @@ def pytest_configure(config: pytest.Config) -> None:
     config.add_cleanup(stack.close)
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave the folder of counterparts aside where its marker is deselected: importing it takes seconds a worker."""
+    deselected = "not counterpart" in str(config.getoption("markexpr"))
+    return True if deselected and collection_path.name == "counterparts" else None
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Iterator[None]:
     """Leave what is imported and collected out of what is looked through for garbage: none of it is."""

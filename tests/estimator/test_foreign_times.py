@@ -25,7 +25,6 @@ from foreign_motion import (
     rate,
     write,
 )
-from scipy.signal import lfilter
 
 HEADING = "t,gx,gy,gz,rx,ry,rz"
 T_S = instants()
@@ -74,6 +73,8 @@ def test_the_investigation_tells_the_delay_that_the_calibration_tells(
 def test_counts_of_unknown_size_are_found_beside_a_reference_that_is_late_and_smooth(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    from scipy.signal import lfilter
+
     smooth = lfilter([0.06], [1, -0.94], rate(T_S - 0.045), axis=0)
     write(tmp_path / "log.csv", HEADING, T_S, np.round(outputs(rate(T_S)) / 0.0612), smooth)
     mapping = CSV + TIME + '[gyro]\ncolumns = ["gx", "gy", "gz"]\nunit = "raw"\nscale = "from data"\n' + RATE
