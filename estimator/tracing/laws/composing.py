@@ -291,6 +291,11 @@ class Composer:
         promising.sort(key=lambda one: -one.worth)
         chosen: list[Candidate] = []
         for one in promising:
+            if one.law.candidate.flexible and one.law.candidate.start is not None:
+                # Tuning its constant is dear, and in vain if the terms that it needs explain too little by far.
+                found = needed(*scan.products_of(self._stacks, one.law.first + one.best))
+                if _BETWEEN * found.log_evidence + one.law.candidate.log_prior <= missing:
+                    continue
             settled, worth = self._settled(scan, one)
             if worth > missing:  # with all its terms a flexible law seems to be worth more than it is
                 chosen.append(settled)
