@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import re
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -15,13 +16,15 @@ import pytest
 from certified import META, certified
 from lxml import etree
 
+from estimator.calibration.accelerometer import AccelerometerCalibration, ForceCalibration, ForceEffectValues
+from estimator.observations.timing import TimeOffset
 from station.cli import main
 from station.errors import UsageError
 from station.report.dcc import make_dcc, read_key, sign, validate
 from station.report.document import Report
 from station.report.document_status import standing_of
 from station.report.formal import read_formal
-from station.report.recorded import read_recorded
+from station.report.recorded import Recorded, read_recorded
 
 SPACES = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si", "ds": "http://www.w3.org/2000/09/xmldsig#"}
 UNITS = [r"\one", r"\radian\second\tothe{-1}", r"\radian", r"\radian"]
@@ -265,3 +268,70 @@ def test_a_key_that_is_none_is_told_before_the_work(
     pytest.importorskip("signxml")
     with pytest.raises(UsageError, match="sign with RSA or ECDSA"):
         read_key(*key_pair(tmp_path, edwards=True))
+
+
+def with_accelerometers(recorded: Recorded) -> Recorded:
+    """Return a recording with the calibration of three accelerometers, one effect of which has no unit of D-SI."""
+    axes = np.eye(3)
+    covariance = np.diag([1e-10, 4e-8, 9e-10, 1e-10])
+    accelerometers = tuple(
+        AccelerometerCalibration(
+            name=f"accel {axis}",
+            source="imu",
+            device="imu",
+            p=axes[place],
+            j=axes[(place + 1) % 3],
+            k_axis=axes[(place + 2) % 3],
+            states=np.array([1e-4, 0.02, 1e-3, -2e-3]) * (place + 1),
+            covariance=covariance,
+            noise_mps2=1e-3,
+            place_m=np.array([0.04, -0.025, 0.015]),
+            place_covariance_m2=1e-8 * np.eye(3),
+        )
+        for place, axis in enumerate("xyz")
+    )
+    sizes = {"parameters": ("coefficient",), "values": np.full((3, 1), 2e-4), "sd": np.full((3, 1), 1e-5)}
+    forces = ForceCalibration(
+        source="imu",
+        device="imu",
+        accelerometers=accelerometers,
+        covariance=np.kron(np.eye(3), covariance),
+        arm_m=np.array([0.04, -0.025, 0.015]),
+        arm_covariance_m2=1e-8 * np.eye(3),
+        gravity_mps2=9.8062,
+        gravity_from="stated",
+        offset=TimeOffset(1.5e-3, 4e-6),
+        effects=(
+            ForceEffectValues(name="asymmetry", unit="1", **sizes),
+            ForceEffectValues(name="second_order", unit="1/g", **sizes),
+        ),
+    )
+    assert recorded.calibration is not None
+    return replace(recorded, calibration=replace(recorded.calibration, forces=(forces,)))
+
+
+def test_accelerometers_have_states_places_intrinsic_parameters_and_effects(run: Path) -> None:
+    recorded = with_accelerometers(read_recorded(run))
+    formal = read_formal(recorded, run.with_name("meta.toml"))
+    report = Report(
+        html="", standing=standing_of(recorded, formal), number="1A2B3C", hashes={"file": "0" * 64, "data": "1" * 64}
+    )
+    xml = etree.fromstring(make_dcc(recorded, formal, report))
+    second = found(xml, "//dcc:result[contains(@id, 'Force')]")[1]
+    assert second.findtext("dcc:name/dcc:content", namespaces=SPACES) == "Accelerometer accel y of imu"
+    states, place, effects = found(second, ".//dcc:list")
+    expanded = ".//si:measurementUncertaintyUnivariate//si:valueExpandedMU"
+    assert np.allclose(numbers(states, ".//si:value"), [2e-4, 0.04, 2e-3, -4e-3])
+    assert np.allclose(numbers(states, expanded), [2e-5, 4e-4, 6e-5, 2e-5])
+    assert texts(states, ".//si:unit")[1] == r"\metre\second\tothe{-2}"
+    assert np.allclose(numbers(place, ".//si:value"), [0.04, -0.025, 0.015])
+    assert np.allclose(numbers(effects, ".//si:value"), 2e-4)
+    assert "0.0002 1/g" in texts(effects, ".//dcc:noQuantity/dcc:content")[0]
+    (triad,) = found(xml, "//dcc:result[contains(@id, 'Triad')]")
+    lists = {one.findtext("dcc:name/dcc:content", namespaces=SPACES): one for one in found(triad, ".//dcc:list")}
+    assert list(lists) == ["Sensitivities", "Offsets", "Angles between the axes", "Delay of the outputs"]
+    assert [len(found(one, "dcc:quantity")) for one in lists.values()] == [3, 3, 3, 1]
+    assert np.allclose(numbers(lists["Offsets"], ".//si:value"), [-0.02, -0.04, -0.06])
+    condition = "//dcc:influenceCondition[@refType='gravity']"
+    assert texts(xml, f"{condition}//si:value") == ["9.8062"]
+    assert texts(xml, f"{condition}/dcc:description/dcc:content") == ["stated"]

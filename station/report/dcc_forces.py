@@ -1,0 +1,119 @@
+"""Accelerometers of a digital calibration certificate: results as lists of quantities with D-SI units."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+from estimator.calibration.accelerometer import AccelerometerCalibration, ForceCalibration, Intrinsic
+from estimator.sensors.accelerometers import ACCELEROMETER
+from station.report.figures import COVERAGE
+
+_ACCELERATION = r"\metre\second\tothe{-2}"
+_STATES = {
+    "k": ("scale factor error k", r"\one"),
+    "b_mps2": ("bias b", _ACCELERATION),
+    "sigma_j_rad": ("misalignment sigma_j", r"\radian"),
+    "sigma_k_rad": ("misalignment sigma_k", r"\radian"),
+}
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class Quantity:
+    """A value with its expanded uncertainty, both in ``unit`` of D-SI; where that has none, ``words`` state both."""
+
+    name: str
+    value: float
+    unit: str
+    expanded: float
+    words: str = ""
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class QuantityList:
+    """Quantities that belong together."""
+
+    name: str
+    quantities: tuple[Quantity, ...]
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class ForceResult:
+    """One result of a certificate; ``id`` is unique within it."""
+
+    id: str
+    name: str
+    lists: tuple[QuantityList, ...]
+
+
+def force_results(forces: tuple[ForceCalibration, ...], before: str, dsi: Mapping[str, str]) -> list[ForceResult]:
+    """Return the results of the accelerometers of all sources.
+
+    ``before`` begins their ids. ``dsi`` has the units of effects in D-SI by their SI names.
+    """
+    found = []
+    for number, one in enumerate(forces):
+        if not one.accelerometers:
+            continue
+        device = one.device or one.source
+        for place, accelerometer in enumerate(one.accelerometers):
+            lists = [_states(accelerometer), _place(accelerometer)]
+            lists += _effects(one, place, dsi)
+            name = f"Accelerometer {accelerometer.name} of {device}"
+            found.append(ForceResult(id=f"{before}Force{number}x{place}", name=name, lists=tuple(lists)))
+        name = f"Accelerometers of {device}, independent of the mounting"
+        found.append(ForceResult(id=f"{before}Triad{number}", name=name, lists=tuple(_triad(one))))
+    return found
+
+
+def _quantity(name: str, value: float, unit: str, sd: float) -> Quantity:
+    return Quantity(name=name, value=float(value), unit=unit, expanded=COVERAGE * float(sd))
+
+
+def _states(one: AccelerometerCalibration) -> QuantityList:
+    """Return the states of an accelerometer."""
+    rows = zip(ACCELEROMETER.keys, one.states, one.sd, strict=True)
+    return QuantityList(
+        name="States", quantities=tuple(_quantity(_STATES[key][0], x, _STATES[key][1], sd) for key, x, sd in rows)
+    )
+
+
+def _place(one: AccelerometerCalibration) -> QuantityList:
+    """Return where an accelerometer sits."""
+    rows = zip("xyz", one.place_m, one.place_sd_m, strict=True)
+    return QuantityList(
+        name="Place, from the point in which the axes of the table meet",
+        quantities=tuple(_quantity(axis, x, r"\metre", sd) for axis, x, sd in rows),
+    )
+
+
+def _effects(one: ForceCalibration, place: int, dsi: Mapping[str, str]) -> Iterator[QuantityList]:
+    """Yield the parameters of the effects of an accelerometer, if it has any."""
+    quantities: list[Quantity] = []
+    for effect in one.effects:
+        called = effect.name.replace("_", " ")
+        for name, x, sd in zip(effect.parameters, effect.values[place], effect.sd[place], strict=True):
+            own = _quantity(f"{called}, {name}", x, dsi.get(effect.unit, ""), sd)
+            words = f"{own.value} {effect.unit}, expanded uncertainty (k = {COVERAGE:g}) {own.expanded} {effect.unit}"
+            quantities.append(own if own.unit else replace(own, words=words))
+    if quantities:
+        yield QuantityList(name="Effects", quantities=tuple(quantities))
+
+
+def _triad(one: ForceCalibration) -> Iterator[QuantityList]:
+    """Yield sensitivities, offsets and angles (Geist et al. 2017), and the delay of the outputs if it is known."""
+    found: Intrinsic = one.intrinsic
+    sensitivities = zip(found.names, found.sensitivity, found.sensitivity_sd, strict=True)
+    offsets = zip(found.names, found.offset_mps2, found.offset_sd_mps2, strict=True)
+    angles = zip(found.pairs, found.angle_rad, found.angle_sd_rad, strict=True)
+    yield QuantityList(
+        name="Sensitivities", quantities=tuple(_quantity(name, x, r"\one", sd) for name, x, sd in sensitivities)
+    )
+    yield QuantityList(
+        name="Offsets", quantities=tuple(_quantity(name, x, _ACCELERATION, sd) for name, x, sd in offsets)
+    )
+    yield QuantityList(
+        name="Angles between the axes",
+        quantities=tuple(_quantity(f"{first} to {second}", x, r"\radian", sd) for (first, second), x, sd in angles),
+    )
+    if one.offset is not None:
+        delay = _quantity("after the readings of the table", one.offset.offset_s, r"\second", one.offset.sd_s)
+        yield QuantityList(name="Delay of the outputs", quantities=(delay,))
