@@ -21,7 +21,7 @@ from estimator.planning.planning import UNSEEN, weighing
 from station.atomic_write import check_new_file, free_path, write_whole
 from station.bench.bench import Bench
 from station.bench.imu import ImuConfig
-from station.errors import UsageError
+from station.errors import UsageError, sentence
 from station.render.lines import tell
 from station.render.plans.improved import print_improved
 from station.render.template import rendered
@@ -65,11 +65,21 @@ def improve(arguments: argparse.Namespace, bench: Bench, script: Script) -> int:
     search_s = time.perf_counter() - began_s
     improved = Improved(before=script, wanted=wanted, found=found, gyros=gyros, search_s=search_s)
     write_whole(path, script_text(found.script, _origin(improved, bench)))
+    notes = _notes(bench, path)
     if arguments.json:
-        print(json.dumps(improved_object(improved, path)))
+        print(json.dumps({**improved_object(improved, path), "notes": notes}))
     else:
         print_improved(improved, path, bench.units)
+        for note in notes:
+            tell(note, sys.stdout)
     return Outcome.PASS.exit_code
+
+
+def _notes(bench: Bench, path: Path) -> list[str]:
+    """Return what the search did not look at."""
+    if all(imu.force_sheet is None for imu in _used(bench)):
+        return []
+    return [sentence("script.improve_gyros_alone", path=path)]
 
 
 def search_of(bench: Bench, wanted: Wanted, on_progress: Callable[[str], None]) -> Search:

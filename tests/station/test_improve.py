@@ -224,3 +224,13 @@ def test_the_slopes_of_a_shape_are_those_of_its_sums(cycles: int) -> None:
     numeric = [(shape.information(v + h) - shape.information(v - h)) / 2e-5 for h in 1e-5 * np.eye(len(v))]
     assert shape.slopes(v) == pytest.approx(np.array(numeric), abs=1e-6)
     assert shape.information(v) == pytest.approx(sums(shape.script(v, "v"), GIMBALS), abs=1e-9)
+
+
+def test_accelerometers_that_the_search_does_not_look_at_are_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bench = Path(__file__).parents[1] / "data" / "benches" / "full_imu.toml"
+    path = tmp_path / "improved.toml"
+    assert main(["plan", "--improve", "--json", "--bench", str(bench), "-o", str(path)]) == 0
+    (note,) = json.loads(capsys.readouterr().out)["notes"]
+    assert f"station plan {path}" in note
