@@ -201,10 +201,12 @@ def undeclared_notes(found: Sequence[UndeclaredEffect], gyros: Sequence[GyroCali
 
 
 def _effects(grid: Conditions) -> list[tuple[Effect, float]]:
-    """Return the laws of the catalogue that suit the axes of ``grid``, with the share of its size that each stands for.
+    """Return all laws of the catalogue, made for the axes of ``grid``, each with a share of its largest plausible size.
 
-    An effect that is not linear is spread over several laws, and one of a higher power in the rate is scaled for its
-    fastest rate. What is one law for certain comes first.
+    None is left out: a law may have no parameters for these axes, or need data that ``grid`` does not have. A
+    record with n alternative settings is spread over n laws with the share 1 / sqrt(n) each. The share of one that
+    grows with power p of the rate is also multiplied by (30 deg/s / fastest rate)^(p - 1), the fastest rate counting as
+    at least 30 deg/s. Records without alternatives come first. ``grid`` has at least one instant.
     """
     first, last = float(grid.t_s[0]), float(grid.t_s[-1])
     fastest_rps = max(float(np.abs(grid.w_rps).max(initial=0.0)), _SPOKEN_OF_RPS)

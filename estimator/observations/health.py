@@ -109,7 +109,11 @@ def _limited(data: ImuData, gyro: int, *, fine: bool, beside: Beside | None) -> 
 
 
 def widened(flags: Flags, t_ns: Stamps) -> Flags:
-    """Return flags (n,) of samples at a limit, at instants (n,), extended to those that a filter mixes with them."""
+    """Return flags (n,) of samples at a limit, at instants in ns (n,), extended to those that a filter mixes with them.
+
+    Each run of flags grows by 20 ms, and at least three samples, to both sides. The period of the samples is the median
+    over the first ten thousand; there are at least two samples, else ValueError. The flags given are not changed.
+    """
     period_s = float(np.median(np.diff(t_ns[:10000]))) * 1e-9
     margin = max(round(_FILTER_S / period_s), 3)
     wide = flags.copy()

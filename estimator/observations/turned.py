@@ -67,8 +67,12 @@ class Turned:
 
     @classmethod
     def of_reference(cls, reference: Reference, site: Site | None) -> Self:
-        """Return the turn (k, 3) in body axes of an attitude, a rate, or a table with a single axis, Earth rate
-        included by site.
+        """Return how far the body turned, in rad about its three axes, from a reference with k instants.
+
+        The reference is an attitude, rates, or a table, of which only the first axis counts: it must have a single one.
+        Earth rate is added to the turn of a table if ``site`` is known; rates and attitudes are taken as they are. Lost
+        attitudes or rates and long gaps are unknown, except that gaps between rates that are all below ``REST_RPS`` are
+        rests. AssertionError for turns and poses, which give no motion at all instants.
         """
         attitude = reference.attitude
         rates = reference.external_rates()

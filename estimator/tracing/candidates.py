@@ -226,7 +226,9 @@ def _going_on(tau_s: float, began_s: float) -> Effect:
 def _scanned(record: Record, gimbals: tuple[str, ...], span_s: float) -> Candidate:
     """Return the candidate of an effect whose one setting is searched for, beginning at a grid of values.
 
-    ``gimbals`` are the axes of the table; ``span_s``, the length of the longest run, sets the grid.
+    ``gimbals`` are the axes of the table; ``span_s``, the length of the longest run, sets the grid of ten values,
+    unless the setting has a fixed one. The candidate has the value at place ``begin`` of the setting. AssertionError
+    for a record without a setting that has a grid.
     """
     setting = record.grid
     assert setting is not None

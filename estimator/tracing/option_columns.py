@@ -65,7 +65,11 @@ def _form(candidate: Candidate) -> tuple[int, bool]:
 def _stacks_of_form(
     columns: Sequence[RunColumns], evidence: Evidence, candidates: Sequence[Candidate], numbers: NDArray[np.intp]
 ) -> list[Stack]:
-    """Return the stacks of the candidates with these numbers, which are all of one form."""
+    """Return the stacks of the candidates with these numbers, at least one, which are all of one form (``_form``).
+
+    ``columns`` has one entry for each run. Gyros share a stack if they are in the same runs and have the same columns
+    there; so each distinct set of ``Places`` gives one stack, which holds all the candidates.
+    """
     of_runs = [[one.of(candidates[number]) for number in numbers.tolist()] for one in columns]
     gyros_at: dict[Places, list[int]] = {}
     for number, gyro in enumerate(evidence.gyros):

@@ -26,11 +26,12 @@ class RunColumns:
         return RunColumns(self.run.coarse())
 
     def of(self, candidate: Candidate, *, keep: bool = False) -> Floats:
-        """Return a candidate's columns (gyros, p, rows), in rad/s at its largest size; (1, p, rows) if all gyros have
-        the same.
+        """Return a candidate's columns (gyros, p, rows) in rad/s, each at the largest size of its parameter; (1, p,
+        rows) if all gyros have the same.
 
-        The rows are the frequencies of one stretch after another. ``keep`` keeps the columns for later calls with the
-        same candidate, unless it has directions of its own; those of a step in another recording are always kept.
+        The rows are the real coefficients of the cosine transform of one stretch after another, weighted by block but
+        not divided by the noise. ``keep`` keeps the columns for later calls with the same candidate; those of a step in
+        another recording are kept always, and those of a candidate with directions of its own (``sensed``) never.
         """
         elsewhere = candidate.run not in (None, self.run.order)  # whenever a step is, before and after it is constant
         key = candidate.name, None if elsewhere else candidate.theta, candidate.effect.record

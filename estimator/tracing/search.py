@@ -118,11 +118,14 @@ class Search:
         return out
 
     def run(self, most: int, progress: Callable[[float], None] | None = None) -> Found:
-        """Return the most probable model of at most ``most`` effects; ``progress`` is called with the share done.
+        """Return a probable model of at most ``most`` effects, tones included; ``progress`` is called with the share
+        done.
 
-        In each round the most probable candidate is added and the model's effects are exchanged where that helps. The
-        search ends if nothing more is more probable than "no more effects", if the model is full, or after twelve
-        rounds. An effect of a size it cannot have is barred, and a tone is subtracted from the data.
+        In each round the most probable candidate or tone is added, and after that the model's effects are exchanged
+        where that helps. The search goes on only while "no more effects" has a probability of at most 5 %, the model is
+        not full, and at most twelve rounds. A candidate whose fitted size it cannot have is barred, which takes a
+        round. A tone is subtracted from the data. The suspects are those of the first round, or of the first after
+        rounds that only barred candidates.
         """
         chosen: list[str] = []
         terms: dict[str, Term] = {}
@@ -145,7 +148,7 @@ class Search:
             suspects = suspects or self._suspects(options, chain[0])
             best = max((name for name in options if name), key=lambda name: options[name], default="")
             if progress is not None:
-                progress((turn + 1) / (most + 2))
+                progress(min((turn + 1) / (most + 2), 1.0))
             full = len(chosen) + len(self.heard.parts) >= most
             if not best or np.exp(options[""] - total) > 1 - CERTAIN or full:
                 break

@@ -66,11 +66,13 @@ class AcutrolAxisTwin:
             self._position_demand = self.angle_deg()
 
     def demand(self, what: str, value: float) -> None:
-        """Accept a demand for ``what``: rate, acceleration, delta or, for any other word, position.
+        """Accept a demand for ``what``: rate, acceleration, delta or, for any other word, position; in deg and s.
 
-        A rate acts at once in rate mode and is stored otherwise; an acceleration becomes the limit of rate mode; delta
-        and position start a move, by the shorter way if angles are wrapped. AclError for a rate beyond its limit, a
-        delta beyond 180 deg, and delta or position outside position mode.
+        A rate acts at once in rate mode and is stored otherwise; an acceleration becomes the limit of rate mode. Delta
+        and position start a move: delta is added to the demanded position, and to a position the axis turns by the
+        shorter way if angles are wrapped. AclError for a rate more than 0.1 % beyond its limit, an acceleration that is
+        not positive or more than 0.1 % beyond the absolute limit, a delta beyond 180 deg, and delta or position outside
+        position mode.
         """
         if what == "rate":
             if abs(value) > self.limits["rate", "rate"] * 1.001:

@@ -33,7 +33,9 @@ class Reopening:
     async def identify(self, name: str, device: Device) -> Identity:
         """Return the identity of an open device, remembered on the first call and compared on later ones.
 
-        DeviceFault if it differs or the device now refuses to answer, LinkLost if a part of it is missing.
+        Only parts that both identities state are compared. DeviceFault if one of these differs, be it the settings
+        only, or if a device that has told its identity refuses to; LinkLost if a part is missing that was there. Other
+        errors, and a refusal on the first call, are passed on.
         """
         known = self._known.get(name)
         try:

@@ -153,9 +153,11 @@ def stated(value: float, unit: Unit) -> Markup:
 
 
 def significant(value: float, digits: int) -> str:
-    """Return a value with ``digits`` significant digits; ``UNKNOWN`` if it is not finite.
+    """Return a value with ``digits`` significant digits and a typographic minus; ``UNKNOWN`` if it is not finite.
 
-    The form is exponential below 1e-5 and from 1e7 on.
+    The form is exponential for sizes below 1e-5 and from 1e7 on. In between all digits before the decimal point are
+    shown, even if there are more; zero is "0". Where rounding adds a place there is one digit more (9.996 to three
+    digits is "10.00").
     """
     if not math.isfinite(value):
         return UNKNOWN

@@ -114,7 +114,12 @@ def _convergence_picture(
     turns_s: Sequence[float],
     states: Sequence[tuple[Markup, Unit]],
 ) -> Picture:
-    """Return the picture of gyro number ``channel`` of a source."""
+    """Return the picture of a gyro's four states and sigmas over time in s since ``start_ns``, one panel each.
+
+    ``gyro`` is its label, ``channel`` its place in ``course``, which is not empty. ``turns_s`` are the instants of grey
+    lines, where steps begin; ``states`` has symbol and unit of each state, of which the units are drawn. Long courses
+    are thinned, but their last estimate stays.
+    """
     t_s = np.asarray((course.t_ns - start_ns) * 1e-9, dtype=np.float64)
     each = slice((len(t_s) - 1) % _every(t_s), None, _every(t_s))  # the last among them
     with _drawn((WIDTH_IN, 0.95), 1, 4, left=0.42, bottom=0.2, top=0.2) as (figure, panels):

@@ -126,8 +126,11 @@ class Sequencer:
         return self._turn.to_rad if self._turn is not None and self._turn.axis == axis else math.nan
 
     def wanted_hz(self, now_s: float) -> float:
-        """Return how often the table should be read now beyond its usual rate: more near the ramps of a turn, otherwise
-        0.
+        """Return how often (Hz) the table should be read at ``now_s`` (loop time) for the sake of a ramp, 0 away from
+        one.
+
+        It is near one up to the end of the first ramp of a turn and from the beginning of the last, each 0.1 s wider,
+        and while a turn lasts longer than planned. 0 without a turn under way, and for a turn without ramps.
         """
         turn = self._turn
         if turn is None:

@@ -159,10 +159,14 @@ async def watch_table(
             broken_off = False
 
     async def read_once() -> None:
-        """Read the axes that turn, or the one not read for longest, check limits and status, and pass the readings on.
+        """Read the axes that are driven or turn, and the one not read for longest if it is due; check them, pass rows
+        on.
 
-        The other axes keep their last values at the new instant. Every few readings, or after a time, status is read,
-        too.
+        An axis that turned at its last reading is read once more. An axis at rest is read every time if none turns,
+        else when its last reading is 0.4 s old. The others keep their last values at the new instant. Each reading is
+        compared with the command. The status of all axes is read with every fifth reading, that of an axis at the
+        latest after 0.6 s. DeviceFault for a fault, an axis out of operation or motion against a command;
+        UntrueReadings for readings that contradict each other; LinkLost for a lost link.
         """
         count = next(counter)
         busy = [a for a in axes if a == sequencer.driven_axis or states[a].rate_rps != 0.0 or a in turned]

@@ -89,7 +89,11 @@ def _gentle(limit: AxisLimits, turn_s: float) -> tuple[float, float, float]:
 
 
 def _tilted(limits: Mapping[str, AxisLimits], axes: Sequence[str]) -> list[Step]:
-    """Return rests with each axis at 45, 90, 180 and 270 deg, with the moves there and home."""
+    """Return, for each axis, moves to 45, 90, 180, 270 and 0 deg with a rest of 15 s after each, also the last.
+
+    Moves are gentle: at most 20 deg/s, and within the limits of rate and acceleration. The travel of an axis is not
+    considered.
+    """
     steps: list[Step] = []
     for axis in axes:
         rate_dps, _, push = _gentle(limits[axis], 24.0)

@@ -71,7 +71,11 @@ class HiddenEffect:
 
 
 def detectable_sizes(forecast: EffectForecast) -> Iterator[DetectableSizes]:
-    """Yield the sizes at which an effect is detected, one record for each unit that its parameters have."""
+    """Yield the sizes at which an effect is detected, one record for each SI unit of its parameters, in the unit shown.
+
+    All parameters of one unit and all gyros are counted together. ``least`` and ``most`` are None if none of them is
+    detected at its largest plausible size. Nothing is yielded for an effect without parameters.
+    """
     parameters = forecast.effect.parameters
     for si_unit in dict.fromkeys(parameter.unit for parameter in parameters):
         rows = [row for row, parameter in enumerate(parameters) if parameter.unit == si_unit]

@@ -93,7 +93,12 @@ class ChannelSignals:
         units = dict(channel.units)
 
         def reader(name: str, quantity: str) -> SignalReader:
-            """Return the reader of a signal in the DBC; only rates and accelerations may saturate."""
+            """Return the reader of a ``MESSAGE.Signal`` of the DBC as a ``quantity``; DeviceError if missing or
+            unsuitable.
+
+            The unit of the channel for this quantity takes precedence over the DBC's. If the channel ``saturates``,
+            rates and accelerations at the ends of the DBC's range count as missing; other quantities never do.
+            """
             saturates = channel.saturates and quantity in ("rate", "acceleration")
             return SignalReader(
                 device=device,

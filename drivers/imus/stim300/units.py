@@ -28,8 +28,9 @@ class ClusterUnit:
     def __init__(self, code: int, value_lsb: float, integral_lsb: float, rate_hz: int) -> None:
         """Prepare for the unit ``code`` of the configuration datagram, at ``rate_hz`` datagrams a second.
 
-        ``value_lsb`` is the size of one digit where outputs are values, in the unit wanted; ``integral_lsb`` where they
-        are increments or integrals, in that unit times s.
+        Only the lowest two bits of the code count, so that none is refused: 1 is an increment, 3 an integral, 0 and 2
+        are values. ``value_lsb`` is the size of one digit where outputs are values, in the unit wanted;
+        ``integral_lsb`` where they are increments or integrals, in that unit times s.
         """
         self._kind = code & _KIND
         integral = self._kind in (_INCREMENT, _INTEGRATED)

@@ -39,9 +39,11 @@ class VectorNavImu(OneSource[ByteLink]):
     """One source of three gyros and three accelerometers, uncompensated, with temperature."""
 
     def __init__(self, setup: ImuSetup, link: ByteLink) -> None:
-        """Prepare for ``output`` ("binary" or "ascii") at the rate of ``setup``.
+        """Prepare for the ``output`` ("binary" or "ascii") that ``setup`` states, at its rate in whole Hz; send
+        nothing.
 
-        The option ``serial_port`` (1 or 2, default 1) is the device's own port at the end of the link.
+        The option ``output`` is required. ``serial_port`` (1 or 2, default 1) is the device's own port at the end of
+        the link. The options are taken as they are: the specification of the IMU has them checked before.
         """
         super().__init__(setup.name, link)
         self._rate_hz, self._timeout_s = round(setup.rate_hz), setup.timeout_s

@@ -162,10 +162,11 @@ def weighed(w_rps: Floats, z_rps: Floats, weight: Floats, stretch: NDArray[np.in
 
 
 def _growth_of(w_rps: Floats, z_rps: Floats, weight: Floats, stretch: NDArray[np.intp]) -> float:
-    """Return the growth g of the noise with the rate, in s (sd ~ sqrt(1 + (g w)^2)), from second differences at steady
-    rates.
+    """Return the growth g of the noise with the rate, in s (sd ~ sqrt(1 + (g w)^2)), one for all gyros.
 
-    Zero with too few steady blocks, no motion, or growth within chance.
+    It is estimated from second differences of output errors at steady rates, whose three blocks are of one stretch, all
+    with weight. Arguments by block: rates (b, 3), output errors (b, m), weights (b,), number of the stretch (b,). 0 for
+    fewer than 40 blocks or steady second differences, without motion, or if the growth is within chance.
     """
     speed = np.linalg.norm(w_rps, axis=1)
     size = float(speed.max(initial=0.0))

@@ -36,8 +36,10 @@ class Fault:
 def updates(values: Floats) -> NDArray[np.intp] | None:
     """Return the rows (k,) at which held values (rows, m) are new; None if values are not held.
 
-    A source that is slower than the rows repeats its last values. Values that are equal because of rounding are not
-    held: they change at any row, or by single steps.
+    A source that is slower than the rows repeats its last values. The rows are those of changes, and in between those
+    at a steady period, over all rows, since a value may come twice. Values that are equal because of rounding are not
+    held: they change at any row, or by single steps. NaN counts as equal to NaN. None as well with fewer than 20
+    changes, so for constant or few values, or if no steady period is found.
     """
     same = (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
     changes = np.flatnonzero(~same.all(axis=1)) + 1

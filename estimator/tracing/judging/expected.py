@@ -10,10 +10,11 @@ from estimator.types import Floats
 
 
 def expected_squares(runs: Sequence[Run], first: int, model: Augmented, *, forms_known: bool = False) -> float:
-    """Return the squared error of a model on runs that its covariance lets expect, summed over blocks and gyros.
+    """Return the squared error, (rad/s)^2, that a model's covariance lets expect on runs, summed over blocks and gyros.
 
-    ``first`` is the number of the first of the runs among all. ``forms_known``: as if flexible laws were of known form,
-    that which was found, so that of each only the size is open. Blocks without weight do not count.
+    Blocks with any weight count alike, those without weight do not count; nor do gyros that a run lacks. Noise is not
+    included. ``first`` is the number of the first of the runs among all. ``forms_known``: as if flexible laws were of
+    known form, that which was found, so that of each only the size is open. 0 without runs.
     """
     total = 0.0
     for g, name in enumerate(model.names):

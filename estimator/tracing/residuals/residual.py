@@ -162,10 +162,12 @@ def _whitened(
 def _gyro_residual(
     name: str, gyro: _Gyro, m: int, models: Sequence[Augmented], regressors: Regressors, held_back: bool
 ) -> GyroResidual:
-    """Return the residual of a gyro under model number ``m``: how large it is, how white, and what it depends on.
+    """Return the residual of gyro ``name`` under ``models[m]``: how large it is, how white, and what it depends on.
 
-    ``gyro`` is as ``_whitened`` returns it. ``held_back``: the models were not fitted to these data, which adds their
-    uncertainty to the expected squares, where a fit removes it.
+    ``gyro`` is as ``_whitened`` returns it for these ``models`` and ``regressors``, the functions of known variables
+    that the residual may depend on. The expected squares, at least 1, are the number of blocks less what a fit removes.
+    With ``held_back`` the models were not fitted to these data: their uncertainty is added instead, and the four states
+    count as a dependence too.
     """
     model, gram = models[m], gyro.gram
     ends = np.cumsum([regressors.count, *(other.mean.shape[1] for other in models)])

@@ -109,7 +109,10 @@ def _coherent(
 ) -> bool:
     """Return whether a tone lasts through each run: one that comes and goes explains more in parts than in the whole.
 
-    ``rests`` has the residuals (n, m) of the samples of each run, ``variances`` the variances (m,) of their noise.
+    Each run is cut into four equal parts, and each part has an amplitude and phase of its own. The tone lasts if it
+    explains more than 0.75 of the squares that the parts explain, less what more amplitudes explain by chance. In the
+    whole, a locked tone has one amplitude and phase per gyro for all runs, another one per gyro and run. ``rests`` has
+    the residuals (n, m) of the n samples of m gyros of each run, ``variances`` the variances (m,) of their noise.
     """
     parts, part_rests, part_variances = [], [], []
     for s, rest, variance in zip(samples, rests, variances, strict=True):

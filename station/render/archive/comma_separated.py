@@ -41,9 +41,10 @@ def _heads(names: Sequence[str]) -> list[str]:
 
 
 def _line(row: HistoryRow, names: Sequence[str]) -> list[str]:
-    """Return the cells of a recording: its facts, what moved, and value and sigma of each state of the gyros ``names``.
+    """Return the quoted cells of a recording: its facts, what moved, and value and sd of each state of gyros ``names``.
 
-    Cells of gyros that the recording does not have are empty.
+    States that moved share one cell, separated by "; ". Facts and values that are not known are quoted empty texts;
+    the two cells of each state of a gyro that the recording does not have are empty without quotation marks.
     """
     cells = [_quoted(value(row)) for value in _COLUMNS.values()]
     cells.append(_quoted("; ".join(map(_move, row.moved))))

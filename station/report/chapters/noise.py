@@ -25,7 +25,12 @@ class NoiseView:
 
 
 def noise_view(recorded: Recorded, calibration: Calibration) -> NoiseView:
-    """Return the noise of the gyros of a calibration."""
+    """Return the stored noise of the gyros of a calibration as tables and picture, a row for each gyro; computes none.
+
+    ``in_data`` has the noise of one sample and, if that is known for every gyro, the terms of coloured noise.
+    ``at_rest`` is None if the recording holds no noise at rest or, in files of older versions, none with intervals;
+    ``picture``, the Allan deviations at rest, is None only in the first case.
+    """
     labels = [recorded.label(gyro.source, gyro.name) for gyro in calibration.gyros]
     coloured = all(gyro.noise is not None for gyro in calibration.gyros)
     return NoiseView(

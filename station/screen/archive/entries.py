@@ -181,9 +181,10 @@ def comparable(entries: Iterable[Entry], ignored: int = 0) -> list[list[Entry]]:
 def moves(entries: Iterable[Entry]) -> dict[str, list[Move]]:
     """Return, for the file of each comparable run, the states that moved by more than chance explains.
 
-    A run is compared with the run before it in its group of comparable runs; runs before it that failed are skipped.
-    The list is empty for the first run of a group, and while all runs before it failed. A copy of a run gets the same
-    list as the run.
+    A run, failed or not, is compared with the last run before it in its group of comparable runs that did not fail. The
+    list is empty for the first run of a group, and while all runs before it failed; runs that are not comparable (see
+    ``comparable``) have none. A copy of a run gets the same list as the run. Moves are in sigmas of both runs together,
+    with their sign. The limit allows for the number of gyros and states; a state whose sigmas are both 0 never moves.
     """
     from statistics import NormalDist  # as numpy takes a while to load, and few look at a second run
 

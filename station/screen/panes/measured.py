@@ -164,7 +164,11 @@ def _judgement(snapshot: Snapshot) -> tuple[str, str]:
 
 
 def events_text(events: Sequence[tuple[float, str]], width: int) -> Text:
-    """Return events (instant in s, text), each broken into lines that fit the width."""
+    """Return a heading and below it the events (instant in s, text), each broken into lines that fit the width.
+
+    ``width`` is in characters; below 30 it counts as 30. Further lines of an event are indented as its text. Without
+    events only the heading is returned; an event with an empty text has its instant alone.
+    """
     lines = [line(("events", _BOLD))]
     for t_s, text in events:
         at = f"{t_s:8.1f} s  "

@@ -79,7 +79,10 @@ def _running(run: LiveRun) -> StopView:
 
 
 def _doing(run: LiveRun) -> str:
-    """Return what a run does at present."""
+    """Return what a run does at present: its phase and the time left, or in manual mode the words of the snapshot.
+
+    "starting" before the first snapshot has come.
+    """
     snapshot = run.snapshot
     if snapshot is None:
         return "starting"
