@@ -174,14 +174,11 @@ class ErrorModel:
             }
             for known in self.effects
         ]
-        forces = [{"effect": known.name, **_sizes_object(known.sizes, known.found)} for known in self.forces]
-        model = {
-            "format": FORMAT,
-            "format_version": FORMAT_VERSION,
-            "effects": effects,
-            "left_out": {**self.left_out},
-            "accelerometers": forces,
-        }
+        model = {"format": FORMAT, "format_version": FORMAT_VERSION, "effects": effects, "left_out": {**self.left_out}}
+        if self.forces:  # a model of gyros alone keeps its text, by which recordings name it
+            model["accelerometers"] = [
+                {"effect": known.name, **_sizes_object(known.sizes, known.found)} for known in self.forces
+            ]
         return json.dumps(model, indent=1)
 
     @classmethod
