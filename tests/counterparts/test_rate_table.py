@@ -143,7 +143,10 @@ async def behind_proxy(
     program: str, folder: Path, protocol: str, proxy: Proxy
 ) -> AsyncIterator[tuple[ModbusTable, RateTable]]:
     """Put our driver, not yet opened, and the table at the two ends of a proxy."""
-    with rate_table(program, folder) as table:
+    # In a thread: the loop must not stand still for the other cases while programs start and end.
+    running = rate_table(program, folder)
+    table = await asyncio.to_thread(running.__enter__)
+    try:
         proxy.port = table.port
         await proxy.listen()
         drives = {axis: AxisSetup(unit_id, COUNTS, LIMITS) for axis, unit_id in UNIT_IDS.items()}
@@ -153,6 +156,8 @@ async def behind_proxy(
         finally:
             driver.close()
             await proxy.close()
+    finally:
+        await asyncio.to_thread(running.__exit__, None, None, None)
 
 
 def test_one_drive_on_a_serial_line(program: str, tmp_path: Path) -> None:
