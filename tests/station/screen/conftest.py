@@ -14,6 +14,7 @@ from pathlib import Path
 import forks
 import h5py
 import pytest
+from textual.css.query import NoMatches
 from textual.pilot import Pilot
 
 from station.screen.app import StationApp
@@ -87,11 +88,18 @@ def recordings(place: Path, runs: Path) -> Path:
 
 
 async def until(pilot: Pilot[None], holds: Callable[[], object], limit_s: float = 60.0) -> None:
-    """Let the app go on until something holds."""
+    """Let the app go on until something holds. What asks for a part of a screen that is on its way in does not yet."""
     async with asyncio.timeout(limit_s):
-        while not holds():
+        while not _holds(holds):
             await asyncio.sleep(_LOOKS_S)  # not the pilot's pause, which has every widget answer and draws anew
     await pilot.pause()
+
+
+def _holds(holds: Callable[[], object]) -> bool:
+    try:
+        return bool(holds())
+    except NoMatches:
+        return False
 
 
 def keys(text: str) -> list[str]:

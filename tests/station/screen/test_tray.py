@@ -165,9 +165,7 @@ class Day:
 
     async def asked_for(self, pilot: Pilot[None], number: str) -> None:
         """Wait until a device is to be mounted."""
-        await self.seen(
-            pilot, lambda: self.app.screen.query("#question") and f"Mount {number}" in shown(self.app, "question")
-        )
+        await self.seen(pilot, lambda: f"Mount {number}" in shown(self.app, "question"))
 
 
 @driven
