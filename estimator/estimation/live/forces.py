@@ -9,6 +9,7 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 
+from estimator.estimation.live.covered import covered_blocks
 from estimator.estimation.live.filter import Innovation, compressed_rows
 from estimator.estimation.live.force_problem import About, ForceProblem
 from estimator.estimation.live.usable_rows import UsableRows
@@ -25,7 +26,6 @@ from estimator.types import Flags, Floats, Stamps
 _BLOCK_S = 1.0
 _FEWEST_ROWS = 8
 _RECENT_BLOCKS = 30
-_MARGIN_NS = 100_000_000  # samples may be later than their stamps by this
 _LARGEST_S = 0.09  # of delays about which outputs are linearised
 _SETTLED_S, _SETTLED_M, _MOST_STEPS = 1e-4, 1e-3, 4
 _TRUSTED_NIS = 4.0  # above, a block may be wrong, and its delay and arm are not followed
@@ -130,15 +130,9 @@ class LiveForces:
         rate are dropped. Does nothing while no rate is known.
         """
         self._take_new()
-        if rates.starts_ns > rates.final_until_ns:
-            return
-        early = int(np.searchsorted(self._t, rates.starts_ns, side="left"))
-        until_ns = rates.final_until_ns if everything else rates.final_until_ns - _MARGIN_NS
-        ready = int(np.searchsorted(self._t, until_ns, side="right"))
-        whole = ready if everything else early + max(ready - early, 0) // self._rows * self._rows
-        for start in range(early, whole, self._rows):
-            self._update(rates, slice(start, min(start + self._rows, whole)))
-        start = max(whole, early)
+        blocks, start = covered_blocks(self._t, rates, self._rows, everything=everything)
+        for block in blocks:
+            self._update(rates, block)
         self._t, self._y = self._t[start:], self._y[start:]
 
     def state(self) -> tuple[Floats, Floats]:
@@ -247,10 +241,11 @@ class LiveForces:
         """Return about what a block ought to be linearised; None if that is what it was, or if it may be wrong."""
         if not len(rows.z):
             return None
-        kept = self._filter.x, self._filter.P
-        innovation = self._updated(rows)
-        x, covariance = self.state()
-        self._filter.x, self._filter.P = kept
+        with self.lock:  # nobody else sees the filter as it is tried
+            kept = self._filter.x, self._filter.P
+            innovation = self._updated(rows)
+            x, covariance = self.state()
+            self._filter.x, self._filter.P = kept
         if innovation.nis > _TRUSTED_NIS * innovation.dof:
             return None
         delay_s = float(np.clip(self.problem.delay(x, covariance)[0], -_LARGEST_S, _LARGEST_S))

@@ -12,6 +12,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 
 from estimator.calibration.error_model import ErrorModel
+from estimator.estimation.live.covered import covered_blocks
 from estimator.estimation.live.filter import Innovation, LiveFilter
 from estimator.estimation.live.sample_columns import SampleColumns
 from estimator.geometry.array import SensorArray
@@ -29,7 +30,6 @@ RECENT_S = 30.0
 
 _KEEP_EVERY = 5  # states are kept after so many blocks
 _RECENT_BLOCKS = round(RECENT_S / BLOCK_S)
-_MARGIN_NS = 100_000_000  # samples may be later than their stamps by this
 _LARGEST_S = 0.15  # of offsets that are subtracted
 _SETTLED_S, _MOST_STEPS = 1e-4, 4
 
@@ -142,15 +142,9 @@ class LiveSource:
         rate are dropped. Does nothing while no rate is known.
         """
         self._take_new()
-        if rates.starts_ns > rates.final_until_ns:
-            return  # no rate is known yet, not even from when on
-        early = int(np.searchsorted(self._t, rates.starts_ns, side="left"))
-        until_ns = rates.final_until_ns if everything else rates.final_until_ns - _MARGIN_NS
-        ready = int(np.searchsorted(self._t, until_ns, side="right"))
-        whole = ready if everything else early + max(ready - early, 0) // self._rows * self._rows
-        for start in range(early, whole, self._rows):
-            self._update(rates, slice(start, min(start + self._rows, whole)))
-        start = max(whole, early)
+        blocks, start = covered_blocks(self._t, rates, self._rows, everything=everything)
+        for block in blocks:
+            self._update(rates, block)
         if start:
             self._t, self._y = self._t[start:], self._y[start:]
             self._temperature_c = self._temperature_c[start:]
