@@ -247,12 +247,16 @@ def _judged(
     """Return the finding, without those effects that make the verification runs worse."""
     kept = list(added)
     dropped: list[str] = []
-    before = _errors(runs, checks, ())
-    after = _errors(runs, checks, kept)
+    others = [_as_the_first(runs, run.settled.run.recording, run.settled.run.samples) for run in runs[1:] if checks]
+    joints = [run.settled.joint for run in runs]
+    before = after = _errors(runs, joints, others, checks, kept=())
+    if kept:
+        joints = [_with_effects(run, kept) for run in runs]
+        after = _errors(runs, joints, others, checks, kept)
     while kept and np.sum(after**2) > np.sum(before**2):
         dropped.append(kept.pop())
-        after = _errors(runs, checks, kept)
-    joints = [_with_effects(run, kept) for run in runs]
+        joints = [_with_effects(run, kept) for run in runs]
+        after = _errors(runs, joints, others, checks, kept)
     effects = []
     for name in kept:
         probability, rivals = found[name]
@@ -316,27 +320,32 @@ def _as_the_first(runs: Sequence[_Fitted], recording: Recording, samples: ForceS
     )
 
 
-def _errors(runs: Sequence[_Fitted], checks: Sequence[ForceRun], effects: Sequence[str]) -> Floats:
-    """Return the rms errors (a,) of a model with some effects on the verification runs, as all fitted runs together
-    predict them; without verification runs those on the fitted runs, each by its own estimate.
+def _errors(
+    runs: Sequence[_Fitted],
+    joints: Sequence[Joint],
+    others: Sequence[ForceRun],
+    checks: Sequence[ForceRun],
+    kept: Sequence[str],
+) -> Floats:
+    """Return the rms errors (a,) of a model with the effects ``kept``, of which ``joints`` are the fitted runs' own.
+
+    They are those on the verification runs, as all fitted runs together predict them, ``others`` being the fitted runs
+    but the first, about what that found. Without verification runs they are those on the fitted runs.
     """
     if checks:
-        joint = _together(runs, effects)
+        joint = _together([joints[0], *(_joint(run, runs[0], kept) for run in others)])
         squares = [_squares(joint, run) for run in checks]
     else:
-        squares = [_squares(_with_effects(run, effects), run.settled.run) for run in runs]
+        squares = [_squares(joint, run.settled.run) for joint, run in zip(joints, runs, strict=True)]
     return np.asarray(np.sqrt(np.mean(squares, axis=0)))
 
 
-def _together(runs: Sequence[_Fitted], effects: Sequence[str]) -> Joint:
-    """Return the estimate of the first fitted run, its means combined with those of the others by their covariances."""
-    first = runs[0]
-    joints = [_with_effects(first, effects)]
-    for run in runs[1:]:
-        settled = run.settled.run
-        joints.append(_joint(_as_the_first(runs, settled.recording, settled.samples), first, effects))
+def _together(joints: Sequence[Joint]) -> Joint:
+    """Return the first of some estimates of the same parameters, its means combined with the others by covariances."""
+    if len(joints) == 1:
+        return joints[0]
     means = []
-    for number in range(len(first.settled.run.array)):
+    for number in range(len(joints[0].means)):
         precisions = [np.linalg.inv(joint.covariances[number]) for joint in joints]
         weighed = [precision @ joint.means[number] for precision, joint in zip(precisions, joints, strict=True)]
         means.append(np.linalg.solve(np.sum(precisions, axis=0), np.sum(weighed, axis=0)))
