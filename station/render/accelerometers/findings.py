@@ -9,7 +9,7 @@ from estimator.estimation.accelerometers.force_effects import BY_NAME
 from estimator.geometry.kinematics import GRAVITY_MPS2
 from estimator.tracing.accelerometers.trace_forces import ForceFinding
 from station.render.terminal import Shown, print_all, rich_table, stdout
-from station.views.figures import StateUnit
+from station.views.accelerometers.result import rows_of_effect
 
 _MICRO_G = 1e6 / GRAVITY_MPS2
 
@@ -43,16 +43,9 @@ def _effects_table(one: ForceFinding) -> Table:
     """Return the parameters of the effects that were added, with standard deviations."""
     rows = []
     for effect in one.effects:
-        for number, parameter in enumerate(effect.effect.parameters):
-            label = effect.effect.name.replace("_", " ")
-            cells = [label if len(effect.effect.parameters) == 1 else f"{label}, {parameter}"]
-            sds = effect.sd[:, number].tolist()
-            figure = StateUnit(label, effect.effect.shown_unit, effect.effect.shown, 0, 8).fitted(sds)
-            cells += [
-                figure.figure(value, sd) for value, sd in zip(effect.values[:, number].tolist(), sds, strict=True)
-            ]
-            cells += [effect.effect.shown_unit, f"{effect.probability:.1%}"]
-            rows.append(cells)
+        for row in rows_of_effect(effect.effect, effect.values, effect.sd):
+            values = [row.figure.figure(value, sd) for value, sd in zip(row.values, row.sds, strict=True)]
+            rows.append([row.name, *values, row.figure.unit, f"{effect.probability:.1%}"])
     heads = ["effect", *(escape(name) for name in one.names), "unit", "probability"]
     return rich_table("Effects added to the model", heads, "l" + len(one.names) * "r" + "lr", rows)
 

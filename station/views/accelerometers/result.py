@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 
 from estimator.calibration.accelerometer import AccelerometerCalibration, ForceCalibration, ForceEffectValues
-from estimator.estimation.accelerometers.force_effects import BY_NAME
+from estimator.estimation.accelerometers.force_effects import BY_NAME, ForceEffect
 from estimator.geometry.kinematics import GRAVITY_MPS2
 from estimator.sensors.accelerometers import ACCELEROMETER
+from estimator.types import Floats
 from station.views.figures import StateUnit
 from station.views.json_values import json_object
 
@@ -101,18 +102,24 @@ def effect_rows(one: ForceCalibration) -> list[EffectRow]:
     """Return a row for each parameter of each effect of the model, in the units that people read."""
     rows = []
     for effect in one.effects:
-        shown = BY_NAME[effect.name]
-        for number, parameter in enumerate(effect.parameters):
-            name = effect.name.replace("_", " ")
-            figure = StateUnit(name, shown.shown_unit, shown.shown, 0, 8).fitted(effect.sd[:, number].tolist())
-            rows.append(
-                EffectRow(
-                    name=name if len(effect.parameters) == 1 else f"{name}, {parameter}",
-                    figure=figure,
-                    values=tuple(effect.values[:, number].tolist()),
-                    sds=tuple(effect.sd[:, number].tolist()),
-                )
+        rows += rows_of_effect(BY_NAME[effect.name], effect.values, effect.sd)
+    return rows
+
+
+def rows_of_effect(effect: ForceEffect, values: Floats, sds: Floats) -> list[EffectRow]:
+    """Return a row for each parameter of an effect, of values (a, p) and standard deviations (a, p) in SI."""
+    name = effect.name.replace("_", " ")
+    rows = []
+    for number, parameter in enumerate(effect.parameters):
+        own = sds[:, number].tolist()
+        rows.append(
+            EffectRow(
+                name=name if len(effect.parameters) == 1 else f"{name}, {parameter}",
+                figure=StateUnit(name, effect.shown_unit, effect.shown, 0, 8).fitted(own),
+                values=tuple(values[:, number].tolist()),
+                sds=tuple(own),
             )
+        )
     return rows
 
 
