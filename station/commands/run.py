@@ -10,6 +10,7 @@ from pathlib import Path
 from drivers.errors import DeviceError
 from estimator.calibration.error_model import ErrorModel
 from estimator.errors import MISSHAPEN, EstimatorError
+from estimator.estimation.accelerometers.force_effects import laws_of_model
 from estimator.untrusted import harmless
 from station.atomic_write import check_new_recording, new_recording
 from station.bench.bench import Bench
@@ -112,7 +113,7 @@ def _print_moved(recording: Path) -> None:
 def _model_of(arguments: argparse.Namespace, bench: Bench) -> ErrorModel | None:
     """Return the error model of --model, checked against the bench before anything moves; None without it.
 
-    UsageError if it needs a temperature that a device does not have, or with --end-early.
+    ModelError if the bench's table or devices cannot show an effect; UsageError with --end-early.
     """
     if arguments.model is None:
         return None
@@ -120,8 +121,12 @@ def _model_of(arguments: argparse.Namespace, bench: Bench) -> ErrorModel | None:
     if arguments.end_early:
         raise UsageError(sentence("run.end_early_model"))
     model.made(bench.table.gimbals, frozenset({"gimbals", "specific force", "temperature"}))
-    if model.needs_temperature:
-        for imu in bench.imus:
-            if imu.used and not imu.knows_temperature:
-                raise UsageError(sentence("run.no_temperature", model=arguments.model, imu=imu.name))
+    used = [imu for imu in bench.imus if imu.used]
+    for imu in used:
+        if model.needs_temperature and not imu.knows_temperature:
+            raise UsageError(sentence("run.no_temperature", model=arguments.model, imu=imu.name))
+        if imu.force_sheet is not None:
+            laws_of_model(model.forces, {"temperature"} if imu.knows_temperature else ())
+    if model.forces and all(imu.force_sheet is None for imu in used):
+        tell(f"note: {sentence('run.no_accelerometers', model=arguments.model)}", sys.stderr)
     return model

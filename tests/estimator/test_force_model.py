@@ -27,6 +27,7 @@ NEXT = 'asymmetry = ["-800 ppm", "1100 ppm", "1300 ppm"]'
 NEXT_SIZES = [-8e-4, 1.1e-3, 1.3e-3]
 
 
+@cache
 def run(hidden: str, seed: int) -> Recording:
     text = BENCH.read_text(encoding="utf-8").replace('rate = "100 Hz"', 'rate = "50 Hz"')
     return simulate_bench(read_bench(f"{text}{hidden}\n", "bench"), load_script(Path("full-imu")), seed)
@@ -71,6 +72,22 @@ def test_an_effect_that_this_station_does_not_know_is_refused() -> None:
     top["accelerometers"][0]["effect"] = "asymetry"
     with pytest.raises(ModelError, match="asymetry of accelerometers, which this station does not know"):
         calibrate(run(NEXT, 3), innovations=False, model=ErrorModel.parse(json.dumps(top), "model"))
+
+
+@pytest.mark.parametrize("changed", [{"unit": "ppm"}, {"name": "slope"}, {"mean": 5e-3}])
+def test_a_parameter_that_is_not_the_catalogues_is_refused(changed: dict[str, object]) -> None:
+    top = json.loads(model_found().text())
+    top["accelerometers"][0]["parameters"][0].update(changed)
+    with pytest.raises(ModelError, match="asymmetry of accelerometers must have 'coefficient' in '1', with mean 0"):
+        calibrate(run(NEXT, 3), innovations=False, model=ErrorModel.parse(json.dumps(top), "model"))
+
+
+def test_a_recording_without_accelerometers_is_calibrated_with_a_note_that_their_effects_are_not_used() -> None:
+    whole = run(NEXT, 3)
+    data = replace(whole.sources["mti"], accel_sheet=None)
+    found = calibrate(replace(whole, sources={"mti": data}), innovations=False, model=model_found())
+    assert not found.forces
+    assert any("effects of accelerometers (asymmetry) are not used" in note for note in found.notes)
 
 
 def test_an_effect_of_the_temperature_needs_a_temperature() -> None:

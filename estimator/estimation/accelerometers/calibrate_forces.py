@@ -24,11 +24,16 @@ def calibrate_forces(
     """Return the calibrations of the accelerometers by source, and notes.
 
     Calibrated are those with a data sheet, on a table. A source of which too little was recorded has a note only. The
-    ``effects`` of a model are estimated with the states; ModelError for one that cannot be.
+    ``effects`` of a model are estimated with the states; ModelError for one that cannot be. A note says so if they are
+    not used at all.
     """
     found: list[ForceCalibration] = []
     notes: list[str] = []
-    for source, seen in usable_forces(recording):
+    usable = usable_forces(recording)
+    if effects and not usable:
+        names = ", ".join(effect.name for effect in effects)
+        notes.append(sentence("estimation.accelerometer_effects_unused", effects=names))
+    for source, seen in usable:
         data = recording.sources[source]
         notes += seen.notes
         doubts = [f"{one.name} is not calibrated: {one.reason}" for one in seen.excluded]

@@ -266,15 +266,23 @@ BY_NAME: Mapping[str, ForceEffect] = {effect.name: effect for effect in EFFECTS}
 def laws_of_model(known: Sequence[KnownForceEffect], offers: Collection[str]) -> list[Law]:
     """Return the laws of the effects of a model, for a run that has the data in ``offers``.
 
-    Raises ModelError for an effect that this station does not know or that the run cannot show.
+    Raises ModelError for an effect that this station does not know, whose parameters differ from the catalogue's, or
+    that the run cannot show.
     """
     laws = []
     for one in known:
         effect = BY_NAME.get(one.name)
-        if effect is None or not effect.named or len(effect.parameters) != len(one.sizes):
+        if effect is None or not effect.named:
             raise ModelError(
                 f"the model has the effect {one.name} of accelerometers, which this station does not know: use the "
                 "version of the station that found it, or investigate again"
+            )
+        expected = [(name, effect.unit, 0.0) for name in effect.parameters]
+        if [(size.name, size.unit, size.mean) for size in one.sizes] != expected:
+            units = " and ".join(f"{name!r} in {effect.unit!r}" for name in effect.parameters)
+            raise ModelError(
+                f"the model's effect {one.name} of accelerometers must have {units}, with mean 0: correct the file, or "
+                "investigate again"
             )
         if effect.needs and effect.needs not in offers:
             raise ModelError(
