@@ -28,6 +28,7 @@ from estimator.tracing.run_columns import RunColumns
 from estimator.tracing.search import CERTAIN, Found, Search
 from estimator.tracing.verdict import (
     Causes,
+    Verdict,
     beyond_noise,
     faults_added,
     file_notes,
@@ -166,14 +167,8 @@ def _conclude(
         suspected, with_it = _suspected(search, held_back, most)
         verdict = surprised(certain, suspected, verified[1])
         gyros = beside_suspect(gyros, with_it)
-    # A law without a name has nothing but its predictions to support it, so it is certain only if nothing is left open.
-    most_probable = 1.0 if verdict.leaves_nothing_open and not contradicted else _UNKNOWN
-    causes = causes.less_probable(
-        {
-            part.candidate.name: min(most_probable, max(1 - part.candidate.flexible * errors.formless, _UNKNOWN))
-            for part in laws
-        }
-    )
+    left = verified[1] if contradicted else None
+    causes = causes.less_probable(_most_probable(search, certain, verdict, errors, left))
     models = [ModelStep((), 0.0, errors.before)]
     gained = found.log_evidence[-1] - found.log_evidence[0]
     models += [ModelStep(_called(certain), gained, errors.after)] if certain else []
@@ -204,6 +199,31 @@ def _conclude(
         verified_after=verified[1],
         rival_sizes=rival_sizes(search, found, certain, doubtful, weight),
     )
+
+
+def _most_probable(
+    search: Search, certain: Sequence[Part], verdict: Verdict, errors: Judged, left: Residual | None
+) -> dict[str, float]:
+    """Return by the names of their candidates how probable effects that were added are at most.
+
+    A law without a name has nothing but its predictions to support it, so it is certain only if nothing is left open,
+    and only as far as its form predicts better than any function of the same variables. ``left`` is the residual of a
+    verification run that contradicts the model, None if none does. An effect is no more probable than its share of what
+    it explains of that run's squared error and what is left there of its kind: an effect that imitates another leaves
+    such. That does not hold where the reference is another instrument, whose own errors are in that run. Tones are seen
+    as lines.
+    """
+    explained = 1.0 if errors.improvement is None else max(1 - errors.improvement.ratio**-2, 0.0)
+    foreign = any(run.by_another for run in search.runs)
+    most = {}
+    for part in certain:
+        if part.candidate.law:
+            open_to = 1.0 if verdict.leaves_nothing_open and left is None else _UNKNOWN
+            most[part.candidate.name] = min(open_to, max(1 - part.candidate.flexible * errors.formless, _UNKNOWN))
+        elif part.tone is None and left is not None and not foreign:
+            of_its_kind = (1 - explained) * left.share_of(part.candidate.effect.record.depends_on)
+            most[part.candidate.name] = explained / max(explained + of_its_kind, 1e-9)
+    return most
 
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)

@@ -120,6 +120,15 @@ def test_what_does_not_lower_the_error_on_the_verification_run_is_taken_back() -
     assert any("but removed" in note for note in found.notes)
 
 
+def test_an_effect_that_leaves_much_of_its_kind_in_a_run_that_contradicts_it_is_not_stated() -> None:
+    calibration, exploration, _ = recordings_of(Case(("scale_cubic",), 1.0, 4))
+    more = recordings_of(Case(("scale_cubic", "scale_asymmetry"), 1.0, 4))[2]
+    found = investigate(first_gyros(1, calibration, exploration), first_gyros(1, more))
+    (added,) = found.added
+    assert added.effect == "scale_cubic"
+    assert added.probability < 0.95
+
+
 @pytest.mark.full  # the short form is the command's, in tests/station
 def test_an_error_that_only_the_verification_shows_is_no_cause_but_a_question() -> None:
     calibration, _, verification = recordings_of(Case(("scale_asymmetry",), 1.0, 2))

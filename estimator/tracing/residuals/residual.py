@@ -84,6 +84,18 @@ class Residual:
         """Whether it counts as noise, in every gyro and in their common part."""
         return all(gyro.clean for gyro in self.gyros) and (self.split is None or self.split.origin == Origin.NOISE)
 
+    def share_of(self, variable: str) -> float:
+        """Return the share of the power beyond the noise that depends on a variable, over all gyros.
+
+        1 for a variable that is not among those of the dependences.
+        """
+        power = taken = 0.0
+        for gyro in self.gyros:
+            own = {dependence.variable: dependence.share for dependence in gyro.dependences}
+            power += gyro.nis * gyro.beyond
+            taken += gyro.nis * gyro.beyond * own.get(variable, 1.0)
+        return taken / power if power else 0.0
+
 
 @dataclass(kw_only=True, slots=True, eq=False)
 class _Gyro:
