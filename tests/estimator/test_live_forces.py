@@ -138,7 +138,20 @@ def spiked(changed: np.ndarray) -> None:
     changed[100::997, 1] = 1e6
 
 
-@pytest.mark.parametrize("defect", [dead, constant, none, stuck, saturated, spiked])
+def knocked(changed: np.ndarray) -> None:
+    middle = len(changed) // 2
+    changed[middle : middle + 25, 1] += 30.0  # half a second
+
+
+def slower(changed: np.ndarray) -> None:
+    changed[np.arange(len(changed)) % 4 != 1, 1] = np.nan
+
+
+def repeated(changed: np.ndarray) -> None:
+    changed[:, 1] = np.repeat(changed[::4, 1], 4)[: len(changed)]
+
+
+@pytest.mark.parametrize("defect", [dead, constant, none, stuck, saturated, spiked, knocked, slower, repeated])
 def test_one_bad_accelerometer_spoils_neither_itself_nor_the_others(defect) -> None:  # type: ignore[no-untyped-def]
     changed = outputs()
     defect(changed)
@@ -151,6 +164,8 @@ def test_one_bad_accelerometer_spoils_neither_itself_nor_the_others(defect) -> N
     assert bool(live.left_out[1]) == (never or defect is stuck)
     if never:
         assert live.decoded()[1][1, 0] > 5e-3  # still that of the data sheet
+    else:
+        assert live.decoded()[1][1, 0] < 1e-3
 
 
 def test_gaps_and_an_early_end() -> None:

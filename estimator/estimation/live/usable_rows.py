@@ -1,6 +1,7 @@
 """Which outputs of an accelerometer can be used while a run goes on: told from what came so far."""
 
 import math
+from collections import deque
 
 import numpy as np
 
@@ -8,8 +9,10 @@ from estimator.types import Flags, Floats
 
 _BY_CHANCE = 1e-6  # that so many outputs in a row are equal
 _FEWEST_EQUAL = 4
+_RECENT = 500  # runs of equal outputs by which their usual length is told
 _SIGMAS = 8.0  # beyond the data sheet
 _FEW = 0.2  # share of a block that may be beyond the data sheet: spikes
+_BAD_BLOCKS = 3  # in a row: until then it may have been a knock
 
 NO_NUMBERS = "no numbers"
 CONSTANT = "does not change (stuck, or at a limit)"
@@ -19,7 +22,8 @@ UNLIKE = "unlike its data sheet (dead, other axis, sign or unit)"
 class UsableRows:
     """Judges one accelerometer, block by block; ``reason`` says why its last block was left out, "" if it was not.
 
-    ``excluded``: it is not what is stated, so that nothing of it counts, from the beginning.
+    ``excluded``: it has been unlike its data sheet for several blocks, so that nothing of it counts, from the
+    beginning.
     """
 
     def __init__(self, noise_mps2: float) -> None:
@@ -28,43 +32,53 @@ class UsableRows:
         self.excluded = False
         self._noise_mps2 = noise_mps2
         self._step_mps2 = math.inf  # the least between two outputs
-        self._last, self._equal = math.nan, 0
+        self._last, self._equal, self._bad = math.nan, 0, 0
+        self._lengths: deque[int] = deque(maxlen=_RECENT)  # of runs of equal outputs
 
     def judge(self, output_mps2: Floats, error_mps2: Floats, plausible_mps2: Floats) -> Flags:
         """Return as flags (n,) the outputs of the next block that can be used.
 
         ``error_mps2`` (n,) are their errors, ``plausible_mps2`` (n,) their standard deviations by the data
-        sheet.
+        sheet. Of outputs that the device repeats as a rule, the first of each run counts.
         """
         numbers = np.isfinite(output_mps2)
         known = np.isfinite(error_mps2)
         if not numbers.any():
             self.reason = self.reason if self.excluded else NO_NUMBERS
             return numbers
-        moving = numbers & ~self._stuck(output_mps2)
+        moving = numbers.copy()
+        moving[numbers] = self._fresh(output_mps2[numbers])
         if not (moving & known).any():
-            if known.any() and not self.excluded:
+            if (numbers & known).any() and not self.excluded:
                 self.reason = CONSTANT
             return moving & known
         with np.errstate(invalid="ignore"):
             beyond = np.abs(error_mps2) > _SIGMAS * np.hypot(plausible_mps2, self._noise_mps2)
         judged = moving & known
-        self.excluded = self.excluded or bool((beyond & judged).sum() > _FEW * judged.sum())
-        self.reason = UNLIKE if self.excluded else ""
-        return judged & ~beyond & (not self.excluded)
+        bad = bool((beyond & judged).sum() > _FEW * judged.sum())
+        self._bad = self._bad + 1 if bad else 0
+        self.excluded = self.excluded or self._bad >= _BAD_BLOCKS
+        self.reason = UNLIKE if bad or self.excluded else ""
+        return judged & ~beyond & (not (bad or self.excluded))
 
-    def _stuck(self, output_mps2: Floats) -> Flags:
-        """Return as flags (n,) the outputs in runs of equal ones that are longer than chance explains."""
+    def _fresh(self, output_mps2: Floats) -> Flags:
+        """Return as flags (n,) the outputs that are not stuck, and no repetitions where the device repeats as a rule.
+
+        Stuck are those in runs of equal ones that are longer than chance explains.
+        """
         before = np.concatenate([[self._last], output_mps2[:-1]])
         steps = np.abs(output_mps2 - before)
-        changes = steps > 0
-        self._step_mps2 = min(self._step_mps2, float(np.min(steps[changes], initial=math.inf)))
-        ends = np.append(np.flatnonzero(steps != 0), len(output_mps2))  # beginnings of runs, NaN is one of its own
-        lengths = np.diff(np.concatenate([[0], ends]))
+        self._step_mps2 = min(self._step_mps2, float(np.min(steps[steps > 0], initial=math.inf)))
+        begins = steps != 0  # of a run; the first output of all is NaN from none
+        ends = np.append(np.flatnonzero(begins), len(output_mps2))
+        own = np.diff(np.concatenate([[0], ends]))
+        lengths = own.copy()
         lengths[0] += self._equal
-        stuck = np.repeat(lengths >= self._longest_by_chance(), np.diff(np.concatenate([[0], ends])))
+        self._lengths.extend(lengths[:-1][lengths[:-1] > 0].tolist())
+        usual = round(float(np.median(self._lengths))) if self._lengths else 1
+        stuck = np.repeat(lengths >= usual * self._longest_by_chance(), own)
         self._last, self._equal = float(output_mps2[-1]), int(lengths[-1])
-        return np.asarray(stuck)
+        return np.asarray(~stuck & (begins | (usual == 1)))
 
     def _longest_by_chance(self) -> float:
         """Return how many outputs in a row are never equal, by the least step and the noise; 1 before the first."""
