@@ -1,7 +1,7 @@
 """A recording in memory."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,11 @@ class ForceSheet:
 
     prior: ForcePrior
     noise: NoiseModel
+
+    @property
+    def attributes(self) -> dict[str, tuple[float, ...]]:
+        """Its values, as the attributes of a source in a file."""
+        return {"accel_prior": astuple(self.prior), "accel_noise": astuple(self.noise)}
 
 
 _IMPOSSIBLE_RPS = 1e8  # nor is it the count of a converter of 32 bits that was taken for deg/s

@@ -32,7 +32,6 @@ from estimator.recordings.recording import (
     FORMAT_VERSION,
     IDENTITY,
     LAYOUT,
-    ForceSheet,
     ImuData,
     Recording,
 )
@@ -121,13 +120,10 @@ class RecordingWriter:
         axes = {"p": array.p, "j": array.j, "k": array.k}
         self.set_source(name, {"prior": astuple(prior), "names": list(array.names), **axes, **attributes})
 
-    def add_accelerometers(self, name: str, axes: Floats, sheet: ForceSheet | None = None) -> None:
-        """Declare the axes (c, 3) in the body of the accelerometers of a source, whose outputs are ``accel_mps2``, and
-        their data sheet if they are to be calibrated.
-        """
+    def add_accelerometers(self, name: str, axes: Floats) -> None:
+        """Declare the axes (c, 3) in the body of the accelerometers of a source, whose outputs are ``accel_mps2``."""
         self.set_attributes({"format_version": FORMAT_VERSION})
-        stated = {} if sheet is None else {"accel_prior": astuple(sheet.prior), "accel_noise": astuple(sheet.noise)}
-        self.set_source(name, {"accel_axes": axes, **stated})
+        self.set_source(name, {"accel_axes": axes})
 
     def add_device(self, name: str, columns: Mapping[str, str], attributes: Mapping[str, Any]) -> None:
         """Declare the group ``device/NAME``: its attributes, and the columns of its series with their units.
@@ -340,7 +336,9 @@ def write_recording(path: Path | str, recording: Recording) -> None:
                 attributes["noise"] = astuple(data.noise)
             writer.add_source(source, data.array, data.prior, attributes)
             if data.accel_axes is not None:
-                writer.add_accelerometers(source, data.accel_axes, data.accel_sheet)
+                writer.add_accelerometers(source, data.accel_axes)
+            if data.accel_sheet is not None:
+                writer.set_source(source, data.accel_sheet.attributes)
             writer.append_rows(f"imu/{source}", columns_of(data))
         for device, series in recording.series.items():
             writer.add_device(device, series.units, {})

@@ -4,7 +4,7 @@ import asyncio
 from collections import defaultdict
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass
 from typing import Any
 
 import numpy as np
@@ -133,9 +133,9 @@ class Acquisition:
         timing_s = table.uncertainty.timing_s if table.uncertainty else 0.0
         for name, gyros in config.gyros_of(imu.source.names).items():
             array = config.array.select(gyros)
-            noise = [config.noise.arw, config.noise.instability, config.noise.walk]
-            about = {"device": config.name, "rate_hz": config.rate_hz, "lost": 0, "noise": noise}
-            self.writer.add_source(name, array, config.prior, about)
+            about = {"device": config.name, "rate_hz": config.rate_hz, "lost": 0, "noise": astuple(config.noise)}
+            sheet = {} if config.force_sheet is None else config.force_sheet.attributes
+            self.writer.add_source(name, array, config.prior, {**about, **sheet})
             self._configs[name] = config
             effects = None
             if self._model is not None and self._model.effects:
@@ -248,7 +248,7 @@ class Acquisition:
         if block.accel_mps2 is not None and name not in self._accelerometers:
             self._accelerometers.add(name)
             config, axes = self._configs[name], accelerometer_axes(self.live.sources[name].array)
-            self.writer.add_accelerometers(name, axes, config.force_sheet)
+            self.writer.add_accelerometers(name, axes)
             if config.force_sheet is not None and block.accel_mps2.shape[1] == len(axes):
                 table = self._bench.table
                 self.live.add_accelerometers(name, axes, config.rate_hz, config.force_sheet, table.uncertainty)

@@ -224,6 +224,53 @@ def test_an_accelerometer_that_sticks_for_a_time_is_told_and_not_believed_there(
         assert np.all(np.abs(one.states - whole.states) < SURE * one.sd)
 
 
+def test_an_accelerometer_that_sticks_while_nothing_moves_is_told_too() -> None:
+    felt = outputs().copy()
+    felt[250:900, 1] = 0.0  # of the rest at the beginning, in which it lies level
+    (found,), _ = calibrate_forces(with_outputs(felt))
+    assert any("accel y repeats one value from 5 s on" in doubt for doubt in found.doubts)
+    for one, whole in zip(found.accelerometers, calibrated().accelerometers, strict=True):
+        assert np.all(np.abs(one.states - whole.states) < one.sd)
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_accelerometers_slower_than_the_gyros_are_calibrated_whichever_rows_hold_numbers(late: bool) -> None:
+    recording = run()[0]
+    data = recording.sources[DEVICE]
+    twice = np.arange(2 * len(data.t_ns)) // 2
+    held = np.arange(len(twice)) % 2 == (1 if late else 0)
+    assert data.temperature_c is not None
+    more = replace(
+        data,
+        t_ns=data.t_ns[twice] + np.where(held, 0, -10_000_000 if late else 10_000_000),
+        rate_rps=data.rate_rps[twice],
+        temperature_c=data.temperature_c[twice],
+        accel_mps2=np.where(held[:, None], outputs()[twice], np.nan),
+    )
+    (found,), _ = calibrate_forces(replace(recording, sources={DEVICE: more}))
+    assert not found.excluded
+    for one, whole in zip(found.accelerometers, calibrated().accelerometers, strict=True):
+        assert np.all(np.abs(one.states - whole.states) < 0.5 * one.sd)
+
+
+def test_accelerometers_that_should_be_calibrated_and_cannot_be_are_excluded_with_the_reason() -> None:
+    felt = outputs().copy()
+    felt[50:] = np.nan
+    (found,), _ = calibrate_forces(with_outputs(felt))
+    assert [one.name for one in found.excluded] == ["accel x", "accel y", "accel z"]
+    assert "too little data" in found.excluded[0].reason
+
+
+def test_a_device_that_sends_no_forces_though_its_data_sheet_is_stated_is_excluded(tmp_path: Path) -> None:
+    recording = run()[0]
+    data = replace(recording.sources[DEVICE], accel_mps2=None, accel_axes=None)
+    write_recording(tmp_path / "silent.h5", replace(recording, sources={DEVICE: data}))
+    (found,), _ = calibrate_forces(read_recording(tmp_path / "silent.h5"))
+    (silent,) = found.excluded
+    assert silent.name == "mti accelerometers"
+    assert "no specific force" in silent.reason
+
+
 def test_a_channel_that_loses_data_of_all_is_told() -> None:
     felt = outputs().copy()
     felt[len(felt) // 2 :, 0] = np.nan

@@ -23,7 +23,7 @@ def calibrate_forces(
 ) -> tuple[tuple[ForceCalibration, ...], list[str]]:
     """Return the calibrations of the accelerometers by source, and notes.
 
-    Calibrated are those with a data sheet, on a table. A source of which too little was recorded has a note only. The
+    Calibrated are those with a data sheet, on a table. Those of which too little was recorded are excluded. The
     ``effects`` of a model are estimated with the states; ModelError for one that cannot be. A note says so if they are
     not used at all.
     """
@@ -44,8 +44,9 @@ def calibrate_forces(
             noise = data.accel_sheet.noise if data.accel_sheet is not None else None
             own = estimate_forces(recording, source, seen.samples, noise, effects)
         except RecordingError as error:
-            notes += doubts
-            notes.append(f"{source}: the accelerometers are not calibrated: {error}")
+            lost = [Excluded(name, str(error)) for name in seen.samples.array.names]
+            doubts += [f"{one.name} is not calibrated: {one.reason}" for one in lost]
+            found.append(_none(source, data.device, [*seen.excluded, *lost], doubts))
             continue
         doubts += seen.doubts
         for one in own.accelerometers:
@@ -60,16 +61,25 @@ def calibrate_forces(
 
 
 def usable_forces(recording: Recording) -> list[tuple[str, Checked]]:
-    """Return by source what can be used of its accelerometers; none without a table or a data sheet for them."""
+    """Return by source what can be used of its accelerometers; none without a table or a data sheet for them.
+
+    A device with a data sheet for accelerometers that sent no outputs of any is in the list, by its first source, with
+    these as excluded.
+    """
     table = recording.table
     if table is None:
         return []
-    stated = {
-        source: data
-        for source, data in recording.sources.items()
-        if data.accel_mps2 is not None and data.accel_sheet is not None
-    }
-    return [(source, checked(data, table)) for source, data in stated.items()]
+    found: list[tuple[str, Checked]] = []
+    stated = {source: data for source, data in recording.sources.items() if data.accel_sheet is not None}
+    told = {data.device for data in stated.values() if data.accel_mps2 is not None}
+    for source, data in stated.items():
+        if data.accel_mps2 is not None:
+            found.append((source, checked(data, table)))
+        elif data.device not in told:
+            told.add(data.device)
+            silent = Excluded(f"{data.device or source} accelerometers", sentence("estimation.accelerometers_silent"))
+            found.append((source, Checked(samples=None, excluded=(silent,), notes=())))
+    return found
 
 
 def _none(source: str, device: str, excluded: Sequence[Excluded], doubts: Sequence[str]) -> ForceCalibration:

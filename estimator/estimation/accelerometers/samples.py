@@ -24,6 +24,9 @@ _DEAD = 0.1
 _LOST = 0.02  # share of samples without a number that is told
 _LONGEST_ARM_M, _ALLOWED = 1.0, 3.0
 _HELD_S, _CHANGED_MPS2 = 1.0, 1.0  # a value that is held for longer while the force changes by more is stuck
+_STILL_MPS2 = 0.1  # the force stays: it changes by less
+_MOST_PARTS = 0.75  # share of the parts of a run at rest in which no more samples equal the one before
+_BY_CHANCE, _FEWEST_EQUAL = 1e-6, 4.0  # that so many samples in a row are equal; never fewer than so many
 _ALONG = 0.8  # cosine above which an accelerometer lies along a body axis
 
 
@@ -114,13 +117,13 @@ def _compared(
         return [], {}, {}
     force = np.full((len(t_ns), 3), np.nan)
     force[inside] = force_at_place(rates, table.gimbals, t_ns[inside], np.zeros(3), GRAVITY_MPS2)
-    rows = np.flatnonzero(inside)[:: max(int(inside.sum()) // _MOST_ROWS, 1)]
     excluded: list[Excluded] = []
     limited: dict[str, np.ndarray] = {}
     stuck: dict[str, str] = {}
     for number, name in enumerate(samples.array.names):
         output = outputs[:, number]
-        finite = rows[np.isfinite(output[rows])]
+        known = np.flatnonzero(inside & np.isfinite(output))
+        finite = known[:: max(len(known) // _MOST_ROWS, 1)]
         if not len(finite):
             excluded.append(Excluded(name, "none of its samples beside readings of the table is a number"))
             continue
@@ -145,7 +148,7 @@ def _compared(
             continue
         scatter = SD_OF_MEDIAN * float(np.median(np.abs(output[finite] - expected[finite])))
         flags = at_limits(t_ns, output, float(np.nanmin(output)), float(np.nanmax(output)))
-        for limit in limits_of(output[rows], expected[rows], max(scatter, 1e-6)):
+        for limit in limits_of(output[finite], expected[finite], max(scatter, 1e-6)):
             flags |= widened(limit.reached(output, expected), t_ns)
         if flags.any():
             limited[name] = flags | held
@@ -155,17 +158,41 @@ def _compared(
 def _held(t_ns: Stamps, output: Floats, expected: Floats) -> Flags:
     """Return as flags (n,) the samples of long runs of one value within which the output ought to have changed.
 
-    Runs of the least and the largest value do not count: they are at a limit.
+    It ought to change if the force does, or if noise lets it change in most of the run while the force stays. Runs of
+    the least and the largest value do not count: they are at a limit.
     """
     ends = np.nanmin(output), np.nanmax(output)
     held = np.zeros(len(output), dtype=np.bool_)
-    for start, stop in runs_of(np.diff(output) == 0):
+    equal = np.diff(output) == 0
+    longest = _longest_by_chance(t_ns, equal, expected)
+    for start, stop in runs_of(equal):
         own = expected[start : stop + 1]
         own = own[np.isfinite(own)]
-        long = t_ns[stop] - t_ns[start] > _HELD_S * 1e9
-        if long and output[start] not in ends and len(own) and np.ptp(own) > _CHANGED_MPS2:
+        if t_ns[stop] - t_ns[start] <= _HELD_S * 1e9 or output[start] in ends or not len(own):
+            continue
+        if np.ptp(own) > _CHANGED_MPS2 or stop - start > longest:
             held[start : stop + 1] = True
     return held
+
+
+def _longest_by_chance(t_ns: Stamps, equal: Flags, expected: Floats) -> float:
+    """Return how many neighbours in a row are never equal by chance; infinite where nothing changes at rest.
+
+    ``equal`` (n - 1,) flags samples that equal the one before. Their share where the force stays is that of most parts
+    of ``_HELD_S``, so that what is stuck for a time does not pass for quiet. Outputs that repeat each value a few times
+    have a larger share.
+    """
+    part = (t_ns[1:] - t_ns[0]) // round(_HELD_S * 1e9)
+    starts = np.flatnonzero(np.diff(part, prepend=-1))
+    highest, lowest = (f.reduceat(expected[1:], starts) for f in (np.maximum, np.minimum))
+    still = highest - lowest < _STILL_MPS2  # not where the force is unknown
+    if not still.any():
+        return np.inf
+    shares = np.add.reduceat(equal.astype(np.float64), starts) / np.diff([*starts, len(equal)])
+    usual = float(np.quantile(shares[still], _MOST_PARTS))
+    if usual <= 0:
+        return _FEWEST_EQUAL
+    return max(float(np.log(_BY_CHANCE) / np.log(usual)), _FEWEST_EQUAL) if usual < 1 else np.inf
 
 
 def _unlike(gain: Floats, array: SensorArray, number: int) -> str:
