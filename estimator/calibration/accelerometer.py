@@ -51,7 +51,8 @@ class AccelerometerCalibration:
 class ForceEffectValues:
     """An effect of a model, estimated with the states: its parameters (a, p) by accelerometer, with their sigmas.
 
-    ``parameters`` are their names, in ``unit``.
+    ``parameters`` are their names, in ``unit``. ``about`` says at which temperature or instant the effect is zero, so
+    that the states are those there; "" if it depends on neither.
     """
 
     name: str
@@ -59,6 +60,7 @@ class ForceEffectValues:
     parameters: tuple[str, ...]
     values: Floats
     sd: Floats
+    about: str = ""
 
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)

@@ -55,6 +55,7 @@ def _effect_object(effect: ForceEffectValues) -> dict[str, Any]:
         "parameters": list(effect.parameters),
         "values": effect.values.tolist(),
         "sd": effect.sd.tolist(),
+        "about": effect.about,
     }
 
 
@@ -102,6 +103,7 @@ def _effect(own: Mapping[str, Any]) -> ForceEffectValues:
         parameters=tuple(map(str, own["parameters"])),
         values=np.array(own["values"], dtype=np.float64),
         sd=np.array(own["sd"], dtype=np.float64),
+        about=str(own.get("about", "")),
     )
 
 

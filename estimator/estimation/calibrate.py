@@ -55,14 +55,15 @@ def calibrate(
     """
     if model is not None:
         check_model(model, recording)
-    of_forces = model.forces if model is not None else ()
-    model = model if model is not None and model.effects else None
+    given = model if model is not None and not model.is_empty else None
+    of_forces = given.forces if given is not None else ()
+    model = given if given is not None and given.effects else None
     recording, sources, notes, defective = _usable(recording)
     devices = _devices(recording, sources, model, excluded, defective)
     estimates = [one for device in devices for one in device.sources]
     gyros, checks, gyro_notes = _gyros_of(recording, devices)
     forces, force_notes = calibrate_forces(recording, of_forces)
-    nis = _mean_nis(recording, model, estimates) if innovations else float("nan")
+    nis = _mean_nis(recording, given, estimates) if innovations else float("nan")
     spoilt, doubts = _doubts(recording, devices, forces)
     effects = tuple(one for device in devices for one in device.undeclared)
     constancy = coverage(recording, [data for _, data in sources])
@@ -78,7 +79,7 @@ def calibrate(
         notes=tuple(notes),
         excluded=defective,
         parity=tuple(checks),
-        model=model.text() if model is not None else "",
+        model=given.text() if given is not None else "",
         doubts=tuple(doubts),
         holds_for=holds_for(recording),
         offsets={one.source: one.offset for one in estimates if one.offset is not None},

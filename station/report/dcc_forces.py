@@ -89,7 +89,7 @@ def _effects(one: ForceCalibration, place: int, dsi: Mapping[str, str]) -> Itera
     """Yield the parameters of the effects of an accelerometer, if it has any."""
     quantities: list[Quantity] = []
     for effect in one.effects:
-        called = effect.name.replace("_", " ")
+        called = effect.name.replace("_", " ") + (f" ({effect.about})" if effect.about else "")
         for name, x, sd in zip(effect.parameters, effect.values[place], effect.sd[place], strict=True):
             own = _quantity(f"{called}, {name}", x, dsi.get(effect.unit, ""), sd)
             words = f"{own.value} {effect.unit}, expanded uncertainty (k = {COVERAGE:g}) {own.expanded} {effect.unit}"

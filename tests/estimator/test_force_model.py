@@ -12,6 +12,7 @@ import pytest
 
 from estimator.calibration.accelerometer import ForceCalibration
 from estimator.calibration.error_model import ErrorModel, KnownForceEffect, ModelError, Size
+from estimator.estimation.accelerometers.calibrate_forces import calibrate_forces
 from estimator.estimation.calibrate import calibrate
 from estimator.recordings.recording import Recording
 from estimator.tracing.accelerometers.trace_forces import trace_forces
@@ -90,9 +91,27 @@ def test_a_recording_without_accelerometers_is_calibrated_with_a_note_that_their
     assert any("effects of accelerometers (asymmetry) are not used" in note for note in found.notes)
 
 
-def test_an_effect_of_the_temperature_needs_a_temperature() -> None:
+def of_temperature() -> ErrorModel:
+    """Return a model in which scale factors go with the temperature."""
     size = Size("coefficient", "1/K", 0.0, 1e-4)
-    model = ErrorModel((), forces=(KnownForceEffect(name="scale_over_temperature", sizes=(size,)),))
+    return ErrorModel((), forces=(KnownForceEffect(name="scale_over_temperature", sizes=(size,)),))
+
+
+def test_states_are_those_at_the_mean_temperature_of_the_run_however_far_that_is_from_25_degrees() -> None:
+    recording = run(NEXT, 3)
+    data = recording.sources["mti"]
+    warm = replace(data, temperature_c=np.linspace(44.0, 46.0, len(data.t_ns)))
+    warm_recording = replace(recording, sources={"mti": warm})
+    (without,), _ = calibrate_forces(warm_recording)
+    (found,), _ = calibrate_forces(warm_recording, of_temperature().forces)
+    assert found.effects[0].about == "T0 = 45.00 degC"
+    for one, other in zip(found.accelerometers, without.accelerometers, strict=True):
+        assert abs(one.states[0] - other.states[0]) < other.sd[0]
+        assert one.sd[0] < 2 * other.sd[0]
+
+
+def test_an_effect_of_the_temperature_needs_a_temperature() -> None:
+    model = of_temperature()
     recording = run(NEXT, 3)
     data = replace(recording.sources["mti"], temperature_c=None)
     with pytest.raises(ModelError, match="must hold the temperature"):

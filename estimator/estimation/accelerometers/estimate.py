@@ -6,13 +6,14 @@ neither changes.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from estimator.calibration.accelerometer import AccelerometerCalibration, ForceCalibration, ForceEffectValues
 from estimator.calibration.budget import Contribution
 from estimator.calibration.error_model import KnownForceEffect
+from estimator.effects.conditions import Conditions
 from estimator.estimation.accelerometers.force_effects import BY_NAME, laws_of_model
 from estimator.estimation.accelerometers.force_runs import ForceRun, ForceSamples, force_run
 from estimator.estimation.accelerometers.laws import (
@@ -102,12 +103,13 @@ def estimate_forces(
         gravity_mps2=settled.gravity_mps2,
         gravity_from=gravity_at(recording.site).source,
         offset=TimeOffset(settled.delay_s + float(delay[0]), float(np.sqrt(delay_variance[0, 0]))),
-        effects=tuple(_effect_values(joint, laws[known.name], known.name) for known in effects),
+        effects=tuple(_effect_values(settled, laws[known.name], known.name) for known in effects),
     )
 
 
-def _effect_values(joint: Joint, law: int, name: str) -> ForceEffectValues:
+def _effect_values(settled: Settled, law: int, name: str) -> ForceEffectValues:
     """Return the parameters of an effect of the model for each accelerometer."""
+    joint = settled.joint
     found = [_parameters(joint, law, number) for number in range(len(joint.means))]
     return ForceEffectValues(
         name=name,
@@ -115,6 +117,7 @@ def _effect_values(joint: Joint, law: int, name: str) -> ForceEffectValues:
         parameters=BY_NAME[name].parameters,
         values=np.array([values for values, _ in found]),
         sd=np.array([np.sqrt(np.diag(covariance)) for _, covariance in found]),
+        about=BY_NAME[name].about(settled.run.grid),
     )
 
 
@@ -127,14 +130,17 @@ def settle(
 ) -> Settled:
     """Return the joint estimate of the accelerometers of a source about the lever arm and the delay that it finds.
 
-    The arm and the delay are subtracted and estimated again until neither changes. Raises TooShort for too few samples
-    beside readings of the table.
+    The arm and the delay are subtracted and estimated again until neither changes. With ``effects`` the states are
+    those at the mean temperature and in the middle of the run. Raises TooShort for too few samples beside readings of
+    the table.
     """
     gravity_mps2 = gravity_at(recording.site).value_mps2
     arm_m = np.zeros(3)
     delay_s = 0.0
     for step in range(_MOST_STEPS):
         run = force_run(recording, source, samples, arm_m=arm_m, delay_s=delay_s, gravity_mps2=gravity_mps2)
+        if effects:
+            run = replace(run, grid=_about_its_mean(run.grid))
         laws_of_run = [*_laws(run, samples, arm_m, delay_s), *laws_of_model(effects, run.grid.offers)]
         joint = joint_estimate([run], laws_of_run, noise)
         laws = {law.called: number for number, law in enumerate(joint.laws)}
@@ -147,6 +153,13 @@ def settle(
         arm_m = arm_m + arm_step
         delay_s += float(delay_step[0])
     return Settled(joint=joint, run=run, arm_m=arm_m, delay_s=delay_s, gravity_mps2=gravity_mps2)
+
+
+def _about_its_mean(grid: Conditions) -> Conditions:
+    """Return conditions whose thermal effects are zero at their mean temperature, if that was measured."""
+    if grid.temperature_c is None:
+        return grid
+    return replace(grid, reference_c=float(np.nanmean(grid.temperature_c)))
 
 
 def _rounded(settled: Settled, noise: NoiseModel | None) -> Floats:

@@ -25,7 +25,9 @@ class ForceEffect:
     """An effect of single accelerometers.
 
     ``parameters`` are their names; each has the ``unit`` and the ``largest`` plausible size. ``columns`` returns the
-    regressors (N, parameters) of one accelerometer. ``needs`` names data beyond the motion: "temperature". ``named`` is
+    regressors (N, parameters) of one accelerometer, ``adds`` writes them in words: what a unit of each parameter adds
+    to the output. ``needs`` names data beyond the motion: "temperature". With ``over_time`` it
+    goes with the time since the middle of the run. ``named`` is
     False for functions that stand for effects nobody has named. ``shown`` is the factor to the unit for people,
     ``shown_unit``.
     """
@@ -35,12 +37,20 @@ class ForceEffect:
     unit: str
     largest: float
     columns: Columns
+    adds: tuple[str, ...] = ()
     parameters: tuple[str, ...] = ("coefficient",)
     needs: str = ""
+    over_time: bool = False
     named: bool = True
     shown: float = 1.0
     shown_unit: str = ""
     shown_by: str = ""
+
+    def about(self, conditions: Conditions) -> str:
+        """Return at which temperature or instant of a run the effect is zero; "" if it depends on neither."""
+        if self.needs == "temperature":
+            return f"T0 = {conditions.reference_c:.2f} degC"
+        return f"t0 = {_middle_s(conditions):.1f} s" if self.over_time else ""
 
     def law(self, expected: Floats | None = None) -> Law:
         """Return the law of the effect, each accelerometer with its own parameters.
@@ -98,8 +108,12 @@ def _thermal_scale(conditions: Conditions, axes: Axes) -> Floats:
 
 
 def _drift(conditions: Conditions, axes: Axes) -> Floats:
-    """Return the column (N, 1) of the slope of the bias b over time."""
-    return np.asarray(-(conditions.t_s - conditions.t_s[0])[:, None])
+    """Return the column (N, 1) of the slope of the bias b over time, about the middle of the run."""
+    return np.asarray(-(conditions.t_s - _middle_s(conditions))[:, None])
+
+
+def _middle_s(conditions: Conditions) -> float:
+    return float(conditions.t_s[0] + conditions.t_s[-1]) / 2
 
 
 def _functions_of_force(conditions: Conditions, axes: Axes) -> Floats:
@@ -135,6 +149,7 @@ EFFECTS: tuple[ForceEffect, ...] = (
         unit="1",
         largest=5e-3,
         columns=_of_force(lambda a, a_j, a_k: 0.5 * np.abs(a)),
+        adds=("|a| / 2",),
         shown=_PER_MILLION,
         shown_unit="ppm",
         shown_by="poses at 0, +1 and -1 g",
@@ -145,6 +160,7 @@ EFFECTS: tuple[ForceEffect, ...] = (
         unit="1/g",
         largest=2e-3,
         columns=_of_force(lambda a, a_j, a_k: a**2 / _G),
+        adds=("a^2 / g",),
         shown=_PER_MILLION,
         shown_unit="ug/g2",
         shown_by="poses at 0, +-1 g and between",
@@ -155,6 +171,7 @@ EFFECTS: tuple[ForceEffect, ...] = (
         unit="1/g2",
         largest=2e-3,
         columns=_of_force(lambda a, a_j, a_k: a**3 / _G**2),
+        adds=("a^3 / g^2",),
         shown=_PER_MILLION,
         shown_unit="ug/g3",
         shown_by="poses at 0, +-1 g and between: in poses of 0 and 1 g it is the scale factor",
@@ -165,6 +182,7 @@ EFFECTS: tuple[ForceEffect, ...] = (
         unit="1/g",
         largest=2e-3,
         columns=_of_force(lambda a, a_j, a_k: a * a_j / _G),
+        adds=("a aj / g",),
         shown=_PER_MILLION,
         shown_unit="ug/g2",
         shown_by="poses between the axes",
@@ -175,6 +193,7 @@ EFFECTS: tuple[ForceEffect, ...] = (
         unit="1/g",
         largest=2e-3,
         columns=_of_force(lambda a, a_j, a_k: a * a_k / _G),
+        adds=("a ak / g",),
         shown=_PER_MILLION,
         shown_unit="ug/g2",
         shown_by="poses between the axes",
@@ -185,6 +204,7 @@ EFFECTS: tuple[ForceEffect, ...] = (
         unit="1/g",
         largest=2e-3,
         columns=lambda conditions, axes: np.column_stack([a**2 / _G for a in _along(conditions, axes)[1:]]),
+        adds=("aj^2 / g", "ak^2 / g"),
         parameters=("along j", "along k"),
         shown=_PER_MILLION,
         shown_unit="ug/g2",
@@ -196,6 +216,7 @@ EFFECTS: tuple[ForceEffect, ...] = (
         unit="(m/s2)/(rad/s)2",
         largest=5e-3,
         columns=_rectified,
+        adds=("|w|^2",),
         shown=_MICRO_G,
         shown_unit="ug/(rad/s)2",
         shown_by="turns at two rates about two axes",
@@ -206,6 +227,7 @@ EFFECTS: tuple[ForceEffect, ...] = (
         unit="m/s2/K",
         largest=0.01,
         columns=_thermal_bias,
+        adds=("-(T - T0)",),
         needs="temperature",
         shown=_MICRO_G,
         shown_unit="ug/degC",
@@ -217,6 +239,7 @@ EFFECTS: tuple[ForceEffect, ...] = (
         unit="1/K",
         largest=5e-4,
         columns=_thermal_scale,
+        adds=("-(T - T0) a",),
         needs="temperature",
         shown=_PER_MILLION,
         shown_unit="ppm/degC",
@@ -228,6 +251,8 @@ EFFECTS: tuple[ForceEffect, ...] = (
         unit="m/s2/s",
         largest=1e-5,
         columns=_drift,
+        adds=("-(t - t0)",),
+        over_time=True,
         shown=3600 * _MICRO_G,
         shown_unit="ug/h",
         shown_by="poses early and late",

@@ -283,7 +283,9 @@ def filter_nis(recording: Recording, model: ErrorModel | None = None) -> float |
     total, dof = 0.0, 0
     for data in recording.sources.values():
         assert data.noise is not None
-        effects = SampleColumns(model, table.gimbals, recording.site, data.array) if model is not None else None
+        effects = None
+        if model is not None and model.effects:
+            effects = SampleColumns(model, table.gimbals, recording.site, data.array)
         rate_hz = _rate_hz(data)
         noise_rps = float(data.noise.arw * np.sqrt(rate_hz))
         source = LiveSource(
@@ -298,7 +300,7 @@ def filter_nis(recording: Recording, model: ErrorModel | None = None) -> float |
 
 def model_sha256(model: ErrorModel | None) -> str:
     """Return the hash of an error model, empty for none."""
-    return hashlib.sha256(model.text().encode()).hexdigest() if model is not None and model.effects else ""
+    return hashlib.sha256(model.text().encode()).hexdigest() if model is not None and not model.is_empty else ""
 
 
 def _rate_hz(data: ImuData) -> float:

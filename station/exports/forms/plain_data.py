@@ -26,7 +26,11 @@ FORMAT = "turntable-calibration"
 FORMAT_VERSION = 1
 _MAT_TEXT = 116  # bytes of text at the head of a MAT-file
 _FORMULA = "y = G w - b + effects, so w = H (y + b - effects); rows of G: (1 - k)(p - sigma_k j + sigma_j k)"
-_FORCE_FORMULA = "y = S f - b, so f = M (y + b); rows of S: (1 - k)(p - sigma_k j + sigma_j k)"
+_FORCE_FORMULA = (
+    "y = S f - b + effects, so f = M (y + b - effects); rows of S: (1 - k)(p - sigma_k j + sigma_j k); "
+    "effects: the sum of parameters times what each adds, with a, aj, ak the specific force along p, j, k in m/s2, "
+    "g = 9.80665 m/s2, w the body rate in rad/s, T the temperature in degC, t the time of the run in s"
+)
 
 
 def write_json(exported: Exported) -> Written:

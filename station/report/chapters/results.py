@@ -75,7 +75,8 @@ def results_view(
 ) -> ResultsView:
     """Return the results of a calibration, with an investigation if there is one."""
     several = summary(recorded, standing)
-    added = traced.added if traced is not None and not calibration.model else []
+    corrected = any(gyro.effects for gyro in calibration.gyros)
+    added = traced.added if traced is not None and not corrected else []
     return ResultsView(
         coverage=f"{COVERAGE:g}",
         has_budget=any(gyro.budget for gyro in calibration.gyros),

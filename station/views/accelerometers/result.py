@@ -90,8 +90,11 @@ def force_object(one: ForceCalibration) -> dict[str, Any]:
 
 
 def _effect_object(effect: ForceEffectValues, one: ForceCalibration) -> dict[str, Any]:
-    """Return an effect of the model: its unit, and by accelerometer each parameter with its sigma."""
-    found: dict[str, Any] = {"unit": effect.unit}
+    """Return an effect of the model: its unit, what a unit of each parameter adds to the output, and about which
+    temperature or instant; by accelerometer each parameter with its sigma.
+    """
+    adds = dict(zip(effect.parameters, BY_NAME[effect.name].adds, strict=True))
+    found: dict[str, Any] = {"unit": effect.unit, "adds": adds, "about": effect.about}
     for accelerometer, values, sds in zip(one.accelerometers, effect.values, effect.sd, strict=True):
         pairs = zip(effect.parameters, values.tolist(), sds.tolist(), strict=True)
         found[accelerometer.name] = {name: {"value": value, "sd": sd} for name, value, sd in pairs}
@@ -102,13 +105,16 @@ def effect_rows(one: ForceCalibration) -> list[EffectRow]:
     """Return a row for each parameter of each effect of the model, in the units that people read."""
     rows = []
     for effect in one.effects:
-        rows += rows_of_effect(BY_NAME[effect.name], effect.values, effect.sd)
+        rows += rows_of_effect(BY_NAME[effect.name], effect.values, effect.sd, effect.about)
     return rows
 
 
-def rows_of_effect(effect: ForceEffect, values: Floats, sds: Floats) -> list[EffectRow]:
-    """Return a row for each parameter of an effect, of values (a, p) and standard deviations (a, p) in SI."""
-    name = effect.name.replace("_", " ")
+def rows_of_effect(effect: ForceEffect, values: Floats, sds: Floats, about: str = "") -> list[EffectRow]:
+    """Return a row for each parameter of an effect, of values (a, p) and standard deviations (a, p) in SI.
+
+    ``about`` says at which temperature or instant the effect is zero.
+    """
+    name = effect.name.replace("_", " ") + (f" ({about})" if about else "")
     rows = []
     for number, parameter in enumerate(effect.parameters):
         own = sds[:, number].tolist()
