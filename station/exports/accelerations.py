@@ -8,6 +8,7 @@ import numpy as np
 
 from drivers.types import Floats
 from estimator.calibration.accelerometer import AccelerometerCalibration, ForceCalibration
+from estimator.estimation.accelerometers.force_effects import BY_NAME
 from estimator.geometry.array import TOLERANCE, SensorArray
 from estimator.geometry.model import predicted_output
 from station.errors import UsageError, sentence
@@ -18,6 +19,7 @@ class Part(Enum):
     """What a calibration of accelerometers has beside the constants that correct a sample."""
 
     DELAY = auto()
+    EFFECTS = auto()
     LEVER_ARM = auto()
     SIGMAS = auto()
 
@@ -28,7 +30,8 @@ class ForceCorrection:
 
     ``f = solution (y + bias_mps2)``, where ``solution`` (3, a) is the inverse of ``sensitivity`` (a, 3): outputs per
     specific force along body x, y, z, by least squares for more than three accelerometers. ``p`` (a, 3) are the
-    nominal sense axes. Samples stamped t show the force at t less ``delay_s``.
+    nominal sense axes. Samples stamped t show the force at t less ``delay_s``. ``effects`` (a, e) are the parameters of
+    those effects of the model that depend on the specific force alone, ``adds`` (e) what each adds to an output.
     """
 
     calibration: ForceCalibration
@@ -36,6 +39,13 @@ class ForceCorrection:
     sensitivity: Floats
     bias_mps2: Floats
     solution: Floats
+    effects: Floats
+    adds: tuple[str, ...]
+
+    @property
+    def axes(self) -> Floats:
+        """The nominal sense and tilt axes p, j, k of each accelerometer (a, 3, 3)."""
+        return np.array([[one.p, one.j, one.k_axis] for one in self.accelerometers])
 
     @property
     def accelerometers(self) -> tuple[AccelerometerCalibration, ...]:
@@ -137,12 +147,15 @@ def _why_refused(calibration: ForceCalibration, form: str, triad: bool) -> str:
 def _correction(calibration: ForceCalibration) -> ForceCorrection:
     """Return the constants of accelerometers that span space."""
     sensitivity = sensitivity_of(calibration.accelerometers)
+    of_force = [effect for effect in calibration.effects if BY_NAME[effect.name].of_force]
     return ForceCorrection(
         calibration=calibration,
         p=np.array([one.p for one in calibration.accelerometers]),
         sensitivity=sensitivity,
         bias_mps2=np.array([one.states[1] for one in calibration.accelerometers]),
         solution=np.asarray(np.linalg.pinv(sensitivity)),
+        effects=np.hstack([np.empty((len(sensitivity), 0)), *(effect.values for effect in of_force)]),
+        adds=tuple(text for effect in of_force for text in BY_NAME[effect.name].adds),
     )
 
 
@@ -153,9 +166,13 @@ def _lacking(exported: Exported, correction: ForceCorrection, parts: Collection[
     if Part.LEVER_ARM not in parts:
         arm = ", ".join(f"{value:.6g}" for value in correction.calibration.arm_m)
         yield sentence("export.lever_arm", arm=arm)
-    if correction.calibration.effects:
-        names = ", ".join(effect.name.replace("_", " ") for effect in correction.calibration.effects)
-        yield sentence("export.force_effects", names=names)
+    lacking = [
+        effect.name.replace("_", " ")
+        for effect in correction.calibration.effects
+        if Part.EFFECTS not in parts or not BY_NAME[effect.name].of_force
+    ]
+    if lacking:
+        yield sentence("export.force_effects", names=", ".join(lacking))
     if Part.SIGMAS not in parts:
         yield sentence("export.force_sigmas")
     mean_c = exported.seen.temperature_c[1]

@@ -29,7 +29,7 @@ from test_export import (
     record,
 )
 
-from estimator.calibration.accelerometer import AccelerometerCalibration, ForceCalibration
+from estimator.calibration.accelerometer import AccelerometerCalibration, ForceCalibration, ForceEffectValues
 from estimator.calibration.calibration_file import read_calibration, write_calibration
 from estimator.calibration.correction import compensate
 from estimator.geometry.array import SensorArray, sensor_array, tetrahedron, triad
@@ -54,6 +54,16 @@ MOUNTINGS: dict[str, SensorArray] = {
 
 NEED_FORCES = ("vectornav-25", "imu_tk-acc", "imucal")
 """Forms that cannot do without accelerometers."""
+
+OF_FORCE: dict[str, tuple[str, int, Callable[..., Any]]] = {
+    "asymmetry": ("1", 1, lambda a, aj, ak, c: c[0] * np.abs(a) / 2),
+    "second_order": ("1/g", 1, lambda a, aj, ak, c: c[0] * a**2 / 9.80665),
+    "third_order": ("1/g2", 1, lambda a, aj, ak, c: c[0] * a**3 / 9.80665**2),
+    "cross_j": ("1/g", 1, lambda a, aj, ak, c: c[0] * a * aj / 9.80665),
+    "cross_k": ("1/g", 1, lambda a, aj, ak, c: c[0] * a * ak / 9.80665),
+    "cross_axis_square": ("1/g", 2, lambda a, aj, ak, c: (c[0] * aj**2 + c[1] * ak**2) / 9.80665),
+}
+"""Effects of the specific force: unit, number of parameters, what they add to the output (IEEE 1293)."""
 
 RecordForces = Callable[..., Path]
 __all__ = ["record"]  # the fixture
@@ -123,6 +133,40 @@ def _forces(
     )
 
 
+@pytest.fixture
+def record_effects(record_forces: RecordForces) -> RecordForces:
+    """Write such a recording in which accelerometers also have effects of the specific force, and one of the warmth."""
+
+    def made(array: SensorArray) -> Path:
+        path = record_forces(array)
+        found = read_calibration(path)
+        random = np.random.default_rng(5)
+        effects = [
+            ForceEffectValues(
+                name=name,
+                unit=unit,
+                parameters=("coefficient",) if count == 1 else ("along j", "along k"),
+                values=random.normal(0, 1e-3, (len(array), count)),
+                sd=np.full((len(array), count), 1e-5),
+            )
+            for name, (unit, count, _) in OF_FORCE.items()
+        ]
+        one = np.full((len(array), 1), 1e-4)
+        warmth = ForceEffectValues(
+            name="scale_over_temperature",
+            unit="1/K",
+            parameters=("coefficient",),
+            values=one,
+            sd=one,
+            about="T0 = 30 degC",
+        )
+        forces = tuple(replace(one, effects=(*effects, warmth)) for one in found.forces)
+        write_calibration(path, replace(found, forces=forces))
+        return path
+
+    return made
+
+
 def felt(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Return specific forces (n, 3) and the outputs (n, a) that the accelerometers of a recording make of them."""
     force = np.random.default_rng(3).normal(0, 10, (200, 3))
@@ -132,6 +176,11 @@ def felt(path: Path) -> tuple[np.ndarray, np.ndarray]:
         k, b, sigma_j, sigma_k = one.states
         axis = one.p - sigma_k * one.j + sigma_j * one.k_axis
         columns.append((1 - k) * (force @ axis) - b)
+    for effect in calibration.effects:
+        if effect.name in OF_FORCE:
+            for column, one, values in zip(columns, calibration.accelerometers, effect.values, strict=True):
+                along = (force @ axis for axis in (one.p, one.j, one.k_axis))
+                column += OF_FORCE[effect.name][2](*along, values)
     return force, np.column_stack(columns)
 
 
@@ -249,6 +298,55 @@ def test_the_c_header_gives_the_force(
     failed, found = by_c(path, form, outputs)
     assert failed == 0
     assert_same(found, force)
+
+
+@pytest.mark.parametrize("array", [MOUNTINGS["turned"], tetrahedron()], ids=["turned", "four"])
+def test_the_python_module_corrects_effects_of_the_force_and_says_what_it_leaves(
+    record_effects: RecordForces, array: SensorArray
+) -> None:
+    path = record_effects(array)
+    text = export(path, "python").read_text(encoding="utf-8")
+    module: dict[str, Any] = {}
+    exec(text, module)
+    force, outputs = felt(path)
+    assert_same(np.array([module["correct_force"](row) for row in outputs.tolist()]), force)
+    (line,) = [line for line in text.splitlines() if "effects of the accelerometers" in line]
+    assert "scale over temperature" in line
+    assert "asymmetry" not in line
+
+
+@needs_cc
+@pytest.mark.parametrize("form", ["c", "c-float"])
+def test_the_c_header_corrects_effects_of_the_force(record_effects: RecordForces, form: str) -> None:
+    path = record_effects(MOUNTINGS["turned"])
+    force, outputs = felt(path)
+    failed, found = by_c(path, form, outputs)
+    assert failed == 0
+    assert_same(found, force)
+
+
+def test_json_says_what_each_effect_of_the_accelerometers_adds(record_effects: RecordForces) -> None:
+    path = record_effects(MOUNTINGS["turned"])
+    held = json.loads(export(path, "json").read_text(encoding="utf-8"))
+    assert "effects" in held["force_formula"]
+    (found,) = held["accelerometers"]
+    force, outputs = felt(path)
+    for place, told in enumerate(found["accelerometers"]):
+        axes = {"a": told["p"], "aj": told["j"], "ak": told["k_axis"]}
+        known = {name: force @ axis for name, axis in axes.items()} | {
+            "g": 9.80665,
+            "fabs": np.abs,
+            "T": 30.0,
+            "T0": 30.0,
+        }
+        added = sum(
+            effect[told["name"]][parameter]["value"] * eval(adds, dict(known))
+            for effect in found["effects"].values()
+            for parameter, adds in effect["adds"].items()
+        )
+        linear = force @ np.array(found["sensitivity_s"][place]) - found["bias_b_mps2"][place]
+        np.testing.assert_allclose(linear + added, outputs[:, place], atol=1e-12)
+    assert found["effects"]["scale_over_temperature"]["about"] == "T0 = 30 degC"
 
 
 @needs_cc

@@ -4,6 +4,7 @@ The model equation of IEEE 1293 without what a rate table cannot excite. Columns
 is the specific force along the sense axis, a_j and a_k that along the tilt axes, w the body rate.
 """
 
+import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -18,6 +19,8 @@ from estimator.types import Floats
 
 _G = GRAVITY_MPS2
 Columns = Callable[[Conditions, Axes], Floats]
+_NAMES = re.compile(r"[A-Za-z]\w*")
+_OF_FORCE = {"a", "aj", "ak", "g", "fabs"}
 
 
 @dataclass(kw_only=True, frozen=True, slots=True)
@@ -25,11 +28,13 @@ class ForceEffect:
     """An effect of single accelerometers.
 
     ``parameters`` are their names; each has the ``unit`` and the ``largest`` plausible size. ``columns`` returns the
-    regressors (N, parameters) of one accelerometer, ``adds`` writes them in words: what a unit of each parameter adds
-    to the output. ``needs`` names data beyond the motion: "temperature". With ``over_time`` it
-    goes with the time since the middle of the run. ``named`` is
-    False for functions that stand for effects nobody has named. ``shown`` is the factor to the unit for people,
-    ``shown_unit``.
+    regressors (N, parameters) of one accelerometer. ``adds`` writes them as expressions of C and Python: what a unit of
+    each parameter adds to the output, with a, aj and ak the specific force along p, j and k, g standard gravity, wx, wy
+    and wz the body rate, T the temperature, t the time, T0 and t0 where the effect is zero.
+
+    ``needs`` names data beyond the motion: "temperature". With ``over_time`` the effect goes with the time since the
+    middle of the run. ``named`` is False for functions that stand for effects nobody has named. ``shown`` is the factor
+    to the unit for people, ``shown_unit``.
     """
 
     name: str
@@ -45,6 +50,11 @@ class ForceEffect:
     shown: float = 1.0
     shown_unit: str = ""
     shown_by: str = ""
+
+    @property
+    def of_force(self) -> bool:
+        """Whether it is a function of the specific force alone."""
+        return all(set(_NAMES.findall(text)) <= _OF_FORCE for text in self.adds)
 
     def about(self, conditions: Conditions) -> str:
         """Return at which temperature or instant of a run the effect is zero; "" if it depends on neither."""
@@ -149,7 +159,7 @@ EFFECTS: tuple[ForceEffect, ...] = (
         unit="1",
         largest=5e-3,
         columns=_of_force(lambda a, a_j, a_k: 0.5 * np.abs(a)),
-        adds=("|a| / 2",),
+        adds=("0.5 * fabs(a)",),
         shown=_PER_MILLION,
         shown_unit="ppm",
         shown_by="poses at 0, +1 and -1 g",
@@ -160,7 +170,7 @@ EFFECTS: tuple[ForceEffect, ...] = (
         unit="1/g",
         largest=2e-3,
         columns=_of_force(lambda a, a_j, a_k: a**2 / _G),
-        adds=("a^2 / g",),
+        adds=("a * a / g",),
         shown=_PER_MILLION,
         shown_unit="ug/g2",
         shown_by="poses at 0, +-1 g and between",
@@ -171,7 +181,7 @@ EFFECTS: tuple[ForceEffect, ...] = (
         unit="1/g2",
         largest=2e-3,
         columns=_of_force(lambda a, a_j, a_k: a**3 / _G**2),
-        adds=("a^3 / g^2",),
+        adds=("a * a * a / (g * g)",),
         shown=_PER_MILLION,
         shown_unit="ug/g3",
         shown_by="poses at 0, +-1 g and between: in poses of 0 and 1 g it is the scale factor",
@@ -182,7 +192,7 @@ EFFECTS: tuple[ForceEffect, ...] = (
         unit="1/g",
         largest=2e-3,
         columns=_of_force(lambda a, a_j, a_k: a * a_j / _G),
-        adds=("a aj / g",),
+        adds=("a * aj / g",),
         shown=_PER_MILLION,
         shown_unit="ug/g2",
         shown_by="poses between the axes",
@@ -193,7 +203,7 @@ EFFECTS: tuple[ForceEffect, ...] = (
         unit="1/g",
         largest=2e-3,
         columns=_of_force(lambda a, a_j, a_k: a * a_k / _G),
-        adds=("a ak / g",),
+        adds=("a * ak / g",),
         shown=_PER_MILLION,
         shown_unit="ug/g2",
         shown_by="poses between the axes",
@@ -204,7 +214,7 @@ EFFECTS: tuple[ForceEffect, ...] = (
         unit="1/g",
         largest=2e-3,
         columns=lambda conditions, axes: np.column_stack([a**2 / _G for a in _along(conditions, axes)[1:]]),
-        adds=("aj^2 / g", "ak^2 / g"),
+        adds=("aj * aj / g", "ak * ak / g"),
         parameters=("along j", "along k"),
         shown=_PER_MILLION,
         shown_unit="ug/g2",
@@ -216,7 +226,7 @@ EFFECTS: tuple[ForceEffect, ...] = (
         unit="(m/s2)/(rad/s)2",
         largest=5e-3,
         columns=_rectified,
-        adds=("|w|^2",),
+        adds=("wx * wx + wy * wy + wz * wz",),
         shown=_MICRO_G,
         shown_unit="ug/(rad/s)2",
         shown_by="turns at two rates about two axes",
@@ -239,7 +249,7 @@ EFFECTS: tuple[ForceEffect, ...] = (
         unit="1/K",
         largest=5e-4,
         columns=_thermal_scale,
-        adds=("-(T - T0) a",),
+        adds=("-(T - T0) * a",),
         needs="temperature",
         shown=_PER_MILLION,
         shown_unit="ppm/degC",

@@ -28,6 +28,7 @@ _DOUBLE = re.compile(
 )
 """What C writes otherwise for floats; comments and strings, in which everything stays."""
 _GIVEN = {"warmth": ", double warmth", "time_s": ", double time_s", "accel": ", const double accel[3]"}
+_FORCE_ITERATIONS = 8  # each leaves a few thousandths, the size of the effects, of what was wrong before
 _MATH = ("cos", "exp", "expm1", "fabs", "isfinite", "isnan", "log1p", "nan", "sin", "sqrt", "tanh")
 
 
@@ -124,7 +125,7 @@ def _single(found: re.Match[str]) -> str:
 
 def _held_forces(exported: Exported) -> HeldForces:
     """Return what source code holds of the accelerometers."""
-    return held_forces(exported, triad=False, parts={Part.LEVER_ARM})
+    return held_forces(exported, triad=False, parts={Part.EFFECTS, Part.LEVER_ARM})
 
 
 def _names_of(force: ForceCorrection | None) -> str:
@@ -284,6 +285,8 @@ def _function_text(
         "gyros": len(exported.gyros),
         "delay_s": number(exported.compensation.delay_s),
         "iterations": MOST_ITERATIONS,
+        "force_iterations": _FORCE_ITERATIONS,
+        "gravity_mps2": number(GRAVITY_MPS2),
         "tolerance": number(TOLERANCE_RPS),
         "reference_c": number(REFERENCE_C),
         "slope_s": number(SLOPE_S),
