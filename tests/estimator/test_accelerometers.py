@@ -72,6 +72,7 @@ def test_states_and_places_are_found_within_their_sigmas() -> None:
         assert np.all(np.abs(one.place_m - place) < SURE * one.place_sd_m), one.name
         assert np.all(one.place_sd_m < 5e-4)
         assert one.sd[1] < 5e-5 * GRAVITY_MPS2
+        assert one.noise_mps2 == pytest.approx(60e-6 * GRAVITY_MPS2 * np.sqrt(50), rel=0.05)
         assert np.all(one.sd[2:] < 5e-5)
     assert np.all(np.abs(found.arm_m - truth.places_m.mean(axis=0)) < SURE * found.arm_sd_m)
 

@@ -39,6 +39,7 @@ from estimator.types import Floats
 _MOST_STEPS = 8
 _SETTLED = 0.01  # of a standard deviation
 _SETTLED_ARM_M, _SETTLED_DELAY_S = 1e-7, 1e-8
+_FEWEST_STEPS = 100
 _LINES = (LEVEL, ORTHOGONALITY, GRAVITY)
 
 
@@ -86,7 +87,7 @@ def estimate_forces(
                 k_axis=samples.array.k[number],
                 states=states,
                 covariance=covariance,
-                noise_mps2=_sample_noise(joint, samples, number),
+                noise_mps2=_sample_noise(settled, samples, number),
                 place_m=settled.arm_m + place,
                 place_covariance_m2=place_covariance,
                 budget=_budget(joint, number, rounded[own, own]),
@@ -270,7 +271,19 @@ def _covariance(joint: Joint, rounded: Floats) -> Floats:
     return np.asarray(jacobian @ (np.block(rows) + rounded) @ jacobian.T)
 
 
-def _sample_noise(joint: Joint, samples: ForceSamples, accelerometer: int) -> float:
-    """Return the noise of one sample, from the white noise that was found."""
-    period_s = float(np.median(np.diff(samples.t_ns))) * 1e-9
-    return float(joint.white[accelerometer] / np.sqrt(period_s))
+def _sample_noise(settled: Settled, samples: ForceSamples, accelerometer: int) -> float:
+    """Return the noise of one sample in m/s2, from neighbours at rest; from the white noise that was found if none are.
+
+    While the table turns, its own errors are in the outputs.
+    """
+    output, t_ns = samples.output_mps2[:, accelerometer], samples.t_ns
+    table = settled.run.recording.table
+    steps = []
+    for first_ns, last_ns in table.rests_ns if table is not None else []:
+        own = output[(t_ns >= first_ns) & (t_ns <= last_ns)]
+        steps.append(np.diff(own[np.isfinite(own)]))
+    found = np.concatenate([np.empty(0), *steps])
+    if len(found) >= _FEWEST_STEPS:
+        return float(np.sqrt(np.mean(found**2) / 2))
+    period_s = float(np.median(np.diff(t_ns))) * 1e-9
+    return float(settled.joint.white[accelerometer] / np.sqrt(period_s))
