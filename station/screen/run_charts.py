@@ -127,11 +127,12 @@ def _temperature(run: LiveRun, sensor: Sensor) -> Drawing:
 
 
 def _state(index: int, run: LiveRun, sensor: Sensor) -> Drawing:
-    """Return the live estimate of a state; limits are those of gyros."""
+    """Return the live estimate of a state."""
     limits = run.limits
     trend = run.trends.get(sensor.full_name) or Trend()
     if not isinstance(sensor, GyroSnapshot):
-        drawing = state_drawing(index, trend, StateLimit(), figures=LIVE_FORCE_FIGURES)
+        limit = StateLimit(limits.force_sizes[index], limits.force_written[index])
+        drawing = state_drawing(index, trend, limit, figures=LIVE_FORCE_FIGURES)
         return drawing._replace(words=[drawing.words[0], (_name(run, sensor), ""), *drawing.words[1:]])
     limit = StateLimit(limits.sizes[index], limits.written[index])
     return state_drawing(index, trend, limit, figures=limits.figures)

@@ -11,34 +11,50 @@ from station.views.figures import STATE_FIGURES, StateUnit, figures_from
 
 _STATES = ("k", "b_rps", "sigma_rad", "sigma_rad")
 """Keys of the limits of the four states."""
+_FORCE_STATES = ("k", "b_mps2", "sigma_rad", "sigma_rad")
+"""Keys of the limits of the four states of accelerometers."""
 _UNLIMITED: tuple[float, ...] = (math.inf,) * len(_STATES)
+_UNWRITTEN: tuple[str, ...] = ("",) * len(_STATES)
 
 
 @dataclass(kw_only=True, frozen=True, slots=True)
 class SentLimits:
     """The limits of a session's bench: sizes of the four states in SI, infinite where there is none.
 
-    ``written`` are the sizes as in the bench file, empty where not known. ``nis`` are the limits of the mean NIS that
-    there are, ``figures`` the states in the units of the bench.
+    ``written`` are the sizes as in the bench file, empty where not known. ``force_sizes`` and ``force_written`` are
+    those of accelerometers. ``nis`` are the limits of the mean NIS that there are, ``figures`` the states in the units
+    of the bench.
     """
 
     sizes: tuple[float, ...] = _UNLIMITED
-    written: tuple[str, ...] = ("",) * len(_STATES)
+    written: tuple[str, ...] = _UNWRITTEN
+    force_sizes: tuple[float, ...] = _UNLIMITED
+    force_written: tuple[str, ...] = _UNWRITTEN
     nis: tuple[float, ...] = ()
     figures: tuple[StateUnit, ...] = STATE_FIGURES
 
     @classmethod
     def read(cls, data: Mapping[str, Any]) -> Self:
         """Return the limits in an object of JSON; a session of another version may lack how they were written."""
-        sizes = [data.get(key) for key in _STATES]
-        written = data.get("written")
-        texts: Mapping[str, Any] = written if isinstance(written, Mapping) else {}
+        forces = data.get("forces")
+        sizes, written = _sizes(data, _STATES)
+        force_sizes, force_written = _sizes(forces if isinstance(forces, Mapping) else {}, _FORCE_STATES)
         return cls(
-            sizes=tuple(math.inf if size is None else float(size) for size in sizes),
-            written=tuple(str(texts.get(key, "")) for key in _STATES),
+            sizes=sizes,
+            written=written,
+            force_sizes=force_sizes,
+            force_written=force_written,
             nis=tuple(float(data[key]) for key in ("nis_low", "nis_high") if data.get(key)),
             figures=figures_from(data.get("units")),
         )
+
+
+def _sizes(data: Mapping[str, Any], keys: tuple[str, ...]) -> tuple[tuple[float, ...], tuple[str, ...]]:
+    """Return the limits of the states with these keys, infinite for none, and how they were written, "" if unknown."""
+    sizes = tuple(math.inf if data.get(key) is None else float(data[key]) for key in keys)
+    written = data.get("written")
+    texts: Mapping[str, Any] = written if isinstance(written, Mapping) else {}
+    return sizes, tuple(str(texts.get(key, "")) for key in keys)
 
 
 @dataclass(kw_only=True, frozen=True, slots=True)

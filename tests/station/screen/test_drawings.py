@@ -11,10 +11,14 @@ from typing import Any
 import pytest
 from streams import STREAMS
 
+from station.bench.bench import read_bench
+from station.remote.hosting import introduction
 from station.run.snapshot import SeriesSnapshot
 from station.screen.drawings import STATE_CHARTS
 from station.screen.run_charts import run_drawing, series_charts
+from station.screen.sessions.greeting import SentLimits
 from station.screen.sessions.live_run import LiveRun
+from station.scripts.script import load_script
 
 
 def watched(name: str, until_s: float) -> LiveRun:
@@ -76,3 +80,18 @@ def test_each_column_that_a_device_appends_is_a_chart_from_when_it_came() -> Non
     assert list(temperature.curves[0].values) == [20.0 + count for count in range(len(run.seen))]
     assert math.isnan(voltage.curves[0].values[0])
     assert set(voltage.curves[0].values[1:]) == {5.0}
+
+
+def test_limits_of_accelerometers_come_with_the_greeting_of_a_session() -> None:
+    text = (Path(__file__).parents[2] / "data" / "benches" / "full_imu.toml").read_text(encoding="utf-8")
+    limited = text.replace("[undeclared]", '[limits.accelerometers]\nbias = "20 mg"\n\n[undeclared]')
+    script = load_script(Path("full-imu"))
+
+    def sent(bench: str) -> SentLimits:
+        said = introduction(read_bench(bench, "bench"), None, script, Path("run.h5"), ())
+        return SentLimits.read(json.loads(json.dumps(said["limits"])))
+
+    assert sent(limited).force_sizes == pytest.approx((math.inf, 20e-3 * 9.80665, math.inf, math.inf))
+    assert sent(limited).force_written == ("", "20 mg", "", "")
+    assert sent(limited).sizes == sent(text).sizes
+    assert set(sent(text).force_sizes) == {math.inf}
