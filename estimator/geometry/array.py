@@ -32,6 +32,10 @@ class SensorArray:
         index = list(rows)
         return SensorArray(tuple(self.names[i] for i in index), self.p[index], self.j[index], self.k[index])
 
+    def turned(self, axes: Floats) -> "SensorArray":
+        """Return the array in another frame, in which its own frame has the axes x, y, z in the rows of ``axes``."""
+        return SensorArray(self.names, self.p @ axes, self.j @ axes, self.k @ axes)
+
 
 def sensor_array(
     p: ArrayLike,
@@ -107,11 +111,27 @@ def accelerometer_names(count: int) -> tuple[str, ...]:
     return tuple(f"accel {axis}" for axis in (AXES if count == 3 else range(1, count + 1)))
 
 
-def accelerometer_axes(array: SensorArray) -> Floats:
-    """Return the nominal axes (3, 3) of a device's accelerometers: those of its gyros if it has three, else the
-    body's.
+def accelerometer_axes(array: SensorArray, mounting: Floats | None = None) -> Floats:
+    """Return the nominal axes (3, 3) of a device's accelerometers: those of its gyros if it has three, else its own.
+
+    ``mounting`` has the device's own axes x, y, z in its rows; None: they are the body's.
     """
-    return array.p if array.p.shape == (3, 3) else np.eye(3)
+    if array.p.shape == (3, 3):
+        return array.p
+    return np.eye(3) if mounting is None else mounting
+
+
+def accelerometer_array(axes: Floats, gyros: SensorArray) -> SensorArray:
+    """Return the accelerometers of a device with nominal sense ``axes`` (n, 3).
+
+    Those that lie along its first gyros have the tilt axes of these, which turn with the device when it is mounted
+    otherwise. Others get derived ones.
+    """
+    names = accelerometer_names(len(axes))
+    first = gyros.p[: len(axes)]
+    if first.shape == axes.shape and np.abs(first - axes).max(initial=0.0) < TOLERANCE:
+        return SensorArray(names, first, gyros.j[: len(axes)], gyros.k[: len(axes)])
+    return sensor_array(axes, names=names, part_of_array=True)
 
 
 def _cone_axes(n: int, half_angle_rad: float) -> Floats:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.errors import MISSHAPEN, GeometryError, RecordingError, first_line
-from estimator.geometry.array import SensorArray, sensor_array
+from estimator.geometry.array import TOLERANCE, SensorArray, sensor_array
 from estimator.geometry.kinematics import Site, check_gimbals
 from estimator.geometry.model import ForcePrior, Prior
 from estimator.geometry.noise import NoiseModel
@@ -25,6 +25,7 @@ from estimator.recordings.recording import (
     ForceSheet,
     ImuData,
     KeptInnovations,
+    Mounting,
     Recording,
     Series,
     possible,
@@ -211,8 +212,22 @@ def _read_source(path: Path, name: str, group: Any) -> ImuData:
         rate_hz=rate_hz if 0 < rate_hz < math.inf else None,
         accel_axes=accel_axes,
         accel_sheet=_read_sheet(where, group),
+        mounting=_read_mounting(where, group),
         **cast(Any, columns),
     )
+
+
+def _read_mounting(where: str, group: Any) -> Mounting:
+    """Return how the device of a source is mounted, along the table's axes if it is not stated; RecordingError if
+    invalid.
+    """
+    axes = _axes(group, "mounting")
+    sd_rad = float(group.attrs.get("mounting_sd_rad", math.nan))
+    if axes is None:
+        return Mounting(sd_rad=sd_rad)
+    if axes.shape != (3, 3) or np.abs(axes @ axes.T - np.eye(3)).max() > TOLERANCE or np.linalg.det(axes) < 0:
+        raise RecordingError(f"{where}: mounting must have three axes at right angles, right-handed; it is {axes}")
+    return Mounting(axes=axes, sd_rad=sd_rad)
 
 
 def _read_sheet(where: str, group: Any) -> ForceSheet | None:

@@ -1,5 +1,6 @@
 """A recording in memory."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass, field
 from pathlib import Path
@@ -43,6 +44,27 @@ class ForceSheet:
         return {"accel_prior": astuple(self.prior), "accel_noise": astuple(self.noise)}
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Mounting:
+    """How a device is mounted: its own axes x, y, z as the rows of ``axes`` (3, 3), in the body that the table turns.
+
+    ``sd_rad`` is the standard deviation of a further small rotation about each axis, NaN if it is not stated.
+    """
+
+    axes: Floats = field(default_factory=lambda: np.eye(3))
+    sd_rad: float = math.nan
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """The attributes of a source in a file that state it; none of a device along the table's axes."""
+        found: dict[str, Any] = {}
+        if not np.array_equal(self.axes, np.eye(3)):
+            found["mounting"] = self.axes
+        if math.isfinite(self.sd_rad):
+            found["mounting_sd_rad"] = self.sd_rad
+        return found
+
+
 _IMPOSSIBLE_RPS = 1e8  # nor is it the count of a converter of 32 bits that was taken for deg/s
 
 
@@ -62,7 +84,7 @@ class ImuData:
     ``prior`` and ``noise`` are those of the data sheet; ``device`` is the device it belongs to. ``rate_hz`` is the
     nominal rate, None if not stated. ``accel_mps2`` (n, c) are the outputs of its accelerometers, ``accel_axes`` (c, 3)
     their axes in the body, None for the body axes. ``accel_sheet`` is their data sheet; None: they are
-    not calibrated.
+    not calibrated. ``mounting`` says how the device is mounted on the table.
     """
 
     array: SensorArray
@@ -78,6 +100,7 @@ class ImuData:
     rate_hz: float | None = None
     accel_axes: Floats | None = None
     accel_sheet: ForceSheet | None = None
+    mounting: Mounting = field(default_factory=Mounting)
 
     @property
     def specific_force_mps2(self) -> Floats | None:

@@ -334,6 +334,7 @@ def write_recording(path: Path | str, recording: Recording) -> None:
             attributes: dict[str, Any] = {"lost": data.lost} | ({"device": data.device} if data.device else {})
             if data.noise is not None:
                 attributes["noise"] = astuple(data.noise)
+            attributes |= data.mounting.attributes
             writer.add_source(source, data.array, data.prior, attributes)
             if data.accel_axes is not None:
                 writer.add_accelerometers(source, data.accel_axes)

@@ -43,6 +43,21 @@ def mounted(angles_deg: Sequence[tuple[float, float]]) -> Mounting:
     return Mounting(turned[:, :, 2], -turned[:, :, 0], -turned[:, :, 1])
 
 
+def remounted(mounting: Mounting, along: Floats, error_rad: Sequence[float]) -> Mounting:
+    """Return the axes of gyros of a device that was turned: its axes x, y, z now point along the rows of ``along``.
+
+    It is off by small turns ``error_rad`` about its own x, y and z, one after the other.
+    """
+    frame = np.asarray(along, dtype=np.float64).T
+    for axis, angle in enumerate(error_rad):
+        others = [(axis + 1) % 3, (axis + 2) % 3]
+        turn = np.eye(3)
+        turn[np.ix_(others, others)] = [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]
+        frame = frame @ turn
+    p, j, k = (axes @ frame.T for axes in (mounting.p, mounting.j, mounting.k))
+    return Mounting(p, j, k)
+
+
 def along(p: Sequence[Sequence[float]]) -> Mounting:
     """Return the mounting of gyros given by their sense axes, unit vectors (n, 3).
 

@@ -1,5 +1,6 @@
 """An [[imu]] section of a bench file: a device under test, its link, its data sheet."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,11 +17,14 @@ from drivers.plugins import Registry
 from drivers.specs import ImuSpec
 from estimator.errors import GeometryError
 from estimator.geometry.array import SensorArray, cone, dodecahedron, sensor_array, tetrahedron, triad
+from estimator.geometry.kinematics import AXES
 from estimator.geometry.model import ForcePrior, Prior
 from estimator.geometry.noise import NoiseModel
-from estimator.recordings.recording import ForceSheet
+from estimator.recordings.recording import ForceSheet, Mounting
+from estimator.types import Floats
 from station.bench.can_mappings import channels_of, load_mapping
 from station.bench.descriptions import load_description
+from station.errors import sentence
 from station.schema.tables import Table, keys_of, known_in
 
 _ARRAYS = {"triad": triad, "tetrahedron": tetrahedron, "dodecahedron": dodecahedron}
@@ -33,7 +37,8 @@ class ImuConfig:
     """A device under test: its link, its array, its data sheet.
 
     ``can`` has the signals where a DBC or a description defines them; ``options`` are the values of the protocol's
-    keys. ``force_sheet`` is the data sheet of its accelerometers, None if they are not calibrated.
+    keys. ``force_sheet`` is the data sheet of its accelerometers, None if they are not calibrated. ``array`` has the
+    axes as the device lies on the table, by ``mounting``.
     """
 
     name: str
@@ -47,7 +52,13 @@ class ImuConfig:
     prior: Prior
     used: bool
     force_sheet: ForceSheet | None = None
+    mounting: Mounting = field(default_factory=Mounting)
     options: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def own_array(self) -> SensorArray:
+        """The array in the axes of the device."""
+        return self.array.turned(self.mounting.axes.T)
 
     @property
     def kind(self) -> DeviceKind:
@@ -94,6 +105,7 @@ def read_imu(table: Table, folder: Path, known: Registry[ImuSpec] = IMUS) -> Imu
     forces = own.pop("accelerometers")
     if name in NOT_NAMES:
         raise table.fail("name", f"{name!r} is reserved on a bench. Use another name")
+    mounting = Mounting(axes=_mounting(table, own.pop("mounting")), sd_rad=own.pop("mounting_sd_rad") or math.nan)
     array_name, array = _array(table, name)
     if spec.gyros not in (None, len(array)):
         raise table.fail("array", f"protocol {spec.name} has {spec.gyros} gyros, but this array has {len(array)}")
@@ -109,7 +121,8 @@ def read_imu(table: Table, folder: Path, known: Registry[ImuSpec] = IMUS) -> Imu
     table.done(also={key.name for section in _VARIANTS for key in keys_of(section)}.intersection(table.remaining()))
     return ImuConfig(
         array_name=array_name,
-        array=array,
+        array=array.turned(mounting.axes),
+        mounting=mounting,
         can=can,
         noise=noise,
         prior=prior,
@@ -117,6 +130,17 @@ def read_imu(table: Table, folder: Path, known: Registry[ImuSpec] = IMUS) -> Imu
         force_sheet=_force_sheet(forces) if forces else None,
         **own,
     )
+
+
+def _mounting(table: Table, along: Sequence[str]) -> Floats:
+    """Return the axes x, y, z of a device as rows (3, 3) in the body that the table turns; the table's error if they
+    are not three at right angles, right-handed.
+    """
+    signs = [-1.0 if name.startswith("-") else 1.0 for name in along]
+    rows = [sign * np.eye(3)[AXES.index(name[-1])] for sign, name in zip(signs, along, strict=True)]
+    if len(rows) != 3 or np.linalg.det(np.array(rows)) < 0.5:
+        raise table.fail("mounting", sentence("bench.mounting", mounting=", ".join(along)))
+    return np.array(rows)
 
 
 def _force_sheet(table: Table) -> ForceSheet:

@@ -34,7 +34,9 @@ def command_plan(arguments: argparse.Namespace) -> int:
     """
     bench = load_bench(Path(arguments.bench) if arguments.bench else None)
     bench = with_links(bench, {}, arguments.device)
-    script = load_script(Path(arguments.script), bench.plugin_files) if arguments.script else paper_script()
+    script = paper_script()
+    if arguments.script:
+        script = load_script(Path(arguments.script), bench.plugin_files, bench.table.gimbals[0])
     if arguments.improve and arguments.early_late:
         raise UsageError("--improve and --early-late each write a script: give one of them")
     if arguments.improve:

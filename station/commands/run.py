@@ -50,7 +50,8 @@ def _run(arguments: argparse.Namespace) -> int:
         if arguments.manual and (arguments.script or arguments.end_early or arguments.model):
             raise UsageError(sentence("run.manual_alone"))
         script = Script("manual", ()) if arguments.manual else paper_script()
-        script = load_script(Path(arguments.script), bench.plugin_files) if arguments.script else script
+        if arguments.script:
+            script = load_script(Path(arguments.script), bench.plugin_files, bench.table.gimbals[0])
         script = check(script, bench.table.limits)
         if arguments.end_early:
             check_early_end(bench)

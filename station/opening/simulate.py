@@ -153,7 +153,7 @@ def simulate_bench(bench: Bench, script: Script, seed: int) -> Recording:
         felt = force_truth_of(truths, imu, bench.site)
         if felt is not None:
             forces[imu.name] = SimulatedForces(truth=felt[0], gravity_mps2=felt[1], sheet=imu.force_sheet)
-    mounts = {imu.name: (mounting_of(imu), truth_of(truths, imu)) for imu in used}
+    mounts = {imu.name: (mounting_of(truths, imu), truth_of(truths, imu)) for imu in used}
     try:
         recording = simulate(
             script,
@@ -171,6 +171,8 @@ def simulate_bench(bench: Bench, script: Script, seed: int) -> Recording:
     if recording.table is not None:
         reference = replace(recording.table, uncertainty=bench.table.uncertainty)
         recording = replace(recording, reference=reference)
+    sources = {imu.name: replace(recording.sources[imu.name], mounting=imu.mounting) for imu in used}
+    recording = replace(recording, sources=sources)
     return replace(recording, attributes={"bench": bench.text, "seed": seed, "script": script.name})
 
 

@@ -25,7 +25,7 @@ from estimator.strict_toml import not_one_of
 from sims.imus.registry import ImuTwinSetup, twin_of
 from sims.physics.accelerometer import Accelerometers, AccelerometerTruth
 from sims.physics.body import Body
-from sims.physics.geometry import MOUNTS_DEG, Mounting, along, mounted
+from sims.physics.geometry import MOUNTS_DEG, Mounting, along, mounted, remounted
 from sims.physics.gyro import GyroArray, GyroTruth
 from sims.physics.hidden import Hidden, HiddenError
 from sims.physics.hidden.table import TableFaults
@@ -83,6 +83,7 @@ class Twins:
         self._wires = self._read_wires(settings["wires"])
         self._faults = read_faults(settings["fault"], truths, bench)
         self._forces = {imu.name: force_truth_of(truths, imu, site) for imu in bench.imus}
+        self._mounts = {imu.name: mounting_of(truths, imu) for imu in bench.imus}
         self._truths = {imu.name: truth_of(truths, imu) for imu in bench.imus}
         truths.done()
         if (fault := self._faults.table) is not None:
@@ -219,7 +220,7 @@ class Twins:
         twin, truth = self.bench.twin, self._truths[imu.name]
         try:
             return GyroArray(
-                mounting=mounting_of(imu),
+                mounting=self._mounts[imu.name],
                 truth=replace(truth, k=truth.k + _APART * number),
                 body=self._body,
                 rate_hz=imu.rate_hz,
@@ -265,7 +266,7 @@ class Twins:
 
     def _up(self, imu: ImuConfig) -> Callable[[Floats], Floats]:
         """Return the direction up along the axes of a device (n, 3), which are those of its first three gyros."""
-        mounting = mounting_of(imu)
+        mounting = self._mounts[imu.name]
         p = mounting.p[:3]
         stated = self._forces[imu.name]
         if stated is not None:
@@ -275,7 +276,7 @@ class Twins:
 
     def _felt(self, imu: ImuConfig, truth: AccelerometerTruth, gravity_mps2: float) -> Callable[[Floats], Floats]:
         """Return the outputs in g (n, 3) of the accelerometers of a device, which lie along its first three gyros."""
-        mounting = mounting_of(imu)
+        mounting = self._mounts[imu.name]
         twin = self.bench.twin
         index = [other.name for other in self.bench.imus].index(imu.name)
         accelerometers = Accelerometers(
@@ -327,6 +328,7 @@ def truth_of(truths: Table, imu: ImuConfig) -> GyroTruth:
     own = table.read_all("bench.truth", each=len(imu.array))
     del own["fault"]  # read by read_faults
     del own["accelerometers"]  # read by force_truth_of
+    del own["mounting_error"]  # read by mounting_of
     own = {key: np.array(value) if isinstance(value, tuple) else value for key, value in own.items()}
     return GyroTruth(**{**own, "arw_rps_rthz": imu.noise.arw if own["arw_rps_rthz"] is None else own["arw_rps_rthz"]})
 
@@ -341,15 +343,22 @@ def force_truth_of(truths: Table, imu: ImuConfig, site: Site | None) -> tuple[Ac
     stated_mps2 = own.pop("gravity_mps2")
     values: dict[str, Any] = {key: np.array(v) if isinstance(v, tuple) else v for key, v in own.items()}
     middle, apart = values.pop("arm_m"), values.pop("apart_m")
-    places = middle + apart[:, None] * mounting_of(imu).p[:3]
+    places = middle + apart[:, None] * mounting_of(truths, imu).p[:3]
     if stated_mps2 is None:
         stated_mps2 = STANDARD_GRAVITY_MPS2 if site is None else site.local_gravity_mps2
     return AccelerometerTruth(places_m=places, **values), stated_mps2
 
 
-def mounting_of(imu: ImuConfig) -> Mounting:
+def mounting_of(truths: Table, imu: ImuConfig) -> Mounting:
+    """Return how the gyros of a device lie on the table: as its bench file states it, with the error of its twin."""
+    own = imu.own_array
     if imu.array_name in MOUNTS_DEG:
-        return mounted(MOUNTS_DEG[imu.array_name])
-    # Explicit axes are those of the bench file, for the twin as for the estimator.
-    explicit = Mounting(imu.array.p, imu.array.j, imu.array.k)
-    return explicit if imu.array_name == "explicit" else along(imu.array.p.tolist())
+        placed = mounted(MOUNTS_DEG[imu.array_name])
+    elif imu.array_name == "explicit":
+        # Explicit axes are those of the bench file, for the twin as for the estimator.
+        placed = Mounting(own.p, own.j, own.k)
+    else:
+        placed = along(own.p.tolist())
+    table = truths.again().table(imu.name, optional=True).table("mounting_error", optional=True)
+    turns_rad = table.read_all("bench.mounting_error")
+    return remounted(placed, imu.mounting.axes, list(turns_rad.values()))

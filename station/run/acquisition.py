@@ -135,7 +135,7 @@ class Acquisition:
             array = config.array.select(gyros)
             about = {"device": config.name, "rate_hz": config.rate_hz, "lost": 0, "noise": astuple(config.noise)}
             sheet = {} if config.force_sheet is None else config.force_sheet.attributes
-            self.writer.add_source(name, array, config.prior, {**about, **sheet})
+            self.writer.add_source(name, array, config.prior, {**about, **sheet, **config.mounting.attributes})
             self._configs[name] = config
             effects = None
             if self._model is not None and self._model.effects:
@@ -247,7 +247,8 @@ class Acquisition:
         columns = {key: values for key in keys if (values := getattr(block, key)) is not None}
         if block.accel_mps2 is not None and name not in self._accelerometers:
             self._accelerometers.add(name)
-            config, axes = self._configs[name], accelerometer_axes(self.live.sources[name].array)
+            config = self._configs[name]
+            axes = accelerometer_axes(self.live.sources[name].array, config.mounting.axes)
             self.writer.add_accelerometers(name, axes)
             if config.force_sheet is not None and block.accel_mps2.shape[1] == len(axes):
                 table = self._bench.table

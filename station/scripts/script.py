@@ -19,8 +19,9 @@ from station.scripts.steps.rotate import Rotate as Rotate
 
 S = TypeVar("S", bound=Step)
 
-SHIPPED = ("full-imu", "full-imu-two-axes")
-"""Scripts that come with the station, by name: of a whole IMU on a table of three or of two axes."""
+ONE_AXIS = "full-imu-one-axis"
+SHIPPED = ("full-imu", "full-imu-two-axes", ONE_AXIS)
+"""Scripts that come with the station, by name: of a whole IMU on a table of three, of two axes, or of one."""
 _DEG = math.pi / 180
 _ROUNDING_RAD = 1e-9
 
@@ -95,8 +96,8 @@ def paper_script() -> Script:
     return Script("paper-360s", (Rest(67.5, "rest before"), *turns, Rest(67.5, "rest after")))
 
 
-def load_script(path: Path, plugins: Iterable[Path] = ()) -> Script:
-    """Return the script of a TOML file, or the shipped one of this name.
+def load_script(path: Path, plugins: Iterable[Path] = (), axis: str = "x") -> Script:
+    """Return the script of a TOML file, or the shipped one of this name; that for one axis is about ``axis``.
 
     ScriptError, with the line where there is one, if it is invalid or has no step.
 
@@ -105,7 +106,10 @@ def load_script(path: Path, plugins: Iterable[Path] = ()) -> Script:
     if path.suffix or path.exists():
         top = Table.load(path, ScriptError, "a script. Give a .toml file")
     elif path.name in SHIPPED:
-        top = Table.parse(packaged_text("station.scripts.shipped", f"{path.name}.toml"), path.name, ScriptError)
+        text = packaged_text("station.scripts.shipped", f"{path.name}.toml")
+        if path.name == ONE_AXIS:
+            text = text.replace('axis = "x"', f'axis = "{axis}"')
+        top = Table.parse(text, path.name, ScriptError)
     else:
         raise ScriptError(f"{path}: there is no such script. Give a .toml file, or one of {', '.join(SHIPPED)}")
     own = top.read_all("script.script")

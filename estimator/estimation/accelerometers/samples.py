@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimator.estimation.accelerometers.force_runs import ForceSamples, force_at_place
-from estimator.geometry.array import SensorArray, accelerometer_names, sensor_array
+from estimator.geometry.array import SensorArray, accelerometer_array, accelerometer_names
 from estimator.geometry.kinematics import AXES, GRAVITY_MPS2
 from estimator.geometry.noise import SD_OF_MEDIAN
 from estimator.observations.defects.limits import limits_of
@@ -58,7 +58,7 @@ def checked(data: ImuData, table: TableReadings) -> Checked:
         )
         return Checked(samples=None, excluded=tuple(Excluded(name, reason) for name in names), notes=())
     axes = np.eye(3) if data.accel_axes is None else data.accel_axes
-    array = sensor_array(axes, names=names, part_of_array=True)
+    array = accelerometer_array(axes, data.array)
     order = np.argsort(data.t_ns, kind="stable")
     t_ns, outputs = data.t_ns[order], data.accel_mps2[order]
     kept, notes = without_odd("accelerometer", np.asarray(t_ns * 1e-9, dtype=np.float64), outputs, names)

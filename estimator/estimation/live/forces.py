@@ -13,7 +13,7 @@ from estimator.estimation.live.covered import covered_blocks
 from estimator.estimation.live.filter import Innovation, compressed_rows
 from estimator.estimation.live.force_problem import About, ForceProblem
 from estimator.estimation.live.usable_rows import UsableRows
-from estimator.geometry.array import SensorArray, accelerometer_names, sensor_array
+from estimator.geometry.array import SensorArray, accelerometer_array
 from estimator.geometry.kinematics import Gravity, gravity_at
 from estimator.geometry.model import decode
 from estimator.observations.timing import TimeOffset
@@ -324,7 +324,7 @@ def force_array(data: ImuData) -> SensorArray:
     """Return the accelerometers of a source: their axes in the body, those of the body if none are stated."""
     assert data.accel_mps2 is not None
     axes = np.eye(3) if data.accel_axes is None else data.accel_axes
-    return sensor_array(axes, names=accelerometer_names(data.accel_mps2.shape[1]), part_of_array=True)
+    return accelerometer_array(axes, data.array)
 
 
 def white_forces(recording: Recording, source: str, live: LiveForces) -> ForceState:

@@ -70,7 +70,9 @@ def _read(bench_path: str, script_path: str, device_options: tuple[str, ...]) ->
         limits=bench.limits,
     )
     try:
-        script = load_script(Path(script_path), bench.plugin_files) if script_path else paper_script()
+        script = paper_script()
+        if script_path:
+            script = load_script(Path(script_path), bench.plugin_files, bench.table.gimbals[0])
         script = check(script, bench.table.limits)
     except ScriptError as error:
         return replace(found, script_wrong=str(error))

@@ -1,0 +1,95 @@
+"""Devices that are mounted otherwise on the table: what the bench file says, the twin feels, and a recording holds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from estimator.recordings.reading import read_recording
+from estimator.recordings.writing import write_recording
+from station.bench.bench import Bench, read_bench
+from station.cli import main
+from station.errors import BenchError
+from station.opening.simulate import simulate_bench
+from station.scripts.script import Rest, Script, load_script
+
+BENCH = Path(__file__).parents[1] / "data" / "benches" / "one_axis_imu.toml"
+
+
+def mounted(axes: str, more: str = "") -> Bench:
+    """Return the bench with its device mounted along ``axes``, with ``more`` in place of its mounting error."""
+    text = BENCH.read_text(encoding="utf-8").replace('["x", "y", "z"]', axes)
+    return read_bench(text.replace('{ x = "0 mrad", y = "0 mrad", z = "0 mrad" }', more or "{}"), "bench")
+
+
+@pytest.mark.parametrize(
+    ("axes", "up"), [('["y", "z", "x"]', 1), ('["z", "x", "y"]', 0), ('["x", "-y", "-z"]', 2), ('["x", "y", "z"]', 2)]
+)
+def test_gravity_is_felt_by_the_axis_that_points_up(axes: str, up: int) -> None:
+    bench = mounted(axes)
+    felt = simulate_bench(bench, Script("rest", (Rest(4.0, "rest"),)), 1).sources["mti"].accel_mps2
+    assert felt is not None
+    sign = -1.0 if f'"-{"xyz"[up]}"' in axes else 1.0
+    assert felt.mean(axis=0) == pytest.approx(9.8 * sign * np.eye(3)[up], abs=0.15)
+
+
+def test_a_mounting_error_turns_the_device_about_its_own_axes() -> None:
+    """Turned by 20 mrad about its x axis, the device has gravity along its y axis, too: g sin(20 mrad)."""
+    scripts = Script("rest", (Rest(4.0, "rest"),))
+    straight, turned = (
+        simulate_bench(mounted('["x", "y", "z"]', error), scripts, 1).sources["mti"].accel_mps2
+        for error in ("", '{ x = "20 mrad" }')
+    )
+    assert straight is not None
+    assert turned is not None
+    assert (turned - straight).mean(axis=0) == pytest.approx([0.0, 9.806 * np.sin(0.02), 0.0], abs=0.01)
+
+
+def test_a_recording_holds_the_mounting(tmp_path: Path) -> None:
+    bench = mounted('["y", "z", "x"]')
+    recording = simulate_bench(bench, Script("rest", (Rest(4.0, "rest"),)), 1)
+    write_recording(tmp_path / "a.h5", recording)
+    data = read_recording(tmp_path / "a.h5").sources["mti"]
+    np.testing.assert_array_equal(data.mounting.axes, [[0, 1, 0], [0, 0, 1], [1, 0, 0]])
+    assert data.mounting.sd_rad == pytest.approx(np.radians(0.2))
+    np.testing.assert_array_equal(data.array.p, data.mounting.axes)
+
+
+def test_a_run_over_the_wires_holds_it_too(tmp_path: Path) -> None:
+    bench, script, path = tmp_path / "bench.toml", tmp_path / "script.toml", tmp_path / "a.h5"
+    bench.write_text(BENCH.read_text(encoding="utf-8").replace('["x", "y", "z"]', '["z", "x", "y"]'))
+    script.write_text('name = "short"\n[[step]]\nkind = "rest"\nduration = "10 s"\n')
+    main(["run", "--bench", str(bench), "--script", str(script), "-o", str(path)])
+    data = read_recording(path).sources["mti"]
+    np.testing.assert_array_equal(data.mounting.axes, [[0, 0, 1], [1, 0, 0], [0, 1, 0]])
+    assert data.accel_mps2 is not None
+    assert data.accel_mps2.mean(axis=0) == pytest.approx([9.8, 0.0, 0.0], abs=0.15)
+
+
+@pytest.mark.parametrize("axes", ['["x", "y"]', '["x", "x", "z"]', '["x", "z", "y"]', '["x", "y", "up"]'])
+def test_a_mounting_that_is_none_is_refused_with_its_line(axes: str) -> None:
+    with pytest.raises(BenchError, match="mounting"):
+        mounted(axes)
+
+
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+def test_the_shipped_script_turns_the_axis_that_the_table_has(axis: str) -> None:
+    script = load_script(Path("full-imu-one-axis"), axis=axis)
+    assert {demand.axis for step in script.steps for demand in step.demands()} == {axis}
+    rates = {np.sign(d.rate_rps) for step in script.steps for d in step.demands()}
+    assert rates == {-1.0, 1.0}
+    assert script.timeline()[-1].start_s < 330
+    last = {turn.to_rad for timed in script.timeline() for _, turn in timed.turns()}
+    assert len(last) > 12
+
+
+def test_a_file_with_a_mounting_that_is_none_is_refused(tmp_path: Path) -> None:
+    recording = simulate_bench(mounted('["x", "y", "z"]'), Script("rest", (Rest(4.0, "rest"),)), 1)
+    data = recording.sources["mti"]
+    bad = replace(data, mounting=replace(data.mounting, axes=np.ones((3, 3))))
+    write_recording(tmp_path / "bad.h5", replace(recording, sources={"mti": bad}))
+    with pytest.raises(Exception, match="mounting must have three axes"):
+        read_recording(tmp_path / "bad.h5")
