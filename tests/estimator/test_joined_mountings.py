@@ -1,0 +1,143 @@
+"""A whole IMU on a table of one axis: three mountings joined to one calibration of 24 states."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from three_mountings import DEVICE, MOUNTING_DEG, ThreeRuns, three_runs
+
+from estimator.errors import RecordingError
+from estimator.estimation.calibrate import calibrate
+from estimator.estimation.mountings.join import JoinedCalibration, join_mountings
+from estimator.recordings.recording import Recording
+
+SURE = 4.0  # sigmas, for 24 values
+
+
+@cache
+def lying() -> ThreeRuns:
+    return three_runs(1, switched_off=True)
+
+
+def joined(runs: ThreeRuns, recordings: list[Recording] | None = None) -> JoinedCalibration:
+    """Return the calibration of some of the recordings of three runs, of all by default."""
+    used = runs.recordings if recordings is None else recordings
+    return join_mountings(used, excluded=[runs.benches[0].excluded] * len(used), innovations=False)
+
+
+@cache
+def of_three() -> JoinedCalibration:
+    return joined(lying())
+
+
+def in_sigmas(found: JoinedCalibration, truth: ThreeRuns) -> np.ndarray:
+    """Return the errors (24,) of all states over their stated standard deviations."""
+    (forces,) = found.calibration.forces
+    pairs = [*zip(found.calibration.gyros, truth.gyros, strict=True)]
+    return np.concatenate(
+        [(g.states - true) / g.sd for g, true in pairs]
+        + [(a.states - true) / a.sd for a, true in zip(forces.accelerometers, truth.accelerometers, strict=True)]
+    )
+
+
+def test_three_mountings_show_all_states_within_their_sigmas() -> None:
+    errors = in_sigmas(of_three(), lying())
+    assert errors.shape == (24,)
+    assert np.abs(errors).max() < SURE
+    gyro_sd = np.array([gyro.sd for gyro in of_three().calibration.gyros])
+    force_sd = np.array([one.sd for one in of_three().calibration.forces[0].accelerometers])
+    assert np.all(gyro_sd[:, 0] < 20e-6)
+    assert np.all(force_sd[:, 0] < 60e-6)
+    assert np.all(gyro_sd[:, 2:] < 30e-6)  # the mountings are good to 3500 urad
+    assert np.all(force_sd[:, 2:] < 30e-6)
+    assert not of_three().calibration.doubts
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("seed", [2, 3, 4])
+def test_devices_differ_and_so_do_their_mountings(seed: int) -> None:
+    runs = three_runs(seed)
+    assert np.abs(in_sigmas(joined(runs), runs)).max() < SURE
+
+
+def test_one_mounting_leaves_states_that_it_cannot_show() -> None:
+    run = lying().recordings[0]
+    prior_rad = run.sources[DEVICE].prior.sigma_rad
+    alone = calibrate(run, excluded=lying().benches[0].excluded, innovations=False)
+    by_name = {gyro.name: gyro.sd for gyro in alone.gyros}
+    assert by_name["x"][0] < 20e-6
+    assert by_name["y"][0] > 0.03  # of 5 % on the data sheet: nothing turns about y
+    assert np.all(by_name["x"][2:] > 0.9 * prior_rad)
+    along = alone.forces[0].accelerometers[0]
+    assert along.sd[0] > 0.9e-2  # gravity never points along the axis of the table
+
+
+def test_biases_that_change_when_the_device_is_remounted_are_in_their_sigmas() -> None:
+    (forces,) = of_three().calibration.forces
+    for one in forces.accelerometers:
+        assert one.sd[1] > 0.1e-3 * 9.80665
+
+
+@pytest.mark.full
+def test_biases_that_stay_are_known_better() -> None:
+    (forces,) = joined(three_runs(1)).calibration.forces
+    for one in forces.accelerometers:
+        assert one.sd[1] < 0.05e-3 * 9.80665
+
+
+def test_gravity_is_one_error_of_all_runs() -> None:
+    """Three runs do not know gravity better than one: it stays 50 ppm."""
+    for one in of_three().calibration.forces[0].accelerometers:
+        lines = {line.name: line.u for line in one.budget}
+        assert lines["gravity"][0] == pytest.approx(50e-6, rel=0.05)
+        assert one.sd[0] > 49e-6
+
+
+def test_the_mounting_errors_are_found_as_they_were() -> None:
+    """All but the turn about the table's own axis, where the zero of the table is not known."""
+    for number, (found, bench) in enumerate(zip(of_three().mountings, lying().benches, strict=True)):
+        across = np.arange(3) != number
+        assert np.all(found.sd_rad[across] < 30e-6)
+        assert np.all(np.abs(found.error_rad) < 4 * np.radians(MOUNTING_DEG))
+        assert bench.imus[0].mounting.sd_rad == pytest.approx(np.radians(MOUNTING_DEG))
+
+
+def test_a_run_of_another_device_is_doubted() -> None:
+    first, second, _ = lying().recordings
+    strange = three_runs(5).recordings[2]
+    (doubt,) = joined(lying(), [first, second, strange]).calibration.doubts
+    assert "contradict each other" in doubt
+
+
+def test_a_mounting_that_was_not_as_stated_is_told_by_gravity() -> None:
+    """The y and z axes of the device are stated the other way round in one run."""
+    first, second, third = lying().recordings
+    data = second.sources[DEVICE]
+    turn = np.diag([1.0, -1.0, -1.0]) @ data.mounting.axes
+    assert data.accel_axes is not None
+    wrong = replace(
+        data,
+        array=data.array.turned(data.mounting.axes.T @ turn),
+        mounting=replace(data.mounting, axes=turn),
+        accel_axes=data.accel_axes @ data.mounting.axes.T @ turn,
+    )
+    found = joined(lying(), [first, replace(second, sources={DEVICE: wrong}), third])
+    told = {one.name: one.reason for one in found.calibration.forces[0].excluded}
+    assert "opposite of its stated axis" in told["accel z"]  # y lies along the axis of the table
+    assert any("contradict each other" in doubt for doubt in found.calibration.doubts)
+
+
+def test_recordings_that_cannot_be_joined_are_refused() -> None:
+    first, second, _ = lying().recordings
+    with pytest.raises(RecordingError, match="nothing to be joined"):
+        joined(lying(), [first])
+    data = second.sources[DEVICE]
+    other = replace(second, sources={DEVICE: replace(data, device="another")})
+    with pytest.raises(RecordingError, match="not of the same device"):
+        joined(lying(), [first, other])
+    cone = replace(second, sources={DEVICE: replace(data, array=first.sources[DEVICE].array)})
+    with pytest.raises(RecordingError, match="other axes"):
+        joined(lying(), [first, cone])
