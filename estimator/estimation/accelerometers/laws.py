@@ -45,12 +45,18 @@ def apart_law(expected: Floats) -> Law:
     return _law(APART, arm_columns, expected, names="xyz", shared=False)
 
 
-def delay_law(expected_s: float, taken_off_s: float) -> Law:
-    """Return the law of the delay of the outputs, of which ``taken_off_s`` was subtracted from the stamps."""
+def delay_law(expected_s: float, taken_off_s: float, arm_m: Floats) -> Law:
+    """Return the law of the delay of the outputs, of which ``taken_off_s`` was subtracted from the stamps.
+
+    ``arm_m`` (3,) is the lever arm, whose centripetal force changes on ramps.
+    """
 
     def columns(conditions: Conditions, axes: Axes) -> Floats:
-        """Return the change of the output per second of delay; gravity is at rest in the base."""
-        return np.asarray(np.cross(conditions.w_rps, conditions.specific_force_mps2) @ axes.p)[:, None]
+        """Return the change of the output per second of delay; gravity is at rest in the base, the arm in the body."""
+        w, wdot = conditions.w_rps, conditions.wdot_rps2
+        gravity = into_body(np.array([0.0, 0.0, GRAVITY_MPS2]), conditions.angle_rad, conditions.gimbals)
+        centripetal_change = np.cross(wdot, np.cross(w, arm_m)) + np.cross(w, np.cross(wdot, arm_m))
+        return np.asarray((np.cross(w, gravity) - centripetal_change) @ axes.p)[:, None]
 
     return _law(DELAY, columns, np.array([expected_s]), mean=np.array([-taken_off_s]), names=("delay",), shared=True)
 
@@ -122,7 +128,7 @@ def laws_beside(
     return [
         arm_law(np.full(3, prior.arm_m), arm_m),
         apart_law(np.full(3, prior.apart_m)),
-        delay_law(delay_sd_s, delay_s),
+        delay_law(delay_sd_s, delay_s, arm_m),
         *laws_of_table(
             gimbals,
             level_rad=level_rad,
