@@ -10,6 +10,7 @@ import pytest
 from three_mountings import DEVICE, MOUNTING_DEG, ThreeRuns, three_runs
 
 from estimator.errors import RecordingError
+from estimator.estimation.accelerometers.calibrate_forces import calibrate_forces
 from estimator.estimation.calibrate import calibrate
 from estimator.estimation.mountings.join import JoinedCalibration, join_mountings
 from estimator.recordings.recording import Recording
@@ -73,6 +74,14 @@ def test_one_mounting_leaves_states_that_it_cannot_show() -> None:
     assert np.all(by_name["x"][2:] > 0.9 * prior_rad)
     along = alone.forces[0].accelerometers[0]
     assert along.sd[0] > 0.9e-2  # gravity never points along the axis of the table
+
+
+def test_a_delay_is_found_where_gravity_does_not_turn() -> None:
+    """About a standing axis only the centripetal force on ramps shows it: hardly, and no more is claimed."""
+    (found,), _ = calibrate_forces(three_runs(1, "z").recordings[0])
+    assert found.offset is not None
+    assert found.offset.sd_s > 1e-3
+    assert abs(found.offset.offset_s - 1.5e-3) < SURE * found.offset.sd_s
 
 
 def test_biases_that_change_when_the_device_is_remounted_are_in_their_sigmas() -> None:

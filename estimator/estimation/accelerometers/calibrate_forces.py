@@ -10,6 +10,7 @@ from estimator.calibration.error_model import KnownForceEffect
 from estimator.errors import RecordingError
 from estimator.estimation.accelerometers.estimate import estimate_forces
 from estimator.estimation.accelerometers.samples import Checked, checked
+from estimator.geometry.model import ForcePrior
 from estimator.observations.health import Excluded
 from estimator.packaged import sentence
 from estimator.recordings.recording import Recording
@@ -48,16 +49,20 @@ def calibrate_forces(
             doubts += [f"{one.name} is not calibrated: {one.reason}" for one in lost]
             found.append(_none(source, data.device, [*seen.excluded, *lost], doubts))
             continue
-        doubts += seen.doubts
-        for one in own.accelerometers:
-            ratio = np.sqrt(np.diag(one.covariance) / seen.samples.prior.variances())
-            unseen = [s.symbol for s, share in zip(ACCELEROMETER.states, ratio, strict=True) if share > _UNSEEN]
-            if unseen:
-                doubts.append(
-                    sentence("estimation.accelerometer_undetermined", name=one.name, states=", ".join(unseen))
-                )
+        doubts += [*seen.doubts, *undetermined(own, seen.samples.prior)]
         found.append(replace(own, excluded=seen.excluded, doubts=tuple(doubts)))
     return tuple(found), notes
+
+
+def undetermined(found: ForceCalibration, prior: ForcePrior) -> list[str]:
+    """Return a sentence for each accelerometer with states whose sigmas are nearly those of the data sheet."""
+    sentences = []
+    for one in found.accelerometers:
+        ratio = np.sqrt(np.diag(one.covariance) / prior.variances())
+        unseen = [s.symbol for s, share in zip(ACCELEROMETER.states, ratio, strict=True) if share > _UNSEEN]
+        if unseen:
+            sentences.append(sentence("estimation.accelerometer_undetermined", name=one.name, states=", ".join(unseen)))
+    return sentences
 
 
 def usable_forces(recording: Recording) -> list[tuple[str, Checked]]:

@@ -1,0 +1,323 @@
+"""From recordings of one device in several mountings to one calibration of its gyros and accelerometers."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimator.calibration.accelerometer import AccelerometerCalibration, ForceCalibration
+from estimator.calibration.budget import Contribution
+from estimator.calibration.gyro import GyroCalibration
+from estimator.calibration.values import Calibration
+from estimator.errors import RecordingError
+from estimator.estimation.accelerometers.calibrate_forces import calibrate_forces, undetermined
+from estimator.estimation.calibrate import calibrate
+from estimator.estimation.mountings.problem import DeviceSensor, JoinedStates, RunStates, join, run_states
+from estimator.geometry.array import TOLERANCE, SensorArray
+from estimator.geometry.kinematics import Gravity, Site, gravity_at
+from estimator.geometry.model import StatePrior, decoding
+from estimator.packaged import sentence
+from estimator.recordings.recording import ImuData, Recording
+from estimator.sensors.accelerometers import ACCELEROMETER
+from estimator.sensors.gyros import GYRO
+from estimator.sensors.kind import SensorKind
+from estimator.types import Floats
+
+_UNSEEN = 0.5  # share of the prior's sigma above which runs did not show a state
+_CHANCE = 4.0  # standard deviations of a sum of squares
+_CHANGED = 0.01  # share of what the data sheet expects of a bias, above which its change from run to run is told
+
+
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
+class MountingFound:
+    """The mounting error (3,) of the device in a recording, about its own axes, from the frame of its gyros."""
+
+    recording: str
+    error_rad: Floats
+    sd_rad: Floats
+
+
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
+class JoinedCalibration:
+    """One calibration of a device from several recordings, in the device's axes, and the errors of its mountings."""
+
+    calibration: Calibration
+    mountings: tuple[MountingFound, ...]
+
+
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
+class _Run:
+    """A recording, its estimate of the gyros, and that of the accelerometers under a gravity that counts as known."""
+
+    recording: Recording
+    calibration: Calibration
+    forces: tuple[ForceCalibration, ...]
+    force_notes: tuple[str, ...]
+
+
+def join_mountings(
+    recordings: Sequence[Recording],
+    *,
+    excluded: Sequence[frozenset[str] | None],
+    innovations: bool = True,
+) -> JoinedCalibration:
+    """Return the one calibration of a device that was mounted otherwise in each of several recordings on a table.
+
+    Misalignments are those in the frame of the gyros. ``excluded`` are for each recording the effects that are ruled
+    out, as for ``calibrate``; with ``innovations`` the mean NIS is that of all runs.
+
+    RecordingError for fewer than two recordings, those that are not of one device or not on a table, or whose device
+    has other axes.
+    """
+    _check(recordings)
+    runs = [_run(one, own, innovations) for one, own in zip(recordings, excluded, strict=True)]
+    sensors = _sensors(runs)
+    if not sensors:
+        raise RecordingError("none of the recordings has a gyro or an accelerometer that can be estimated")
+    gravity = gravity_at(recordings[0].site)
+    found = join(sensors, [_shown(run, sensors) for run in runs], gravity.sd)
+    gyros = _gyros(runs, sensors, found)
+    forces = _forces(runs, sensors, found, gravity)
+    notes = _notes(runs, sensors, found)
+    doubts = _doubts(runs, found)
+    arrays = {name: _own_array(data) for run in reversed(runs) for name, data in run.recording.sources.items()}
+    counted = [run.calibration.nis_mean * run.calibration.samples for run in runs]
+    samples = sum(run.calibration.samples for run in runs)
+    calibration = Calibration(
+        gyros=gyros,
+        nis_mean=sum(counted) / samples if samples else float("nan"),
+        samples=samples,
+        lost=sum(run.calibration.lost for run in runs),
+        notes=(*notes, *doubts),
+        excluded=tuple(one for run in runs for one in run.calibration.excluded),
+        doubts=tuple(doubts),
+        holds_for="; ".join(dict.fromkeys(run.calibration.holds_for for run in runs if run.calibration.holds_for)),
+        spoilt=tuple(f"{run.recording.name}: {one}" for run in runs for one in run.calibration.spoilt),
+        arrays=arrays,
+        forces=forces,
+    )
+    mountings = tuple(
+        MountingFound(recording=run.recording.name, error_rad=error, sd_rad=sd)
+        for run, error, sd in zip(runs, found.mounting_rad, found.mounting_sd_rad, strict=True)
+    )
+    return JoinedCalibration(calibration=calibration, mountings=mountings)
+
+
+def _check(recordings: Sequence[Recording]) -> None:
+    """Raise RecordingError unless there are two recordings or more of one device on a table."""
+    if len(recordings) < 2:
+        raise RecordingError(sentence("estimation.joined_alone"))
+    for one in recordings:
+        if one.table is None:
+            raise RecordingError(sentence("estimation.joined_without_table", recording=one.name))
+    first = recordings[0]
+    devices = {data.device for data in first.sources.values()}
+    if len(devices) > 1:
+        names = ", ".join(sorted(devices))
+        raise RecordingError(sentence("estimation.joined_devices", recording=first.name, devices=names))
+    for one in recordings[1:]:
+        if {data.device for data in one.sources.values()} != devices or set(one.sources) != set(first.sources):
+            raise RecordingError(sentence("estimation.joined_other", first=first.name, second=one.name))
+        for source, data in one.sources.items():
+            ours, theirs = _own_array(first.sources[source]), _own_array(data)
+            axes = [np.concatenate([array.p, array.j, array.k]) for array in (ours, theirs)]
+            if axes[0].shape != axes[1].shape or np.abs(axes[0] - axes[1]).max() > TOLERANCE:
+                raise RecordingError(
+                    sentence("estimation.joined_axes", source=source, first=first.name, second=one.name)
+                )
+
+
+def _own_array(data: ImuData) -> SensorArray:
+    """Return the gyros of a source in the axes of its device."""
+    return data.array.turned(data.mounting.axes.T)
+
+
+def _run(recording: Recording, excluded: frozenset[str] | None, innovations: bool) -> _Run:
+    """Return the estimates of one recording.
+
+    All runs have one gravity, whose error must not count as another one in each: it counts as known here.
+    """
+    gyros_alone = {name: replace(data, accel_sheet=None) for name, data in recording.sources.items()}
+    calibration = calibrate(replace(recording, sources=gyros_alone), excluded=excluded, innovations=innovations)
+    site = recording.site if recording.site is not None else Site(latitude_rad=0.0, heading_rad=0.0)
+    stated = replace(site, gravity_mps2=gravity_at(recording.site).value_mps2)
+    forces, notes = calibrate_forces(replace(recording, site=stated))
+    return _Run(recording=recording, calibration=calibration, forces=forces, force_notes=tuple(notes))
+
+
+def _sensors(runs: Sequence[_Run]) -> list[DeviceSensor]:
+    """Return all sensors that some run has estimated, gyros first, with their axes in the device."""
+    found: dict[tuple[SensorKind, str, str], DeviceSensor] = {}
+    for run in runs:
+        for gyro in run.calibration.gyros:
+            data = run.recording.sources[gyro.source]
+            array = _own_array(data)
+            place = array.names.index(gyro.name)
+            axes = array.p[place], array.j[place], array.k[place]
+            _add(found, GYRO, gyro.source, gyro.name, axes, data.prior)
+    for run in runs:
+        for forces in run.forces:
+            data = run.recording.sources[forces.source]
+            assert data.accel_sheet is not None
+            for one in forces.accelerometers:
+                turned = data.mounting.axes @ np.column_stack([one.p, one.j, one.k_axis])
+                axes = turned[:, 0], turned[:, 1], turned[:, 2]
+                _add(found, ACCELEROMETER, forces.source, one.name, axes, data.accel_sheet.prior)
+    return list(found.values())
+
+
+def _add(
+    found: dict[tuple[SensorKind, str, str], DeviceSensor],
+    kind: SensorKind,
+    source: str,
+    name: str,
+    axes: tuple[Floats, Floats, Floats],
+    prior: StatePrior,
+) -> None:
+    """Add a sensor with its axes p, j and k in the device, unless it is there."""
+    p, j, k = axes
+    prior_sd = np.sqrt(prior.variances())
+    sensor = DeviceSensor(kind=kind, source=source, name=name, p=p, j=j, k=k, prior_sd=prior_sd)
+    found.setdefault((kind, source, name), sensor)
+
+
+def _shown(run: _Run, sensors: Sequence[DeviceSensor]) -> RunStates:
+    """Return what a run shows of the sensors that it has estimated."""
+    numbers = {(one.kind, one.source, one.name): number for number, one in enumerate(sensors)}
+    used: list[int] = []
+    states: list[Floats] = []
+    blocks: list[Floats] = []
+    for gyro in run.calibration.gyros:
+        used.append(numbers[GYRO, gyro.source, gyro.name])
+        states.append(gyro.states)
+        blocks.append(gyro.covariance)
+    for forces in run.forces:
+        used += [numbers[ACCELEROMETER, forces.source, one.name] for one in forces.accelerometers]
+        states += [one.states for one in forces.accelerometers]
+        blocks.append(forces.covariance)
+    x = np.concatenate([_encoded(own) for own in states])
+    to_x = _diagonal([np.asarray(np.linalg.inv(decoding(own)), dtype=np.float64) for own in x.reshape(-1, 4)])
+    data = next(iter(run.recording.sources.values()))
+    mounting_sd_rad = data.mounting.sd_rad
+    if not np.isfinite(mounting_sd_rad):
+        mounting_sd_rad = data.prior.sigma_rad
+    return run_states(
+        used,
+        x,
+        to_x @ _diagonal(blocks) @ to_x.T,
+        np.concatenate([sensors[number].prior_sd for number in used]),
+        mounting_sd_rad,
+    )
+
+
+def _encoded(states: Floats) -> Floats:
+    """Return x = [k, b, s_j, s_k] of decoded states (4,)."""
+    return np.asarray(states * np.array([1.0, 1.0, 1 - states[0], 1 - states[0]]))
+
+
+def _diagonal(blocks: Sequence[Floats]) -> Floats:
+    """Return the square matrix with these square blocks on its diagonal."""
+    size = sum(len(block) for block in blocks)
+    whole = np.zeros((size, size))
+    first = 0
+    for block in blocks:
+        last = first + len(block)
+        whole[first:last, first:last] = block
+        first = last
+    return whole
+
+
+def _gyros(runs: Sequence[_Run], sensors: Sequence[DeviceSensor], found: JoinedStates) -> tuple[GyroCalibration, ...]:
+    """Return the calibrations of the gyros, with the noise of the first run that has estimated each."""
+    gyros = []
+    for number, sensor in enumerate(sensors):
+        if sensor.kind is not GYRO:
+            continue
+        own = slice(4 * number, 4 * number + 4)
+        key = sensor.source, sensor.name
+        first = next(g for run in runs for g in run.calibration.gyros if (g.source, g.name) == key)
+        lines = ("runs", "mounting")
+        gyros.append(
+            replace(
+                first,
+                states=found.states[number],
+                covariance=found.covariance[own, own],
+                p=sensor.p,
+                budget=tuple(Contribution(name, found.lines[name][own, own]) for name in lines),
+                effects=(),
+            )
+        )
+    return tuple(gyros)
+
+
+def _forces(
+    runs: Sequence[_Run], sensors: Sequence[DeviceSensor], found: JoinedStates, gravity: Gravity
+) -> tuple[ForceCalibration, ...]:
+    """Return the calibrations of the accelerometers by source. Their places are other ones in each mounting: NaN."""
+    calibrations = []
+    for source in dict.fromkeys(one.source for one in sensors if one.kind is ACCELEROMETER):
+        single = [forces for run in runs for forces in run.forces if forces.source == source]
+        numbers = [n for n, one in enumerate(sensors) if one.kind is ACCELEROMETER and one.source == source]
+        states = np.concatenate([np.arange(4 * number, 4 * number + 4) for number in numbers])
+        stated = gravity.sd == 0
+        accelerometers = [_accelerometer(single, sensors[n], n, found, gravity_stated=stated) for n in numbers]
+        calibrations.append(
+            replace(
+                single[0],
+                accelerometers=tuple(accelerometers),
+                covariance=found.covariance[np.ix_(states, states)],
+                arm_m=np.full(3, np.nan),
+                arm_covariance_m2=np.full((3, 3), np.nan),
+                gravity_from=gravity.source,
+                offset=None,
+                excluded=tuple(one for forces in single for one in forces.excluded),
+                doubts=(),
+            )
+        )
+    return tuple(calibrations)
+
+
+def _accelerometer(
+    single: Sequence[ForceCalibration], sensor: DeviceSensor, number: int, found: JoinedStates, *, gravity_stated: bool
+) -> AccelerometerCalibration:
+    """Return the calibration of one accelerometer, with the noise of the first run that has estimated it."""
+    first = next(a for forces in single for a in forces.accelerometers if a.name == sensor.name)
+    own = slice(4 * number, 4 * number + 4)
+    lines = ("runs", "mounting") if gravity_stated else ("runs", "mounting", "gravity")
+    return replace(
+        first,
+        p=sensor.p,
+        j=sensor.j,
+        k_axis=sensor.k,
+        states=found.states[number],
+        covariance=found.covariance[own, own],
+        place_m=np.full(3, np.nan),
+        place_covariance_m2=np.full((3, 3), np.nan),
+        budget=tuple(Contribution(name, found.lines[name][own, own]) for name in lines),
+    )
+
+
+def _notes(runs: Sequence[_Run], sensors: Sequence[DeviceSensor], found: JoinedStates) -> list[str]:
+    """Return sentences on what was left out of each run, and on biases that change from run to run."""
+    notes = [f"{run.recording.name}: {note}" for run in runs for note in run.force_notes]
+    for kind, share in found.bias_change.items():
+        own = [one for one in sensors if one.kind is kind]
+        if own and share > _CHANGED:
+            notes.append(sentence("estimation.joined_biases", sensors=kind.plural, share=share))
+    return notes
+
+
+def _doubts(runs: Sequence[_Run], found: JoinedStates) -> list[str]:
+    """Return what questions the sigmas: doubts of single runs, and runs that contradict each other."""
+    doubts: list[str] = []
+    for run in runs:
+        own = list(run.calibration.doubts)
+        for forces in run.forces:
+            sheet = run.recording.sources[forces.source].accel_sheet
+            unseen = undetermined(forces, sheet.prior) if sheet is not None else []
+            own += [doubt for doubt in forces.doubts if doubt not in unseen]
+        doubts += [f"{run.recording.name}: {doubt}" for doubt in own]
+    beyond = found.misfit - found.misfit_count
+    if beyond > _CHANCE * np.sqrt(2 * found.misfit_count):
+        doubts.append(sentence("estimation.joined_misfit", misfit=found.misfit, count=found.misfit_count))
+    return doubts
