@@ -26,6 +26,7 @@ from estimator.untrusted import harmless
 from station.bench.bench import Limits, excluded_by_file, load_bench, read_excluded, read_limits
 from station.bench.units import USUAL, Units
 from station.campaigns.campaigns import run_all
+from station.commands.joined import command_join
 from station.errors import UsageError
 from station.render import printing
 from station.render.lines import tell
@@ -75,6 +76,8 @@ def command_calibrate(arguments: argparse.Namespace) -> int:
     Files of the station that are not recordings are skipped if a folder was named, else an error.
     """
     names = recordings_of(arguments.recordings)
+    if arguments.join:
+        return command_join(arguments, names)
     bench = load_bench(Path(arguments.bench)) if arguments.bench else None
     model = ErrorModel.read(Path(arguments.model)) if arguments.model else None
     results, failures = run_all(

@@ -101,6 +101,8 @@ def hidden_effects(forecast: Forecast, figures: tuple[StateUnit, ...]) -> list[H
     gyros = [gyro.name for gyro in forecast.gyros]
     hidden = []
     for found in forecast.effects:
+        if not found.effect.parameters:  # that of how axes lie to each other, on a table of one
+            continue
         sigmas = unnoticed(found)
         largest = sigmas.max(axis=(1, 2), initial=0.0)
         worst = int(np.argmax(largest))

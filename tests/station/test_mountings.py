@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -22,6 +24,7 @@ BENCH = Path(__file__).parents[1] / "data" / "benches" / "one_axis_imu.toml"
 def mounted(axes: str, more: str = "") -> Bench:
     """Return the bench with its device mounted along ``axes``, with ``more`` in place of its mounting error."""
     text = BENCH.read_text(encoding="utf-8").replace('["x", "y", "z"]', axes)
+    text = text.replace('rate = "100 Hz"', 'rate = "50 Hz"')
     return read_bench(text.replace('{ x = "0 mrad", y = "0 mrad", z = "0 mrad" }', more or "{}"), "bench")
 
 
@@ -93,3 +96,66 @@ def test_a_file_with_a_mounting_that_is_none_is_refused(tmp_path: Path) -> None:
     write_recording(tmp_path / "bad.h5", replace(recording, sources={"mti": bad}))
     with pytest.raises(Exception, match="mounting must have three axes"):
         read_recording(tmp_path / "bad.h5")
+
+
+@pytest.fixture(scope="module")
+def three(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """Return recordings of the shipped script with x, y and z of a device along the axis, which lies."""
+    folder = tmp_path_factory.mktemp("three")
+    paths = []
+    for number, axes in enumerate(('["x", "y", "z"]', '["z", "x", "y"]', '["y", "z", "x"]')):
+        bench = mounted(axes, f'{{ x = "{number} mrad", y = "1 mrad" }}')
+        paths.append(str(folder / f"{'xyz'[number]}.h5"))
+        write_recording(Path(paths[-1]), simulate_bench(bench, load_script(Path("full-imu-one-axis")), number))
+    return paths
+
+
+def test_calibrate_joins_three_mountings(three: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    """The truth stands in the bench file."""
+    assert main(["calibrate", "--join", "--json", *three]) == 0
+    found = json.loads(capsys.readouterr().out)
+    for gyro, k, b_dph in zip(found["gyros"], (300e-6, -200e-6, 150e-6), (20, -35, 10), strict=True):
+        assert gyro["k"] == pytest.approx(k, abs=4.5 * gyro["sd"]["k"])
+        assert gyro["b_rps"] == pytest.approx(np.radians(b_dph / 3600), abs=4.5 * gyro["sd"]["b_rps"])
+        assert max(gyro["sd"]["sigma_j_rad"], gyro["sd"]["sigma_k_rad"]) < 30e-6
+    (forces,) = found["accelerometers"]
+    for one, k, b_mg in zip(forces["accelerometers"], (800e-6, -500e-6, 300e-6), (5, -8, 3), strict=True):
+        assert one["k"] == pytest.approx(k, abs=4.5 * one["sd"]["k"])
+        assert one["b_mps2"] == pytest.approx(9.80665e-3 * b_mg, abs=4.5 * one["sd"]["b_mps2"])
+        assert one["place_m"] == [None] * 3  # it is another one in each mounting
+    turned = [one["mounting_error_rad"] for one in found["joined"]]
+    # About axes across that of the table. Those of the gyros are turned by the same, so that differences count.
+    assert turned[2][0] - turned[1][0] == pytest.approx(1e-3, abs=60e-6)
+
+
+def test_a_joined_calibration_is_printed_once(three: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["calibrate", "--join", *three[:2], "--details"]) == 0
+    text = capsys.readouterr().out
+    assert text.count("States and their standard deviations") == 1
+    assert "Places from where" not in text
+    for words in ("Accelerometers of mti", "Mounting errors", "mounting of the device", "local gravity", "y.h5"):
+        assert words in text
+
+
+def test_recordings_of_two_serial_numbers_are_not_joined(
+    three: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    paths = []
+    for name, serial in zip(three[:2], ("A1", "B2"), strict=True):
+        paths.append(tmp_path / Path(name).name)
+        paths[-1].write_bytes(Path(name).read_bytes())
+        with h5py.File(paths[-1], "r+") as file:
+            file.attrs["device_serial"] = serial
+    assert main(["calibrate", "--join", *map(str, paths)]) == 2
+    assert "x.h5 is of the device A1, y.h5 of B2" in capsys.readouterr().err
+    with h5py.File(paths[1], "r+") as file:
+        file.attrs.update({"device_serial": "A1", "outcome": "ABORTED", "reason": "by the operator"})
+    assert main(["calibrate", "--join", *map(str, paths)]) == 2
+    assert "y.h5 ended as ABORTED" in capsys.readouterr().err
+
+
+def test_a_joined_calibration_does_not_take_what_it_lacks(three: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["calibrate", "--join", "--write", *three]) == 2
+    assert "has no --write" in capsys.readouterr().err
+    assert main(["calibrate", "--join", three[0]]) == 2
+    assert "nothing to be joined with" in capsys.readouterr().err

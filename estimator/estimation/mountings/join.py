@@ -91,7 +91,6 @@ def join_mountings(
         notes=(*notes, *doubts),
         excluded=tuple(one for run in runs for one in run.calibration.excluded),
         doubts=tuple(doubts),
-        holds_for="; ".join(dict.fromkeys(run.calibration.holds_for for run in runs if run.calibration.holds_for)),
         spoilt=tuple(f"{run.recording.name}: {one}" for run in runs for one in run.calibration.spoilt),
         arrays=arrays,
         forces=forces,
@@ -300,6 +299,11 @@ def _accelerometer(
 def _notes(runs: Sequence[_Run], sensors: Sequence[DeviceSensor], found: JoinedStates) -> list[str]:
     """Return sentences on what was left out of each run, and on biases that change from run to run."""
     notes = [f"{run.recording.name}: {note}" for run in runs for note in run.force_notes]
+    for sensor, variance in zip(sensors, np.diag(found.covariance).reshape(-1, 4), strict=True):
+        wide = np.sqrt(variance) > _UNSEEN * sensor.prior_sd
+        unseen = [state.symbol for state, own in zip(sensor.kind.states, wide, strict=True) if own]
+        if unseen:
+            notes.append(sentence("estimation.joined_unseen", name=sensor.name, states=", ".join(unseen)))
     for kind, share in found.bias_change.items():
         own = [one for one in sensors if one.kind is kind]
         if own and share > _CHANGED:

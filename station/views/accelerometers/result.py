@@ -34,6 +34,8 @@ LINE_WORDS = {
     "orthogonality": "axes of the table",
     "gravity": "local gravity",
     "resolution": "resolution of the encoders",
+    "runs": "what each run leaves open",
+    "mounting": "mounting of the device",
 }
 """What the lines of the budget are called."""
 
