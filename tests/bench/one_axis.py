@@ -49,6 +49,8 @@ def main() -> None:
             errors[what].append([(one.states - own) / one.sd for one, own in zip(sensors, true, strict=True)])
             sigmas[what].append([one.sd for one in sensors])
         doubted += bool(found.doubts)
+        for doubt in found.doubts:
+            print(f"seed {seed}: {doubt}", flush=True)
         print(
             f"seed {seed}: largest error {max(np.abs(own[-1]).max() for own in errors.values()):.2f} sigma", flush=True
         )
