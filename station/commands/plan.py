@@ -11,10 +11,12 @@ from station.commands.improve import improve, quantity, script_text
 from station.errors import UsageError, sentence
 from station.opening import with_links
 from station.opening.planned_forces import planned_forces
+from station.opening.planned_mountings import planned_mountings
 from station.render.accelerometers.planned import print_planned_forces
 from station.render.lines import tell
 from station.render.plan_printed import print_plan
 from station.render.plans.early_late import print_early_late
+from station.render.plans.mountings import print_planned_mountings
 from station.render.template import rendered
 from station.render.terminal import stdout
 from station.run.outcome import Outcome
@@ -49,11 +51,13 @@ def command_plan(arguments: argparse.Namespace) -> int:
     plan = make_plan(script, bench, temperature_rise_k=rise_k)
     early_late = None if plan.proves_constancy else early_late_plan(plan)
     of_forces = planned_forces(plan.script, bench)
+    of_mountings = planned_mountings(plan.script, bench)
     if arguments.json:
-        print(json.dumps(json_object(plan_view(plan, early_late=early_late, forces=of_forces))))
+        print(json.dumps(json_object(plan_view(plan, early_late=early_late, forces=of_forces, mountings=of_mountings))))
     else:
         print_plan(plan, stdout(), early_late)
         print_planned_forces(of_forces)
+        print_planned_mountings(of_mountings, bench.units)
     return (Outcome.PASS if plan.reached.all() else Outcome.FAIL).exit_code
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from estimator.calibration.accelerometer import ForceCalibration
 from estimator.estimation.accelerometers.calibrate_forces import calibrate_forces
 from estimator.geometry.kinematics import GRAVITY_MPS2
+from estimator.recordings.recording import Recording
 from estimator.tracing.accelerometers.trace_forces import effect_sigmas
 from estimator.types import Floats
 from sims.physics.accelerometer import AccelerometerTruth
@@ -41,6 +42,16 @@ def planned_forces(script: Script, bench: Bench) -> list[PlannedForces]:
 
 def _planned(script: Script, bench: Bench, imu: ImuConfig) -> PlannedForces | None:
     """Return what a script shows of one device; None if it is too short to show anything."""
+    recording = simulated_run(script, bench, imu)
+    forces, notes = calibrate_forces(recording)
+    if not forces:
+        return None
+    effects = effect_sigmas(recording, imu.name)
+    return PlannedForces(device=imu.name, found=forces[0], notes=tuple(notes), effects=effects)
+
+
+def simulated_run(script: Script, bench: Bench, imu: ImuConfig) -> Recording:
+    """Return a run of a device without errors, with the noise of its data sheets; it states one for accelerometers."""
     sheet = imu.force_sheet
     assert sheet is not None
     count = len(imu.array.p[:3])
@@ -55,7 +66,7 @@ def _planned(script: Script, bench: Bench, imu: ImuConfig) -> PlannedForces | No
         bias_instability_mps2=sheet.noise.instability,
     )
     gravity_mps2 = GRAVITY_MPS2 if bench.site is None else bench.site.local_gravity_mps2
-    device = DeviceTruth(imu.array, np.zeros((len(imu.array), 4)), imu.noise.arw, rate_hz=imu.rate_hz)
+    device = DeviceTruth(imu.array, np.zeros((len(imu.array), 4)), imu.noise.arw, rate_hz=imu.rate_hz, prior=imu.prior)
     recording = simulate(
         script,
         {imu.name: device},
@@ -66,9 +77,4 @@ def _planned(script: Script, bench: Bench, imu: ImuConfig) -> PlannedForces | No
     )
     table = recording.table
     assert table is not None
-    recording = replace(recording, reference=replace(table, uncertainty=bench.table.uncertainty))
-    forces, notes = calibrate_forces(recording)
-    if not forces:
-        return None
-    effects = effect_sigmas(recording, imu.name)
-    return PlannedForces(device=imu.name, found=forces[0], notes=tuple(notes), effects=effects)
+    return replace(recording, reference=replace(table, uncertainty=bench.table.uncertainty))

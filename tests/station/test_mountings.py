@@ -159,3 +159,23 @@ def test_a_joined_calibration_does_not_take_what_it_lacks(three: list[str], caps
     assert "has no --write" in capsys.readouterr().err
     assert main(["calibrate", "--join", three[0]]) == 2
     assert "nothing to be joined with" in capsys.readouterr().err
+
+
+def test_a_plan_says_what_one_mounting_shows_and_what_three_do(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["plan", "full-imu-one-axis", "--bench", str(BENCH)])
+    text = capsys.readouterr().out
+    assert "unobservable: y: k; sigma_k" in text
+    together = text[text.index("Three runs with x, y and z of mti") :]
+    sigmas = [float(cell) for line in together.splitlines() if "│ y" in line for cell in line.split("│")[2:6]]
+    assert sigmas[0] < 20
+    assert max(sigmas[2:]) < 30
+
+
+@pytest.mark.full
+def test_a_plan_as_json_has_three_mountings_of_a_table_of_one_axis(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["plan", "full-imu-one-axis", "--bench", str(BENCH), "--json"])
+    (planned,) = json.loads(capsys.readouterr().out)["mountings"]
+    for sensor in (*planned["gyros"], *planned["accelerometers"]):
+        assert max(sensor["sd"]["sigma_j_rad"], sensor["sd"]["sigma_k_rad"]) < 30e-6
+    main(["plan", "full-imu", "--bench", str(BENCH.parent / "full_imu.toml"), "--json"])
+    assert json.loads(capsys.readouterr().out)["mountings"] == []

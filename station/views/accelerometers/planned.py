@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from estimator.calibration.accelerometer import AccelerometerCalibration
 from estimator.sensors.accelerometers import ACCELEROMETER
 from station.opening.planned_forces import PlannedForces
 from station.views.json_values import json_object
@@ -34,14 +35,16 @@ def planned_forces_view(planned: PlannedForces) -> PlannedForcesView:
     """Return the view of what a script shows of the accelerometers of a device."""
     return PlannedForcesView(
         device=planned.device,
-        accelerometers=tuple(
-            PlannedAccelerometer(
-                name=accelerometer.name,
-                sd=dict(zip(ACCELEROMETER.keys, json_object(accelerometer.sd), strict=True)),
-                place_sd_m=tuple(json_object(accelerometer.place_sd_m)),
-            )
-            for accelerometer in planned.found.accelerometers
-        ),
+        accelerometers=tuple(map(planned_accelerometer, planned.found.accelerometers)),
         detected={name: tuple(json_object(DETECTED * sd)) for name, sd in planned.effects.items()},
         notes=planned.notes,
+    )
+
+
+def planned_accelerometer(one: AccelerometerCalibration) -> PlannedAccelerometer:
+    """Return the view of the predicted standard deviations of an accelerometer."""
+    return PlannedAccelerometer(
+        name=one.name,
+        sd=dict(zip(ACCELEROMETER.keys, json_object(one.sd), strict=True)),
+        place_sd_m=tuple(json_object(one.place_sd_m)),
     )

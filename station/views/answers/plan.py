@@ -11,9 +11,15 @@ from typing import Any
 from estimator.observations.coverage import AxisCoverage
 from estimator.planning.planning import EffectForecast, Forecast, Pair
 from station.opening.planned_forces import PlannedForces
+from station.opening.planned_mountings import PlannedMountings
 from station.scripts.plan import WARMING_TIME_S, Plan
 from station.scripts.script import Timed
-from station.views.accelerometers.planned import PlannedForcesView, planned_forces_view
+from station.views.accelerometers.planned import (
+    PlannedAccelerometer,
+    PlannedForcesView,
+    planned_accelerometer,
+    planned_forces_view,
+)
 from station.views.json_values import by_state, json_object
 from station.views.typed_json import view_of
 
@@ -42,6 +48,15 @@ class PlannedGyro:
     device: str
     name: str
     sd: States
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class PlannedMountingsView:
+    """Predicted standard deviations of a device from runs with x, y and z along the one axis of a table, joined."""
+
+    device: str
+    gyros: tuple[PlannedGyro, ...]
+    accelerometers: tuple[PlannedAccelerometer, ...]
 
 
 @dataclass(kw_only=True, frozen=True, slots=True)
@@ -160,6 +175,7 @@ class PlanView:
     assumed: Assumed
     early_late: EarlyLateView | None = None
     accelerometers: tuple[PlannedForcesView, ...] = ()
+    mountings: tuple[PlannedMountingsView, ...] = ()
 
     @property
     def missed(self) -> list[str]:
@@ -185,8 +201,16 @@ def plan_view_of(data: Mapping[str, Any]) -> PlanView:
     return view
 
 
-def plan_view(plan: Plan, *, early_late: Plan | None = None, forces: Sequence[PlannedForces] = ()) -> PlanView:
-    """Return the view of a plan, of the script that turns each axis early and late, and of the accelerometers."""
+def plan_view(
+    plan: Plan,
+    *,
+    early_late: Plan | None = None,
+    forces: Sequence[PlannedForces] = (),
+    mountings: Sequence[PlannedMountings] = (),
+) -> PlanView:
+    """Return the view of a plan, of the script that turns each axis early and late, of the accelerometers, and of three
+    mountings joined.
+    """
     forecast = plan.forecast
     least_s, most_s = plan.script.span.least_s, plan.script.span.most_s
     return PlanView(
@@ -205,6 +229,19 @@ def plan_view(plan: Plan, *, early_late: Plan | None = None, forces: Sequence[Pl
         assumed=Assumed(temperature_rise_k=plan.temperature_rise_k, warming_time_s=WARMING_TIME_S),
         early_late=None if early_late is None else early_late_view(early_late),
         accelerometers=tuple(map(planned_forces_view, forces)),
+        mountings=tuple(map(_mountings_view, mountings)),
+    )
+
+
+def _mountings_view(planned: PlannedMountings) -> PlannedMountingsView:
+    return PlannedMountingsView(
+        device=planned.device,
+        gyros=tuple(
+            PlannedGyro(device=planned.device, name=gyro.name, sd=by_state(gyro.sd)) for gyro in planned.found.gyros
+        ),
+        accelerometers=tuple(
+            planned_accelerometer(one) for force in planned.found.forces for one in force.accelerometers
+        ),
     )
 
 

@@ -1,0 +1,38 @@
+"""What runs in three mountings will show together, as a person reads it."""
+
+from collections.abc import Iterator, Sequence
+
+from rich.markup import escape
+from rich.table import Table
+
+from station.bench.units import Units
+from station.opening.planned_mountings import PlannedMountings
+from station.render.results.calibration import fitted_figures
+from station.render.terminal import Shown, line, print_all, rich_table, stdout
+from station.views.accelerometers.result import fitted_forces
+from station.views.figures import StateUnit
+
+
+def print_planned_mountings(planned: Sequence[PlannedMountings], units: Units) -> None:
+    """Print the predicted sigmas of the states of each device, those of gyros in these units."""
+    for one in planned:
+        print_all(stdout(), _shown(one, units))
+
+
+def _shown(one: PlannedMountings, units: Units) -> Iterator[Shown]:
+    """Yield a line on what is joined, and a table each of gyros and accelerometers."""
+    device = escape(one.device)
+    yield line("")
+    yield line(f"Three runs with x, y and z of {device} along the axis, joined by `station calibrate --join`:")
+    gyros = [(gyro.name, gyro.sd.tolist()) for gyro in one.found.gyros]
+    yield _table(f"Predicted sigmas of the gyros of {device}", "gyro", fitted_figures(units, one.found), gyros), {}
+    for forces in one.found.forces:
+        sds = [(each.name, each.sd.tolist()) for each in forces.accelerometers]
+        yield _table("The same of its accelerometers", "sensor", fitted_forces(forces), sds), {}
+
+
+def _table(title: str, what: str, figures: Sequence[StateUnit], rows: Sequence[tuple[str, list[float]]]) -> Table:
+    """Return predicted standard deviations, a row for each sensor."""
+    heads = [f"\n{what}", *(f"± {figure.name}\n{figure.unit}" for figure in figures)]
+    cells = [[escape(name), *(figure.text(sd) for figure, sd in zip(figures, own, strict=True))] for name, own in rows]
+    return rich_table(title, heads, "lrrrr", cells)
