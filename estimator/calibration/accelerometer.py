@@ -1,6 +1,6 @@
 """Calibration of the accelerometers of a source: states, where each one sits, and what another laboratory compares."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -40,6 +40,17 @@ class AccelerometerCalibration:
     def sd(self) -> Floats:
         """Standard deviations of the states (4,)."""
         return np.sqrt(np.diag(self.covariance))
+
+    def turned(self, axes: Floats) -> "AccelerometerCalibration":
+        """Return it in another frame, in which its own frame has the axes x, y, z in the rows of ``axes`` (3, 3)."""
+        return replace(
+            self,
+            p=self.p @ axes,
+            j=self.j @ axes,
+            k_axis=self.k_axis @ axes,
+            place_m=self.place_m @ axes,
+            place_covariance_m2=axes.T @ self.place_covariance_m2 @ axes,
+        )
 
     @property
     def place_sd_m(self) -> Floats:
@@ -105,6 +116,15 @@ class ForceCalibration:
     notes: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
     effects: tuple[ForceEffectValues, ...] = ()
+
+    def turned(self, axes: Floats) -> "ForceCalibration":
+        """Return it in another frame, in which its own frame has the axes x, y, z in the rows of ``axes`` (3, 3)."""
+        return replace(
+            self,
+            accelerometers=tuple(one.turned(axes) for one in self.accelerometers),
+            arm_m=self.arm_m @ axes,
+            arm_covariance_m2=axes.T @ self.arm_covariance_m2 @ axes,
+        )
 
     @property
     def arm_sd_m(self) -> Floats:

@@ -103,6 +103,11 @@ class ImuData:
     mounting: Mounting = field(default_factory=Mounting)
 
     @property
+    def own_array(self) -> SensorArray:
+        """The gyros in the axes of the device, however it is mounted."""
+        return self.array.turned(self.mounting.axes.T)
+
+    @property
     def specific_force_mps2(self) -> Floats | None:
         """Specific force (n, 3) along the body axes, None without accelerometers.
 

@@ -92,6 +92,7 @@ class Exported:
 def exported_of(path: Path, devices: Sequence[str] = (), instance: int = 0) -> Exported:
     """Return what is exported from a recording: the gyros of ``devices``, or of all devices under test.
 
+    It is in the axes of the device, however this was mounted on the table.
     ``instance`` is the number of the gyro in an autopilot. RecordingError if there is no calibration, ModelError or
     CompensationError for effects of another version, UsageError for a device that the recording does not have, or for
     the file of an error model.
@@ -103,7 +104,10 @@ def exported_of(path: Path, devices: Sequence[str] = (), instance: int = 0) -> E
         if device not in there:
             raise UsageError(f"{path} has no calibrated device {device!r}; it has {', '.join(filter(None, there))}")
     gyros = tuple(gyro for gyro in calibration.gyros if not devices or gyro.device in devices)
-    arrays = {name: data.array for name, data in recording.sources.items()}
+    arrays = {name: data.own_array for name, data in recording.sources.items()}
+    own_axes = {name: data.mounting.axes.T for name, data in recording.sources.items()}
+    if calibration.model and any(not np.array_equal(axes, np.eye(3)) for axes in own_axes.values()):
+        raise UsageError(sentence("export.mounted", recording=path))
     return Exported(
         path=path,
         identity=_identity(path, recording, gyros),
@@ -114,7 +118,9 @@ def exported_of(path: Path, devices: Sequence[str] = (), instance: int = 0) -> E
         devices=tuple(device for device in there if device and (not devices or device in devices)),
         instance=instance,
         units=_units_of(recording),
-        forces=tuple(one for one in calibration.forces if not devices or one.device in devices),
+        forces=tuple(
+            one.turned(own_axes[one.source]) for one in calibration.forces if not devices or one.device in devices
+        ),
     )
 
 

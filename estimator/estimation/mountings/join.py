@@ -13,11 +13,11 @@ from estimator.errors import RecordingError
 from estimator.estimation.accelerometers.calibrate_forces import calibrate_forces, undetermined
 from estimator.estimation.calibrate import calibrate
 from estimator.estimation.mountings.problem import DeviceSensor, JoinedStates, RunStates, join, run_states
-from estimator.geometry.array import TOLERANCE, SensorArray
+from estimator.geometry.array import TOLERANCE
 from estimator.geometry.kinematics import Gravity, Site, gravity_at
 from estimator.geometry.model import StatePrior, decoding
 from estimator.packaged import sentence
-from estimator.recordings.recording import ImuData, Recording
+from estimator.recordings.recording import Recording
 from estimator.sensors.accelerometers import ACCELEROMETER
 from estimator.sensors.gyros import GYRO
 from estimator.sensors.kind import SensorKind
@@ -80,7 +80,7 @@ def join_mountings(
     forces = _forces(runs, sensors, found, gravity)
     notes = _notes(runs, sensors, found)
     doubts = _doubts(runs, found)
-    arrays = {name: _own_array(data) for run in reversed(runs) for name, data in run.recording.sources.items()}
+    arrays = {name: data.own_array for run in reversed(runs) for name, data in run.recording.sources.items()}
     counted = [run.calibration.nis_mean * run.calibration.samples for run in runs]
     samples = sum(run.calibration.samples for run in runs)
     calibration = Calibration(
@@ -118,17 +118,12 @@ def _check(recordings: Sequence[Recording]) -> None:
         if {data.device for data in one.sources.values()} != devices or set(one.sources) != set(first.sources):
             raise RecordingError(sentence("estimation.joined_other", first=first.name, second=one.name))
         for source, data in one.sources.items():
-            ours, theirs = _own_array(first.sources[source]), _own_array(data)
+            ours, theirs = first.sources[source].own_array, data.own_array
             axes = [np.concatenate([array.p, array.j, array.k]) for array in (ours, theirs)]
             if axes[0].shape != axes[1].shape or np.abs(axes[0] - axes[1]).max() > TOLERANCE:
                 raise RecordingError(
                     sentence("estimation.joined_axes", source=source, first=first.name, second=one.name)
                 )
-
-
-def _own_array(data: ImuData) -> SensorArray:
-    """Return the gyros of a source in the axes of its device."""
-    return data.array.turned(data.mounting.axes.T)
 
 
 def _run(recording: Recording, excluded: frozenset[str] | None, innovations: bool) -> _Run:
@@ -150,7 +145,7 @@ def _sensors(runs: Sequence[_Run]) -> list[DeviceSensor]:
     for run in runs:
         for gyro in run.calibration.gyros:
             data = run.recording.sources[gyro.source]
-            array = _own_array(data)
+            array = data.own_array
             place = array.names.index(gyro.name)
             axes = array.p[place], array.j[place], array.k[place]
             _add(found, GYRO, gyro.source, gyro.name, axes, data.prior)

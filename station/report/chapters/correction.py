@@ -67,7 +67,7 @@ def corrections_of(recorded: Recorded, traced: Traced | None = None) -> list[Cor
         model = traced.model.text()
         labelled = zip(gyros, recorded.labels, strict=True)
         gyros = [_augmented(gyro, label, traced) for gyro, label in labelled if label in traced.names]
-    arrays = {name: data.array for name, data in recorded.recording.sources.items()}
+    arrays = {name: data.own_array for name, data in recorded.recording.sources.items()}
     return [_correction(device, own, arrays, model) for device, own in _by_device(gyros).items()]
 
 
