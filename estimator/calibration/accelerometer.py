@@ -53,6 +53,11 @@ class AccelerometerCalibration:
         )
 
     @property
+    def placed(self) -> bool:
+        """Whether its place is known: a joined calibration of several mountings has none."""
+        return bool(np.isfinite(self.place_m).all())
+
+    @property
     def place_sd_m(self) -> Floats:
         """Standard deviations of the place (3,)."""
         return np.sqrt(np.diag(self.place_covariance_m2))
@@ -125,6 +130,11 @@ class ForceCalibration:
             arm_m=self.arm_m @ axes,
             arm_covariance_m2=axes.T @ self.arm_covariance_m2 @ axes,
         )
+
+    @property
+    def placed(self) -> bool:
+        """Whether it is known where the accelerometers sit."""
+        return all(one.placed for one in self.accelerometers)
 
     @property
     def arm_sd_m(self) -> Floats:

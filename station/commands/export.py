@@ -125,7 +125,7 @@ def _export_all(arguments: argparse.Namespace, folder: Path) -> int:
     files: dict[str, str] = {}
     refused: dict[str, str] = {}
     forms = FORMATS.beside(load_files())
-    exported = exported_of(Path(arguments.recording), arguments.device, arguments.instance)
+    exported = _exported(arguments)
     for name, form in forms.items():
         form_label = "" if form.suffix == f".{name}" else f"-{name}"
         path = folder / f"{Path(arguments.recording).stem}{form_label}{form.suffix}"
@@ -159,8 +159,14 @@ def _written(arguments: argparse.Namespace) -> tuple[Exported, Written]:
     forms = FORMATS.beside(load_files())
     if arguments.format not in forms:
         raise UsageError(f"--format {not_one_of(arguments.format, forms)}")
-    exported = exported_of(Path(arguments.recording), arguments.device, arguments.instance)
+    exported = _exported(arguments)
     return exported, _write_form(arguments.format, forms[arguments.format], exported, arguments)
+
+
+def _exported(arguments: argparse.Namespace) -> Exported:
+    """Return what is exported: the calibration in the recording, or that of all recordings with --join."""
+    joined = [Path(name) for name in arguments.join]
+    return exported_of(Path(arguments.recording), arguments.device, arguments.instance, joined)
 
 
 def _write_form(name: str, form: Format, exported: Exported, arguments: argparse.Namespace) -> Written:

@@ -7,20 +7,18 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from estimator.errors import EstimatorError
-from estimator.estimation.mountings.join import JoinedCalibration, join_mountings
+from estimator.estimation.mountings.join import JoinedCalibration
 from estimator.recordings.reading import read_recording
-from estimator.recordings.recording import Recording
 from estimator.untrusted import harmless
-from station.bench.bench import excluded_by_file, load_bench, read_excluded, read_limits
+from station.bench.bench import excluded_by_file, load_bench, read_limits
 from station.errors import UsageError, sentence
 from station.render import printing
 from station.render.accelerometers.result import print_forces
 from station.render.lines import tell
 from station.render.results.joined import print_mountings
-from station.run.outcome import Outcome, ended_of, judge_recorded
+from station.run.joining import joined_of
+from station.run.outcome import judge_recorded
 from station.views.json_values import json_object
-
-_UNFINISHED = (Outcome.ABORTED, Outcome.FAULT, Outcome.MANUAL)
 
 
 def command_join(arguments: argparse.Namespace, names: Sequence[str]) -> int:
@@ -33,12 +31,8 @@ def command_join(arguments: argparse.Namespace, names: Sequence[str]) -> int:
             raise UsageError(sentence("calibrate.not_joined", option=option))
     try:
         recordings = [read_recording(Path(name)) for name in names]
-        _check(recordings)
-        if arguments.undeclared:
-            excluded = [excluded_by_file(Path(arguments.undeclared))] * len(recordings)
-        else:
-            excluded = [_excluded(recording) for recording in recordings]
-        found = join_mountings(recordings, excluded=excluded)
+        undeclared = (excluded_by_file(Path(arguments.undeclared)),) if arguments.undeclared else None
+        found = joined_of(recordings, undeclared)
     except EstimatorError as error:
         return printing.refuse(str(error), arguments.json)
     if arguments.bench:
@@ -58,28 +52,6 @@ def command_join(arguments: argparse.Namespace, names: Sequence[str]) -> int:
         for doubt in found.calibration.doubts if not arguments.details else ():
             tell(harmless(f"note: {doubt}"), sys.stdout)
     return verdict.outcome.exit_code
-
-
-def _check(recordings: Sequence[Recording]) -> None:
-    """Raise UsageError for recordings of devices with different serial numbers, or of a run that did not end."""
-    first = recordings[0]
-    serial = ""
-    for recording in recordings:
-        own = str(recording.attributes.get("device_serial", ""))
-        if own and serial and own != serial:
-            raise UsageError(
-                sentence("calibrate.other_serial", first=first.name, serial=serial, second=recording.name, other=own)
-            )
-        serial = serial or own
-        ended = ended_of(recording.attributes)
-        if ended is not None and ended.outcome in _UNFINISHED:
-            raise UsageError(sentence("calibrate.unfinished", recording=recording.name, outcome=str(ended.outcome)))
-
-
-def _excluded(recording: Recording) -> frozenset[str] | None:
-    """Return the effects that the bench file or the mapping in a recording rules out."""
-    declared = str(recording.attributes.get("bench", "")) or str(recording.attributes.get("mapping", ""))
-    return read_excluded(declared, recording.attributes.get("plugins", ()))
 
 
 def _joined_object(names: Sequence[str], found: JoinedCalibration) -> list[dict[str, object]]:

@@ -163,7 +163,9 @@ def _lacking(exported: Exported, correction: ForceCorrection, parts: Collection[
     """Yield a line for each thing that is known of the accelerometers and is not among ``parts``."""
     if Part.DELAY not in parts and correction.delay_s:
         yield sentence("export.force_delay", delay_s=correction.delay_s)
-    if Part.LEVER_ARM not in parts:
+    if not correction.calibration.placed:
+        yield sentence("export.no_places")
+    elif Part.LEVER_ARM not in parts:
         arm = ", ".join(f"{value:.6g}" for value in correction.calibration.arm_m)
         yield sentence("export.lever_arm", arm=arm)
     lacking = [

@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,8 @@ from station.bench.bench import read_limits
 from station.bench.units import USUAL, Units
 from station.errors import BenchError, UsageError, sentence
 from station.render.template import rendered
-from station.run.outcome import Outcome, Verdict
+from station.run.joining import joined_of
+from station.run.outcome import Outcome, Verdict, judge_recorded
 from station.views.accelerometers.result import FORCE_FIGURES
 from station.views.figures import state_figures
 from station.views.seen import Seen, seen_by
@@ -89,16 +90,17 @@ class Exported:
         return rendered("station.exports", "origin.txt", values).splitlines()
 
 
-def exported_of(path: Path, devices: Sequence[str] = (), instance: int = 0) -> Exported:
+def exported_of(path: Path, devices: Sequence[str] = (), instance: int = 0, joined: Sequence[Path] = ()) -> Exported:
     """Return what is exported from a recording: the gyros of ``devices``, or of all devices under test.
 
     It is in the axes of the device, however this was mounted on the table.
-    ``instance`` is the number of the gyro in an autopilot. RecordingError if there is no calibration, ModelError or
+    ``instance`` is the number of the gyro in an autopilot. With ``joined``, recordings of the device in other
+    mountings, it is the calibration of all of them. RecordingError if there is no calibration, ModelError or
     CompensationError for effects of another version, UsageError for a device that the recording does not have, or for
     the file of an error model.
     """
     recording = _read(path)
-    calibration = read_calibration(path, trusted=True)
+    calibration = _joined(recording, joined) if joined else read_calibration(path, trusted=True)
     there = tuple(dict.fromkeys(gyro.device for gyro in calibration.gyros))
     for device in devices:
         if device not in there:
@@ -106,11 +108,17 @@ def exported_of(path: Path, devices: Sequence[str] = (), instance: int = 0) -> E
     gyros = tuple(gyro for gyro in calibration.gyros if not devices or gyro.device in devices)
     arrays = {name: data.own_array for name, data in recording.sources.items()}
     own_axes = {name: data.mounting.axes.T for name, data in recording.sources.items()}
+    identity = _identity(path, recording, gyros)
+    if joined:
+        limits = read_limits(str(recording.attributes.get("bench", "")))
+        verdict = judge_recorded(calibration, limits, None)
+        identity["outcome"] = f"{verdict.outcome} {verdict.reason}"
+        identity["joined with"] = ", ".join(f"{one.name} (sha256 {file_sha256(one)})" for one in joined)
     if calibration.model and any(not np.array_equal(axes, np.eye(3)) for axes in own_axes.values()):
         raise UsageError(sentence("export.mounted", recording=path))
     return Exported(
         path=path,
-        identity=_identity(path, recording, gyros),
+        identity=identity,
         calibration=calibration,
         gyros=gyros,
         compensation=Compensation.of(gyros, arrays, calibration.model),
@@ -122,6 +130,13 @@ def exported_of(path: Path, devices: Sequence[str] = (), instance: int = 0) -> E
             one.turned(own_axes[one.source]) for one in calibration.forces if not devices or one.device in devices
         ),
     )
+
+
+def _joined(recording: Recording, others: Sequence[Path]) -> Calibration:
+    """Return the joined calibration of recordings, each turned back to how the device was mounted in the first."""
+    calibration = joined_of([recording, *map(_read, others)]).calibration
+    forces = [one.turned(recording.sources[one.source].mounting.axes) for one in calibration.forces]
+    return replace(calibration, forces=tuple(forces))
 
 
 def _units_of(recording: Recording) -> Units:

@@ -115,9 +115,12 @@ def test_the_mounting_errors_are_found_as_they_were() -> None:
 
 
 def test_a_run_of_another_device_is_doubted() -> None:
-    first, second, _ = lying().recordings
-    strange = three_runs(5).recordings[2]
-    (doubt,) = joined(lying(), [first, second, strange]).calibration.doubts
+    """Its accelerometers have scale factors that are 500 ppm larger."""
+    first, second, third = lying().recordings
+    data = third.sources[DEVICE]
+    assert data.accel_mps2 is not None
+    other = replace(data, accel_mps2=data.accel_mps2 * (1 + 500e-6))
+    (doubt,) = joined(lying(), [first, second, replace(third, sources={DEVICE: other})]).calibration.doubts
     assert "contradict each other" in doubt
 
 

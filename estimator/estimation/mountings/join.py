@@ -16,6 +16,7 @@ from estimator.estimation.mountings.problem import DeviceSensor, JoinedStates, R
 from estimator.geometry.array import TOLERANCE
 from estimator.geometry.kinematics import Gravity, Site, gravity_at
 from estimator.geometry.model import StatePrior, decoding
+from estimator.observations.timing import TimeOffset
 from estimator.packaged import sentence
 from estimator.recordings.recording import Recording
 from estimator.sensors.accelerometers import ACCELEROMETER
@@ -263,12 +264,21 @@ def _forces(
                 arm_m=np.full(3, np.nan),
                 arm_covariance_m2=np.full((3, 3), np.nan),
                 gravity_from=gravity.source,
-                offset=None,
+                offset=_mean_offset([forces.offset for forces in single if forces.offset is not None]),
                 excluded=tuple(one for forces in single for one in forces.excluded),
                 doubts=(),
             )
         )
     return tuple(calibrations)
+
+
+def _mean_offset(offsets: Sequence[TimeOffset]) -> TimeOffset | None:
+    """Return the delay that several runs have found, weighted by their variances; None if none has."""
+    weights = np.array([1 / offset.sd_s**2 for offset in offsets if offset.sd_s > 0])
+    if len(weights) < max(len(offsets), 1):
+        return None
+    mean_s = float(weights @ np.array([offset.offset_s for offset in offsets]) / weights.sum())
+    return TimeOffset(mean_s, float(1 / np.sqrt(weights.sum())))
 
 
 def _accelerometer(

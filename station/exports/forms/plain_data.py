@@ -107,7 +107,7 @@ def _force_line(force: ForceCalibration, place: int, row: Floats) -> dict[str, s
         values |= {f"{letter}_{part}": x for part, x in zip("xyz", axis, strict=True)}
     for state, value, sd in zip(ACCELEROMETER.states, one.states, one.sd, strict=True):
         values |= {f"{state.key} ({state.unit})": value, f"sd {state.key} ({state.unit})": sd}
-    for part, place_m, sd_m in zip("xyz", one.place_m, one.place_sd_m, strict=True):
+    for part, place_m, sd_m in zip("xyz", one.place_m, one.place_sd_m, strict=True) if force.placed else ():
         values |= {f"place_{part} (m)": place_m, f"sd place_{part} (m)": sd_m}
     values["noise of a sample (m/s2)"] = one.noise_mps2
     if force.offset is not None:
@@ -173,12 +173,14 @@ def _force(one: ForceCalibration) -> dict[str, Any]:
         told["j"] = accelerometer.j.tolist()
         told["k_axis"] = accelerometer.k_axis.tolist()
         told["covariance"] = accelerometer.covariance.tolist()
-        told["place_covariance_m2"] = accelerometer.place_covariance_m2.tolist()
+        if accelerometer.placed:
+            told["place_covariance_m2"] = accelerometer.place_covariance_m2.tolist()
     found["notes"] = list(one.notes)
     found["doubts"] = list(one.doubts)
     if one.accelerometers:
         sensitivity = sensitivity_of(one.accelerometers)
-        found["lever_arm"]["covariance_m2"] = one.arm_covariance_m2.tolist()
+        if one.placed:
+            found["lever_arm"]["covariance_m2"] = one.arm_covariance_m2.tolist()
         found["sensitivity_s"] = sensitivity.tolist()
         found["bias_b_mps2"] = [accelerometer.states[1] for accelerometer in one.accelerometers]
         found["solution_m"] = np.linalg.pinv(sensitivity).tolist() if spans_space(sensitivity) else None

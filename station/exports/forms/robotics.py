@@ -81,7 +81,9 @@ def _forces(exported: Exported, called: str) -> tuple[HeldForces, dict[str, obje
     if found is None:
         return HeldForces(lines=(sentence("export.left_handed_accelerometers", form=called),)), {}
     m, rotation = found
-    places = np.array([one.place_m for one in forces.correction.accelerometers])
+    places = np.zeros((len(m), 3))
+    if forces.correction.calibration.placed:
+        places = np.array([one.place_m for one in forces.correction.accelerometers])
     density, walk = _force_noise(exported, forces.correction)
     return forces, {
         "force_m": m,

@@ -28,7 +28,7 @@ def print_forces(forces: Sequence[ForceCalibration], *, details: bool) -> None:
         shown: list[Shown] = []
         if one.accelerometers:
             shown.append((_states_table(one), {}))
-            if np.isfinite(one.arm_m).all():  # it is another one in each mounting of a joined calibration
+            if one.placed:
                 shown.append((_places_table(one), {}))
             if one.effects:
                 shown.append((_effects_table(one), {}))

@@ -76,7 +76,7 @@ def force_object(one: ForceCalibration) -> dict[str, Any]:
         found["delay"] = {"value_s": one.offset.offset_s, "sd_s": one.offset.sd_s}
     if one.accelerometers:
         intrinsic = one.intrinsic
-        found["lever_arm"] = {"value_m": one.arm_m, "sd_m": one.arm_sd_m}
+        found["lever_arm"] = {"value_m": one.arm_m, "sd_m": one.arm_sd_m} if one.placed else None
         found["covariance"] = one.covariance
         found["intrinsic"] = {
             "sensitivity": intrinsic.sensitivity,
@@ -144,8 +144,8 @@ def _accelerometer_object(one: AccelerometerCalibration) -> dict[str, Any]:
         "sd": _by_state(one.sd),
         "noise_of_a_sample_mps2": one.noise_mps2,
         "noise": noise,
-        "place_m": one.place_m,
-        "place_sd_m": one.place_sd_m,
+        "place_m": one.place_m if one.placed else None,
+        "place_sd_m": one.place_sd_m if one.placed else None,
         "budget": {line.name: _by_state(line.u) for line in one.budget},
     }
 

@@ -1,0 +1,47 @@
+"""Recordings of one device in several mountings: which may be joined, and their joined calibration."""
+
+from collections.abc import Sequence
+
+from estimator.estimation.mountings.join import JoinedCalibration, join_mountings
+from estimator.recordings.recording import Recording
+from station.bench.bench import read_excluded
+from station.errors import UsageError, sentence
+from station.run.outcome import Outcome, ended_of
+
+_UNFINISHED = (Outcome.ABORTED, Outcome.FAULT, Outcome.MANUAL)
+
+
+def joined_of(
+    recordings: Sequence[Recording], undeclared: tuple[frozenset[str] | None] | None = None
+) -> JoinedCalibration:
+    """Return the calibration of the one device of all recordings.
+
+    ``undeclared`` holds the effects that a file rules out in place of the bench files. UsageError for devices with
+    different serial numbers and for runs that did not come to their end, EstimatorError for others that cannot be
+    joined.
+    """
+    _check(recordings)
+    excluded = [undeclared[0] if undeclared is not None else _excluded(recording) for recording in recordings]
+    return join_mountings(recordings, excluded=excluded)
+
+
+def _check(recordings: Sequence[Recording]) -> None:
+    """Raise UsageError for recordings of devices with different serial numbers, or of a run that did not end."""
+    first = recordings[0]
+    serial = ""
+    for recording in recordings:
+        own = str(recording.attributes.get("device_serial", ""))
+        if own and serial and own != serial:
+            raise UsageError(
+                sentence("calibrate.other_serial", first=first.name, serial=serial, second=recording.name, other=own)
+            )
+        serial = serial or own
+        ended = ended_of(recording.attributes)
+        if ended is not None and ended.outcome in _UNFINISHED:
+            raise UsageError(sentence("calibrate.unfinished", recording=recording.name, outcome=str(ended.outcome)))
+
+
+def _excluded(recording: Recording) -> frozenset[str] | None:
+    """Return the effects that the bench file or the mapping in a recording rules out."""
+    declared = str(recording.attributes.get("bench", "")) or str(recording.attributes.get("mapping", ""))
+    return read_excluded(declared, recording.attributes.get("plugins", ()))
