@@ -56,6 +56,12 @@ class ImuConfig:
     options: Mapping[str, Any] = field(default_factory=dict)
 
     @property
+    def attributes(self) -> dict[str, Any]:
+        """What a recording states of it beside its gyros: the data sheet of its accelerometers, and its mounting."""
+        sheet = {} if self.force_sheet is None else self.force_sheet.attributes
+        return sheet | self.mounting.attributes
+
+    @property
     def own_array(self) -> SensorArray:
         """The array in the axes of the device."""
         return self.array.turned(self.mounting.axes.T)

@@ -134,8 +134,7 @@ class Acquisition:
         for name, gyros in config.gyros_of(imu.source.names).items():
             array = config.array.select(gyros)
             about = {"device": config.name, "rate_hz": config.rate_hz, "lost": 0, "noise": astuple(config.noise)}
-            sheet = {} if config.force_sheet is None else config.force_sheet.attributes
-            self.writer.add_source(name, array, config.prior, {**about, **sheet, **config.mounting.attributes})
+            self.writer.add_source(name, array, config.prior, about | config.attributes)
             self._configs[name] = config
             effects = None
             if self._model is not None and self._model.effects:
