@@ -114,6 +114,20 @@ def test_the_mounting_errors_are_found_as_they_were() -> None:
         assert bench.imus[0].mounting.sd_rad == pytest.approx(np.radians(MOUNTING_DEG))
 
 
+def test_gyros_alone_know_their_misalignments_as_well_as_the_mountings() -> None:
+    """Without accelerometers nothing tells how the axis of the table lies in the device."""
+    alone = []
+    for run in lying().recordings:
+        data = replace(run.sources[DEVICE], accel_mps2=None, accel_sheet=None)
+        alone.append(replace(run, sources={DEVICE: data}))
+    found = joined(lying(), alone).calibration
+    assert not found.forces
+    for gyro, true in zip(found.gyros, lying().gyros, strict=True):
+        assert np.all(np.abs(gyro.states - true) < SURE * gyro.sd)
+        assert np.all(gyro.sd[2:] > 0.3 * np.radians(MOUNTING_DEG))
+        assert np.all(gyro.sd[2:] < 2 * np.radians(MOUNTING_DEG))
+
+
 def test_a_run_of_another_device_is_doubted() -> None:
     """Its accelerometers have scale factors that are 500 ppm larger."""
     first, second, third = lying().recordings

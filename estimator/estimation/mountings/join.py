@@ -16,6 +16,7 @@ from estimator.estimation.mountings.problem import DeviceSensor, JoinedStates, R
 from estimator.geometry.array import TOLERANCE
 from estimator.geometry.kinematics import Gravity, Site, gravity_at
 from estimator.geometry.model import StatePrior, decoding
+from estimator.observations.health import Excluded
 from estimator.observations.timing import TimeOffset
 from estimator.packaged import sentence
 from estimator.recordings.recording import Recording
@@ -248,28 +249,44 @@ def _gyros(runs: Sequence[_Run], sensors: Sequence[DeviceSensor], found: JoinedS
 def _forces(
     runs: Sequence[_Run], sensors: Sequence[DeviceSensor], found: JoinedStates, gravity: Gravity
 ) -> tuple[ForceCalibration, ...]:
-    """Return the calibrations of the accelerometers by source. Their places are other ones in each mounting: NaN."""
+    """Return the calibrations of the accelerometers by source. Their places are other ones in each mounting: NaN.
+
+    Excluded are those that one run could not estimate, also where others could.
+    """
     calibrations = []
-    for source in dict.fromkeys(one.source for one in sensors if one.kind is ACCELEROMETER):
+    for source in dict.fromkeys(forces.source for run in runs for forces in run.forces):
         single = [forces for run in runs for forces in run.forces if forces.source == source]
+        # The first with accelerometers, if any, has what is not estimated anew.
+        first = max(single, key=lambda forces: bool(forces.accelerometers))
         numbers = [n for n, one in enumerate(sensors) if one.kind is ACCELEROMETER and one.source == source]
-        states = np.concatenate([np.arange(4 * number, 4 * number + 4) for number in numbers])
+        states = [state for number in numbers for state in range(4 * number, 4 * number + 4)]
         stated = gravity.sd == 0
         accelerometers = [_accelerometer(single, sensors[n], n, found, gravity_stated=stated) for n in numbers]
         calibrations.append(
             replace(
-                single[0],
+                first,
                 accelerometers=tuple(accelerometers),
                 covariance=found.covariance[np.ix_(states, states)],
                 arm_m=np.full(3, np.nan),
                 arm_covariance_m2=np.full((3, 3), np.nan),
                 gravity_from=gravity.source,
                 offset=_mean_offset([forces.offset for forces in single if forces.offset is not None]),
-                excluded=tuple(one for forces in single for one in forces.excluded),
+                excluded=_excluded(runs, source),
                 doubts=(),
             )
         )
     return tuple(calibrations)
+
+
+def _excluded(runs: Sequence[_Run], source: str) -> tuple[Excluded, ...]:
+    """Return the accelerometers of a source that some run could not estimate, with the run and the reason."""
+    return tuple(
+        Excluded(one.name, f"{run.recording.name}: {one.reason}")
+        for run in runs
+        for forces in run.forces
+        for one in forces.excluded
+        if forces.source == source
+    )
 
 
 def _mean_offset(offsets: Sequence[TimeOffset]) -> TimeOffset | None:
