@@ -6,7 +6,16 @@ from dataclasses import dataclass, replace
 
 from drivers.specs import Key
 from drivers.types import AxisLimits
-from station.scripts.steps.kind import ACCELERATION, Demand, Part, Step, StepKind, driven_acceleration, turn_to
+from station.scripts.steps.kind import (
+    ACCELERATION,
+    Demand,
+    Part,
+    Step,
+    StepKind,
+    driven_acceleration,
+    turn_to,
+    with_comment,
+)
 
 _AXES = ("x", "y", "z")
 
@@ -74,6 +83,17 @@ class Pose(Step):
     def ends_at_stated_angles(self) -> bool:
         """True: the angles are from home."""
         return True
+
+    def written(self, duration_s: float) -> Sequence[str]:
+        """Return the lines of a script file for this step; ``duration_s`` with its moves is told in a comment."""
+        return (
+            'kind = "pose"',
+            *(f'{aim.axis} = "{math.degrees(aim.angle_rad):.10g} deg"' for aim in self.aims),
+            f'rate = "{math.degrees(self.rate_rps):.10g} deg/s"',
+            f'acceleration = "{math.degrees(min(aim.acceleration_rps2 for aim in self.aims)):.10g} deg/s2"',
+            f'settle = "{self.settle_s:.10g} s"',
+            with_comment(f'duration = "{self.duration_s:.10g} s"', f"of the rest; takes {duration_s:.2f} s in all"),
+        )
 
 
 def _make(
