@@ -144,7 +144,11 @@ def rest_angle_law(table: TableReadings) -> Law | None:
     A count of 2 pi / 65536 is 1 mm/s2 of gravity. It is the same error for all samples of a rest, so that no averaging
     reduces it. None without rests, or with readings that are not rounded.
     """
-    counts_rad = least_steps(np.abs(np.diff(table.angle_rad, axis=0)))
+    return counted_angles_law(table, least_steps(np.abs(np.diff(table.angle_rad, axis=0))))
+
+
+def counted_angles_law(table: TableReadings, counts_rad: Floats) -> Law | None:
+    """Return the law of the angles at rest for counts (g,) that are known, infinite for an axis without."""
     spans_s = [(first * 1e-9, last * 1e-9) for first, last in table.rests_ns]
     rounded = [place for place, count in enumerate(counts_rad.tolist()) if np.isfinite(count)]
     if not spans_s or not rounded:

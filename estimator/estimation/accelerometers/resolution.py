@@ -14,7 +14,7 @@ from estimator.estimation.noise_evidence import Joint, Law, joint_estimate, term
 from estimator.geometry.noise import NoiseModel
 from estimator.types import Floats
 
-_SCALES = np.array([1e-3, 0.25, 0.5, 0.75, 1.0])
+SCALES = np.array([1e-3, 0.25, 0.5, 0.75, 1.0])
 """Sizes of the errors to choose among, of that of angles which are anywhere within their count."""
 
 
@@ -35,8 +35,8 @@ def _mean_square(joint: Joint, run: ForceRun, law: Law, noise: NoiseModel | None
     own, shared = terms_of(rich.laws)
     others = len(shared.columns) - len(law.sd)
     logs = []
-    for scale in _SCALES.tolist():
+    for scale in SCALES.tolist():
         sizes = (1.0,) * others + (scale,) * len(law.sd)
         logs.append(rich.evidence.of([own, replace(shared, sizes=sizes)]))
     weights = np.exp(np.array(logs) - max(logs))
-    return float(weights @ _SCALES**2 / weights.sum())
+    return float(weights @ SCALES**2 / weights.sum())
