@@ -5,19 +5,21 @@ import json
 import math
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 
-from drivers.types import Floats
-from estimator.calibration.budget import table_budget
-from estimator.geometry.kinematics import body_rate
+from drivers.types import Flags, Floats
 from estimator.geometry.model import regressor_maps
 from estimator.observations.rows import BLOCK_S
-from estimator.planning.planning import UNSEEN, weighing
+from estimator.planning.force_planning import PARAMETERS
+from estimator.planning.planning import UNSEEN
+from estimator.sensors.accelerometers import ACCELEROMETER
 from station.atomic_write import check_new_file, free_path, write_whole
 from station.bench.bench import Bench
 from station.bench.imu import ImuConfig
@@ -28,21 +30,28 @@ from station.render.template import rendered
 from station.run.outcome import Outcome
 from station.schema.quantities import QuantityError, parse
 from station.scripts.plan import make_plan
-from station.scripts.planned import planned_motion
-from station.scripts.script import Script, check
+from station.scripts.prediction import accelerometer_rows, predict
+from station.scripts.script import Script, check, is_possible
 from station.scripts.script_family import ways_of
-from station.scripts.script_search import LONGEST_S, Needs, Search, sds_of
+from station.scripts.script_search import LONGEST_S, Found, Needs, Search, sds_of
+from station.scripts.whole_imu.family import spanning, ways_within
+from station.scripts.whole_imu.search import JointNeeds, WholeImuSearch
 from station.views.figures import STATE_FIGURES
 from station.views.improved import Improved, Wanted
-from station.views.json_values import by_state
+from station.views.json_values import by_state, json_object
 
-NAMES = {"k": (0,), "b": (1,), "sigma": (2, 3), "sigma_j": (2,), "sigma_k": (3,)}
-"""What --states may list: columns of the states."""
+NAMES = {"k": (0,), "b": (1,), "sigma": (2, 3), "sigma_j": (2,), "sigma_k": (3,), "arm": (4, 5, 6)}
+"""What --states may list: columns of the states, and of the places of accelerometers."""
 DEFAULT_FILE = "improved.toml"
-_PERIOD_S = 0.05
-_MOST_ROWS = 50_000
 _MOST_NAMED = 4
+_MOST_POSES = 24
+_GYRO_WAYS = 2
 _TABLE_LIMITS = "the uncertainty of the table ([table.uncertainty])"
+_GRAVITY_LIMITS = "local gravity is known to 50 ppm by latitude and height. State a measured one ([site] gravity)"
+_PARAMETER_NAMES = (*(state.symbol for state in ACCELEROMETER.states), *(f"place {axis}" for axis in "xyz"))
+_DIRECTIONS = 3
+_MARGINAL = 0.05  # logarithm of a sigma by which a script may miss the margin below its own sigmas
+_DECIDES = 0.99  # share of its requirement from which on a sigma decides how long a script is
 _NOISE_LIMITS = "noise that does not average out (bias_instability, rate_random_walk of the data sheet)"
 
 
@@ -56,30 +65,38 @@ def improve(arguments: argparse.Namespace, bench: Bench, script: Script) -> int:
     path = Path(arguments.output) if arguments.output else free_path(Path(DEFAULT_FILE))
     check_new_file(path, "--output")
     say = Console(stderr=True, quiet=arguments.json)
-    search = search_of(bench, wanted, lambda text: say.print(f"[dim]{text}[/]", highlight=False))
-    found = search.least_time() if wanted.total_s is None else search.least_sigmas(wanted.total_s)
+
+    def on_progress(text: str) -> None:
+        say.print(f"[dim]{escape(text)}[/]", highlight=False)
+
+    accelerometers = accelerometer_rows(bench)
+    if accelerometers:
+        whole = whole_imu_search(bench, wanted, on_progress)
+        found = whole.best()
+    else:
+        search = search_of(bench, wanted, on_progress)
+        found = search.least_time() if wanted.total_s is None else search.least_sigmas(wanted.total_s)
     gyros = tuple((imu.name, gyro) for imu in _used(bench) for gyro in imu.array.names)
     if found is None:
-        return _refuse(_why_not(search, bench, wanted, gyros), arguments.json)
+        reason = _whole_why_not(whole, bench) if accelerometers else _why_not(search, bench, wanted, gyros)
+        return _refuse(reason, arguments.json)
     check(found.script, bench.table.limits)
-    search_s = time.perf_counter() - began_s
-    improved = Improved(before=script, wanted=wanted, found=found, gyros=gyros, search_s=search_s)
+    if accelerometers and (reason := _no_gain(whole, found, script, bench)):
+        return _refuse(reason, arguments.json)
+    improved = Improved(
+        before=script,
+        wanted=wanted,
+        found=found,
+        gyros=gyros,
+        accelerometers=accelerometers,
+        search_s=time.perf_counter() - began_s,
+    )
     write_whole(path, script_text(found.script, _origin(improved, bench)))
-    notes = _notes(bench, path)
     if arguments.json:
-        print(json.dumps({**improved_object(improved, path), "notes": notes}))
+        print(json.dumps(improved_object(improved, path)))
     else:
         print_improved(improved, path, bench.units)
-        for note in notes:
-            tell(note, sys.stdout)
     return Outcome.PASS.exit_code
-
-
-def _notes(bench: Bench, path: Path) -> list[str]:
-    """Return what the search did not look at."""
-    if all(imu.force_sheet is None for imu in _used(bench)):
-        return []
-    return [sentence("script.improve_gyros_alone", path=path)]
 
 
 def search_of(bench: Bench, wanted: Wanted, on_progress: Callable[[str], None]) -> Search:
@@ -96,33 +113,13 @@ def search_of(bench: Bench, wanted: Wanted, on_progress: Callable[[str], None]) 
         bench.table.limits,
         bench.table.gimbals,
         wanted.rest_s,
-        lambda script: predicted(script, bench),
+        lambda script: predict(script, bench).gyros,
         criterion=wanted.criterion,
         gentle_rps2=_gentle_rps2(bench),
         coloured=any(imu.noise.instability > 0 or imu.noise.walk > 0 for imu in imus),
         one_directional=wanted.one_way,
         on_progress=on_progress,
     )
-
-
-def predicted(script: Script, bench: Bench) -> Floats:
-    """Return the covariances (n, 4, 4) of the states predicted for a run of the script: noise and table.
-
-    They equal those of ``station.scripts.plan.make_plan`` without the effects that it adds.
-    """
-    period_s = max(_PERIOD_S, script.least_s / _MOST_ROWS)
-    motion = planned_motion(script, bench.table.gimbals, period_s)
-    w = body_rate(motion.angle_rad, motion.rate_rps, motion.gimbals, bench.site)
-    columns = np.column_stack([np.ones(len(w)), w])
-    readings = motion.readings(bench.table.uncertainty)
-    covariances = []
-    for imu in _used(bench):
-        maps, arw = regressor_maps(imu.array), np.full(len(imu.array), imu.noise.arw)
-        seen = weighing(motion.t_s, period_s, imu.noise)(columns)
-        own = np.linalg.inv(maps @ seen @ maps.transpose(0, 2, 1) + np.diag(1 / imu.prior.variances()))
-        for covariance, parts in zip(own, table_budget(readings, bench.site, imu.array, imu.prior, arw), strict=True):
-            covariances.append(covariance + sum(part.covariance for part in parts))
-    return np.array(covariances)
 
 
 def _gentle_rps2(bench: Bench) -> float:
@@ -149,24 +146,105 @@ def _wanted(arguments: argparse.Namespace, bench: Bench, script: Script) -> Want
     margin, rest_s = quantity(arguments, "margin", "ratio"), quantity(arguments, "rest", "time")
     if not 0 <= margin < 1 or not 1 <= rest_s <= LONGEST_S / 4:
         raise UsageError('--margin must be from "0 %" to below "100 %", --rest "1 s" or more')
+    if not 0 <= arguments.poses <= _MOST_POSES:
+        raise UsageError(f"--poses must be from 0 to {_MOST_POSES}")
     columns = _columns(arguments.states)
-    if arguments.sigmas == "bench":
-        sd = np.tile(bench.limits.sds, (sum(len(imu.array) for imu in _used(bench)), 1))
-    else:
-        plan = make_plan(script, bench, effects=())
-        promised = np.array([gyro.prior_sd for gyro in plan.forecast.gyros])
-        sd = np.where(plan.sd > UNSEEN * promised, np.inf, plan.sd)  # a state that is not shown is not reached
-    sd = np.where(np.isin(np.arange(4), columns), sd * (1 - margin), np.inf)
-    if not np.isfinite(sd).any():
+    sd, force_sd = _bench_sds(bench) if arguments.sigmas == "bench" else _script_sds(bench, script)
+    sd = np.where(np.isin(np.arange(4), columns), sd, np.inf)
+    force_sd = np.where(np.isin(np.arange(PARAMETERS), columns), force_sd, np.inf)
+    if not np.isfinite(sd).any() and not np.isfinite(force_sd).any():
         raise UsageError(
             "nothing to reach: the bench requires none of these sigmas ([limits], sd_...)"
             if arguments.sigmas == "bench"
             else f"nothing to reach: {script.name} shows none of these states"
         )
+    if arguments.one_way and len(force_sd):
+        raise UsageError("--one-way is for gyros alone. Leave it out, as this bench has accelerometers")
     total_s = None if arguments.time_given is None else quantity(arguments, "time_given", "time")
     if total_s is not None and not 0 < total_s <= LONGEST_S:
         raise UsageError(f"--for {arguments.time_given}: give a time above 0 s and up to {LONGEST_S / 3600:g} h")
-    return Wanted(sd=sd, total_s=total_s, rest_s=rest_s, criterion=arguments.criterion, one_way=arguments.one_way)
+    wanted = Wanted(
+        sd=sd,
+        force_sd=force_sd,
+        total_s=total_s,
+        rest_s=rest_s,
+        poses=arguments.poses,
+        criterion=arguments.criterion,
+        one_way=arguments.one_way,
+    )
+    if arguments.sigmas == "script" and len(force_sd):
+        return _below_script(wanted, bench, margin)
+    return replace(wanted, sd=sd * (1 - margin), force_sd=force_sd * (1 - margin))
+
+
+def _bench_sds(bench: Bench) -> tuple[Floats, Floats]:
+    """Return the sigmas that the bench requires: of gyros (n, 4), and of accelerometers (m, 7), no places."""
+    gyros = np.tile(bench.limits.sds, (sum(len(imu.array) for imu in _used(bench)), 1))
+    states = [bench.limits.forces.of_state(state)[2] for state in range(4)]
+    return gyros, np.tile([*states, *[np.inf] * 3], (len(accelerometer_rows(bench)), 1))
+
+
+def _script_sds(bench: Bench, script: Script) -> tuple[Floats, Floats]:
+    """Return the sigmas that a script reaches: of gyros (n, 4) and of accelerometers (m, 7), infinite if not shown."""
+    prediction = predict(check(script, bench.table.limits), bench)
+    gyro_prior = [np.tile(np.sqrt(imu.prior.variances()), (len(imu.array), 1)) for imu in _used(bench)]
+    force_prior = [
+        np.tile([*np.sqrt(prior.variances()), *[math.hypot(prior.arm_m, prior.apart_m)] * 3], (3, 1))
+        for prior in (imu.force_sheet.prior for imu in _used(bench) if imu.force_sheet is not None)
+    ]
+    forces = np.vstack([np.zeros((0, PARAMETERS)), *force_prior])
+    return _shown(prediction.gyro_sd, np.vstack(gyro_prior)), _shown(prediction.accelerometer_sd, forces)
+
+
+def _shown(sd: Floats, promised: Floats) -> Floats:
+    """Return the sigmas, infinite where a script hardly betters what is promised: that state is not to be reached."""
+    return np.asarray(np.where(sd > UNSEEN * promised, np.inf, sd))
+
+
+def _below_script(wanted: Wanted, bench: Bench, margin: float) -> Wanted:
+    """Return the goal, the sigmas of a script, each lowered by the margin.
+
+    What gravity, the table and noise that does not average out add is in the sigmas of every script: no sigma has to be
+    nearer than the margin to that of the longest script.
+    """
+    floor = predict(whole_imu_search(bench, wanted, lambda text: None).longest(), bench)
+    return replace(
+        wanted,
+        sd=_lowered(wanted.sd, floor.gyro_sd, margin),
+        force_sd=_lowered(wanted.force_sd, floor.accelerometer_sd, margin),
+    )
+
+
+def _lowered(sd: Floats, floor: Floats, margin: float) -> Floats:
+    """Return the sigmas lowered by the margin, but not to less than the margin above the floor."""
+    lowered = np.maximum(sd * (1 - margin), floor * (1 + margin))
+    return np.asarray(np.where(np.isfinite(sd), lowered, np.inf))
+
+
+def whole_imu_search(bench: Bench, wanted: Wanted, on_progress: Callable[[str], None]) -> WholeImuSearch:
+    """Return the search for a script for gyros and accelerometers of the bench's used devices.
+
+    It tries the turns that come first among those about directions of their own, and those best for the gyros.
+    """
+    gimbals = bench.table.gimbals
+    turns = [spanning(ways_within(ways_of(gimbals, (0.0, math.pi / 2)), bench.table.limits))]
+    if np.isfinite(wanted.sd).any():
+        for ways in search_of(bench, wanted, lambda text: None).ways(wanted.total_s, _GYRO_WAYS):
+            if len(ways_within(ways, bench.table.limits)) == len(ways) and set(ways) not in map(set, turns):
+                turns.append(ways)
+    return WholeImuSearch(
+        needs=JointNeeds(gyro_sd=wanted.sd, force_sd=wanted.force_sd),
+        ways=turns,
+        limits=bench.table.limits,
+        gimbals=gimbals,
+        rest_s=wanted.rest_s,
+        poses=wanted.poses,
+        predict=lambda script, coarse: predict(script, bench, coarse=coarse),
+        total_s=wanted.total_s,
+        criterion=wanted.criterion,
+        gentle_rps2=_gentle_rps2(bench),
+        on_progress=on_progress,
+    )
 
 
 def quantity(arguments: argparse.Namespace, option: str, kind: str) -> float:
@@ -199,9 +277,79 @@ def _why_not(search: Search, bench: Bench, wanted: Wanted, gyros: tuple[tuple[st
         table_sd = make_plan(longest, bench, effects=()).table_sd
         cause = _TABLE_LIMITS if bool((table_sd > wanted.sd).any()) else _NOISE_LIMITS
     names = [f"{gyros[row][1]} {STATE_FIGURES[state].name}" for row, state in np.argwhere(missed)]
+    return _cannot(_listed(names), cause)
+
+
+def _whole_why_not(search: WholeImuSearch, bench: Bench) -> str:
+    """Return the text that says which sigmas of gyros and accelerometers cannot be reached, and what limits them."""
+    if search.total_s is not None:
+        return f"{search.total_s:g} s is too short for the rests, the poses and a turn about each axis. Allow more time"
+    longest = search.longest()
+    reached = predict(longest, bench)
+    needs = search.needs
+    names = _names(reached.gyro_sd > needs.gyro_sd, reached.accelerometer_sd > needs.force_sd, bench)
+    if not names:
+        return sentence("script.improve_no_family", hours=LONGEST_S / 3600)
+    if len(search.ways[0]) < _DIRECTIONS:
+        return _cannot(names, _limit_of_motion(bench))
+    if bench.site is not None and _reaches_with_known_gravity(longest, bench, needs):
+        return _cannot(names, _GRAVITY_LIMITS)
+    return _cannot(names, f"{_NOISE_LIMITS}, or {_TABLE_LIMITS}")
+
+
+def _no_gain(search: WholeImuSearch, found: Found, script: Script, bench: Bench) -> str:
+    """Return the text that says that the given script is better than the one found; empty if it is not, or the table
+    cannot do it.
+    """
+    if not is_possible(script, bench.table.limits):
+        return ""
+    given = predict(check(script, bench.table.limits), bench)
+    needs = search.needs
+    if search.total_s is None:
+        if found.script.least_s < script.least_s or needs.excess(given).max() > _MARGINAL:
+            return ""
+        names = _names(found.sd > _DECIDES * needs.gyro_sd, found.force_sd > _DECIDES * needs.force_sd, bench)
+        return sentence(
+            "script.improve_no_gain",
+            script=script.name,
+            length_s=script.least_s,
+            found_s=found.script.least_s,
+            names=names or "the rests and poses that are left (--rest, --poses)",
+        )
+    reached = predict(check(found.script, bench.table.limits), bench)
+    if script.least_s > search.total_s or needs.cost(given, search.criterion) > needs.cost(reached, search.criterion):
+        return ""
+    return sentence("script.improve_no_better", script=script.name, length_s=search.total_s)
+
+
+def _names(gyros: Flags, accelerometers: Flags, bench: Bench) -> str:
+    """Return the names of the states of gyros (n, 4), and of states and places of accelerometers (m, 7), by flags."""
+    own = [name for imu in _used(bench) for name in imu.array.names]
+    rows = accelerometer_rows(bench)
+    kinds = (
+        [f"{own[row]} {STATE_FIGURES[state].name}" for row, state in np.argwhere(gyros)],
+        [f"{rows[row][1]} {_PARAMETER_NAMES[column]}" for row, column in np.argwhere(accelerometers)],
+    )
+    return ", ".join(_listed(names) for names in kinds if names)
+
+
+def _reaches_with_known_gravity(script: Script, bench: Bench, needs: JointNeeds) -> bool:
+    """Return whether a script would reach all sigmas if gravity had been measured."""
+    assert bench.site is not None
+    site = replace(bench.site, gravity_mps2=bench.site.local_gravity_mps2)
+    return bool(needs.excess(predict(script, replace(bench, site=site))).max() <= 0)
+
+
+def _cannot(names: str, cause: str) -> str:
+    """Return the text that these sigmas cannot be reached."""
+    return f"cannot be reached: sigma of {names}. Cause: {cause}"
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Return the first of some names, and how many more there are."""
     others = len(names) - _MOST_NAMED
     more = f" and {others} more" if others > 0 else ""
-    return f"cannot be reached: sigma of {', '.join(names[:_MOST_NAMED])}{more}. Cause: {cause}"
+    return f"{', '.join(names[:_MOST_NAMED])}{more}"
 
 
 def _limit_of_motion(bench: Bench) -> str:
@@ -251,15 +399,15 @@ def _quoted(text: str) -> str:
 
 def improved_object(improved: Improved, path: Path) -> dict[str, Any]:
     """Return the script found for --json, in SI; null where nothing was required."""
-    script, before = improved.found.script, improved.before
-    return {
-        "reached": bool((improved.found.sd <= improved.wanted.sd).all()),
+    script, before, found, wanted = improved.found.script, improved.before, improved.found, improved.wanted
+    told = {
+        "reached": bool((found.sd <= wanted.sd).all() and (found.force_sd <= wanted.force_sd).all()),
         "script": str(path),
         "duration_s": script.least_s,
         "duration_with_sequencer_s": improved.with_sequencer_s,
         "before": {"script": before.name, "duration_s": before.least_s},
-        "criterion": improved.wanted.criterion,
-        "compared": improved.found.compared,
+        "criterion": wanted.criterion,
+        "compared": found.compared,
         "search_s": improved.search_s,
         "gyros": [
             {
@@ -268,9 +416,27 @@ def improved_object(improved: Improved, path: Path) -> dict[str, Any]:
                 "required": by_state(needed),
                 "sd": by_state(reached),
             }
-            for (device, name), needed, reached in zip(
-                improved.gyros, improved.wanted.sd, improved.found.sd, strict=True
-            )
+            for (device, name), needed, reached in zip(improved.gyros, wanted.sd, found.sd, strict=True)
         ],
         "steps": [{"label": timed.step.label, "duration_s": timed.span.least_s} for timed in script.timeline()],
+    }
+    if improved.accelerometers:
+        told["accelerometers"] = [
+            _accelerometer_object(device, name, needed, reached)
+            for (device, name), needed, reached in zip(
+                improved.accelerometers, wanted.force_sd, found.force_sd, strict=True
+            )
+        ]
+    return told
+
+
+def _accelerometer_object(device: str, name: str, required: Floats, reached: Floats) -> dict[str, Any]:
+    """Return the required and reached sigmas (7,) of states and place of an accelerometer."""
+    return {
+        "device": device,
+        "name": name,
+        "required": dict(zip(ACCELEROMETER.keys, json_object(required[:4]), strict=True)),
+        "sd": dict(zip(ACCELEROMETER.keys, json_object(reached[:4]), strict=True)),
+        "required_place_m": json_object(required[4:]),
+        "place_sd_m": json_object(reached[4:]),
     }

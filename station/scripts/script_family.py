@@ -136,7 +136,7 @@ class Shape:
             for way, turn_s in zip(self.ways, v[:-1], strict=True):
                 yield from self._moves(angles, dict(way.pose))
                 limit = self._limits[way.axis]
-                rate = _rate(float(turn_s), limit)
+                rate = turn_rate(float(turn_s), limit)
                 for signed in (way.sign * rate,) if way.sign else (rate, -rate):
                     label = f"{way.axis} at {math.degrees(signed):.4g} deg/s"
                     yield Rotate(way.axis, signed, float(turn_s), limit.acceleration_rps2, label)
@@ -154,7 +154,7 @@ class Shape:
     def _turns(self, way: Way, turn_s: float) -> tuple[Floats, Floats]:
         """Return the contribution of all turns of a way to the sums (4, 4), and its derivative by their duration."""
         limit = self._limits[way.axis]
-        rate, push = _rate(turn_s, limit), limit.acceleration_rps2
+        rate, push = turn_rate(turn_s, limit), limit.acceleration_rps2
         rate_slope = 0.0 if rate == limit.rate_rps else _RAMP_SHARE * push
         turn, square = rate * (turn_s - rate / push), _square(rate, turn_s, push)
         turn_slope = rate + rate_slope * (turn_s - 2 * rate / push)
@@ -186,7 +186,8 @@ def sums(script: Script, gimbals: Sequence[str]) -> Floats:
     return total
 
 
-def _rate(turn_s: float, limit: AxisLimits) -> float:
+def turn_rate(turn_s: float, limit: AxisLimits) -> float:
+    """Return the rate of a turn of this length, as high as its axis and ramps allow."""
     return min(limit.rate_rps, _RAMP_SHARE * limit.acceleration_rps2 * turn_s)
 
 

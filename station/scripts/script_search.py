@@ -8,7 +8,7 @@ change is taken from the full prediction, as a factor on each sigma, until both 
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -92,11 +92,15 @@ def sds_of(covariances: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """A script, its predicted sigmas (n, 4), and the number of combinations of turns that were compared."""
+    """A script, its predicted sigmas (n, 4), and the number of combinations of turns that were compared.
+
+    ``force_sd`` (m, 7) are the sigmas of states and places of accelerometers, if the search looked at any.
+    """
 
     script: Script
     sd: Floats
     compared: int
+    force_sd: Floats = field(default_factory=lambda: np.zeros((0, 7)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,6 +164,14 @@ class Search:
             return self.needs.cost(covariances, self.criterion)[0], Found(script, sds_of(covariances), 0)
 
         return self._chosen(solve, settle)
+
+    def ways(self, total_s: float | None, most: int) -> list[tuple[Way, ...]]:
+        """Return the ``most`` best combinations of turns under white noise, in ``total_s`` or for the least time."""
+        if total_s is None:
+            ranked = self._ranked(lambda shape: _shortest(shape, self.needs))
+        else:
+            ranked = self._ranked(lambda shape: _best_within(shape, self.needs, total_s, self.criterion))
+        return [solved.shape.ways for solved in ranked[:most]]
 
     def _chosen(
         self, solve: Callable[[Shape], _Solved | None], settle: Callable[[Shape], tuple[float, Found] | None]

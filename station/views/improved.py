@@ -11,23 +11,33 @@ _AFTER_MOVE_S = 0.05  # the sequencer asks for the arrival when it is due, and a
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Wanted:
-    """The goal: sigmas (n, 4), infinite where none is required; the time given, or None for the least time."""
+    """The goal: sigmas of gyros (n, 4), and of states and places of accelerometers (m, 7), infinite where none is
+    required; the time given, or None for the least time.
+
+    ``poses`` is how many attitudes a script for accelerometers has at least.
+    """
 
     sd: Floats
+    force_sd: Floats
     total_s: float | None
     rest_s: float
+    poses: int
     criterion: str
     one_way: bool
 
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Improved:
-    """The script found, its goal, and the duration of the search; ``gyros`` are (device, gyro)."""
+    """The script found, its goal, and the duration of the search.
+
+    ``gyros`` and ``accelerometers`` are (device, name).
+    """
 
     before: Script
     wanted: Wanted
     found: Found
     gyros: tuple[tuple[str, str], ...]
+    accelerometers: tuple[tuple[str, str], ...]
     search_s: float
 
     @property

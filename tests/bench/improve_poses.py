@@ -2,9 +2,10 @@
 
 python tests/bench/improve_poses.py
 
-Each script is found for the bench with the gimbals named, and simulated. For each case: how long the script takes and
-that which it improves, how long the search took, and the standard deviations that the calibration of the simulated run
-states, over those that the search predicted.
+Each script is found for the bench with the gimbals named, and simulated with several seeds, as the noise that a run
+finds scatters and the sigmas of biases with it. For each case: how long the script takes and that which it improves,
+how long the search took, and the standard deviations that the calibrations of the simulated runs state (median), over
+those that the search predicted.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ sd_misalignment = "50 urad"
 
 [undeclared]"""
 SEARCH_BAR_S = 60.0
-AGREES = 1.2
+LEAST, MOST = 0.8, 1.2  # stated over predicted
+SEEDS = range(3, 9)
 TUMBLE = """name = "tumble"
 [[step]]
 kind = "rest"
@@ -65,11 +67,12 @@ class Case:
 
 CASES = (
     Case("zyx", "full-imu", ("--sigmas", "bench")),
-    Case("zyx", "full-imu"),
+    Case("zyx", ""),
+    Case("zyx", "full-imu", ("--states", "k,arm")),
     Case("zyx", "full-imu", ("--for", "300 s")),
     Case("yz", "full-imu-two-axes", ("--sigmas", "bench")),
-    Case("yz", "full-imu-two-axes"),
-    Case("x", "tumble"),
+    Case("yz", "full-imu-two-axes", ("--states", "k,arm")),
+    Case("x", "tumble", ("--states", "k,sigma,arm")),
 )
 
 
@@ -83,12 +86,12 @@ def _missed(case: Case) -> bool:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         bench_file = _bench_file(folder, case.axes)
-        script_file = case.script if case.script != "tumble" else _tumble(folder)
+        script = [_tumble(folder) if case.script == "tumble" else case.script] if case.script else []
         path = folder / "found.toml"
         began_s = time.perf_counter()
-        done = station("plan", "--improve", "--json", "--bench", bench_file, "-o", path, script_file, *case.options)
+        done = station("plan", "--improve", "--json", "--bench", bench_file, "-o", path, *script, *case.options)
         took_s = time.perf_counter() - began_s
-        title = f"{case.axes}, {case.script} {' '.join(case.options)}"
+        title = f"{case.axes}, {case.script or 'paper-360s'} {' '.join(case.options)}"
         found = json.loads(done.stdout) if done.stdout else {"reached": False, "reason": done.stderr}
         if found.get("script") is None:
             print(f"{title}: MISSED, {found['reason']}")
@@ -97,20 +100,21 @@ def _missed(case: Case) -> bool:
             print(f"{title}: MISSED, the search did not look at accelerometers")
             return True
         bench = load_bench(bench_file)
-        forces, _ = calibrate_forces(simulate_bench(bench, load_script(path), 3))
-    stated = np.array([[*a.sd, *a.place_sd_m] for a in forces[0].accelerometers])
+        runs = [calibrate_forces(simulate_bench(bench, load_script(path), seed))[0][0] for seed in SEEDS]
+    sds = np.array([[[*a.sd, *a.place_sd_m] for a in run.accelerometers] for run in runs])
+    stated = np.median(sds, axis=0)
     promised = np.array([[*a["sd"].values(), *a["place_sd_m"]] for a in found["accelerometers"]])
     wanted = [[*a["required"].values(), *a["required_place_m"]] for a in found["accelerometers"]]
     required = np.array([[np.inf if v is None else v for v in row] for row in wanted])
     ratio = (stated / promised)[np.isfinite(required)]
     longer = found["duration_s"] > found["before"]["duration_s"]
-    wrong = bool((ratio > AGREES).any() or (ratio < 1 / AGREES).any() or (promised > required).any())
-    if "--for" in case.options:
-        wrong = bool((ratio > AGREES).any() or (ratio < 1 / AGREES).any())
-    missed = wrong or longer or took_s > SEARCH_BAR_S
+    in_time = "--for" in case.options  # such a search makes sigmas small, and need not reach those of the script
+    higher = not in_time and bool((promised > required).any())
+    wrong = bool(ratio.max() > MOST or ratio.min() < LEAST)
+    missed = wrong or higher or longer or took_s > SEARCH_BAR_S
     print(
         f"{title}: {'MISSED, ' * missed}{found['duration_s']:.1f} s instead of {found['before']['duration_s']:.1f} s; "
-        f"stated over predicted {ratio.min():.2f} to {ratio.max():.2f} (bar {1 / AGREES:.2f} to {AGREES:g}); "
+        f"stated over predicted {ratio.min():.2f} to {ratio.max():.2f} (bar {LEAST:g} to {MOST:g}); "
         f"found in {took_s:.1f} s (bar {SEARCH_BAR_S:g} s)",
         flush=True,
     )
