@@ -10,6 +10,7 @@ from estimator.geometry.kinematics import AXES, GRAVITY_MPS2
 from estimator.geometry.noise import SD_OF_MEDIAN
 from estimator.observations.defects.limits import limits_of
 from estimator.observations.defects.odd_samples import without_odd
+from estimator.observations.defects.stuck import longest_by_chance
 from estimator.observations.health import Excluded, at_limits, widened
 from estimator.packaged import sentence
 from estimator.recordings.motion.body_rates import BodyRates
@@ -26,7 +27,6 @@ _LONGEST_ARM_M, _ALLOWED = 1.0, 3.0
 _HELD_S, _CHANGED_MPS2 = 1.0, 1.0  # a value that is held for longer while the force changes by more is stuck
 _STILL_MPS2 = 0.1  # the force stays: it changes by less
 _MOST_PARTS = 0.75  # share of the parts of a run at rest in which no more samples equal the one before
-_BY_CHANCE, _FEWEST_EQUAL = 1e-6, 4.0  # that so many samples in a row are equal; never fewer than so many
 _ALONG = 0.8  # cosine above which an accelerometer lies along a body axis
 
 
@@ -164,7 +164,7 @@ def _held(t_ns: Stamps, output: Floats, expected: Floats) -> Flags:
     ends = np.nanmin(output), np.nanmax(output)
     held = np.zeros(len(output), dtype=np.bool_)
     equal = np.diff(output) == 0
-    longest = _longest_by_chance(t_ns, equal, expected)
+    longest = _longest_equal(t_ns, equal, expected)
     for start, stop in runs_of(equal):
         own = expected[start : stop + 1]
         own = own[np.isfinite(own)]
@@ -175,7 +175,7 @@ def _held(t_ns: Stamps, output: Floats, expected: Floats) -> Flags:
     return held
 
 
-def _longest_by_chance(t_ns: Stamps, equal: Flags, expected: Floats) -> float:
+def _longest_equal(t_ns: Stamps, equal: Flags, expected: Floats) -> float:
     """Return how many neighbours in a row are never equal by chance; infinite where nothing changes at rest.
 
     ``equal`` (n - 1,) flags samples that equal the one before. Their share where the force stays is that of most parts
@@ -189,10 +189,7 @@ def _longest_by_chance(t_ns: Stamps, equal: Flags, expected: Floats) -> float:
     if not still.any():
         return np.inf
     shares = np.add.reduceat(equal.astype(np.float64), starts) / np.diff([*starts, len(equal)])
-    usual = float(np.quantile(shares[still], _MOST_PARTS))
-    if usual <= 0:
-        return _FEWEST_EQUAL
-    return max(float(np.log(_BY_CHANCE) / np.log(usual)), _FEWEST_EQUAL) if usual < 1 else np.inf
+    return longest_by_chance(float(np.quantile(shares[still], _MOST_PARTS)))
 
 
 def _unlike(gain: Floats, array: SensorArray, number: int) -> str:

@@ -5,10 +5,9 @@ from collections import deque
 
 import numpy as np
 
+from estimator.observations.defects.stuck import longest_by_chance
 from estimator.types import Flags, Floats
 
-_BY_CHANCE = 1e-6  # that so many outputs in a row are equal
-_FEWEST_EQUAL = 4
 _RECENT = 500  # runs of equal outputs by which their usual length is told
 _SIGMAS = 8.0  # beyond the data sheet
 _FEW = 0.2  # share of a block that may be beyond the data sheet: spikes
@@ -84,7 +83,4 @@ class UsableRows:
         """Return how many outputs in a row are never equal, by the least step and the noise; 1 before the first."""
         if not math.isfinite(self._step_mps2):
             return 1.0
-        alike = self._step_mps2 / (2 * math.sqrt(math.pi) * self._noise_mps2)
-        if alike >= 1.0:
-            return math.inf  # so coarse that nothing changes at rest
-        return max(math.log(_BY_CHANCE) / math.log(alike), _FEWEST_EQUAL)
+        return longest_by_chance(self._step_mps2 / (2 * math.sqrt(math.pi) * self._noise_mps2))

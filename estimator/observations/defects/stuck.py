@@ -1,5 +1,7 @@
 """Sources that repeat the same few samples while the table turns them differently."""
 
+import math
+
 import numpy as np
 
 from estimator.recordings.motion.body_rates import BodyRates
@@ -10,6 +12,17 @@ _LONG_S, _AWRY_NS = 1.0, 400_000_000  # stamps may be off the table's by the sec
 _TOGETHER_S, _TOGETHER = 0.05, 8  # samples of this length, and this number, may be sent and repeated together
 # By which the sensed rate changes meanwhile: no resolution is so coarse.
 _OTHERWISE_RPS = float(np.radians(1.0))
+_BY_CHANCE, _FEWEST_EQUAL = 1e-6, 4.0  # that so many samples in a row are equal; never fewer than so many
+
+
+def longest_by_chance(alike: float) -> float:
+    """Return how many samples in a row are equal by chance; infinite where nothing changes.
+
+    ``alike`` is the probability that a sample equals the one before.
+    """
+    if alike >= 1:
+        return math.inf
+    return max(math.log(_BY_CHANCE) / math.log(alike), _FEWEST_EQUAL) if alike > 0 else _FEWEST_EQUAL
 
 
 def stuck_doubts(recording: Recording) -> list[str]:
