@@ -44,7 +44,7 @@ def _planned(script: Script, bench: Bench, imu: ImuConfig) -> PlannedForces | No
     """Return what a script shows of one device; None if it is too short to show anything."""
     recording = simulated_run(script, bench, imu)
     forces, notes = calibrate_forces(recording)
-    if not forces:
+    if not forces or not forces[0].accelerometers:
         return None
     effects = effect_sigmas(recording, imu.name)
     return PlannedForces(device=imu.name, found=forces[0], notes=tuple(notes), effects=effects)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from estimator.calibration.calibration_file import read_calibration
+from estimator.calibration.error_model import ErrorModel, KnownForceEffect, Size
 from estimator.recordings.reading import read_recording
 from estimator.recordings.writing import write_recording
 from station.bench.bench import read_bench
@@ -101,6 +102,30 @@ def test_a_plan_foretells_the_sigmas_of_a_run(recorded: Path, capsys: pytest.Cap
         assert list(one["sd"].values()) == pytest.approx(own.sd.tolist(), rel=0.5)
         assert one["place_sd_m"] == pytest.approx(own.place_sd_m.tolist(), rel=0.5)
     assert 1e-5 < planned["detected"]["asymmetry"][0] < 1e-3
+
+
+@pytest.mark.parametrize("name", ["full_imu", "one_axis_imu"])
+def test_a_plan_of_a_script_too_short_for_accelerometers_shows_the_gyros(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    (tmp_path / "brief.toml").write_text('name = "brief"\n[[step]]\nkind = "rest"\nduration = "4 s"\n')
+    main(["plan", str(tmp_path / "brief.toml"), "--bench", str(BENCH.with_name(f"{name}.toml"))])
+    said = capsys.readouterr()
+    assert "Predicted" in said.out
+    assert "accelerometers of mti" not in said.out
+    assert "too little data" not in said.err
+
+
+def test_a_model_of_accelerometers_that_is_not_known_is_refused_before_anything_moves(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    size = Size("coefficient", "1", 0.0, 1e-3)
+    model = ErrorModel((), forces=(KnownForceEffect(name="unheard", sizes=(size,)),))
+    (tmp_path / "model.json").write_text(model.text())
+    path = tmp_path / "run.h5"
+    assert main(["run", "--bench", str(BENCH), "--model", str(tmp_path / "model.json"), "-o", str(path)]) == 2
+    assert "unheard of accelerometers" in capsys.readouterr().err
+    assert not path.exists()
 
 
 def test_a_twin_puts_its_errors_on_the_wire(tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ def _shown(one: PlannedMountings, units: Units) -> Iterator[Shown]:
     yield line(f"Three runs with x, y and z of {device} along the axis, joined by `station calibrate --join`:")
     gyros = [(gyro.name, gyro.sd.tolist()) for gyro in one.found.gyros]
     yield _table(f"Predicted sigmas of the gyros of {device}", "gyro", fitted_figures(units, one.found), gyros), {}
-    for forces in one.found.forces:
+    for forces in (forces for forces in one.found.forces if forces.accelerometers):
         sds = [(each.name, each.sd.tolist()) for each in forces.accelerometers]
         yield _table("The same of its accelerometers", "sensor", fitted_forces(forces), sds), {}
 
