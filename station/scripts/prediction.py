@@ -7,7 +7,7 @@ import numpy as np
 from drivers.types import Floats
 from estimator.calibration.budget import table_budget
 from estimator.estimation.accelerometers.laws import counted_angles_law
-from estimator.geometry.array import accelerometer_axes, accelerometer_names, sensor_array
+from estimator.geometry.array import accelerometer_array, accelerometer_axes, accelerometer_names
 from estimator.geometry.kinematics import body_rate
 from estimator.geometry.model import regressor_maps
 from estimator.planning.force_planning import PlannedAccelerometers, force_covariances
@@ -76,7 +76,7 @@ def _force_covariances(motion: PlannedMotion, bench: Bench, imu: ImuConfig, peri
     sheet = imu.force_sheet
     assert sheet is not None
     device = PlannedAccelerometers(
-        array=sensor_array(accelerometer_axes(imu.array), names=accelerometer_names(3), part_of_array=True),
+        array=accelerometer_array(accelerometer_axes(imu.array, imu.mounting.axes), imu.array),
         prior=sheet.prior,
         table=bench.table.uncertainty,
     )
