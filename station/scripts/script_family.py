@@ -134,22 +134,14 @@ class Shape:
         angles = dict.fromkeys(self._gimbals, 0.0)
         for _ in range(self.cycles):
             for way, turn_s in zip(self.ways, v[:-1], strict=True):
-                yield from self._moves(angles, dict(way.pose))
+                yield from moves(angles, dict(way.pose), self._limits)
                 limit = self._limits[way.axis]
                 rate = turn_rate(float(turn_s), limit)
                 for signed in (way.sign * rate,) if way.sign else (rate, -rate):
                     label = f"{way.axis} at {math.degrees(signed):.4g} deg/s"
                     yield Rotate(way.axis, signed, float(turn_s), limit.acceleration_rps2, label)
-        yield from self._moves(angles, dict.fromkeys(self._gimbals, 0.0))
+        yield from moves(angles, dict.fromkeys(self._gimbals, 0.0), self._limits)
         yield Rest(float(v[-1]), "rest after")
-
-    def _moves(self, angles: dict[str, float], pose: Mapping[str, float]) -> Iterator[Move]:
-        for axis, angle in pose.items():
-            if angles[axis] != angle:
-                angles[axis] = angle
-                limit = self._limits[axis]
-                label = f"{axis} to {math.degrees(angle):g} deg"
-                yield Move(axis, angle, limit.rate_rps, limit.acceleration_rps2, label)
 
     def _turns(self, way: Way, turn_s: float) -> tuple[Floats, Floats]:
         """Return the contribution of all turns of a way to the sums (4, 4), and its derivative by their duration."""
@@ -210,3 +202,13 @@ def _direction(axis: str, angles: Mapping[str, float], gimbals: Sequence[str]) -
     here = np.array([[angles.get(gimbal, 0.0) for gimbal in gimbals]])
     x, y, z = body_rate(here, np.array([[float(gimbal == axis) for gimbal in gimbals]]), gimbals)[0]
     return float(x), float(y), float(z)
+
+
+def moves(angles: dict[str, float], aims: Mapping[str, float], limits: Mapping[str, AxisLimits]) -> Iterator[Move]:
+    """Yield the moves of axes from ``angles`` to ``aims``, as fast as their limits allow, and update ``angles``."""
+    for axis, angle in aims.items():
+        if angles[axis] != angle:
+            angles[axis] = angle
+            limit = limits[axis]
+            label = f"{axis} to {math.degrees(angle):g} deg"
+            yield Move(axis, angle, limit.rate_rps, limit.acceleration_rps2, label)

@@ -12,9 +12,8 @@ import numpy as np
 
 from drivers.types import AxisLimits, Floats
 from station.scripts.script import Script
-from station.scripts.script_family import Way, turn_rate
+from station.scripts.script_family import Way, moves, turn_rate
 from station.scripts.steps.kind import Step, driven_acceleration
-from station.scripts.steps.move import Move
 from station.scripts.steps.pose import Aim, Pose
 from station.scripts.steps.rest import Rest
 from station.scripts.steps.rotate import Rotate
@@ -113,13 +112,13 @@ class Structure:
         groups = max(self.cycles - 1, 1)
         for cycle in range(self.cycles):
             for way, turn_s in zip(self.ways, v, strict=False):
-                yield from self._moves(angles, {**dict.fromkeys(self.gimbals, 0.0), **dict(way.pose)})
+                yield from moves(angles, {**dict.fromkeys(self.gimbals, 0.0), **dict(way.pose)}, self.limits)
                 yield from self._turns(way, float(turn_s))
             if cycle < groups:
                 for attitude in self.attitudes[cycle::groups]:
                     yield self._pose(attitude, float(v[-2]))
                     angles.update(attitude.angles_rad)
-        yield from self._moves(angles, dict.fromkeys(self.gimbals, 0.0))
+        yield from moves(angles, dict.fromkeys(self.gimbals, 0.0), self.limits)
         yield Rest(rest_s, "rest after")
 
     def _turns(self, way: Way, turn_s: float) -> Iterator[Rotate]:
@@ -136,15 +135,6 @@ class Structure:
             for signed in (sign * rate, -sign * rate):
                 label = f"{way.axis} at {math.degrees(signed):.4g} deg/s"
                 yield Rotate(way.axis, signed, turn_s / times, limit.acceleration_rps2, label)
-
-    def _moves(self, angles: dict[str, float], aims: Mapping[str, float]) -> Iterator[Move]:
-        """Yield the moves to angles of the axes, and update where they are."""
-        for axis, angle in aims.items():
-            if angles[axis] != angle:
-                angles[axis] = angle
-                limit = self.limits[axis]
-                label = f"{axis} to {math.degrees(angle):g} deg"
-                yield Move(axis, angle, limit.rate_rps, limit.acceleration_rps2, label)
 
     def _pose(self, attitude: Attitude, rest_s: float) -> Pose:
         """Return the step to an attitude, in which all axes have one rate and one acceleration."""
