@@ -191,8 +191,10 @@ def _shown(run: _Run, sensors: Sequence[DeviceSensor]) -> RunStates:
         used += [numbers[ACCELEROMETER, forces.source, one.name] for one in forces.accelerometers]
         states += [one.states for one in forces.accelerometers]
         blocks.append(forces.covariance)
+    from scipy.linalg import block_diag
+
     x = np.concatenate([_encoded(own) for own in states])
-    to_x = _diagonal([np.asarray(np.linalg.inv(decoding(own)), dtype=np.float64) for own in x.reshape(-1, 4)])
+    to_x = block_diag(*[np.asarray(np.linalg.inv(decoding(own)), dtype=np.float64) for own in x.reshape(-1, 4)])
     data = next(iter(run.recording.sources.values()))
     mounting_sd_rad = data.mounting.sd_rad
     if not np.isfinite(mounting_sd_rad):
@@ -200,7 +202,7 @@ def _shown(run: _Run, sensors: Sequence[DeviceSensor]) -> RunStates:
     return run_states(
         used,
         x,
-        to_x @ _diagonal(blocks) @ to_x.T,
+        to_x @ block_diag(*blocks) @ to_x.T,
         np.concatenate([sensors[number].prior_sd for number in used]),
         mounting_sd_rad,
     )
@@ -209,18 +211,6 @@ def _shown(run: _Run, sensors: Sequence[DeviceSensor]) -> RunStates:
 def _encoded(states: Floats) -> Floats:
     """Return x = [k, b, s_j, s_k] of decoded states (4,)."""
     return np.asarray(states * np.array([1.0, 1.0, 1 - states[0], 1 - states[0]]))
-
-
-def _diagonal(blocks: Sequence[Floats]) -> Floats:
-    """Return the square matrix with these square blocks on its diagonal."""
-    size = sum(len(block) for block in blocks)
-    whole = np.zeros((size, size))
-    first = 0
-    for block in blocks:
-        last = first + len(block)
-        whole[first:last, first:last] = block
-        first = last
-    return whole
 
 
 def _gyros(runs: Sequence[_Run], sensors: Sequence[DeviceSensor], found: JoinedStates) -> tuple[GyroCalibration, ...]:

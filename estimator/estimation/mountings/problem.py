@@ -135,7 +135,7 @@ class _Problem:
         run = self.runs[number]
         of_run = list(run.sensors)
         x = u[: self.edges[1]].reshape(-1, 4) * self.prior_sd
-        turn = rotation(u[self.edges[1] :][3 * number : 3 * number + 3] * run.mounting_sd_rad)
+        turn = _rotation(u[self.edges[1] :][3 * number : 3 * number + 3] * run.mounting_sd_rad)
         rows = self.rows(x) @ turn.T
         rows[self.felt] *= 1 + u[-1] * self.gravity_sd
         changes = u[self.edges[2] : self.edges[3]].reshape(len(self.runs), -1)[number]
@@ -246,7 +246,7 @@ class _Problem:
         states = np.hstack([turned[:, :2], turned[:, 2:] / gain])
         parts = [states.ravel()]
         for number, run in enumerate(self.runs):
-            own = rotation(u[self.edges[1] :][3 * number : 3 * number + 3] * run.mounting_sd_rad)
+            own = _rotation(u[self.edges[1] :][3 * number : 3 * number + 3] * run.mounting_sd_rad)
             parts.append(_rotation_vector(own @ frame.T))
         return np.concatenate(parts)
 
@@ -263,7 +263,7 @@ class _Problem:
             both = np.vstack([at, at])
             # (rho x g) . j = rho . (g x j)
             step = np.linalg.lstsq(np.cross(both, across), -(both * across).sum(axis=1), rcond=1e-9)[0]
-            frame = rotation(step) @ frame
+            frame = _rotation(step) @ frame
             if np.abs(step).max() < 1e-13:
                 break
         return frame
@@ -279,21 +279,18 @@ class _Problem:
         return total
 
 
-def rotation(vector_rad: Floats) -> Floats:
-    """Return the rotation matrix (3, 3) about a vector (3,) by its length (Rodrigues)."""
-    angle = float(np.linalg.norm(vector_rad))
-    x, y, z = vector_rad
-    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.asarray(
-        np.eye(3) + np.sinc(angle / np.pi) * across + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * across @ across
-    )
+def _rotation(vector_rad: Floats) -> Floats:
+    """Return the rotation matrix (3, 3) about a vector (3,) by its length."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_rotvec(vector_rad).as_matrix())
 
 
 def _rotation_vector(matrix: Floats) -> Floats:
-    """Return the vector (3,) of a rotation by less than a right angle."""
-    half = 0.5 * np.array([matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]])
-    sine = min(float(np.linalg.norm(half)), 1.0)
-    return half * (np.arcsin(sine) / sine if sine > 0 else 1.0)
+    """Return the vector (3,) of a rotation."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(matrix).as_rotvec())
 
 
 def _derivatives(function: Callable[[Floats], Floats], at: Floats) -> Floats:
