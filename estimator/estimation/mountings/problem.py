@@ -90,7 +90,7 @@ class JoinedStates:
 
     ``states`` (s, 4) are decoded, ``covariance`` (4 s, 4 s) is theirs, ``lines`` are its parts by name.
     ``mounting_rad`` (r, 3) are the mounting errors of the runs about the device's axes, with ``mounting_sd_rad``.
-    ``bias_change_sd`` are the expected changes of biases by kind, in units of what the data sheet expects of a bias.
+    ``bias_change`` are the expected changes of biases by kind, in units of what the data sheet expects of a bias.
     ``misfit`` is the sum of squares that the runs leave, of which ``misfit_count`` are expected.
     """
 
