@@ -258,7 +258,7 @@ def _borne_out(
         after = Augmented.of(search.evidence, certain, weight)
         named = [part for part in certain if part.tone is None]
         opened = something_beside(search, [part.term for part in named])
-        errors = judged(search, before, after, held_back, verification, opened)
+        errors = judged(search, before, after, held_back, verification)
         grown = errors.improvement is not None and errors.improvement.ratio <= 1
         if not (held_back and named and grown):
             return _BorneOut(

@@ -14,6 +14,7 @@ from estimator.recordings.recording import Recording
 from estimator.tracing.augmented import Augmented, Part
 from estimator.tracing.investigation import OutOfSample
 from estimator.tracing.judging.expected import expected_squares
+from estimator.tracing.judging.structure import with_structure
 from estimator.tracing.judging.verification import (
     Judged,
     Misfit,
@@ -21,9 +22,7 @@ from estimator.tracing.judging.verification import (
     judge,
     phases_of,
     sum_of,
-    with_structure,
 )
-from estimator.tracing.open_world import OpenWorld, something_beside, unnamed
 from estimator.tracing.search import Search
 
 Mask = list[NDArray[np.bool_]]
@@ -148,19 +147,17 @@ def judged(
     after: Augmented,
     held_back: Sequence[Run],
     verification: Sequence[Recording],
-    opened: OpenWorld | None = None,
 ) -> Judged:
     """Return the errors of two models on the verification runs; without these, cross-validated by step.
 
     ``held_back`` are the runs of ``verification``; with tones in the last model they are formed again with blocks short
     enough for them. The share of draws in which the error is larger than expected is returned for models with composed
-    laws. ``opened`` is what may act beside the last model; by default it is worked out.
+    laws.
     """
     evidence, terms = together([*search.runs, *held_back], after, search.evidence.shapes)
     true, misfit = after.estimated(evidence.posterior(terms)), evidence.misfit
     if not held_back:
         return _cross_validated(search, before, after, true, misfit)
-    bare = _noise_beside_anything(search, after, opened)
     tones = [part.tone.found.frequency_hz for part in after.parts if part.tone is not None]
     fine_s = min([BLOCK_S, *(1 / (_TONE_BLOCKS * hz) for hz in tones)])
     runs, first = list(held_back), len(search.runs)
@@ -168,7 +165,7 @@ def judged(
         runs = runs_of_all(verification, held_back[0].order, fine_s)[0]
         scale = len(runs[0].t_s) / len(held_back[0].t_s)
         misfit = {key: scale * squares for key, squares in misfit.items()}
-    errors = with_structure(runs, first, (before, after), bare, drawn(runs, first, before, after, true, misfit))
+    errors = with_structure(runs, first, (before, after), drawn(runs, first, before, after, true, misfit))
     found = judge(runs, first, before, after, True, errors)
     squares = sum_of(errors.values()).after
     candidates = [part.candidate for part in after.parts]
@@ -179,21 +176,6 @@ def judged(
         expected = expected_squares(runs, first, after, forms_known=True)
         found = replace(found, formless=float(np.mean(squares > _LIKE**2 * expected)))
     return found
-
-
-def _noise_beside_anything(search: Search, after: Augmented, opened: OpenWorld | None) -> Augmented:
-    """Return the model ``after`` with the noise that is left beside any function of measured values.
-
-    Beside effects alone, slow errors that they do not explain would count as a wandering bias. ``opened`` is what may
-    act beside the model; by default it is worked out.
-    """
-    terms = [part.term for part in after.parts if part.tone is None]
-    evidence = search.evidence
-    opened = opened or something_beside(search, terms)
-    richest = unnamed(search)[int(np.argmax(opened.by_size))]
-    weight = evidence.noise_weight([*terms, richest])
-    instability, walk = (float(np.sqrt(weight @ one**2)) for one in (evidence.shapes.instability, evidence.shapes.walk))
-    return replace(after, instability=instability, walk=walk)
 
 
 def _cross_validated(search: Search, before: Augmented, after: Augmented, true: Augmented, misfit: Misfit) -> Judged:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.estimation.runs.run import Run, with_gyro
-from estimator.estimation.spectra import Stretch, cosines
+from estimator.estimation.spectra import Stretch
 from estimator.geometry.model import decode
 from estimator.tracing.augmented import Augmented
 from estimator.tracing.investigation import Errors, GyroErrors, Improvement, PhaseErrors, ResidualView
@@ -24,14 +24,12 @@ from estimator.types import Floats
 _PIECE_S, _FEWEST_IN_PIECE = 5.0, 5  # without a table: phases of this length, and no fewer blocks than these
 _RAMP_SHARE = 0.02  # of the steepest acceleration of a run: the least of a ramp
 _FEWEST = 2
-_DRAWN = 400
+DRAWS = 400
+"""Draws of what may be true."""
 _ROUNDING = 1e-9  # of a correlation: elements that are known only together must not make the factor fail
 _MISFIT_DOF = 50.0  # of the misfit: coherent with the motion, so far fewer than blocks
 _APART = 1.0  # sigmas of an interval by which models must differ to be compared
 _FEWEST_JUDGED = 20
-_LACKS = ((1, 1.0), (9, 0.1))  # orders of cosines in a phase, and the odds that a model lacks something in them
-_LEAST_SEEN, _MOST_SEEN, _SIZES = 0.03, 3.0, 64  # over the doubt, and over what is shown: sizes of what a model lacks
-_CLEAR = 500.0  # log odds beyond which nothing is open
 Misfit = Mapping[tuple[str, int], float]
 """By gyro and number of a run, what no model fits beyond the noise, summed over blocks, (rad/s)^2."""
 _DIRECTION = 1e-3  # share of a direction that must remain beside the mean to count as another
@@ -153,7 +151,7 @@ def drawn(
     number of the first run.
     """
     sums: dict[str, Drawn] = {}
-    shares = _open_share(1)
+    shares = np.random.default_rng(1).beta(0.5, 0.5, DRAWS)  # nearly none, or nearly all, is as likely as half
     for name in after.names:
         g = after.names.index(name)
         random = np.random.default_rng(g)  # the same figures for the same recordings
@@ -165,122 +163,10 @@ def drawn(
             gram = columns.T @ columns
             squares = [np.einsum("mi,ij,mj->m", draws - x, gram, draws - x) for x in (old, after.mean[g])]
             left = misfit.get((name, first + number), 0.0)
-            chance = shares * random.chisquare(_MISFIT_DOF, _DRAWN) / _MISFIT_DOF
+            chance = shares * random.chisquare(_MISFIT_DOF, DRAWS) / _MISFIT_DOF
             own = Drawn(squares[0] + left * chance, squares[1] + left * chance, float(len(columns)))
             sums[name] = sums[name] + own if name in sums else own
     return sums
-
-
-def with_structure(
-    runs: Sequence[Run], first: int, models: tuple[Augmented, Augmented], noise: Augmented, errors: Mapping[str, Drawn]
-) -> dict[str, Drawn]:
-    """Return the drawn errors of two models, plus what the phases show beyond them.
-
-    Draws assume that the last model is complete. If the means of phases are further off than by noise, an effect is
-    missing, and both models are wrong by it. Whether one is missing is one question for all gyros; how much, one for
-    each gyro. How much of it a wandering bias explains is open, between as much as beside the last model and as little
-    as in ``noise``, the model with noise beside any function. Draws with a larger error than phases show are less
-    likely.
-    """
-    wanders = _open_share(0)  # of all gyros alike
-    shapes = {name: _shapes(runs, first, models[-1], (models[-1], noise), name) for name in errors}
-    drawn = dict(errors)
-    seen = [name for name in errors if shapes[name]]
-    for name in seen:
-        own = errors[name]
-        (_, most), doubt = _structure(shapes[name], 1)
-        chosen = _by_chance(-0.5 * (np.maximum(own.after - most, 0.0) / doubt) ** 2)
-        drawn[name] = own.chosen(chosen)
-    # Chance contributes little to means, so little shows there; structure within phases has to be larger.
-    for orders, odds in _LACKS:
-        shown = {}
-        for name in seen:
-            (least, most), doubt = _structure(shapes[name], orders)
-            shown[name] = wanders * least + (1 - wanders) * most - drawn[name].after, doubt
-        lacking = _lacking(shown, odds)
-        drawn |= {name: drawn[name].more_by(lacking[name]) for name in seen}
-    return drawn
-
-
-def _lacking(shown: Mapping[str, tuple[Floats, float]], odds: float) -> dict[str, Floats]:
-    """Return by gyro draws (n,) of the squares that a model lacks: none in any gyro, or some in each.
-
-    ``shown`` is by gyro what the phases show (n,) and its standard deviation; ``odds`` are the prior odds that an
-    effect is missing.
-    """
-    beyond = {}
-    log_odds = np.full(_DRAWN, np.log(odds))
-    for number, (name, (squares, doubt)) in enumerate(shown.items(), 1):
-        beyond[name], likelier = _beyond(np.random.default_rng(number), squares, doubt)
-        log_odds += likelier
-    incomplete = np.random.default_rng(0).random(_DRAWN) < 1 / (1 + np.exp(-np.clip(log_odds, -_CLEAR, _CLEAR)))
-    return {name: squares * incomplete for name, squares in beyond.items()}
-
-
-def _beyond(random: np.random.Generator, shown: Floats, sd: float) -> tuple[Floats, Floats]:
-    """Return draws (n,) of a sum of squares that shows as ``shown`` (n,) within ``sd``, given that there is one.
-
-    Also returns the log odds (n,) that there is one; the prior is even, and equal for the logarithm of each size.
-    """
-    largest = max(float(shown.max()), sd)
-    sizes = np.geomspace(_LEAST_SEEN * sd, _MOST_SEEN * largest, _SIZES)
-    logs = -0.5 * ((shown[:, None] - sizes) / sd) ** 2
-    total = np.logaddexp.reduce(logs, axis=1)
-    upto = np.cumsum(np.exp(logs - total[:, None]), axis=1)
-    number = (upto < random.random(len(shown))[:, None]).sum(axis=1)
-    return sizes[np.minimum(number, _SIZES - 1)], total - np.log(_SIZES) + 0.5 * (shown / sd) ** 2
-
-
-def _open_share(seed: int) -> Floats:
-    """Return draws of a share of which nothing is known: nearly none of it, or nearly all, is as likely as half."""
-    return np.random.default_rng(seed).beta(0.5, 0.5, _DRAWN)
-
-
-def _by_chance(log_likely: Floats) -> NDArray[np.intp]:
-    """Return numbers (n,) of draws, each repeated in proportion to its likelihood."""
-    share = np.exp(log_likely - log_likely.max())
-    upto = np.cumsum(share) / share.sum()
-    return np.searchsorted(upto, (np.arange(len(share)) + 0.5) / len(share)).astype(np.intp)
-
-
-def _shapes(
-    runs: Sequence[Run], first: int, model: Augmented, noises: Sequence[Augmented], name: str
-) -> list[tuple[Floats, Floats]]:
-    """Return for each phase of a gyro the squares of its first cosine coefficients (k,), and what noise predicts for
-    them.
-
-    The mean is the first coefficient. The predictions (noises, k) are those of each of ``noises``. Phases without full
-    blocks are left out.
-    """
-    most = max(orders for orders, _ in _LACKS)
-    sigma_rps = float(model.arw[model.names.index(name)])
-    found = []
-    for number, run, i in with_gyro(runs, name):
-        rest = run.z_rps[:, i] - model.predict(run, first + number, i)[0]
-        white = sigma_rps / np.sqrt(run.length_s)
-        span_s = float(run.t_s[-1] - run.t_s[0]) + run.length_s
-        for phase in phases_of(run):
-            kept = rest[phase.blocks][run.weight[phase.blocks] > 0]
-            if not len(kept):
-                continue
-            stretch = Stretch.of(0, slice(0, len(kept)), run.length_s, True)
-            expected = np.array([white**2 * shape_of(noise, stretch, span_s)[:most] for noise in noises])
-            found.append((cosines(kept)[:most] ** 2, expected))
-    return found
-
-
-def _structure(shapes: Sequence[tuple[Floats, Floats]], orders: int) -> tuple[list[float], float]:
-    """Return what phases show beyond noise, squared and summed over blocks, and the standard deviation of that.
-
-    There is one sum for each noise model. ``shapes`` are of ``_shapes``; ``orders`` coefficients count in each phase.
-    """
-    sums, variance = np.zeros(len(shapes[0][1])), 0.0
-    for squares, noise in shapes:
-        expected = noise[:, :orders]
-        beyond = squares[:orders] - expected
-        sums += beyond.sum(axis=1)
-        variance += float(np.sum(2 * expected[0] ** 2 + 4 * expected[0] * np.maximum(beyond[0], 0.0)))
-    return sums.tolist(), float(np.sqrt(variance))
 
 
 def _draws(random: np.random.Generator, mean: Floats, covariance: Floats) -> Floats:
@@ -293,7 +179,7 @@ def _draws(random: np.random.Generator, mean: Floats, covariance: Floats) -> Flo
     correlation = covariance / np.outer(scale, scale)
     correlation[np.diag_indices_from(correlation)] = 1 + _ROUNDING
     factor = np.linalg.cholesky(correlation)
-    return np.asarray(mean + random.standard_normal((_DRAWN, len(mean))) @ factor.T * sd)
+    return np.asarray(mean + random.standard_normal((DRAWS, len(mean))) @ factor.T * sd)
 
 
 def judge(
@@ -415,7 +301,7 @@ def _noise(model: Augmented, basis: Floats, run: Run, blocks: int, sigma: float)
 
 def sum_of(errors: Iterable[Drawn]) -> Drawn:
     """Return the errors of all gyros together."""
-    return sum(errors, Drawn(np.zeros(_DRAWN), np.zeros(_DRAWN), 0.0))
+    return sum(errors, Drawn(np.zeros(DRAWS), np.zeros(DRAWS), 0.0))
 
 
 def _errors(phases: Sequence[_Phase], which: int, whole: Drawn) -> Errors:
