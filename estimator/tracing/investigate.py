@@ -162,12 +162,13 @@ def _conclude(
     verdict = verdict_of([*(a.effect for a in faulty), *_called(causes.parts)], doubtful, unexplained)
     gyros = averaged(search, errors.gyros, after, [*certain, *doubtful], opened, between)
     laws = [part for part in certain if part.candidate.law]
-    contradicted = bool(held_back) and (errors.surprise > _SURPRISED or (bool(laws) and errors.understated > _UNKNOWN))
+    understated = bool(held_back) and errors.understated > _UNKNOWN
+    contradicted = bool(held_back) and (errors.surprise > _SURPRISED or (bool(laws) and understated))
     if verdict.finding in (Finding.NOTHING, Finding.ADDED) and contradicted:
         suspected, with_it = _suspected(search, held_back, most)
         verdict = surprised(certain, suspected, verified[1])
         gyros = beside_suspect(gyros, with_it)
-    left = verified[1] if contradicted else None
+    left = verified[1] if contradicted or understated else None
     causes = causes.less_probable(_most_probable(search, certain, verdict, errors, left))
     models = [ModelStep((), 0.0, errors.before)]
     gained = found.log_evidence[-1] - found.log_evidence[0]
@@ -208,10 +209,10 @@ def _most_probable(
 
     A law without a name has nothing but its predictions to support it, so it is certain only if nothing is left open,
     and only as far as its form predicts better than any function of the same variables. ``left`` is the residual of a
-    verification run that contradicts the model, None if none does. An effect is no more probable than its share of what
-    it explains of that run's squared error and what is left there of its kind: an effect that imitates another leaves
-    such. That does not hold where the reference is another instrument, whose own errors are in that run. Tones are seen
-    as lines.
+    verification run that contradicts the model or shows a larger error than its covariance allows, else None. An effect
+    is no more probable than its share of what it explains of that run's squared error and what is left there of its
+    kind: an effect that imitates another leaves such. That does not hold where the reference is another instrument,
+    whose own errors are in that run. Tones are seen as lines.
     """
     explained = 1.0 if errors.improvement is None else max(1 - errors.improvement.ratio**-2, 0.0)
     foreign = any(run.by_another for run in search.runs)

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from detection_study.study import Case, end_of, recordings_of
 from known_effects import fit_known
+from open_worlds import cases as open_worlds
+from open_worlds.answers import true_errors
 from support import first_gyros
 
 from estimator.errors import InvestigationError
@@ -127,6 +129,16 @@ def test_an_effect_that_leaves_much_of_its_kind_in_a_run_that_contradicts_it_is_
     (added,) = found.added
     assert added.effect == "scale_cubic"
     assert added.probability < 0.95
+
+
+def test_an_error_that_effects_leave_is_stated_in_its_true_size_and_makes_them_less_certain() -> None:
+    # The bias goes with the angle of an axis by steps; harmonics of that angle are added, and imitate them in part.
+    world = open_worlds.made(open_worlds.Case("worn_slip_ring", 1.0, 1))
+    found = investigate(world.fitted, [world.verification])
+    _, true_after_rps = true_errors(found, world.clean)
+    assert found.after.rms_rps == pytest.approx(true_after_rps, rel=0.2)
+    assert {added.effect for added in found.added} == {"table_harmonic"}
+    assert all(added.probability < 0.95 for added in found.added)
 
 
 @pytest.mark.full  # the short form is the command's, in tests/station

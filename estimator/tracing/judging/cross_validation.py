@@ -151,8 +151,7 @@ def judged(
     """Return the errors of two models on the verification runs; without these, cross-validated by step.
 
     ``held_back`` are the runs of ``verification``; with tones in the last model they are formed again with blocks short
-    enough for them. The share of draws in which the error is larger than expected is returned for models with composed
-    laws.
+    enough for them. The share of draws in which the error is larger than expected is returned for models with effects.
     """
     evidence, terms = together([*search.runs, *held_back], after, search.evidence.shapes)
     true, misfit = after.estimated(evidence.posterior(terms)), evidence.misfit
@@ -169,7 +168,7 @@ def judged(
     found = judge(runs, first, before, after, True, errors)
     squares = sum_of(errors.values()).after
     candidates = [part.candidate for part in after.parts]
-    if any(candidate.law for candidate in candidates):
+    if after.parts:
         expected = expected_squares(runs, first, after)
         found = replace(found, understated=float(np.mean(squares > _TWICE**2 * expected)))
     if any(candidate.flexible for candidate in candidates):
