@@ -71,15 +71,15 @@ async def make_safe(
     return SafeState(trouble=trouble, seen=not trouble)
 
 
-async def tried(what: Coroutine[Any, Any, object], limit_s: float | None) -> str:
-    """Await ``what`` for at most ``limit_s`` (None: no limit); return the message of a DeviceError or time-out, else
+async def tried(action: Coroutine[Any, Any, object], limit_s: float | None) -> str:
+    """Await ``action`` for at most ``limit_s`` (None: no limit); return the message of a DeviceError or time-out, else
     empty.
 
     Other exceptions pass through.
     """
     try:
         async with asyncio.timeout(limit_s):
-            await what
+            await action
     except (DeviceError, TimeoutError) as error:
         return str(error) or "no answer in time"
     return ""

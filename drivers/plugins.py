@@ -170,9 +170,9 @@ def records_of(module: ModuleType, kind: type[T]) -> list[T]:
 class Registry(Mapping[str, T]):
     """Records of one type by their ``name``; the module of a record is imported when the record is first looked up."""
 
-    def __init__(self, kind: type[T], group: str, own: Mapping[str, str | T]) -> None:
-        """``own`` are the built-in records, or modules with them as SPEC; ``group`` is the group of entry points."""
-        self._kind, self._group, self._own = kind, group, own
+    def __init__(self, kind: type[T], group: str, built_in: Mapping[str, str | T]) -> None:
+        """``built_in`` are records, or modules with them as SPEC; plug-ins have entry points in ``group``."""
+        self._kind, self._group, self._own = kind, group, built_in
 
     def beside(self, modules: Iterable[ModuleType], kind: str = "") -> "Registry[T]":
         """Return this registry with the records defined in ``modules`` added; PluginError if one has the name of
@@ -243,11 +243,11 @@ def _announced(group: str, _path: tuple[str, ...]) -> EntryPoints:
     return entry_points(group=group)
 
 
-def _guarded(what: str, file: str, run: Callable[[], T]) -> T:
+def _guarded(plugin: str, file: str, run: Callable[[], T]) -> T:
     """Return ``run()``; any exception of it becomes a PluginError.
 
-    Its message has ``what`` (the plug-in in words), the last line of ``file`` that is in the traceback, the type of the
-    exception and the first line of its message.
+    Its message has ``plugin`` (the plug-in in words), the last line of ``file`` that is in the traceback, the type of
+    the exception and the first line of its message.
     """
     try:
         return run()
@@ -255,4 +255,4 @@ def _guarded(what: str, file: str, run: Callable[[], T]) -> T:
         lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
         line = error.lineno if isinstance(error, SyntaxError) else lines[-1] if lines else None
         reason = (str(error).splitlines() or [""])[0]
-        raise PluginError(f"{what}{f', line {line}' if line else ''}: {type(error).__name__}: {reason}") from None
+        raise PluginError(f"{plugin}{f', line {line}' if line else ''}: {type(error).__name__}: {reason}") from None

@@ -36,18 +36,23 @@ def plot_states(calibration: Calibration, state: int = 0, axes: "Axes | None" = 
     return axes
 
 
-def plot_errors(found: Investigation, axes: "Axes | None" = None) -> "Axes":
+def plot_errors(investigation: Investigation, axes: "Axes | None" = None) -> "Axes":
     """Draw the rms error of every gyro's compensated rate before and after an investigation, in deg/h; return the
     axes.
     """
     axes = _axes(axes)
-    at = np.arange(len(found.gyros))
+    at = np.arange(len(investigation.gyros))
     for shift, name, errors in (
-        (-0.2, "before", [gyro.before for gyro in found.gyros]),
-        (0.2, "after", [gyro.after for gyro in found.gyros]),
+        (-0.2, "before", [gyro.before for gyro in investigation.gyros]),
+        (0.2, "after", [gyro.after for gyro in investigation.gyros]),
     ):
         axes.bar(at + shift, [np.degrees(error.rms_rps) * 3600 for error in errors], 0.4, label=name)
-    axes.set(xticks=at, xticklabels=[gyro.name for gyro in found.gyros], ylabel="rms error, deg/h", title=found.reason)
+    axes.set(
+        xticks=at,
+        xticklabels=[gyro.name for gyro in investigation.gyros],
+        ylabel="rms error, deg/h",
+        title=investigation.reason,
+    )
     axes.legend()
     return axes
 

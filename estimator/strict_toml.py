@@ -222,14 +222,14 @@ class StrictTable:
         return self._text.count("\n", 0, max(start, self._text.find(name, start, ends[at]))) + 1
 
 
-def _check_depth(value: object, left: int = _DEEPEST) -> None:
+def _check_depth(value: object, levels: int = _DEEPEST) -> None:
     """Raise RecursionError if tables and lists are nested too deeply, ValueError for a text with control characters."""
-    if not left:
+    if not levels:
         raise RecursionError
     if isinstance(value, str) and "\N{REPLACEMENT CHARACTER}" in harmless(value.replace("\r", "")):
         raise ValueError(f"{value[:60]!r} has control characters; write bytes of a device in hex")
     for inner in (*value, *value.values()) if isinstance(value, dict) else value if isinstance(value, list) else ():
-        _check_depth(inner, left - 1)
+        _check_depth(inner, levels - 1)
 
 
 def _leads(path: tuple[str | int, ...], text: str) -> bool:
@@ -256,8 +256,8 @@ def not_one_of(text: str, choices: Iterable[str]) -> str:
     return f"{text!r} is not one of {', '.join(names)}" + (f"; did you mean {close[0]}?" if close else "")
 
 
-def typed(value: object, types: tuple[type, ...], what: str) -> Any:
+def typed(value: object, types: tuple[type, ...], expected: str) -> Any:
     """Return a value of one of these types; ValueError if it is of none. True and false are no numbers."""
     if not isinstance(value, types) or (isinstance(value, bool) and bool not in types):
-        raise ValueError(f"{value!r} is not {what}")
+        raise ValueError(f"{value!r} is not {expected}")
     return value

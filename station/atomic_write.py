@@ -46,13 +46,13 @@ def _check_folder(path: Path, option: str) -> None:
         raise UsageError(f"{option} {path} cannot be written: {error.strerror or error}") from None
 
 
-def free_path(path: Path, *, beside: Sequence[str] = ()) -> Path:
+def free_path(path: Path, *, further_suffixes: Sequence[str] = ()) -> Path:
     """Return ``path``, or the same name with the lowest number that makes it free, so that nothing is overwritten.
 
-    ``beside`` are further suffixes with which the name must be free.
+    The name must be free with each of ``further_suffixes`` as well.
     """
     number, found = 1, path
-    while any(found.with_suffix(suffix).exists() for suffix in (path.suffix, *beside)):
+    while any(found.with_suffix(suffix).exists() for suffix in (path.suffix, *further_suffixes)):
         number += 1
         found = path.with_name(f"{path.stem}-{number}{path.suffix}")
     return found

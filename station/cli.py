@@ -195,11 +195,13 @@ def _add(parser: argparse._ActionsContainer, options: Sequence[Any]) -> None:
             _take(parser, spelled, text, **(more[0] if more else {}))
 
 
-def _add_command(commands: "argparse._SubParsersAction[_Parser]", name: str, said: dict[str, Any]) -> None:
-    parser = commands.add_parser(name, help=said["line"], description=said["text"])
-    _add(parser, said.get("options", ()))
-    if "group" in said:
-        _add(parser.add_argument_group(said["group"]["title"], said["group"]["text"]), said["group"]["options"])
+def _add_command(commands: "argparse._SubParsersAction[_Parser]", name: str, options: dict[str, Any]) -> None:
+    parser = commands.add_parser(name, help=options["line"], description=options["text"])
+    _add(parser, options.get("options", ()))
+    if "group" in options:
+        _add(
+            parser.add_argument_group(options["group"]["title"], options["group"]["text"]), options["group"]["options"]
+        )
 
 
 def _number(kind: type[float], fits: Callable[[float], bool], wrong: str) -> Callable[[str], float]:

@@ -123,19 +123,19 @@ class Lateness:
         rms_s = max(min(level, steps), 0.05 * self._period_s)
         self._learn(least_s - rms_s * np.log(1 - (np.arange(1000) + 0.5) / 1000))
 
-    def add(self, device_s: Floats, excess: Floats, own: Flags, drifted_s: float, drift: float) -> None:
+    def add(self, device_s: Floats, excess: Floats, unqueued: Flags, drifted_s: float, drift: float) -> None:
         """Add samples whose place in the rhythm is known, and compute the histogram anew once enough have come.
 
-        ``device_s`` and ``excess`` (n,) in s; of both only the samples marked in ``own`` (n,), which waited for no
+        ``device_s`` and ``excess`` (n,) in s; of both only the samples marked in ``unqueued`` (n,), which waited for no
         other, enter, thinned out at high rates. ``drifted_s`` is the part of the excess due to clock drift at the last
         sample, ``drift`` its growth per second. Enough are 100 samples in all, and since the last time those of 2 s or
         a quarter of all in memory.
         """
-        keep = 0.5 ** (len(own) * self._period_s / _HALF_LIFE_S)
-        self._own, self._all = keep * self._own + float(own.sum()), keep * self._all + len(own)
-        self._new += len(own)
+        keep = 0.5 ** (len(unqueued) * self._period_s / _HALF_LIFE_S)
+        self._own, self._all = keep * self._own + float(unqueued.sum()), keep * self._all + len(unqueued)
+        self._new += len(unqueued)
         newest_s = float(device_s[-1])
-        device_s, excess = device_s[own], excess[own]
+        device_s, excess = device_s[unqueued], excess[unqueued]
         self._seen.add(np.column_stack([device_s[:: self._every], excess[:: self._every]]))
         if len(excess) > 1:
             self._rough.add((excess[1:] - excess[:-1])[:, None])
@@ -175,15 +175,15 @@ class Lateness:
         self._first = edges[0] + reach[0] * width
         self._costs = -np.log(density / density.max() + _FLOOR)
 
-    def costs(self, excess: Floats, own: Flags) -> Floats:
+    def costs(self, excess: Floats, unqueued: Flags) -> Floats:
         """Return costs (n, k) in nats of n samples with k hypothetical values of ``excess`` (n, k) in s each.
 
         A cost is the negative log-likelihood by the histogram, limited on both sides and scaled down if neighbours are
-        late together. Rows that are not marked in ``own`` (n,) waited for another sample: they cost more than the least
-        only where they are too early.
+        late together. Rows that are not marked in ``unqueued`` (n,) waited for another sample: they cost more than the
+        least only where they are too early.
         """
         likeliest = self._first + (int(self._costs.argmin()) + 0.5) * self._width
-        excess = np.where(own[:, None] | (excess < likeliest), excess, likeliest)
+        excess = np.where(unqueued[:, None] | (excess < likeliest), excess, likeliest)
         bins = np.floor((excess - self._first) / self._width).astype(np.int64)
         last = len(self._costs) - 1
         cost = self._costs[np.clip(bins, 0, last)]

@@ -102,27 +102,27 @@ class RegularClock:
         """Whether enough samples are held for ``ready`` to return some."""
         return len(self._held) >= max(2 * self.HOLD, self._look_again)
 
-    def ready(self, *, everything: bool = False) -> tuple[Stamps, Stamps, Floats] | None:
+    def ready(self, *, flush: bool = False) -> tuple[Stamps, Stamps, Floats] | None:
         """Return (t_ns, arrival_ns, values) of the held samples that can be timed, in their order; None if there are
         none.
 
-        All three are (n,), or values (n, k) where samples are rows. With ``everything`` all held samples are timed,
+        All three are (n,), or values (n, k) where samples are rows. With ``flush`` all held samples are timed,
         those too that would wait for later ones. Doubled samples are dropped, as are those whose time would not be
         later than the last one returned. If all samples come well before they can have been taken, the clock starts
         anew.
         """
-        if not self._held or not (self.due or everything):
+        if not self._held or not (self.due or flush):
             return None
         arrival = np.array([row[0] for row in self._held], dtype=np.int64)
         # In a burst only the last came as soon as it could; the last of all may be followed by another yet.
         own = np.append(np.abs(np.diff(arrival)) > 0.2e9 * self._period_s, False)
-        certain = everything or len(arrival) >= self._most
-        place, known, kept = self._places(arrival, own, certain=certain, everything=everything)
+        certain = flush or len(arrival) >= self._most
+        place, known, kept = self._places(arrival, own, certain=certain, flush=flush)
         if not len(place):
             return None
         if self._too_early(place, arrival[: len(kept)][kept]):
             self._begin()
-            return self.ready(everything=everything)
+            return self.ready(flush=flush)
         rows, self._held, self._look_again = self._held[: len(kept)], self._held[len(kept) :], 0
         self._last_raw = rows[-1][2]
         arrival = arrival[: len(kept)][kept]
@@ -144,29 +144,29 @@ class RegularClock:
         early_s = -float(self._fit.lateness_of(place * self._period_s, arrival).max())
         return early_s > max(_TOO_EARLY_PERIODS * self._period_s, _TOO_EARLY_S)
 
-    def _search(self, excess: Floats, own: Flags) -> "_Search":
-        """Search for lost and doubled samples among ``excess`` (n,) in s; ``own`` marks samples that waited for no
+    def _search(self, excess: Floats, unqueued: Flags) -> "_Search":
+        """Search for lost and doubled samples among ``excess`` (n,) in s; ``unqueued`` marks samples that waited for no
         other.
 
         While no lateness has been learned, a first search gives a better guess of it, and a second search uses that.
         """
         equal = self._equal()
         if not self._lateness.learned:
-            self._lateness.guess(excess[own], self._least(excess))
-            better = excess - self._searched(excess, own, equal).mean * self._period_s
-            self._lateness.guess(better[own], float(better.min()))
-        return self._searched(excess, own, equal)
+            self._lateness.guess(excess[unqueued], self._least(excess))
+            better = excess - self._searched(excess, unqueued, equal).mean * self._period_s
+            self._lateness.guess(better[unqueued], float(better.min()))
+        return self._searched(excess, unqueued, equal)
 
-    def _searched(self, excess: Floats, own: Flags, equal: Flags) -> "_Search":
+    def _searched(self, excess: Floats, unqueued: Flags, equal: Flags) -> "_Search":
         """Search once among ``excess`` (n,) in s, with the present lateness.
 
-        ``own`` (n,) marks samples that waited for no other, ``equal`` (n,) those that repeat the one before.
+        ``unqueued`` (n,) marks samples that waited for no other, ``equal`` (n,) those that repeat the one before.
         """
         return _Search(
             lateness=self._lateness,
             period_s=self._period_s,
             excess=excess,
-            own=own,
+            unqueued=unqueued,
             equal=equal,
             before=self._shifts,
             lost_share=self._lost_share,
@@ -192,17 +192,17 @@ class RegularClock:
             return float(excess.min())
         return float(excess[: int(equal[1:].argmax()) + 1].min())  # after one that is doubled, all seem early
 
-    def _time_ns(self, place: Floats, arrival: Stamps, own: Flags, known: Flags) -> Stamps:
+    def _time_ns(self, place: Floats, arrival: Stamps, unqueued: Flags, known: Flags) -> Stamps:
         """Update the clock fit, the lateness and the counts with samples whose place is known; return their times (n,)
         in ns.
 
-        ``place`` (n,) in periods, ``arrival`` (n,) in ns; ``known`` marks places that are certain, ``own`` samples that
-        waited for no other. After a break in reading, the pause itself counts as lost samples. The count of losses
+        ``place`` (n,) in periods, ``arrival`` (n,) in ns; ``known`` marks places that are certain, ``unqueued`` samples
+        that waited for no other. After a break in reading, the pause itself counts as lost samples. The count of losses
         never falls.
         """
         device_s = place * self._period_s
         drifted_s = float(self._fit.drifted(device_s[-1:])[0])
-        self._lateness.add(device_s, self._fit.excess_of(device_s, arrival), own, drifted_s, self._fit.drift)
+        self._lateness.add(device_s, self._fit.excess_of(device_s, arrival), unqueued, drifted_s, self._fit.drift)
         self._fit.most_drift = self._lateness.hidden_drift or _MOST_DRIFT
         self._fit.add(device_s, arrival, known)
         t_ns = self._fit.time_ns(device_s)
@@ -219,32 +219,32 @@ class RegularClock:
         self._last_place, self._last_arrival_ns = float(place[-1]), int(arrival[-1])
         return t_ns
 
-    def _places(self, arrival: Stamps, own: Flags, *, certain: bool, everything: bool) -> tuple[Floats, Flags, Flags]:
+    def _places(self, arrival: Stamps, unqueued: Flags, *, certain: bool, flush: bool) -> tuple[Floats, Flags, Flags]:
         """Return the places of the held samples that can be timed, which places are certain, and which samples to keep.
 
-        ``arrival`` (n,) in ns and ``own`` (n,), samples that waited for no other, are of all held samples. Flags
+        ``arrival`` (n,) in ns and ``unqueued`` (n,), samples that waited for no other, are of all held samples. Flags
         ``kept`` (m,) are of the m oldest of them; those not marked are doubled ones. Places, in periods, and their
         certainty are of the kept ones. All three are empty while later samples are needed. If the last samples came in
-        time, no search is made. ``certain`` decides now, even without a steady lateness; ``everything`` leaves nothing
+        time, no search is made. ``certain`` decides now, even without a steady lateness; ``flush`` leaves nothing
         held.
         """
         place = self._next + np.arange(len(arrival), dtype=np.float64)
         device_s = place * self._period_s
         excess = self._fit.excess_of(device_s, arrival) - self._fit.drifted(device_s)
         if self._in_time(excess):
-            take = len(place) - (0 if everything else self.HOLD)
+            take = len(place) - (0 if flush else self.HOLD)
             self._next += take
             self._least_s = min(self._least_s, float(excess[:take].min()))
             kept = np.ones(take, dtype=np.bool_)
             return place[:take], kept, kept
-        hold = 0 if everything else self._lateness.hold
+        hold = 0 if flush else self._lateness.hold
         if not certain and len(place) < hold + hold // 2:
             self._look_again = hold + hold // 2
-            return place[:0], own[:0], own[:0]
-        search = self._search(excess, own)
-        if not certain and not self._lateness.steady((excess - search.mean * self._period_s)[own]):
+            return place[:0], unqueued[:0], unqueued[:0]
+        search = self._search(excess, unqueued)
+        if not certain and not self._lateness.steady((excess - search.mean * self._period_s)[unqueued]):
             self._look_again = len(place) + max(self.HOLD, len(place) // 8)
-            return place[:0], own[:0], own[:0]
+            return place[:0], unqueued[:0], unqueued[:0]
         take = max(len(place) - hold, 1)
         take, base, self._shifts = search.cut(take)
         self._next += take + base
@@ -283,7 +283,7 @@ class _Search:
         lateness: Lateness,
         period_s: float,
         excess: Floats,
-        own: Flags,
+        unqueued: Flags,
         equal: Flags,
         before: Floats,
         lost_share: float,
@@ -291,16 +291,16 @@ class _Search:
         """Run the search over n samples; it sets ``mean``, ``certain`` and ``repeats``.
 
         ``mean`` (n,) is how many places were lost before each sample, ``certain`` (n,) which of these are sure,
-        ``repeats`` the indices of doubled samples to drop. ``excess`` (n,) in s, of no losses; ``own`` and ``equal``
-        (n,) mark samples that waited for no other and that repeat the one before. ``before`` are the probabilities of
-        0, 1, 2 ... losses before the first, ``lost_share`` that of a loss per sample.
+        ``repeats`` the indices of doubled samples to drop. ``excess`` (n,) in s, of no losses; ``unqueued`` and
+        ``equal`` (n,) mark samples that waited for no other and that repeat the one before. ``before`` are the
+        probabilities of 0, 1, 2 ... losses before the first, ``lost_share`` that of a loss per sample.
         """
         back = min(int(equal.sum()), 8)
-        most = min(max(lateness.most_lost(excess[own]), len(before) + 1), _MOST_STATES)
+        most = min(max(lateness.most_lost(excess[unqueued]), len(before) + 1), _MOST_STATES)
         self._states = np.arange(-back, most + 1)
         self._group = group = max(1, lateness.hold // _GROUPS)
         self._starts = np.arange(0, len(excess), group)
-        costs = lateness.costs(excess[:, None] - self._states * period_s, own)
+        costs = lateness.costs(excess[:, None] - self._states * period_s, unqueued)
         costs = np.add.reduceat(costs, self._starts, axis=0)
         weights = np.exp(costs.min(axis=1, keepdims=True) - costs)
         twice = np.logical_or.reduceat(equal, self._starts)
@@ -313,7 +313,7 @@ class _Search:
         moved = np.diff(mean, prepend=mean[0]) != 0
         near = moved | np.append(moved[1:], False)
         self.mean = np.repeat(mean, group)[: len(excess)]
-        self.certain = np.repeat(sure & ~near, group)[: len(excess)] & own
+        self.certain = np.repeat(sure & ~near, group)[: len(excess)] & unqueued
         groups = np.flatnonzero(down > 0.5)
         self.repeats = np.array([self._starts[g] + int(equal[self._starts[g] :].argmax()) for g in groups], dtype=int)
 

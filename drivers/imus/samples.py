@@ -67,16 +67,16 @@ class Companion:
 
 
 def regular_block(
-    clock: RegularClock, rows: Iterable[tuple[int, Floats, bytes]], gyros: int, *, everything: bool = False
+    clock: RegularClock, rows: Iterable[tuple[int, Floats, bytes]], gyros: int, *, flush: bool = False
 ) -> ImuBlock | None:
     """Add rows (arrival in ns, values, raw bytes) to the clock, and return a block of the samples that can be timed.
 
     None if there are none. Values are as ``block_of`` expects them, for so many ``gyros``; equal samples have equal raw
-    bytes. ``everything`` times the samples that the clock would hold back, too.
+    bytes. ``flush`` times the samples that the clock would hold back, too.
     """
     for arrival_ns, values, raw in rows:
         clock.add(arrival_ns, values, raw)
-    ready = clock.ready(everything=everything)
+    ready = clock.ready(flush=flush)
     return None if ready is None else block_of(*ready, gyros)
 
 

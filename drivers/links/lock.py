@@ -24,24 +24,24 @@ _HOLDER = re.compile(r"(\d{1,10}) (.*)", re.DOTALL)
 
 
 @asynccontextmanager
-async def held(device: str, link: str, default_port: int | None, what: str) -> AsyncIterator[tuple[int, ...]]:
+async def held(device: str, link: str, default_port: int | None, description: str) -> AsyncIterator[tuple[int, ...]]:
     """Hold the lock of a link while this context lasts; DeviceRefused, naming the holder, if somebody else has it.
 
-    ``link`` is a URL, completed by ``default_port``; ``device`` is for the error. ``what`` describes this program to
-    whoever comes second. Yields the descriptors of the locked files: a process that inherits them keeps the lock if
-    this one dies. Without flock (Windows) nothing is locked and none are yielded.
+    ``link`` is a URL, completed by ``default_port``; ``device`` is for the error. ``description`` tells whoever comes
+    second what this program is. Yields the descriptors of the locked files: a process that inherits them keeps the lock
+    if this one dies. Without flock (Windows) nothing is locked and none are yielded.
     """
     with ExitStack() as stack:
         names = await _names(link, default_port) if sys.platform != "win32" else ()
-        yield tuple([_lock(stack, device, link, name, what) for name in names])
+        yield tuple([_lock(stack, device, link, name, description) for name in names])
 
 
 @contextmanager
-def inherited(files: Sequence[int], what: str) -> Iterator[None]:
+def inherited(files: Sequence[int], description: str) -> Iterator[None]:
     """Hold the locks that a dead process held, for the duration; ``files`` are its descriptors (``held``)."""
     with ExitStack() as stack:
         for file in files:
-            _sign(stack, file, what)
+            _sign(stack, file, description)
         yield
 
 
@@ -82,8 +82,9 @@ def _is_ours(family: int, address: object) -> bool:
     return False
 
 
-def _lock(stack: ExitStack, device: str, link: str, name: str, what: str) -> int:
-    """Lock this user's file for ``name`` until the stack is closed, write ``what`` into it, and return its descriptor.
+def _lock(stack: ExitStack, device: str, link: str, name: str, description: str) -> int:
+    """Lock this user's file for ``name`` until the stack is closed, write ``description`` into it, and return its
+    descriptor.
 
     DeviceRefused, naming the holder, if this user's file or that of another user is locked already; or if the lock
     cannot be taken. ``device`` and ``link`` are for the error.
@@ -97,7 +98,7 @@ def _lock(stack: ExitStack, device: str, link: str, name: str, what: str) -> int
         stack.callback(os.close, file)
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         check_own(path, file)
-        _sign(stack, file, what)
+        _sign(stack, file, description)
         for other in _other_files(folder, stem):
             _check_unlocked(other)
     except BlockingIOError as error:
@@ -130,22 +131,22 @@ def _open_own(path: str) -> int:
     return file
 
 
-def _check_is_own(path: str, found: os.stat_result) -> None:
-    """Check that ``found``, the state of ``path``, is that of a regular file of this user without a second name.
+def _check_is_own(path: str, status: os.stat_result) -> None:
+    """Check that ``status``, the state of ``path``, is that of a regular file of this user without a second name.
 
     OSError that says what it is instead and who is to remove it.
     """
-    if stat.S_ISLNK(found.st_mode):
+    if stat.S_ISLNK(status.st_mode):
         wrong = "is a symbolic link"
-    elif not stat.S_ISREG(found.st_mode):
+    elif not stat.S_ISREG(status.st_mode):
         wrong = "is not a regular file"
-    elif found.st_uid != os.geteuid():
-        wrong = f"belongs to {_user(found.st_uid)}"
-    elif found.st_nlink != 1:
+    elif status.st_uid != os.geteuid():
+        wrong = f"belongs to {_user(status.st_uid)}"
+    elif status.st_nlink != 1:
         wrong = "has a second name (hard link)"
     else:
         return
-    who = "" if found.st_uid == os.geteuid() else f"have {_user(found.st_uid)} or root "
+    who = "" if status.st_uid == os.geteuid() else f"have {_user(status.st_uid)} or root "
     raise OSError(
         f"{path} {wrong}, and this program did not create it: {who}remove it, and find out where it came from"
     )
@@ -204,11 +205,11 @@ def _user(uid: int) -> str:
         return f"the user with the number {uid}"
 
 
-def _sign(stack: ExitStack, file: int, what: str) -> None:
-    """Write the process id and ``what`` into the locked file; closing the stack empties and unlocks it.
+def _sign(stack: ExitStack, file: int, description: str) -> None:
+    """Write the process id and ``description`` into the locked file; closing the stack empties and unlocks it.
 
-    ``what`` describes this program. A failure to write is ignored, as others can fill the disk: the lock holds all the
-    same.
+    ``description`` is that of this program. A failure to write is ignored, as others can fill the disk: the lock holds
+    all the same.
     """
     import fcntl
 
@@ -216,7 +217,7 @@ def _sign(stack: ExitStack, file: int, what: str) -> None:
     stack.callback(os.ftruncate, file, 0)
     with suppress(OSError):
         os.ftruncate(file, 0)
-        os.pwrite(file, f"{os.getpid()} {what}".encode()[:_HOLDER_BYTES], 0)
+        os.pwrite(file, f"{os.getpid()} {description}".encode()[:_HOLDER_BYTES], 0)
 
 
 def _folder() -> str:

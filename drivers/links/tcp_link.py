@@ -69,8 +69,8 @@ class TcpLink:
             self._writer = self._reader = None
             self._ended = self._ended or "the link was closed"
 
-    def _end(self, what: str) -> LinkLost:
-        self._ended = self._ended or f"{self._host}:{self._port} {what}"
+    def _end(self, reason: str) -> LinkLost:
+        self._ended = self._ended or f"{self._host}:{self._port} {reason}"
         if self._writer is not None:
             self._writer.transport.abort()
         self._writer = self._reader = None

@@ -24,18 +24,18 @@ class Unwrapper:
         """Forget the turns: the next reading counts as within half a turn of zero."""
         self._last = None
 
-    def place(self, t_s: float, told: float, rate: float) -> float:
-        """Return the continuous angle for a reading: time ``t_s``, ``told`` angle and rate, in the unit of the turn and
-        per s.
+    def place(self, t_s: float, reported: float, rate: float) -> float:
+        """Return the continuous angle for a reading: time ``t_s``, ``reported`` angle and rate, in the unit of the turn
+        and per s.
 
         The first reading is taken to within half a turn of zero. Once an angle of more than a turn is told, the
         controller counts turns itself, and angles are returned as they are told.
         """
-        self._counts_turns |= abs(told) >= self._turn * 1.0001
+        self._counts_turns |= abs(reported) >= self._turn * 1.0001
         expected = 0.0
         if self._last is not None:
             last_s, last_angle, last_rate = self._last
             expected = last_angle + 0.5 * (last_rate + rate) * (t_s - last_s)
-        angle = told if self._counts_turns else told + self._turn * round((expected - told) / self._turn)
+        angle = reported if self._counts_turns else reported + self._turn * round((expected - reported) / self._turn)
         self._last = t_s, angle, rate
         return angle

@@ -179,7 +179,7 @@ class ForceCalibration:
         return np.concatenate([lengths, -each[:, 1], angles])
 
 
-def _row(one: AccelerometerCalibration, states: Floats) -> Floats:
+def _row(accelerometer: AccelerometerCalibration, states: Floats) -> Floats:
     """Return the sensitivity (3,) of an accelerometer with some states to the force along the body axes."""
     k, _, sigma_j, sigma_k = states
-    return np.asarray((1 - k) * (one.p - sigma_k * one.j + sigma_j * one.k_axis))
+    return np.asarray((1 - k) * (accelerometer.p - sigma_k * accelerometer.j + sigma_j * accelerometer.k_axis))

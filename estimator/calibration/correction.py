@@ -75,20 +75,20 @@ def _check(of: Compensation, temperature_c: Floats | None, accel_mps2: Floats | 
 
 
 def _inverted(
-    of: Compensation, left: Floats, t_s: Floats, temperature_c: Floats | None, accel_mps2: Floats | None
+    of: Compensation, outputs: Floats, t_s: Floats, temperature_c: Floats | None, accel_mps2: Floats | None
 ) -> Floats:
     """Return body rates (N, 3) from outputs (N, n) that hold the rate and its effects only; NaN where iteration
     diverges.
     """
     solution = of.solution.T
     with np.errstate(over="ignore", invalid="ignore"):  # of infinities, and of rows that come to no end
-        w = left @ solution
+        w = outputs @ solution
         if not any(effect.acts is Acts.RATE for effect in of.effects):
             return np.asarray(w)
         change = np.full(len(w), np.inf)
         for _ in range(MOST_ITERATIONS):
             before = w
-            w = (left - _effects(of, Acts.RATE, _conditions(t_s, w, temperature_c, accel_mps2))) @ solution
+            w = (outputs - _effects(of, Acts.RATE, _conditions(t_s, w, temperature_c, accel_mps2))) @ solution
             change = np.abs(w - before).sum(axis=1)
             if not (change > TOLERANCE_RPS).any():
                 break

@@ -246,11 +246,11 @@ def _read_effect(entry: Mapping[str, Any], where: str) -> KnownEffect:
     return known
 
 
-def _sizes_object(sizes: Sequence[Size], found: Mapping[str, tuple[tuple[float, float], ...]]) -> dict[str, Any]:
+def _sizes_object(sizes: Sequence[Size], figures: Mapping[str, tuple[tuple[float, float], ...]]) -> dict[str, Any]:
     """Return the parameters of an effect, and what they come from, as values of JSON."""
     return {
         "parameters": [{"name": s.name, "unit": s.unit, "mean": s.mean, "sd": s.sd} for s in sizes],
-        "found": {who: [list(pair) for pair in pairs] for who, pairs in found.items()},
+        "found": {who: [list(pair) for pair in pairs] for who, pairs in figures.items()},
     }
 
 

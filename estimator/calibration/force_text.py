@@ -28,22 +28,22 @@ def forces_of(text: str) -> tuple[ForceCalibration, ...]:
     return tuple(_calibration(own) for own in top["sources"])
 
 
-def _object(one: ForceCalibration) -> dict[str, Any]:
+def _object(calibration: ForceCalibration) -> dict[str, Any]:
     """Return the calibration of a source as values of JSON."""
     return {
-        "source": one.source,
-        "device": one.device,
-        "accelerometers": [_accelerometer_object(a) for a in one.accelerometers],
-        "covariance": one.covariance.tolist(),
-        "arm_m": one.arm_m.tolist(),
-        "arm_covariance_m2": one.arm_covariance_m2.tolist(),
-        "gravity_mps2": one.gravity_mps2,
-        "gravity_from": one.gravity_from,
-        "offset": None if one.offset is None else [one.offset.offset_s, one.offset.sd_s],
-        "excluded": [[e.name, e.reason] for e in one.excluded],
-        "notes": list(one.notes),
-        "doubts": list(one.doubts),
-        "effects": [_effect_object(effect) for effect in one.effects],
+        "source": calibration.source,
+        "device": calibration.device,
+        "accelerometers": [_accelerometer_object(a) for a in calibration.accelerometers],
+        "covariance": calibration.covariance.tolist(),
+        "arm_m": calibration.arm_m.tolist(),
+        "arm_covariance_m2": calibration.arm_covariance_m2.tolist(),
+        "gravity_mps2": calibration.gravity_mps2,
+        "gravity_from": calibration.gravity_from,
+        "offset": None if calibration.offset is None else [calibration.offset.offset_s, calibration.offset.sd_s],
+        "excluded": [[e.name, e.reason] for e in calibration.excluded],
+        "notes": list(calibration.notes),
+        "doubts": list(calibration.doubts),
+        "effects": [_effect_object(effect) for effect in calibration.effects],
     }
 
 
@@ -59,67 +59,73 @@ def _effect_object(effect: ForceEffectValues) -> dict[str, Any]:
     }
 
 
-def _accelerometer_object(one: AccelerometerCalibration) -> dict[str, Any]:
+def _accelerometer_object(accelerometer: AccelerometerCalibration) -> dict[str, Any]:
     """Return one accelerometer as values of JSON."""
     noise = None
-    if one.noise is not None:
-        mean = one.noise.mean
-        noise = [mean.arw, mean.instability, mean.walk, one.noise.instability_below, one.noise.walk_below]
+    if accelerometer.noise is not None:
+        mean = accelerometer.noise.mean
+        noise = [
+            mean.arw,
+            mean.instability,
+            mean.walk,
+            accelerometer.noise.instability_below,
+            accelerometer.noise.walk_below,
+        ]
     arrays = ("p", "j", "k_axis", "states", "covariance", "place_m", "place_covariance_m2")
     return {
-        "name": one.name,
-        **{key: getattr(one, key).tolist() for key in arrays},
-        "noise_mps2": one.noise_mps2,
-        "budget": [[line.name, line.covariance.tolist()] for line in one.budget],
+        "name": accelerometer.name,
+        **{key: getattr(accelerometer, key).tolist() for key in arrays},
+        "noise_mps2": accelerometer.noise_mps2,
+        "budget": [[line.name, line.covariance.tolist()] for line in accelerometer.budget],
         "noise": noise,
     }
 
 
-def _calibration(own: Mapping[str, Any]) -> ForceCalibration:
+def _calibration(source: Mapping[str, Any]) -> ForceCalibration:
     """Return the calibration of a source."""
-    offset = own["offset"]
+    offset = source["offset"]
     return ForceCalibration(
-        source=str(own["source"]),
-        device=str(own["device"]),
-        accelerometers=tuple(_accelerometer(a, own) for a in own["accelerometers"]),
-        covariance=np.array(own["covariance"], dtype=np.float64),
-        arm_m=np.array(own["arm_m"], dtype=np.float64),
-        arm_covariance_m2=np.array(own["arm_covariance_m2"], dtype=np.float64),
-        gravity_mps2=float(own["gravity_mps2"]),
-        gravity_from=str(own["gravity_from"]),
+        source=str(source["source"]),
+        device=str(source["device"]),
+        accelerometers=tuple(_accelerometer(a, source) for a in source["accelerometers"]),
+        covariance=np.array(source["covariance"], dtype=np.float64),
+        arm_m=np.array(source["arm_m"], dtype=np.float64),
+        arm_covariance_m2=np.array(source["arm_covariance_m2"], dtype=np.float64),
+        gravity_mps2=float(source["gravity_mps2"]),
+        gravity_from=str(source["gravity_from"]),
         offset=None if offset is None else TimeOffset(float(offset[0]), float(offset[1])),
-        excluded=tuple(Excluded(str(name), str(reason)) for name, reason in own["excluded"]),
-        notes=tuple(map(str, own["notes"])),
-        doubts=tuple(map(str, own["doubts"])),
-        effects=tuple(_effect(effect) for effect in own.get("effects", [])),
+        excluded=tuple(Excluded(str(name), str(reason)) for name, reason in source["excluded"]),
+        notes=tuple(map(str, source["notes"])),
+        doubts=tuple(map(str, source["doubts"])),
+        effects=tuple(_effect(effect) for effect in source.get("effects", [])),
     )
 
 
-def _effect(own: Mapping[str, Any]) -> ForceEffectValues:
+def _effect(effect: Mapping[str, Any]) -> ForceEffectValues:
     """Return an effect of a model."""
     return ForceEffectValues(
-        name=str(own["name"]),
-        unit=str(own["unit"]),
-        parameters=tuple(map(str, own["parameters"])),
-        values=np.array(own["values"], dtype=np.float64),
-        sd=np.array(own["sd"], dtype=np.float64),
-        about=str(own.get("about", "")),
+        name=str(effect["name"]),
+        unit=str(effect["unit"]),
+        parameters=tuple(map(str, effect["parameters"])),
+        values=np.array(effect["values"], dtype=np.float64),
+        sd=np.array(effect["sd"], dtype=np.float64),
+        about=str(effect.get("about", "")),
     )
 
 
-def _accelerometer(own: Mapping[str, Any], source: Mapping[str, Any]) -> AccelerometerCalibration:
+def _accelerometer(accelerometer: Mapping[str, Any], source: Mapping[str, Any]) -> AccelerometerCalibration:
     """Return one accelerometer of a source."""
     noise = None
-    if own["noise"] is not None:
-        arw, instability, walk, instability_below, walk_below = map(float, own["noise"])
+    if accelerometer["noise"] is not None:
+        arw, instability, walk, instability_below, walk_below = map(float, accelerometer["noise"])
         noise = NoiseFound(NoiseModel(arw, instability, walk), instability_below, walk_below)
     arrays = ("p", "j", "k_axis", "states", "covariance", "place_m", "place_covariance_m2")
     return AccelerometerCalibration(
-        name=str(own["name"]),
+        name=str(accelerometer["name"]),
         source=str(source["source"]),
         device=str(source["device"]),
-        noise_mps2=float(own["noise_mps2"]),
-        budget=tuple(Contribution(str(name), np.array(c, dtype=np.float64)) for name, c in own["budget"]),
+        noise_mps2=float(accelerometer["noise_mps2"]),
+        budget=tuple(Contribution(str(name), np.array(c, dtype=np.float64)) for name, c in accelerometer["budget"]),
         noise=noise,
-        **{key: np.array(own[key], dtype=np.float64) for key in arrays},
+        **{key: np.array(accelerometer[key], dtype=np.float64) for key in arrays},
     )

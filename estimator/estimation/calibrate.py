@@ -201,38 +201,38 @@ def _device(
     return DeviceEstimate([estimate_white(recording, *pair) for pair in sources])
 
 
-def _gyros(recording: Recording, found: SourceEstimate) -> list[GyroCalibration]:
+def _gyros(recording: Recording, estimate: SourceEstimate) -> list[GyroCalibration]:
     """Return the calibration of each gyro of a source, with the table's own uncertainty and the noise at rest added.
 
     The uncertainty of the table is added only for table readings. A line that the estimate holds already (the time
     offset) replaces the line of that name which the table states.
     """
-    data, m = found.data, len(found.data.array)
+    data, m = estimate.data, len(estimate.data.array)
     table: list[tuple[Contribution, ...]] = [()] * m
     rests: list[SensorNoise | None] = [None] * m
     if recording.table is not None:
-        arw = np.array([one.mean.arw if one else 0.0 for one in found.noise])
+        arw = np.array([one.mean.arw if one else 0.0 for one in estimate.noise])
         table = table_budget(recording.table, recording.site, data.array, data.prior, arw)
     if recording.table is not None or recording.reference.at_rest:
         rests = [*rest_noise(data, recording.reference)] or rests
     gyros = []
     for i, name in enumerate(data.array.names):
-        own = found.lines[i]  # the time offset, if it was estimated, replaces the table's stated timing
+        own = estimate.lines[i]  # the time offset, if it was estimated, replaces the table's stated timing
         kinds = (*own, *(line for line in table[i] if line.name not in {one.name for one in own}))
-        states, covariance = decode(found.x[i], np.sum([c.covariance for c in kinds], axis=0))
+        states, covariance = decode(estimate.x[i], np.sum([c.covariance for c in kinds], axis=0))
         gyros.append(
             GyroCalibration(
                 name=name,
-                source=found.source,
+                source=estimate.source,
                 states=states,
                 covariance=covariance,
-                noise_rps=float(found.noise_rps[i]),
+                noise_rps=float(estimate.noise_rps[i]),
                 p=data.array.p[i],
                 device=data.device,
-                budget=tuple(Contribution(c.name, decode(found.x[i], c.covariance)[1]) for c in kinds),
-                noise=found.noise[i],
+                budget=tuple(Contribution(c.name, decode(estimate.x[i], c.covariance)[1]) for c in kinds),
+                noise=estimate.noise[i],
                 rest=rests[i],
-                effects=found.effects[i],
+                effects=estimate.effects[i],
             )
         )
     return gyros

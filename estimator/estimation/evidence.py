@@ -439,9 +439,9 @@ def _split(terms: Sequence[Term]) -> tuple[list[Term], list[Term]]:
     return [t for t in terms if not t.shared], [t for t in terms if t.shared]
 
 
-def _columns(own: Sequence[Term]) -> list[int]:
+def _columns(terms: Sequence[Term]) -> list[int]:
     """Return the columns of the states and of terms that each gyro has to itself."""
-    return [*range(Z), *(column for term in own for column in term.columns)]
+    return [*range(Z), *(column for term in terms for column in term.columns)]
 
 
 def _precision(terms: Sequence[Term]) -> Floats:

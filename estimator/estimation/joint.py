@@ -135,19 +135,19 @@ def _by_another(runs: Sequence[Run]) -> bool:
     return any(run.by_another for run in runs)
 
 
-def _further(joint: Joint, whole: Joint, found: Undeclared) -> list[tuple[Contribution, ...]]:
+def _further(joint: Joint, whole: Joint, undeclared: Undeclared) -> list[tuple[Contribution, ...]]:
     """Return for each gyro the budget lines of undeclared effects that widen its uncertainty and leave its states.
 
     ``joint`` is the estimate to be widened. ``whole`` also fits the undeclared laws that only widen; it is the same
-    object if there are none, and the line ``UNSEEN`` is then left out. Laws in ``found`` that are merely assumed add
-    the line ``UNMEASURED``. Without either a gyro has no lines.
+    object if there are none, and the line ``UNSEEN`` is then left out. Laws in ``undeclared`` that are merely assumed
+    add the line ``UNMEASURED``. Without either a gyro has no lines.
     """
     lines: list[tuple[Contribution, ...]] = [()] * len(joint.means)
     if whole is not joint:
         wider = [n for n, law in enumerate(whole.laws) if law.line == UNSEEN and of_rates(law.effect)]
         lines = [(Contribution(UNSEEN, whole.through(covariance, wider)),) for covariance in whole.covariances]
-    if found.assumed:
-        moved = moved_by(joint, found)
+    if undeclared.assumed:
+        moved = moved_by(joint, undeclared)
         lines = [(*own, Contribution(UNMEASURED, more)) for own, more in zip(lines, moved, strict=True)]
     return lines
 

@@ -139,7 +139,7 @@ def _of_type(effect: Effect, prior: Prior) -> float:
     return 1.0 if of_rates(effect) else min(prior.b_rps / _OF_B_RPS, 1.0)
 
 
-def moved_by(joint: Joint, found: Undeclared) -> list[Floats]:
+def moved_by(joint: Joint, undeclared: Undeclared) -> list[Floats]:
     """Return by gyro the covariance (4, 4) that the assumed laws add to the states (GUM 5.1.3).
 
     They depend on conditions that nobody measured, so that the residual says nothing about them, and they move no
@@ -148,8 +148,8 @@ def moved_by(joint: Joint, found: Undeclared) -> list[Floats]:
     covariances = []
     for gyro in range(len(joint.means)):
         number, own = joint.place_of(gyro)
-        run = found.runs[number]
-        columns = [run.columns(law.effect, own) * law.sd for law in found.assumed]
+        run = undeclared.runs[number]
+        columns = [run.columns(law.effect, own) * law.sd for law in undeclared.assumed]
         shifts = joint.shifts(gyro, np.hstack(columns)) if columns else np.zeros((4, 0))
         covariances.append(shifts @ shifts.T)
     return covariances
@@ -180,15 +180,15 @@ def effects_by_state(joint: Joint, covariances: Sequence[Floats]) -> tuple[Undec
     return tuple(found)
 
 
-def undeclared_notes(found: Sequence[UndeclaredEffect], gyros: Sequence[GyroCalibration]) -> list[str]:
+def undeclared_notes(effects: Sequence[UndeclaredEffect], gyros: Sequence[GyroCalibration]) -> list[str]:
     """Return one sentence on the undeclared effects that cause most of the sigmas and on the sigmas without them.
 
-    An empty list if nothing was ``found``.
+    An empty list without ``effects``.
     """
-    if not found:
+    if not effects:
         return []
     most: dict[str, float] = {}
-    for one in found:
+    for one in effects:
         most[one.effect] = max(most.get(one.effect, 0.0), one.share)
     worst = sorted(most, key=lambda effect: -most[effect])[:_MOST_NAMED]
     sizes = np.sqrt(np.mean([gyro.sd_declared**2 for gyro in gyros], axis=0))

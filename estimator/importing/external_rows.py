@@ -74,14 +74,14 @@ def _encoder(gimbal: str, t_ns: Stamps, angle_rad: Floats) -> TableReadings:
     )
 
 
-def _in_long_gaps(t_ns: Stamps, whole: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _in_long_gaps(t_ns: Stamps, complete: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return as flags (k,) which rows are in gaps between complete ones that are too long to be filled.
 
-    ``whole`` (k,) marks complete rows. Gaps count from three usual steps and 150 ms on.
+    ``complete`` (k,) marks complete rows. Gaps count from three usual steps and 150 ms on.
     """
-    known = t_ns[whole]
+    known = t_ns[complete]
     if len(known) < 2:
         return np.zeros(len(t_ns), dtype=bool)
     after = np.clip(np.searchsorted(known, t_ns), 1, len(known) - 1)
     gap = known[after] - known[after - 1]
-    return np.asarray(~whole & (gap > max(_LOST_STEPS * float(np.median(np.diff(known))), _LOST_NS)))
+    return np.asarray(~complete & (gap > max(_LOST_STEPS * float(np.median(np.diff(known))), _LOST_NS)))

@@ -159,17 +159,17 @@ def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused
     ), left_out
 
 
-def _new_rows(what: str, t_s: Floats, values: Floats, notes: list[str]) -> NDArray[np.intp]:
+def _new_rows(quantity: str, t_s: Floats, values: Floats, notes: list[str]) -> NDArray[np.intp]:
     """Return the numbers of the rows at which values (rows, c) are new.
 
-    All, unless values are held for several rows: then those that are not repetitions, with a note on ``what`` in
+    All, unless values are held for several rows: then those that are not repetitions, with a note on ``quantity`` in
     ``notes``.
     """
     if (fresh := updates(values)) is None:
         return np.arange(len(values))
     each_hz = (len(fresh) - 1) / float(t_s[fresh[-1]] - t_s[fresh[0]])
     often = f"one row of {len(t_s) / len(fresh):.2g} ({each_hz:.3g} Hz)"
-    notes.append(f"{what} is new in {often}; rows between were skipped")
+    notes.append(f"{quantity} is new in {often}; rows between were skipped")
     return fresh
 
 
@@ -356,21 +356,21 @@ def _missing_notes(t_s: Floats) -> list[str]:
     ]
 
 
-def _interpolated(log: Log, own: NDArray[np.intp], values: Floats | None, what: str) -> Floats | None:
-    """Return values (rows, m) at the gyro's rows ``own``, with blanks interpolated in time; None for None.
+def _interpolated(log: Log, gyro_rows: NDArray[np.intp], values: Floats | None, quantity: str) -> Floats | None:
+    """Return values (rows, m) at the gyro's rows ``gyro_rows``, with blanks interpolated in time; None for None.
 
-    If one of these rows is blank, all are interpolated between complete rows. ``what`` names the values. RecordingError
-    if no row is complete.
+    If one of these rows is blank, all are interpolated between complete rows. ``quantity`` names the values.
+    RecordingError if no row is complete.
     """
     if values is None:
         return None
     kept = values[log.time.rows]
     whole = np.asarray(np.isfinite(kept).all(axis=1))
     if not whole.any():
-        raise RecordingError(f"{log.table.name} has no complete row of the {what}. Check [{what}]")
-    if whole[own].all():
-        return kept[own]
-    at, t_s = log.time.t_s[own], log.time.t_s[whole]
+        raise RecordingError(f"{log.table.name} has no complete row of the {quantity}. Check [{quantity}]")
+    if whole[gyro_rows].all():
+        return kept[gyro_rows]
+    at, t_s = log.time.t_s[gyro_rows], log.time.t_s[whole]
     return np.column_stack([np.interp(at, t_s, column) for column in kept[whole].T])
 
 

@@ -43,10 +43,10 @@ class Log:
         return notes
 
 
-def wanted(timing: Timing, others: Sequence[str], labels: tuple[str, ...] = ()) -> Wanted:
+def wanted(timing: Timing, columns: Sequence[str], labels: tuple[str, ...] = ()) -> Wanted:
     """Return the columns wanted of a file: its stamps and others."""
     needed = timing.stamps.names if timing.stamps else (timing.rate,) if isinstance(timing.rate, str) else ()
-    return Wanted(needed, tuple(others), labels, timing.calendar)
+    return Wanted(needed, tuple(columns), labels, timing.calendar)
 
 
 def timed(path: Path, table: Table, timing: Timing, file_format: FileFormat, values: Floats) -> Log:

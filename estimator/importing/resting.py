@@ -52,20 +52,20 @@ class _Samples:
 
 
 def rests_of(
-    mapping: Mapping, stated: Rests, log: Log, own: NDArray[np.intp], rate: Floats, accel: Floats | None
+    mapping: Mapping, stated: Rests, log: Log, kept_rows: NDArray[np.intp], rate: Floats, accel: Floats | None
 ) -> tuple[list[Rest], list[Refused], list[str]]:
     """Return the rests of a file, refused sections, and notes.
 
-    They are those of sections, the whole file, or quiet stretches, as stated. ``own`` (rows,) are the numbers of the
-    kept rows of the gyro's ``rate`` and the accelerometer's ``accel`` (rows, m). RecordingError if there is no rest, or
-    the direction up is needed and not known.
+    They are those of sections, the whole file, or quiet stretches, as stated. ``kept_rows`` (rows,) are the numbers of
+    the kept rows of the gyro's ``rate`` and the accelerometer's ``accel`` (rows, m). RecordingError if there is no
+    rest, or the direction up is needed and not known.
     """
-    name, t_s = log.path.name, log.time.t_s[own]
+    name, t_s = log.path.name, log.time.t_s[kept_rows]
     samples, refused, notes = _Samples(t_s, rate, accel), list[Refused](), list[str]()
     if stated.sections:
 
         def rest_of(section: str, first: int, stop: int) -> Rest:
-            a, b = np.searchsorted(own, [first, stop]).tolist()
+            a, b = np.searchsorted(kept_rows, [first, stop]).tolist()
             return _stated_rest(samples, a, b, stated.sections[section], stated)
 
         rests, refused = of_sections(mapping.name, stated, log, rest_of)

@@ -61,16 +61,18 @@ class Table:
     units: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
-    def values(self, wanted: Columns, what: str) -> Floats:
+    def values(self, wanted: Columns, quantity: str) -> Floats:
         """Return the values (rows, c) of wanted columns in SI along their axes, NaN if absurdly large.
 
-        ``what`` names them in the error: RecordingError if the width is wrong or columns differ in length.
+        ``quantity`` names them in the error: RecordingError if the width is wrong or columns differ in length.
         """
         parts = [np.atleast_2d(self.columns[name].T).T for name in wanted.names]
         found = sum(part.shape[1] for part in parts)
         if found != wanted.width or len({len(part) for part in parts}) != 1:
             shapes = ", ".join(f"{n} {self.columns[n].shape}" for n in wanted.names)
-            raise RecordingError(f"{self.name}: {what} needs {wanted.width} columns of one length, there are {shapes}")
+            raise RecordingError(
+                f"{self.name}: {quantity} needs {wanted.width} columns of one length, there are {shapes}"
+            )
         with np.errstate(invalid="ignore", over="ignore"):
             values = (np.hstack(parts).astype(np.float64) - wanted.offset) * wanted.scale + wanted.shift
             values = np.where(np.abs(values) < HUGE, values, np.nan)

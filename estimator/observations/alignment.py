@@ -373,23 +373,23 @@ def _refined(means: _Means, delay_s: float, fits: Flags) -> float:
     return float(found.x)
 
 
-def _quantile(left: Floats, inner: Flags, share: float) -> Floats:
+def _quantile(distances: Floats, inner: Flags, share: float) -> Floats:
     """Return the distance (m,) from the line within which the ``share`` of the intervals lies; infinite without
     intervals.
     """
-    found = np.full(left.shape[1], np.inf)
-    for gyro, own in enumerate(left.T):
+    found = np.full(distances.shape[1], np.inf)
+    for gyro, own in enumerate(distances.T):
         known = own[inner[:, gyro] & np.isfinite(own)]
         if len(known):
             found[gyro] = np.quantile(np.abs(known), share)
     return found
 
 
-def _nearer(means: _Means, delay_s: float, left: Floats, inner: Flags, distance: Floats) -> Flags:
+def _nearer(means: _Means, delay_s: float, distances: Floats, inner: Flags, distance: Floats) -> Flags:
     """Return as flags (n, m) which intervals are within ``distance`` (m,) of the line, or within a share of their rate.
 
     The share is for a body that mostly rests and turns briefly: otherwise its rests alone would decide.
     """
     speed = np.linalg.norm(means.rates(delay_s), axis=1)
     allowed = np.maximum(distance, _ALLOWED * np.nan_to_num(speed)[:, None])
-    return np.asarray(inner & (np.abs(np.nan_to_num(left, nan=np.inf)) <= allowed))
+    return np.asarray(inner & (np.abs(np.nan_to_num(distances, nan=np.inf)) <= allowed))

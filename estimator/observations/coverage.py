@@ -129,17 +129,17 @@ def coverage_object(coverage: AxisCoverage) -> dict[str, Any]:
     }
 
 
-def coverage_of(found: Mapping[str, Any]) -> AxisCoverage:
+def coverage_of(values: Mapping[str, Any]) -> AxisCoverage:
     """Return a coverage from its JSON object; KeyError, TypeError or ValueError if it is not one."""
     covered_s = None
-    if found["covered_s"] is not None:
-        start_s, end_s = found["covered_s"]
+    if values["covered_s"] is not None:
+        start_s, end_s = values["covered_s"]
         covered_s = float(start_s), float(end_s)
     return AxisCoverage(
-        axis=str(found["axis"]),
+        axis=str(values["axis"]),
         covered_s=covered_s,
-        length_s=float(found["length_s"]),
-        concerns=tuple(map(str, found["concerns"])),
+        length_s=float(values["length_s"]),
+        concerns=tuple(map(str, values["concerns"])),
     )
 
 

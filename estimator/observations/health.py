@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.observations.defects.beside import Beside
+from estimator.observations.defects.comparison import ReferenceComparison
 from estimator.observations.defects.odd_samples import without_odd
 from estimator.packaged import sentence
 from estimator.recordings.recording import ImuData
@@ -36,12 +36,12 @@ class Usable:
     excluded: tuple[Excluded, ...]
 
 
-def usable(data: ImuData, *, fine: bool, beside: Beside | None = None) -> Usable:
+def usable(data: ImuData, *, fine: bool, comparison: ReferenceComparison | None = None) -> Usable:
     """Return the channels of an ordered source (``in_order``) that can be estimated.
 
     With ``fine`` readings, as on a moving table, a constant output is a defect, and a channel that stays at its extreme
-    values is returned separately, with those removed. Coarse readings may rest on one count. The comparison ``beside``
-    shows both in any case.
+    values is returned separately, with those removed. Coarse readings may rest on one count. ``comparison`` with the
+    reference shows both in any case.
     """
     notes: list[str] = []
     excluded: list[Excluded] = []
@@ -53,16 +53,16 @@ def usable(data: ImuData, *, fine: bool, beside: Beside | None = None) -> Usable
         if not finite.any():
             excluded.append(Excluded(name, "no sample is a valid number"))
             continue
-        if reason := _dead(column, i, fine=fine, beside=beside):
+        if reason := _dead(column, i, fine=fine, comparison=comparison):
             excluded.append(Excluded(name, reason))
             continue
-        limited, levels = _limited(data, i, fine=fine, beside=beside)
+        limited, levels = _limited(data, i, fine=fine, comparison=comparison)
         if limited.any():
             notes.append(sentence("observations.saturates", gyro=name, levels=levels, share=limited.mean()))
             parts.append(_only(data, [i], limited))
         else:
             whole.append(i)
-        if beside is not None and (zone_rps := beside.dead_zone_rps(i)) is not None:
+        if comparison is not None and (zone_rps := comparison.dead_zone_rps(i)) is not None:
             share = float(np.mean(column == 0.0))
             notes.append(sentence("observations.dead_zone", gyro=name, share=share, zone_dps=zone_rps * _DEG))
     if whole:
@@ -81,25 +81,25 @@ def in_order(data: ImuData) -> tuple[ImuData, list[str]]:
     return data, notes
 
 
-def _dead(column: Floats, gyro: int, *, fine: bool, beside: Beside | None) -> str:
+def _dead(column: Floats, gyro: int, *, fine: bool, comparison: ReferenceComparison | None) -> str:
     """Return why a channel (n,) is dead, "" if it is not."""
     low, high = float(np.nanmin(column)), float(np.nanmax(column))
-    if low == high and (fine or (beside is not None and beside.turns(gyro))):
+    if low == high and (fine or (comparison is not None and comparison.turns(gyro))):
         return f"its output is constant at {low * _DEG:.4g} deg/s: disconnected or stuck"
-    if beside is not None and beside.dead(gyro):
+    if comparison is not None and comparison.dead(gyro):
         return "its output does not follow the reference while those of other gyros do: it is dead or disconnected"
     return ""
 
 
-def _limited(data: ImuData, gyro: int, *, fine: bool, beside: Beside | None) -> tuple[Flags, str]:
+def _limited(data: ImuData, gyro: int, *, fine: bool, comparison: ReferenceComparison | None) -> tuple[Flags, str]:
     """Return as flags (n,) which samples of a gyro are at or beside a limit, and its levels in words."""
     column = data.rate_rps[:, gyro]
     low, high = float(np.nanmin(column)), float(np.nanmax(column))
     limited = at_limits(data.t_ns, column, low, high) if fine else np.zeros(len(column), dtype=bool)
     levels = [level for level in (low, high) if (limited & (column == level)).any()]
-    for limit in beside.limits[gyro] if beside is not None else ():
-        assert beside is not None
-        reached = limit.reached(column, beside.expected_at(data.t_ns, gyro))
+    for limit in comparison.limits[gyro] if comparison is not None else ():
+        assert comparison is not None
+        reached = limit.reached(column, comparison.expected_at(data.t_ns, gyro))
         if not (reached & ~limited).any():
             continue
         limited |= widened(reached, data.t_ns)

@@ -221,15 +221,15 @@ def _echelon_form(rows: Floats) -> tuple[Floats, list[int]]:
 
 
 def _effect_forecast(
-    effect: Effect, left: Floats, total: Floats, response: Floats, scale: Floats, sd: Floats
+    effect: Effect, information: Floats, total: Floats, response: Floats, scale: Floats, sd: Floats
 ) -> EffectForecast:
     """Return the forecast of an effect with P parameters for g gyros: smallest visible sizes, and shifts of the states.
 
-    ``left`` (g, P, P) is its scaled information with the states eliminated, ``total`` (g, P) the diagonal of its own
-    information, ``response`` (g, 4, P) what the scaled states absorb of it, ``scale`` and ``sd`` (g, 4) their units and
-    scaled sigmas. A parameter that the states absorb has an infinite smallest size.
+    ``information`` (g, P, P) is its scaled information with the states eliminated, ``total`` (g, P) the diagonal of its
+    own information, ``response`` (g, 4, P) what the scaled states absorb of it, ``scale`` and ``sd`` (g, 4) their units
+    and scaled sigmas. A parameter that the states absorb has an infinite smallest size.
     """
-    kept = np.diagonal(left, axis1=1, axis2=2).T
+    kept = np.diagonal(information, axis1=1, axis2=2).T
     alone = total.T
     if effect.shared:
         kept, alone = kept.sum(axis=1, keepdims=True), alone.sum(axis=1, keepdims=True)
@@ -255,31 +255,34 @@ def _different_steady_states(conditions: Conditions) -> tuple[int, bool]:
     return len(levels), len(levels) <= rank
 
 
-def _imitating_pairs(forecasts: Sequence[EffectForecast], slices: Sequence[slice], left: Floats) -> tuple[Pair, ...]:
+def _imitating_pairs(
+    forecasts: Sequence[EffectForecast], slices: Sequence[slice], information: Floats
+) -> tuple[Pair, ...]:
     """Return the pairs of visible effects of which one copies a parameter of the other by more than 0.9, worst first.
 
-    ``slices`` are their places in ``left`` (g, E, E), the scaled information of g gyros with the states eliminated.
+    ``slices`` are their places in ``information`` (g, E, E), the scaled information of g gyros with the states
+    eliminated.
     """
     seen = [(f, own) for f, own in zip(forecasts, slices, strict=True) if f.seen.any()]
     pairs = []
     for number, (a, own_a) in enumerate(seen):
         for b, own_b in seen[number + 1 :]:
-            ways = (_share_copied(a, own_a, b, own_b, left), _share_copied(b, own_b, a, own_a, left))
+            ways = (_share_copied(a, own_a, b, own_b, information), _share_copied(b, own_b, a, own_a, information))
             worst = max(ways, key=lambda pair: pair.correlation)
             if worst.correlation > ALIKE:
                 pairs.append(worst)
     return tuple(sorted(pairs, key=lambda pair: -pair.correlation))
 
 
-def _share_copied(a: EffectForecast, own_a: slice, b: EffectForecast, own_b: slice, left: Floats) -> Pair:
+def _share_copied(a: EffectForecast, own_a: slice, b: EffectForecast, own_b: slice, information: Floats) -> Pair:
     """Return how well b, at plausible sizes, copies the parameter of a that it copies best, and in which gyro.
 
-    ``own_a`` and ``own_b`` are their places in ``left`` (g, E, E), the scaled information of g gyros with the states
-    eliminated. The correlation r is that of the information: with b in the model, the sigma of the parameter grows by
-    the factor 1 / sqrt(1 - r^2).
+    ``own_a`` and ``own_b`` are their places in ``information`` (g, E, E), the scaled information of g gyros with the
+    states eliminated. The correlation r is that of the information: with b in the model, the sigma of the parameter
+    grows by the factor 1 / sqrt(1 - r^2).
     """
-    cross, own = left[:, own_a, own_b], left[:, own_b, own_b]
-    kept = np.diagonal(left[:, own_a, own_a], axis1=1, axis2=2)
+    cross, own = information[:, own_a, own_b], information[:, own_b, own_b]
+    kept = np.diagonal(information[:, own_a, own_a], axis1=1, axis2=2)
     if b.effect.shared:
         own = np.broadcast_to(own.sum(axis=0), own.shape)
         if a.effect.shared:

@@ -41,8 +41,8 @@ class _Motion:
     force: Floats
     centripetal: Floats
 
-    def only(self, kept: Flags) -> "_Motion":
-        return _Motion(force=self.force[:, kept], centripetal=self.centripetal[kept])
+    def only(self, flags: Flags) -> "_Motion":
+        return _Motion(force=self.force[:, flags], centripetal=self.centripetal[flags])
 
 
 def locate(imus: Sequence[ImuSamples]) -> Board:

@@ -39,13 +39,13 @@ class Rests:
     def __len__(self) -> int:
         return len(self.outputs)
 
-    def only(self, kept: Flags) -> Self:
-        """Return the rests of which ``kept`` (n,) is true."""
+    def only(self, flags: Flags) -> Self:
+        """Return the rests of which ``flags`` (n,) is true."""
         return replace(
             self,
-            outputs=self.outputs[kept],
-            covariance=self.covariance[kept],
-            wander=self.wander[kept],
+            outputs=self.outputs[flags],
+            covariance=self.covariance[flags],
+            wander=self.wander[flags],
         )
 
 
@@ -308,26 +308,26 @@ def _near(rests: Rests, start: Intrinsic, least: int) -> Flags:
     return np.asarray(best | (size <= _FAR * max(usual, 1e-9)))
 
 
-def _deleted(rests: Rests, kept: Flags, current: NormFit) -> Floats:
+def _deleted(rests: Rests, used: Flags, current: NormFit) -> Floats:
     """Return the residual of each rest (n,) without it in the fit, in its own sigma (externally studentised)."""
     linear = _linear(rests, current.parameters)
     variance = linear.variance + current.between_mps2**2
-    own = linear.slopes[kept]
-    inverse = np.linalg.pinv((own / variance[kept][:, None]).T @ own, hermitian=True)
+    own = linear.slopes[used]
+    inverse = np.linalg.pinv((own / variance[used][:, None]).T @ own, hermitian=True)
     leverage = np.einsum("ni,ij,nj->n", linear.slopes, inverse, linear.slopes) / variance
     squares = linear.residual**2 / variance
-    total = float(squares[kept].sum())
-    freedom = max(int(kept.sum()) - PARAMETERS, 1)
+    total = float(squares[used].sum())
+    freedom = max(int(used.sum()) - PARAMETERS, 1)
     remaining = np.maximum(1 - leverage, 1e-9)
     inside = (total - squares / remaining) / max(freedom - 1, 1)
-    scale = np.where(kept, inside, total / freedom)
+    scale = np.where(used, inside, total / freedom)
     if rests.noise_known:
         scale = np.maximum(scale, 1.0)
-    spread = np.where(kept, remaining, 1 + leverage)
-    usable = np.where(kept & (leverage > 1 - 1e-6), 0.0, 1.0)
+    spread = np.where(used, remaining, 1 + leverage)
+    usable = np.where(used & (leverage > 1 - 1e-6), 0.0, 1.0)
     return np.asarray(
         usable
         * linear.residual
         / np.sqrt(variance * np.maximum(spread * scale, 1e-12))
-        * np.where(kept, 1 / remaining * spread, 1.0)
+        * np.where(used, 1 / remaining * spread, 1.0)
     )

@@ -78,7 +78,7 @@ def _scatters(t_s: Floats, cells: Floats, means: Floats, period_s: float) -> tup
     return scatter, np.asarray(bad[_CELLS:] == bad[:-_CELLS])
 
 
-def _still_scatter(scatter: Floats, means: Floats, whole: Flags) -> float:
+def _still_scatter(scatter: Floats, means: Floats, complete: Flags) -> float:
     """Return the largest scatter (k,) of windows at rest; infinity if nothing moves.
 
     Rests in a hand are a class of their own, above those on a table: the windows of the next class are at rest, too, if
@@ -86,9 +86,9 @@ def _still_scatter(scatter: Floats, means: Floats, whole: Flags) -> float:
     """
     of_windows = np.array([means[at : at + len(scatter)] for at in range(_CELLS)]).mean(axis=0)
     change = np.linalg.norm(of_windows[_CELLS:] - of_windows[:-_CELLS], axis=1)
-    limit = _dividing_scatter(scatter[whole])
+    limit = _dividing_scatter(scatter[complete])
     while np.isfinite(limit):
-        above = whole & (scatter > limit)
+        above = complete & (scatter > limit)
         higher = _dividing_scatter(scatter[above]) if above.sum() > _CELLS else np.inf
         between = above[: len(change)] & (scatter[: len(change)] <= higher)
         if not np.isfinite(higher) or np.median(change[between] / scatter[: len(change)][between]) > 1:

@@ -77,7 +77,7 @@ def _fold_in_journal(path: Path, journal: Path, file: BinaryIO) -> str:
 
     ValueError for a journal that is not used; RecordingError if nothing can be written.
     """
-    found = _Found(file)
+    found = _JournalContent(file)
     readable = path.exists() and _is_readable(path)
     if readable and not found.is_of(path):
         raise ValueError(sentence("recordings.other_run", path=path.name))
@@ -145,18 +145,18 @@ def _holds_all_of(path: Path, other: Path, *, names_only: bool = False) -> bool:
     return True
 
 
-def _begins_with(rows: h5py.Dataset, others: h5py.Dataset) -> bool:
+def _begins_with(rows: h5py.Dataset, beginning: h5py.Dataset) -> bool:
     """Return whether the first rows of a dataset are all those of another, bit by bit, and types and widths are equal.
 
     A dataset without rows must be equal.
     """
-    if not others.shape or not rows.shape:
-        return bool(rows.shape == others.shape and np.array_equal(rows[()], others[()]))
-    if rows.dtype != others.dtype or rows.shape[1:] != others.shape[1:] or len(rows) < len(others):
+    if not beginning.shape or not rows.shape:
+        return bool(rows.shape == beginning.shape and np.array_equal(rows[()], beginning[()]))
+    if rows.dtype != beginning.dtype or rows.shape[1:] != beginning.shape[1:] or len(rows) < len(beginning):
         return False
     return all(
-        rows[at : min(at + _ROWS_AT_ONCE, len(others))].tobytes() == others[at : at + _ROWS_AT_ONCE].tobytes()
-        for at in range(0, len(others), _ROWS_AT_ONCE)
+        rows[at : min(at + _ROWS_AT_ONCE, len(beginning))].tobytes() == beginning[at : at + _ROWS_AT_ONCE].tobytes()
+        for at in range(0, len(beginning), _ROWS_AT_ONCE)
     )
 
 
@@ -207,7 +207,7 @@ def _free_name(path: Path) -> Path:
     return free
 
 
-class _Found:
+class _JournalContent:
     """The content of a journal; ``damaged`` if something before its end was skipped."""
 
     def __init__(self, file: BinaryIO) -> None:
@@ -311,11 +311,11 @@ class _Found:
         sync(part)
         return told
 
-    def add_to_copy(self, path: Path, part: Path, told: str) -> None:
+    def add_to_copy(self, path: Path, part: Path, recovery: str) -> None:
         """Make ``part`` a copy of the recording with the attributes of its sources that only the journal has, and sync
         it.
 
-        These are counts of an unfinished run. ``told`` is stored as the description of the recovery.
+        These are counts of an unfinished run. ``recovery`` is the description of the recovery to store.
         """
         part.unlink()
         with path.open("rb") as recording, part.open("xb") as copy:
@@ -326,7 +326,7 @@ class _Found:
                 name: {key: value for key, value in self._attributes.get(f"imu/{name}", {}).items() if key not in own}
                 for name, own in sources.items()
             }
-        write_attributes(part, {_RECOVERED: told}, *lacking.items())
+        write_attributes(part, {_RECOVERED: recovery}, *lacking.items())
         sync(part)
 
     def _write_rows(self, writer: RecordingWriter, file: BinaryIO) -> None:

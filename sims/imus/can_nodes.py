@@ -123,8 +123,8 @@ class _Node:
             for key, message in by_key.items()
         }
 
-    def messages(self, rates_rps: Floats, told: _NodeState, *, with_temperature: bool) -> list[can.Message]:
-        """Return the messages for one sample with the channel's rates (m,) and the rest of ``told``.
+    def messages(self, rates_rps: Floats, state: _NodeState, *, with_temperature: bool) -> list[can.Message]:
+        """Return the messages for one sample with the channel's rates (m,) and the rest of ``state``.
 
         Messages that carry only a temperature are left out unless ``with_temperature``; others repeat the last
         temperature.
@@ -132,15 +132,15 @@ class _Node:
         signals = self._signals
         for signal, rate in zip(signals.rates, rates_rps.tolist(), strict=True):
             self._put(signal, rate)
-        for signal, force in zip(signals.acceleration, told.force_mps2.tolist(), strict=False):
+        for signal, force in zip(signals.acceleration, state.force_mps2.tolist(), strict=False):
             self._put(signal, force)
         if signals.temperature is not None and with_temperature:
-            self._put(signals.temperature, told.temperature_c)
+            self._put(signals.temperature, state.temperature_c)
         if signals.counter is not None:
             modulus = signals.wrap or 1 << signals.counter.bits
-            self._values[signals.counter.key][signals.counter.name] = told.sample * signals.step % modulus
+            self._values[signals.counter.key][signals.counter.name] = state.sample * signals.step % modulus
         if signals.time is not None:
-            ticks = round(told.device_s / signals.time.scale) % (signals.wrap or 1 << signals.time.bits)
+            ticks = round(state.device_s / signals.time.scale) % (signals.wrap or 1 << signals.time.bits)
             self._values[signals.time.key][signals.time.name] = signals.time.unscaled(ticks * signals.time.scale)
         out = []
         for key, message in self._messages:

@@ -93,11 +93,11 @@ class Settings:
             raise Refused(7)
 
 
-def utility_reply(own: Settings, line: bytes) -> UtilityMessage | None:
+def utility_reply(settings: Settings, line: bytes) -> UtilityMessage | None:
     """Carry out one line of utility mode, and return the reply to it; None only for an empty line.
 
     The reply has an error code for a line that is no command (1), a damaged (2) or unknown (3) one, a wrong number of
-    fields (4) or a refused value (5), else 0 and what the command shows. Settings are changed in ``own``.
+    fields (4) or a refused value (5), else 0 and what the command shows. Settings are changed in ``settings``.
     """
     if not line.startswith(b"$"):
         return UtilityMessage(True, ("", "1")) if line else None
@@ -109,10 +109,10 @@ def utility_reply(own: Settings, line: bytes) -> UtilityMessage | None:
         return UtilityMessage(True, ("", "3"))
     acts: dict[str, tuple[int, Callable[..., object]]] = {
         "ig": (1, lambda axis: _one_of(axis.upper(), tuple("XYZ"))),
-        "sm": (1, own.set_rate),
-        "sd": (1, own.set_datagram),
-        "sgu": (1, own.set_gyro_unit),
-        "save": (0, own.save),
+        "sm": (1, settings.set_rate),
+        "sd": (1, settings.set_datagram),
+        "sgu": (1, settings.set_gyro_unit),
+        "save": (0, settings.save),
     }
     needed, act = acts.get(name, (0, lambda: None))
     if len(given) != needed:
@@ -121,7 +121,7 @@ def utility_reply(own: Settings, line: bytes) -> UtilityMessage | None:
         act(*given)
     except Refused:
         return UtilityMessage(True, (name, "5"))
-    text = _KNOWN["utility"][name].format(*map(str.upper, given), own=own)
+    text = _KNOWN["utility"][name].format(*map(str.upper, given), own=settings)
     return UtilityMessage(True, (name, "0", *(text.split(",") if text else ())))
 
 

@@ -65,8 +65,8 @@ class AcutrolAxisTwin:
             self._brake()
             self._position_demand = self.angle_deg()
 
-    def demand(self, what: str, value: float) -> None:
-        """Accept a demand for ``what``: rate, acceleration, delta or, for any other word, position; in deg and s.
+    def demand(self, quantity: str, value: float) -> None:
+        """Accept a demand for ``quantity``: rate, acceleration, delta or, for any other word, position; in deg and s.
 
         A rate acts at once in rate mode and is stored otherwise; an acceleration becomes the limit of rate mode. Delta
         and position start a move: delta is added to the demanded position, and to a position the axis turns by the
@@ -74,17 +74,17 @@ class AcutrolAxisTwin:
         not positive or more than 0.1 % beyond the absolute limit, a delta beyond 180 deg, and delta or position outside
         position mode.
         """
-        if what == "rate":
+        if quantity == "rate":
             if abs(value) > self.limits["rate", "rate"] * 1.001:
                 raise AclError("Demand exceeds limit")
             self._rate_demand = value
             if self.mode == "rate":
                 self._follow_rate()
-        elif what == "acceleration":
+        elif quantity == "acceleration":
             self.set_limit("acceleration", "rate", value)
         elif self.mode != "position":
             raise AclError("Not in position mode")
-        elif what == "delta":
+        elif quantity == "delta":
             if abs(value) > 180.0:
                 raise AclError("Demand exceeds limit")
             self._go(self._position_demand + value)
@@ -92,11 +92,11 @@ class AcutrolAxisTwin:
             way = value - self._position_demand
             self._go(self._position_demand + (math.remainder(way, 360.0) if self._wrapped else way))
 
-    def set_limit(self, what: str, mode: str, value: float) -> None:
+    def set_limit(self, quantity: str, mode: str, value: float) -> None:
         """Set a limit of a mode, within the absolute one."""
-        if not 0.0 < value <= self.most[what] * 1.001:
+        if not 0.0 < value <= self.most[quantity] * 1.001:
             raise AclError("Value out of range")
-        self.limits[what, mode] = value
+        self.limits[quantity, mode] = value
 
     def angle_deg(self) -> float:
         """Return the angle of the absolute encoder."""
@@ -104,14 +104,14 @@ class AcutrolAxisTwin:
         angle = self._table.read[self._axis](self._table.clock())[0]
         return math.floor(angle / TURN * counts + 0.5) / counts * 360.0
 
-    def read(self, what: str) -> float:
+    def read(self, quantity: str) -> float:
         """Return the measured position (deg) or rate (deg/s), or for any other word the acceleration (deg/s2).
 
         The position is from 0 to 360 if the axis is wrapped.
         """
-        if what == "position":
+        if quantity == "position":
             return self.angle_deg() % 360.0 if self._wrapped else self.angle_deg()
-        if what == "rate":
+        if quantity == "rate":
             return math.degrees(self._table.read_rate_rps(self._axis))
         motion, now = self._table.motion[self._axis], self._table.clock()
         return math.degrees(motion.at(now + 1e-6)[1] - motion.at(now)[1]) * 1e6

@@ -116,13 +116,13 @@ class AcutrolController(LineController):
             axis.demand(_full(word, _WORDS["demand"]), number(given[-1], AclError("Parameter error")))
         return "OK"
 
-    def _limit(self, what: str, query: bool, given: list[str]) -> str:
-        """Set a limit of an axis in a mode, or return its value if ``query``; ``what`` is its quantity.
+    def _limit(self, quantity: str, query: bool, given: list[str]) -> str:
+        """Set a limit of an axis in a mode, or return its value if ``query``.
 
         "absolute" returns all limits of an axis. ``given`` are the arguments: mode, axis and, to set it, the value.
         AclError for wrong ones.
         """
-        if what == "absolute":
+        if quantity == "absolute":
             most = self._axis(given[0]).most
             values = (most["rate"], most["acceleration"], _JERK_DPS3, -1e6, 1e6, most["rate"] * _VTRIP)
             return ",".join(f"{value:.6f}" for value in values)
@@ -130,8 +130,8 @@ class AcutrolController(LineController):
             raise AclError("Wrong number of arguments")
         mode, axis = _full(given[0], LIMITED_MODES), self._axis(given[1])
         if query:
-            return f"{axis.limits[what, mode]:.6f}"
-        axis.set_limit(what, mode, number(given[2], AclError("Parameter error")))
+            return f"{axis.limits[quantity, mode]:.6f}"
+        axis.set_limit(quantity, mode, number(given[2], AclError("Parameter error")))
         return "OK"
 
     def _axis(self, text: str) -> AcutrolAxisTwin:

@@ -98,38 +98,37 @@ class SlcanAdapter(LineDevice):
         answer = {"V": f"V{self._version}", "N": f"N{self._serial}"}.get(name)
         return BELL if answer is None else answer.encode() + CR
 
-    def _set_up(self, name: str, rest: str) -> bytes:
-        """Carry out the command ``name`` with its argument ``rest``: open or close the channel, or a setting; return
-        CR.
+    def _set_up(self, name: str, argument: str) -> bytes:
+        """Carry out the command ``name`` with an argument: open or close the channel, or change a setting; return CR.
 
         Settings are allowed only while the channel is closed. BELL if it is refused, or for closing a closed channel.
         """
         if name == "C":
             was_open, self.is_open = self.is_open, False
             self._waiting.clear()
-            return CR if was_open and not rest else BELL
+            return CR if was_open and not argument else BELL
         if self.is_open:
             return BELL
         if name == "Z":
-            self._stamps = rest == "1"
-        if not re.fullmatch(_TAKEN[name], rest):
+            self._stamps = argument == "1"
+        if not re.fullmatch(_TAKEN[name], argument):
             return BELL
         if name in "OL":
             self.is_open, self._listens_only = True, name == "L"
         return CR
 
-    def _poll(self, name: str, rest: str) -> bytes:
-        """Carry out the command ``name`` with its argument ``rest``: switch polling on or off (X), or return queued
+    def _poll(self, name: str, argument: str) -> bytes:
+        """Carry out the command ``name`` with an argument: switch polling on or off (X), or return queued
         frames.
 
         P returns the next, CR if there is none, A all. BELL for a wrong argument, while closed, or without polling.
         """
         if name == "X":
-            if rest not in ("0", "1"):
+            if argument not in ("0", "1"):
                 return BELL
-            self._sends_itself = rest == "1"
+            self._sends_itself = argument == "1"
             return CR
-        if rest or not self.is_open or self._sends_itself:
+        if argument or not self.is_open or self._sends_itself:
             return BELL
         if name == "P":
             return self._waiting.popleft() if self._waiting else CR

@@ -47,17 +47,19 @@ def load_mapping(name_or_path: str, folder: Path | None = None) -> CanMapping:
     return CanMapping(own["dbc"], sources, own["source_address"], name=own["name"])
 
 
-def shipped_or_own(name_or_path: str, folder: Path | None, shipped: Path, what: str, error: type[UsageError]) -> Path:
+def shipped_or_own(
+    name_or_path: str, folder: Path | None, shipped: Path, file_kind: str, error: type[UsageError]
+) -> Path:
     """Return the path of the file ``name_or_path``.toml in ``shipped``, or, if that ends in .toml, at that path.
 
     A relative path counts from ``folder``, by default the working folder. ``error`` is raised if there is no such file;
-    ``what`` is the kind of file for its message.
+    ``file_kind`` is the kind of file for its message.
     """
     path = Path(name_or_path)
     path = (folder or Path()) / path if path.suffix == ".toml" else shipped / f"{name_or_path}.toml"
     if not path.is_file():
         known = ", ".join(sorted(p.stem for p in shipped.glob("*.toml")))
-        raise error(f"no {what} {name_or_path}: give one of {known}, or the path of a .toml")
+        raise error(f"no {file_kind} {name_or_path}: give one of {known}, or the path of a .toml")
     return path
 
 

@@ -113,7 +113,7 @@ def _axis(table: Table, spec: TableSpec, folder: Path) -> AxisSetup:
 
     The counts may be missing for a protocol in degrees, where they matter to a twin alone.
     """
-    limits, counts = table.read("bench.axis", each=2), table.read("bench.encoder")["counts_per_turn"]
+    limits, counts = table.read("bench.axis", list_length=2), table.read("bench.encoder")["counts_per_turn"]
     low, high = limits["travel_rad"] or (-math.inf, math.inf)
     if not low <= 0 <= high or low == high:
         raise table.fail("travel", 'must go from a negative to a positive angle: ["-90 deg", "90 deg"]')

@@ -65,9 +65,9 @@ def refused(reason: str, arguments: argparse.Namespace) -> dict[str, Any]:
     return {"recording": arguments.recording, "reason": reason, "sensors": []}
 
 
-def _apart(found: dict[str, list[list[SensorNoise]]]) -> list[SensorNoise]:
+def _apart(by_source: dict[str, list[list[SensorNoise]]]) -> list[SensorNoise]:
     """Return the noise of all sensors; where two have one name, that of their source stands before it."""
-    every = [(source, noise) for source, of_kinds in found.items() for noises in of_kinds for noise in noises]
+    every = [(source, noise) for source, of_kinds in by_source.items() for noises in of_kinds for noise in noises]
     names = Counter(noise.name for _, noise in every)
     return [
         replace(noise, name=f"{source} {noise.name}") if names[noise.name] > 1 else noise for source, noise in every
@@ -86,10 +86,10 @@ def _share(text: str) -> float:
 
 
 def _object(
-    recording: str, found: dict[str, list[list[SensorNoise]]], notes: list[str], share: float
+    recording: str, by_source: dict[str, list[list[SensorNoise]]], notes: list[str], share: float
 ) -> dict[str, Any]:
     """Return the noise of all sensors for --json, in SI."""
-    every = [(source, noise) for source, of_kinds in found.items() for noises in of_kinds for noise in noises]
+    every = [(source, noise) for source, of_kinds in by_source.items() for noises in of_kinds for noise in noises]
     return {
         "recording": recording,
         "uncertainty": share,

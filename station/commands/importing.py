@@ -113,10 +113,10 @@ def _look(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _print_look(found: Look, path: Path) -> None:
+def _print_look(look: Look, path: Path) -> None:
     table = rich_table(path.name, ["column", "first values", "range", "what it may be"], "llll", fold=True)
-    for column in found.columns:
+    for column in look.columns:
         table.add_row(*(escape(harmless(text)) for text in (column.name, column.first, column.range, column.guess)))
     print_all(stdout(), [(table, {})])
-    for note in found.notes:
+    for note in look.notes:
         tell(harmless(note))

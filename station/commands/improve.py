@@ -33,7 +33,7 @@ from station.scripts.plan import make_plan
 from station.scripts.prediction import accelerometer_rows, predict
 from station.scripts.script import Script, check, is_possible
 from station.scripts.script_family import ways_of
-from station.scripts.script_search import LONGEST_S, Found, Needs, Search, sds_of
+from station.scripts.script_search import LONGEST_S, FoundScript, Needs, Search, sds_of
 from station.scripts.whole_imu.family import spanning, ways_within
 from station.scripts.whole_imu.search import JointNeeds, WholeImuSearch
 from station.views.figures import STATE_FIGURES
@@ -297,7 +297,7 @@ def _whole_why_not(search: WholeImuSearch, bench: Bench) -> str:
     return _cannot(names, f"{_NOISE_LIMITS}, or {_TABLE_LIMITS}")
 
 
-def _no_gain(search: WholeImuSearch, found: Found, script: Script, bench: Bench) -> str:
+def _no_gain(search: WholeImuSearch, found: FoundScript, script: Script, bench: Bench) -> str:
     """Return the text that says that the given script is better than the one found; empty if it is not, or the table
     cannot do it.
     """

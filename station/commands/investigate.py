@@ -123,14 +123,15 @@ def limits_of(recordings: Sequence[Recording], bench: Path | None) -> Limits | N
         if text and recording.table is not None:
             table = Table.parse(str(text), f"bench in {recording.name}", UsageError).table("table")
             axes = {
-                axis: AxisLimits(**table.table(axis).read("bench.axis", each=2)) for axis in recording.table.gimbals
+                axis: AxisLimits(**table.table(axis).read("bench.axis", list_length=2))
+                for axis in recording.table.gimbals
             }
             return Limits(axes, f"the bench in {recording.name}")
     return None
 
 
 def following_script(
-    found: Investigation,
+    investigation: Investigation,
     recordings: Sequence[Recording],
     verification: Sequence[Recording],
     limits: Limits | None,
@@ -141,16 +142,16 @@ def following_script(
     UsageError if the limits are those of another table.
     """
     fitted, judging = ([r for r in own if r.table is not None] for own in (recordings, verification))
-    if limits is None or not fitted or found.finding in (Finding.NOTHING, Finding.ADDED):
+    if limits is None or not fitted or investigation.finding in (Finding.NOTHING, Finding.ADDED):
         return None
     table = fitted[0].table
     assert table is not None
     missing = [axis for axis in table.gimbals if axis not in limits.axes]
     if missing:
         raise UsageError(f"{limits.stated_in} has no axis {', '.join(missing)}, about which the recordings turn")
-    rivals = found.rivals or (_suspects(found),)
-    known = {suspect.effect: suspect.log_evidence for suspect in found.suspects}
-    seen_since = _evidence_of(found)
+    rivals = investigation.rivals or (_suspects(investigation),)
+    known = {suspect.effect: suspect.log_evidence for suspect in investigation.suspects}
+    seen_since = _evidence_of(investigation)
     past, since = ([Past.of(run) for recording in own for run in runs_of(recording)[0]] for own in (fitted, judging))
     return next_script(
         rivals,
@@ -172,19 +173,19 @@ def _why_none(recordings: Sequence[Recording], limits: Limits | None) -> str:
     return "no known script shows more of this"
 
 
-def _suspects(found: Investigation) -> tuple[str, ...]:
+def _suspects(investigation: Investigation) -> tuple[str, ...]:
     """Return effects that may explain an unexplained residual: those of its kind, else those with the most evidence."""
-    variable = "" if found.unexplained is None else found.unexplained.depends_on
+    variable = "" if investigation.unexplained is None else investigation.unexplained.depends_on
     of_its_kind = [record for record in records() if variable in record.suspected_of]
     if of_its_kind:  # those that mainly depend on it first
         return tuple(r.name for r in sorted(of_its_kind, key=lambda record: record.depends_on not in ("", variable)))
-    ranked = sorted(found.suspects, key=lambda suspect: -suspect.log_evidence)
+    ranked = sorted(investigation.suspects, key=lambda suspect: -suspect.log_evidence)
     return tuple(suspect.effect for suspect in ranked[:_MOST_RIVALS])
 
 
-def _evidence_of(found: Investigation) -> float:
+def _evidence_of(investigation: Investigation) -> float:
     """Return half the squares, in sigmas, by which the errors on a verification run exceed their noise."""
-    views = [view for view in found.views if view.verification and view.noise_rps > 0]
+    views = [view for view in investigation.views if view.verification and view.noise_rps > 0]
     squares = sum(float(np.sum((view.after_rps / view.noise_rps) ** 2 - 1)) for view in views)
     return max(0.5 * squares, 0.0)
 

@@ -54,9 +54,9 @@ def command_join(arguments: argparse.Namespace, names: Sequence[str]) -> int:
     return verdict.outcome.exit_code
 
 
-def _joined_object(names: Sequence[str], found: JoinedCalibration) -> list[dict[str, object]]:
+def _joined_object(names: Sequence[str], joined: JoinedCalibration) -> list[dict[str, object]]:
     """Return the recordings with the mounting error in each, in SI."""
     return [
         {"recording": str(name), "mounting_error_rad": one.error_rad, "sd_rad": one.sd_rad}
-        for name, one in zip(names, found.mountings, strict=True)
+        for name, one in zip(names, joined.mountings, strict=True)
     ]

@@ -155,7 +155,7 @@ def _outputs(arguments: argparse.Namespace) -> tuple[Path, Path | None, Path | N
     if arguments.output is None:
         wanted = [".pdf"] * arguments.pdf + [".xml"] * arguments.dcc
         recording = Path(arguments.recording)  # a folder is reported when it is read
-        html = free_path(recording.parent / f"{recording.stem}.html", beside=wanted)
+        html = free_path(recording.parent / f"{recording.stem}.html", further_suffixes=wanted)
         pdf = html.with_suffix(".pdf") if arguments.pdf else None
     else:
         named = Path(arguments.output)

@@ -28,9 +28,9 @@ class Format:
     suffix: str = ".txt"
 
 
-def _built_in(name: str, write: str, **said: Any) -> Format:
+def _built_in(name: str, write: str, **fields: Any) -> Format:
     """Return a form of the station's own; ``write`` names its function as an entry point does."""
-    return Format(name=name, write=EntryPoint(name, write, GROUP).load(), **said)
+    return Format(name=name, write=EntryPoint(name, write, GROUP).load(), **fields)
 
 
 _OWN = packaged_toml("station.exports", "held.toml")

@@ -21,9 +21,10 @@ FORMAT_VERSION = 1
 
 
 def write_investigation(
-    path: Path, found: Investigation, what: Mapping[str, Any], forces: Sequence[ForceFinding] = ()
+    path: Path, investigation: Investigation, answer: Mapping[str, Any], forces: Sequence[ForceFinding] = ()
 ) -> None:
-    """Write group /investigation: ``what`` as its attribute ``json``, states, and residuals by run and gyro.
+    """Write group /investigation: the JSON object ``answer`` as its attribute ``json``, states, and residuals by run
+    and gyro.
 
     Group ``spectrum`` holds by gyro the densities (rad/s)^2/Hz at ``frequency_hz`` of the residual of the fitted
     recordings, before and after, and of the noise model; ``spectrum_verification`` those of the verification run. The
@@ -41,23 +42,25 @@ def write_investigation(
         with created as file:
             file.attrs.update({"format": FORMAT, "format_version": FORMAT_VERSION})
             group = file.create_group("investigation")
-            group.attrs.update({"verdict": str(found.finding), "reason": found.reason, "json": json.dumps(what)})
-            model = error_model_of(found.model) if found.model is not None else ErrorModel(())
+            group.attrs.update(
+                {"verdict": str(investigation.finding), "reason": investigation.reason, "json": json.dumps(answer)}
+            )
+            model = error_model_of(investigation.model) if investigation.model is not None else ErrorModel(())
             model = replace(model, forces=force_effects_of(forces))
-            if found.model is not None or not model.is_empty:
+            if investigation.model is not None or not model.is_empty:
                 file[WHERE] = model.text()
-            group["name"] = np.array([gyro.name.encode() for gyro in found.gyros])
+            group["name"] = np.array([gyro.name.encode() for gyro in investigation.gyros])
             for key in ("states_before", "states_after", "moved"):
-                group[key] = np.array([getattr(gyro, key) for gyro in found.gyros])
-            for view in found.views:
+                group[key] = np.array([getattr(gyro, key) for gyro in investigation.gyros])
+            for view in investigation.views:
                 part = group.create_group(f"residual/{_name(view.run)}/{_name(view.gyro)}")
                 part.attrs.update({"verification": view.verification, "noise_rps": view.noise_rps})
                 for key in ("t_s", "rate_rps", "temperature_c", "before_rps", "after_rps"):
                     values = getattr(view, key)
                     if values is not None:
                         part[key] = values
-            fitted = spectra_of(found.residual_before, found.residual_after)
-            verified = spectra_of(found.verified_before, found.verified_after)
+            fitted = spectra_of(investigation.residual_before, investigation.residual_after)
+            verified = spectra_of(investigation.verified_before, investigation.verified_after)
             for kind, by_gyro in (("spectrum", fitted), ("spectrum_verification", verified)):
                 for gyro, spectra in by_gyro.items():
                     for key in ("frequency_hz", "before", "after", "noise"):

@@ -72,15 +72,15 @@ def lines_of(reasons: Mapping[str, str]) -> list[str]:
     return [f"{readable(effect)}: {why}" for effect, why in reasons.items()]
 
 
-def delay_line(exported: Exported, what: str = "subtract it from the time stamps of the samples") -> list[str]:
+def delay_line(exported: Exported, remedy: str = "subtract it from the time stamps of the samples") -> list[str]:
     """Return the line on a delay that a format cannot hold; none if there is no delay."""
     delay_s = exported.compensation.delay_s
-    return [f"a delay of {delay_s:.6g} s: {what}"] if delay_s else []
+    return [f"a delay of {delay_s:.6g} s: {remedy}"] if delay_s else []
 
 
-def head(exported: Exported, what: str, not_held: Sequence[str], mark: str) -> list[str]:
+def head(exported: Exported, title: str, not_held: Sequence[str], mark: str) -> list[str]:
     """Return the first lines of a text, each behind ``mark``: what it is, the origin, and what it does not hold."""
-    lines = [what, "", *exported.origin]
+    lines = [title, "", *exported.origin]
     if not_held:
         lines += ["", "Not in this file, or to be done by hand:", *(f"  - {line}" for line in not_held)]
     return [f"{mark} {_LINE_END.sub(' ', line)}".rstrip() for line in lines]  # a name must not end the comment

@@ -44,7 +44,7 @@ def ask_key(
     def check(text: str) -> None:
         value = made(text)
         count = len(value[key.name]) if key.each and text else 1  # whether that is right the reader of the table knows
-        read_data(value, lambda table: table.option(key, each=count))
+        read_data(value, lambda table: table.option(key, list_length=count))
         checked(value)
 
     value = data.get(key.name, "")

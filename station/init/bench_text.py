@@ -17,19 +17,21 @@ _HEAD = """\
 """
 
 
-def bench_text(bench: Data, others: Iterable[DeviceKind] = ()) -> str:
+def bench_text(bench: Data, other_kinds: Iterable[DeviceKind] = ()) -> str:
     """Return the complete bench file with comments: what keys mean, the protocols there are, and links to hardware.
 
-    ``others`` are the kinds of its devices besides table and IMU.
+    ``other_kinds`` are the kinds of its devices besides table and IMU.
     """
     docs: dict[str, str] = {}
-    for kind in (TABLE, IMU, *others):
+    for kind in (TABLE, IMU, *other_kinds):
         for path, device in _devices(bench, kind):
             spec = kind.protocols[device["protocol"]]
             docs |= {f"{path}{key.name}": key.doc for key in (*spec.keys, *kind.keys)}
             docs[f"{path}protocol"] = ", ".join(kind.protocols)
             docs[f"{path}link"] = f"the twin; hardware: {spec.link}" if device["link"] == TWIN else ""
-    sections = [Key(kind.name, "table" if kind.single else "tables", kind.what, of=["bench.device"]) for kind in others]
+    sections = [
+        Key(kind.name, "table" if kind.single else "tables", kind.what, of=["bench.device"]) for kind in other_kinds
+    ]
     return _HEAD + "\n".join(lines_of(bench, ["bench.bench"], docs, more=sections)) + "\n"
 
 

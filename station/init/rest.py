@@ -15,11 +15,11 @@ from station.schema.tables import keys_of
 _KNOWN = packaged_toml("station.init", "devices.toml")
 
 
-def ask_rest(dialogue: Dialogue, bench: Data, others: Sequence[str] = ()) -> Data:
+def ask_rest(dialogue: Dialogue, bench: Data, other_sections: Sequence[str] = ()) -> Data:
     """Return the complete bench: site, limits, place and twins in addition to the devices in ``bench``.
 
-    If all devices under test are twins, it also states that no effects are undeclared. ``others`` are the sections of
-    devices of other kinds in it. Answers that are left empty are left out.
+    If all devices under test are twins, it also states that no effects are undeclared. ``other_sections`` are the
+    sections of devices of other kinds in it. Answers that are left empty are left out.
     """
     dialogue.say("\nThe lab. Its latitude is needed to remove Earth rate (15 deg/h); - leaves it in the bias.")
     latitude, heading = (key for key in keys_of("bench.site") if key.name in ("latitude", "heading"))
@@ -41,7 +41,7 @@ def ask_rest(dialogue: Dialogue, bench: Data, others: Sequence[str] = ()) -> Dat
     place = ask_key(dialogue, {}, operator, "names of operators")
     place = ask_key(dialogue, place, serial, "serial numbers of devices")
     stated = {"station": place, "site": site, "table": bench["table"], "imu": bench["imu"]}
-    stated |= {section: bench[section] for section in others}
+    stated |= {section: bench[section] for section in other_sections}
     simulated = all(imu["link"] == TWIN for imu in bench["imu"])
     return {
         "name": bench["name"],

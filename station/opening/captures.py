@@ -54,8 +54,8 @@ def _gathered(pieces: Sequence[Mapping[str, Floats]], lead: str) -> Columns:
     }
 
 
-def _damaged(count: int, what: str) -> tuple[str, ...]:
-    return (f"{count} damaged {what} were skipped",) if count else ()
+def _damaged(count: int, damaged: str) -> tuple[str, ...]:
+    return (f"{count} damaged {damaged} were skipped",) if count else ()
 
 
 def _xbus(raw: bytes, names: Sequence[str]) -> _Decoded:

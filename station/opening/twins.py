@@ -62,7 +62,7 @@ class Twins:
         self.watchdog_s = bench.twin.watchdog_s * max(time_scale, 1.0)  # it waits for a host
         loop = asyncio.get_running_loop()
         truths = bench.twin.truths.again()
-        settings = truths.read("bench.power_on", each=len(bench.table.gimbals))
+        settings = truths.read("bench.power_on", list_length=len(bench.table.gimbals))
         axes = {
             name: AxisData(axis.limits.rate_rps, axis.limits.acceleration_rps2, axis.counts_per_turn, angle)
             for (name, axis), angle in zip(bench.table.axes.items(), settings["start"], strict=True)

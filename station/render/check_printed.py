@@ -17,9 +17,9 @@ _EXPERIMENTAL = (
 )
 
 
-def print_check(bench: str, found: Sequence[DeviceCheck]) -> None:
+def print_check(bench: str, devices: Sequence[DeviceCheck]) -> None:
     """Print a table of what each device of a bench answered, and below it what is wrong."""
-    print_all(stdout(), _shown(bench, found))
+    print_all(stdout(), _shown(bench, devices))
 
 
 def _shown(bench: str, checks: Sequence[DeviceCheck]) -> Iterator[Shown]:

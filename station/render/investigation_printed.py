@@ -28,59 +28,61 @@ def exit_code_of(finding: Finding) -> int:
 
 
 def print_investigation(
-    found: Investigation, next_script: NextScript | None, path: Path | None, console: Console | None = None
+    investigation: Investigation, next_script: NextScript | None, path: Path | None, console: Console | None = None
 ) -> None:
     """Print the verdict in words, the suspects, the error before and after, what was left out, and the next script."""
-    print_all(console or stdout(), next_shown(investigation_view(found, path), next_script, path))
+    print_all(console or stdout(), next_shown(investigation_view(investigation, path), next_script, path))
 
 
-def next_shown(what: InvestigationView, next_script: NextScript | None, path: Path | None) -> list[Shown]:
+def next_shown(investigation: InvestigationView, next_script: NextScript | None, path: Path | None) -> list[Shown]:
     """Return the lines and tables of an investigation whose next script, if any, is in the file ``path``."""
-    return investigation_shown(what, f"station run --script {path}", next_script.words() if next_script else "")
+    return investigation_shown(
+        investigation, f"station run --script {path}", next_script.words() if next_script else ""
+    )
 
 
-def investigation_shown(what: InvestigationView, how: str, drive: str = "") -> list[Shown]:
+def investigation_shown(investigation: InvestigationView, how: str, drive: str = "") -> list[Shown]:
     """Return the lines and tables of an investigation.
 
     ``how`` is the command that runs its next script, ``drive`` a line on that script, empty if there is none.
     """
     return [
-        *_verdict(what),
-        *_next(what, how, drive),
-        *_suspects(what),
+        *_verdict(investigation),
+        *_next(investigation, how, drive),
+        *_suspects(investigation),
         line(""),
-        *residual_shown(what.residual),
-        *errors_shown(what),
-        *_remarks(what),
+        *residual_shown(investigation.residual),
+        *errors_shown(investigation),
+        *_remarks(investigation),
     ]
 
 
-def verdict_lines(found: Mapping[str, Any]) -> list[str]:
+def verdict_lines(investigation: Mapping[str, Any]) -> list[str]:
     """Return the result of an investigation, given as JSON, in sentences."""
-    return verdict_sentences(investigation_of(found))
+    return verdict_sentences(investigation_of(investigation))
 
 
-def _verdict(what: InvestigationView) -> Iterator[Shown]:
-    colour = FINDING_STYLES.get(what.verdict, "bold")
-    yield line(f"[{colour}]{escape(what.verdict.upper())}[/]  {escape(what.reason)}")
-    for sentence in verdict_sentences(what):
+def _verdict(investigation: InvestigationView) -> Iterator[Shown]:
+    colour = FINDING_STYLES.get(investigation.verdict, "bold")
+    yield line(f"[{colour}]{escape(investigation.verdict.upper())}[/]  {escape(investigation.reason)}")
+    for sentence in verdict_sentences(investigation):
         yield line(f"  {escape(sentence)}")
 
 
-def _next(what: InvestigationView, how: str, drive: str) -> Iterator[Shown]:
+def _next(investigation: InvestigationView, how: str, drive: str) -> Iterator[Shown]:
     """Yield the script to run next, nothing if there is none."""
-    if not what.next_script:
+    if not investigation.next_script:
         return
     if drive:
         yield line(escape(f"  run next: {drive}"))
-    yield unbroken(f"  script: {what.next_script}   ({how})")
+    yield unbroken(f"  script: {investigation.next_script}   ({how})")
 
 
-def _suspects(what: InvestigationView) -> Iterator[Shown]:
+def _suspects(investigation: InvestigationView) -> Iterator[Shown]:
     """Yield the suspects by falling probability, the improbable ones in a row together; nothing without suspects."""
-    if not what.suspects:
+    if not investigation.suspects:
         return
-    ranked = sorted(what.suspects, key=lambda suspect: -(suspect.probability or 0.0))
+    ranked = sorted(investigation.suspects, key=lambda suspect: -(suspect.probability or 0.0))
     shown = [suspect for suspect in ranked if (suspect.probability or 0.0) >= _LEAST_SHOWN][:_MOST_SHOWN]
     suspects = rich_table("What the first model may miss", ["suspect", "probability", "log evidence"], "lr")
     for suspect in shown:
@@ -94,18 +96,18 @@ def _suspects(what: InvestigationView) -> Iterator[Shown]:
     yield suspects, {}
 
 
-def _add_others(suspects: Table, others: list[SuspectView]) -> None:
-    if others:
-        together = sum(suspect.probability or 0.0 for suspect in others)
-        suspects.add_row(f"{len(others)} others together", probability(together), "", style="dim")
+def _add_others(suspects: Table, improbable: list[SuspectView]) -> None:
+    if improbable:
+        together = sum(suspect.probability or 0.0 for suspect in improbable)
+        suspects.add_row(f"{len(improbable)} others together", probability(together), "", style="dim")
 
 
-def _remarks(what: InvestigationView) -> Iterator[Shown]:
+def _remarks(investigation: InvestigationView) -> Iterator[Shown]:
     """Yield the effects that were left out, by reason, and the notes."""
     left_out: dict[str, list[str]] = {}
-    for effect, reason in what.left_out.items():
+    for effect, reason in investigation.left_out.items():
         left_out.setdefault(reason, []).append(readable(effect))
     for reason, effects in left_out.items():
         yield line(escape(f"left out, {reason}: {', '.join(effects)}"))
-    for note in what.notes:
+    for note in investigation.notes:
         yield line(escape(f"note: {note}"))

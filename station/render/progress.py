@@ -44,10 +44,10 @@ class Bar(Progress):
         self._shown_share = 0.0
         self._task = self.add_task(begins, total=total, **fields)
 
-    def _tell(self, line: str, share: float, due: bool | None = None, **told: Any) -> None:
-        """Show ``told`` in the bar; without a bar print the line if it is due, by default after a step of the share."""
+    def _tell(self, line: str, share: float, due: bool | None = None, **values: Any) -> None:
+        """Show ``values`` in the bar; without a bar print the line if ``due``, by default after a step of the share."""
         if not self.disable:
-            self.update(self._task, refresh=self._at_once, **told)
+            self.update(self._task, refresh=self._at_once, **values)
         elif not self._quiet and (share - self._shown_share >= self._EVERY if due is None else due):
             self._shown_share = share
             self.console.print(line, highlight=False)

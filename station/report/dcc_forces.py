@@ -68,27 +68,27 @@ def _quantity(name: str, value: float, unit: str, sd: float) -> Quantity:
     return Quantity(name=name, value=float(value), unit=unit, expanded=COVERAGE * float(sd))
 
 
-def _states(one: AccelerometerCalibration) -> QuantityList:
+def _states(accelerometer: AccelerometerCalibration) -> QuantityList:
     """Return the states of an accelerometer."""
-    rows = zip(ACCELEROMETER.keys, one.states, one.sd, strict=True)
+    rows = zip(ACCELEROMETER.keys, accelerometer.states, accelerometer.sd, strict=True)
     return QuantityList(
         name="States", quantities=tuple(_quantity(_STATES[key][0], x, _STATES[key][1], sd) for key, x, sd in rows)
     )
 
 
-def _place(one: AccelerometerCalibration) -> QuantityList:
+def _place(accelerometer: AccelerometerCalibration) -> QuantityList:
     """Return where an accelerometer sits."""
-    rows = zip("xyz", one.place_m, one.place_sd_m, strict=True)
+    rows = zip("xyz", accelerometer.place_m, accelerometer.place_sd_m, strict=True)
     return QuantityList(
         name="Place, from the point in which the axes of the table meet",
         quantities=tuple(_quantity(axis, x, r"\metre", sd) for axis, x, sd in rows),
     )
 
 
-def _effects(one: ForceCalibration, place: int, dsi: Mapping[str, str]) -> Iterator[QuantityList]:
+def _effects(calibration: ForceCalibration, place: int, dsi: Mapping[str, str]) -> Iterator[QuantityList]:
     """Yield the parameters of the effects of an accelerometer, if it has any."""
     quantities: list[Quantity] = []
-    for effect in one.effects:
+    for effect in calibration.effects:
         called = effect.name.replace("_", " ") + (f" ({effect.about})" if effect.about else "")
         for name, x, sd in zip(effect.parameters, effect.values[place], effect.sd[place], strict=True):
             own = _quantity(f"{called}, {name}", x, dsi.get(effect.unit, ""), sd)
@@ -98,9 +98,9 @@ def _effects(one: ForceCalibration, place: int, dsi: Mapping[str, str]) -> Itera
         yield QuantityList(name="Effects", quantities=tuple(quantities))
 
 
-def _triad(one: ForceCalibration) -> Iterator[QuantityList]:
+def _triad(calibration: ForceCalibration) -> Iterator[QuantityList]:
     """Yield sensitivities, offsets and angles (Geist et al. 2017), and the delay of the outputs if it is known."""
-    found: Intrinsic = one.intrinsic
+    found: Intrinsic = calibration.intrinsic
     sensitivities = zip(found.names, found.sensitivity, found.sensitivity_sd, strict=True)
     offsets = zip(found.names, found.offset_mps2, found.offset_sd_mps2, strict=True)
     angles = zip(found.pairs, found.angle_rad, found.angle_sd_rad, strict=True)
@@ -114,6 +114,8 @@ def _triad(one: ForceCalibration) -> Iterator[QuantityList]:
         name="Angles between the axes",
         quantities=tuple(_quantity(f"{first} to {second}", x, r"\radian", sd) for (first, second), x, sd in angles),
     )
-    if one.offset is not None:
-        delay = _quantity("after the readings of the table", one.offset.offset_s, r"\second", one.offset.sd_s)
+    if calibration.offset is not None:
+        delay = _quantity(
+            "after the readings of the table", calibration.offset.offset_s, r"\second", calibration.offset.sd_s
+        )
         yield QuantityList(name="Delay of the outputs", quantities=(delay,))

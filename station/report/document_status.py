@@ -98,7 +98,7 @@ def _formal_kinds(formal: Formal, *, simulated: bool) -> list[Kind]:
     return [kind for kind, so in lacking.items() if so] or [Kind.SPECIMEN] * simulated
 
 
-def _guarded(line: LimitLine, found: Calibration, false_accept: float | None) -> LimitLine:
+def _guarded(line: LimitLine, calibration: Calibration, false_accept: float | None) -> LimitLine:
     """Return the limit of a state with its guard band; unchanged for other limits, or if ``false_accept`` is None.
 
     At the acceptance limit the probability that the state, normal about its estimate with its u, is beyond one of its
@@ -107,7 +107,7 @@ def _guarded(line: LimitLine, found: Calibration, false_accept: float | None) ->
     """
     if false_accept is None or line.state is None or line.row is None or line.of_u:
         return line
-    u = float(found.gyros[line.row].sd[line.state])
+    u = float(calibration.gyros[line.row].sd[line.state])
 
     def beyond(size: float) -> float:
         return float(ndtr((size - line.high) / u) + ndtr(-(size + line.high) / u)) - false_accept

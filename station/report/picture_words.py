@@ -23,14 +23,14 @@ class LastEstimate:
     unit: str
 
 
-def rates_words(what: str, span_s: float, largest: Sequence[str]) -> PictureWords:
+def rates_words(quantity: str, span_s: float, largest: Sequence[str]) -> PictureWords:
     """Return the words for rates over time; ``largest`` has the range of each."""
     return PictureWords(
         alternative=(
-            f"Line plots of the {what} over {span_s:.0f} s, one panel each, in degrees per second: "
+            f"Line plots of the {quantity} over {span_s:.0f} s, one panel each, in degrees per second: "
             f"{'; '.join(largest)}."
         ),
-        caption=f"{what[0].upper()}{what[1:]} over time, as measured.",
+        caption=f"{quantity[0].upper()}{quantity[1:]} over time, as measured.",
     )
 
 

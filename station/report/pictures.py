@@ -74,8 +74,8 @@ class Picture:
         return round(_PIXELS_PER_IN * self.size_in[1])
 
 
-def rates_picture(names: Sequence[str], t_s: Floats, rate_rps: Floats, what: str) -> Picture:
-    """Return a picture of the rates (N, axes) of named axes over time, one panel each; ``what`` is for the caption."""
+def rates_picture(names: Sequence[str], t_s: Floats, rate_rps: Floats, quantity: str) -> Picture:
+    """Return the picture of rates (N, axes) of ``names`` over time, one panel each; ``quantity`` says what they are."""
     with _drawn((WIDTH_IN, 0.36 * len(names) + 0.42), len(names), 1, between=0.12) as (figure, panels):
         for column, (name, panel) in enumerate(zip(names, panels[:, 0], strict=True)):
             at, shown = _thinned(t_s, rate_rps[:, column] * DEG_PER_S.factor)
@@ -89,7 +89,7 @@ def rates_picture(names: Sequence[str], t_s: Floats, rate_rps: Floats, what: str
         panels[-1, 0].set_xlabel("time since the script began, s")
         of_each = zip(names, (rate_rps * DEG_PER_S.factor).T, strict=True)
         largest = [f"{name} {np.nanmin(r):.4g} to {np.nanmax(r):.4g}" for name, r in of_each]
-        return _done(figure, rates_words(what, float(t_s[-1] - t_s[0]), largest))
+        return _done(figure, rates_words(quantity, float(t_s[-1] - t_s[0]), largest))
 
 
 def convergence_pictures(recorded: Recorded, states: Sequence[tuple[Markup, Unit]]) -> list[Picture]:
@@ -267,14 +267,14 @@ def _rms_dph(residual_rps: Floats) -> float:
     return float(np.sqrt(np.mean(residual_rps**2))) * DEG_PER_H.factor
 
 
-def draw_investigation(path: Path, found: Investigation) -> None:
+def draw_investigation(path: Path, investigation: Investigation) -> None:
     """Draw each gyro's residual before and after into a file: over time, against rate and temperature, and its
     spectrum.
 
     The verification run is drawn, or else the first recording. UsageError if there is nothing to draw or the file
     cannot be written.
     """
-    views, spectra = judged_views(found.views), judged_spectra(found)
+    views, spectra = judged_views(investigation.views), judged_spectra(investigation)
     if not views:
         raise UsageError("--plot: nothing to draw, since the investigation stored no residuals")
     warm = any(view.temperature_c is not None for view in views)
@@ -288,9 +288,9 @@ def draw_investigation(path: Path, found: Investigation) -> None:
             row[0].set_ylabel(f"{view.gyro}, °/h")
         for panel in panels[:-1].ravel():
             panel.set_xlabel("")
-        effects = ", ".join(words(added.effect) for added in found.added)
+        effects = ", ".join(words(added.effect) for added in investigation.added)
         kind = "verification" if views[0].verification else "in-sample"
-        verdict = f"{found.finding}: {effects}" if effects else str(found.finding)
+        verdict = f"{investigation.finding}: {effects}" if effects else str(investigation.finding)
         figure.suptitle(f"Error of the compensated rate, {kind} run {views[0].run} ({verdict})", fontsize=8)
         labelled = (panel.get_legend_handles_labels()[::-1] for panel in panels[0])
         legend = {label: line for labels, lines in labelled for label, line in zip(labels, lines, strict=True)}

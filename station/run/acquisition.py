@@ -29,7 +29,7 @@ from station.opening.reopening import Reopening
 from station.run.event_loop.host import HostWatch
 from station.run.event_loop.loops import is_virtual
 from station.run.live import LiveEstimate
-from station.run.monitor import Beside, Monitor
+from station.run.monitor import Monitor, TaskGuard
 from station.run.snapshot import EventKind, Phase
 from station.run.table_watch import TableRow
 from station.views.json_values import named
@@ -109,8 +109,8 @@ class Acquisition:
         self.writer, self._model, self._reopening, self._on_event = writer, model, reopening, on_event
         self._host_scale, self._scale = time_scale, max(time_scale, 1.0)  # below 1 devices are slow, too
         self.live = LiveEstimate(self._bench.table.gimbals, self._bench.site)
-        self.beside = Beside(lambda text: self.event(EventKind.NOTE, text))
-        self.monitor = Monitor(opened, self.live, reopening, self._scale, self.beside)
+        self.task_guard = TaskGuard(lambda text: self.event(EventKind.NOTE, text))
+        self.monitor = Monitor(opened, self.live, reopening, self._scale, self.task_guard)
         self.reports: dict[str, SourceReport] = {}
         """What was had of each source, once all is closed."""
         self.closed = False
@@ -241,7 +241,7 @@ class Acquisition:
     def _take_block(self, name: str, block: ImuBlock) -> None:
         """Record a block and pass it to the live estimate and the monitor; the first adds the accelerometers' axes."""
         self._last_seen_s[name] = asyncio.get_running_loop().time()
-        self.beside.attempt("the monitor", lambda: self.monitor.take_block(name, block), None)
+        self.task_guard.attempt("the monitor", lambda: self.monitor.take_block(name, block), None)
         keys = ("t_ns", "arrival_ns", "rate_rps", "temperature_c", "counter", "accel_mps2")
         columns = {key: values for key in keys if (values := getattr(block, key)) is not None}
         if block.accel_mps2 is not None and name not in self._accelerometers:
@@ -284,7 +284,7 @@ class Acquisition:
         self.writer.append_text("events", {"t_ns": now_ns}, "text", text, kind=np.array([kind.encode()], dtype="S16"))
         on_event = self._on_event
         if on_event is not None:
-            self.beside.attempt("telling of events", lambda: on_event(now_ns * 1e-9, kind, text), None)
+            self.task_guard.attempt("telling of events", lambda: on_event(now_ns * 1e-9, kind, text), None)
 
     async def first_samples(self) -> None:
         """Wait until every source has sent samples; LinkLost, naming those that have not, after 3 s."""
@@ -344,7 +344,7 @@ class Acquisition:
             await self._slept_late(every_s)
             if loop.time() >= look_due_s:
                 look_due_s = loop.time() + _LOOK_S * self._host_scale
-                self.beside.attempt("the monitor", self.monitor.mark, None)
+                self.task_guard.attempt("the monitor", self.monitor.mark, None)
                 self._take_histories(_HISTORY_BLOCKS)
                 self._note_counts()
                 self.host.look()

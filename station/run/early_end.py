@@ -88,16 +88,16 @@ class EarlyEnd:
         return lambda: max(self._share(config, own, readings) for config, own in devices)
 
     def _share(
-        self, config: ImuConfig, own: Sequence[tuple[LiveSource, Blocks, float]], readings: TableReadings
+        self, config: ImuConfig, sources: Sequence[tuple[LiveSource, Blocks, float]], readings: TableReadings
     ) -> float:
         """Return the largest sigma of a device as a share of its limit, computed as by
         ``estimator.estimation.calibrate``.
 
-        ``own`` are its sources with their blocks and the time offset's sigma known by the live filter; ``readings`` are
-        those of the table. Infinite if the data do not suffice.
+        ``sources`` are its sources with their blocks and the time offset's sigma known by the live filter; ``readings``
+        are those of the table. Infinite if the data do not suffice.
         """
         runs = []
-        for number, (source, blocks, _) in enumerate(own):
+        for number, (source, blocks, _) in enumerate(sources):
             named = replace(source.array, names=tuple(f"{number} {name}" for name in source.array.names))
             data = ImuData(named, _NO_STAMPS, np.empty((0, len(named))), prior=source.prior)
             runs.append(run_of_blocks(config.name, data, blocks, readings))
@@ -109,7 +109,7 @@ class EarlyEnd:
         for number, run in enumerate(found.runs):
             gyros = found.gyros_of(number)
             arw = found.arw[gyros.start : gyros.stop]
-            known = replace(readings.uncertainty or TableUncertainty(), timing_s=own[number][2])
+            known = replace(readings.uncertainty or TableUncertainty(), timing_s=sources[number][2])
             timed = replace(readings, uncertainty=known)
             tables = table_budget(timed, self._bench.site, run.array, run.data.prior, arw)
             for g, table in zip(gyros, tables, strict=True):

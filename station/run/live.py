@@ -129,9 +129,9 @@ class LiveEstimate:
             self._take_rows()
             self.rates.finish()
             for source in self.sources.values():
-                source.advance(self.rates, everything=True)
+                source.advance(self.rates, flush=True)
             for forces in self.forces.values():
-                forces.advance(self.rates, everything=True)
+                forces.advance(self.rates, flush=True)
 
     def _take_rows(self) -> None:
         """Move the rows that have arrived into the body rates and the kept readings, if these are kept; nothing without

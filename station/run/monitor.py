@@ -53,8 +53,8 @@ class _Mark:
     latency_s: float
 
 
-class Beside:
-    """Runs work that only serves observers and must not end a run: counts, snapshots, progress, events."""
+class TaskGuard:
+    """Run tasks that only serve observers and must not end a run: counts, snapshots, progress, events."""
 
     def __init__(self, tell: Callable[[str], None]) -> None:
         """``tell`` gets one sentence for each piece of work that fails, at its first failure."""
@@ -63,8 +63,8 @@ class Beside:
         self.notes: list[str] = []
         """What has been told."""
 
-    def attempt(self, what: str, work: Callable[[], T], otherwise: T) -> T:
-        """Return ``work()``, or ``otherwise`` if it raises; ``what`` is its name for the operator.
+    def attempt(self, task: str, work: Callable[[], T], otherwise: T) -> T:
+        """Return ``work()``, or ``otherwise`` if it raises; ``task`` is its name for the operator.
 
         MemoryError is raised: the recording would be the next to fail.
         """
@@ -73,16 +73,16 @@ class Beside:
         except MemoryError:
             raise
         except Exception as error:  # drivers, plug-ins and the station itself may fail in any way
-            self.failed(what, error)
+            self.failed(task, error)
             return otherwise
 
-    def failed(self, what: str, error: Exception) -> None:
-        """Log the failure of ``what`` and report it to the operator; further ones of the same name are ignored."""
-        if what in self._failed:
+    def failed(self, task: str, error: Exception) -> None:
+        """Log the failure of ``task`` and report it to the operator; further ones of the same name are ignored."""
+        if task in self._failed:
             return
-        self._failed.add(what)
-        _log.error("%s failed; the run continues", what, exc_info=error)
-        note = sentence("run.beside_failed", what=what, error=f"{type(error).__name__}: {error}")
+        self._failed.add(task)
+        _log.error("%s failed; the run continues", task, exc_info=error)
+        note = sentence("run.beside_failed", what=task, error=f"{type(error).__name__}: {error}")
         self.notes.append(note)
         self._tell(note)
 
@@ -91,14 +91,14 @@ class Monitor:
     """Collects the state of one run for observers."""
 
     def __init__(
-        self, opened: OpenBench, live: LiveEstimate, reopening: Reopening, time_scale: float, beside: Beside
+        self, opened: OpenBench, live: LiveEstimate, reopening: Reopening, time_scale: float, task_guard: TaskGuard
     ) -> None:
         """Start without data; progress comes from the sequencer once it is set.
 
-        Work of the monitor that fails does not end the run: it goes through ``beside``, which notes the failure.
+        Work of the monitor that fails does not end the run: it goes through ``task_guard``, which notes the failure.
         Times are stretched by ``time_scale``, how fast the loop's clock runs.
         """
-        self._beside = beside
+        self._task_guard = task_guard
         self._counts: dict[str, SourceCounts] = {}
         self._open, self._live, self._reopening, self._scale = opened, live, reopening, time_scale
         self._axes = opened.bench.table.gimbals
@@ -146,17 +146,17 @@ class Monitor:
     def counts(self, source: ImuSource, name: str) -> SourceCounts:
         """Return the counts of a source; the last ones if its driver fails."""
         last = self._counts.get(name, SourceCounts())
-        self._counts[name] = self._beside.attempt(f"counts of {name}", lambda: source.counts(name), last)
+        self._counts[name] = self._task_guard.attempt(f"counts of {name}", lambda: source.counts(name), last)
         return self._counts[name]
 
     def alignment(self, source: ImuSource, name: str) -> Alignment | None:
         """Return how the clock of a source relates to the loop's; None if its driver does not tell, or fails."""
-        return self._beside.attempt(f"clock of {name}", lambda: source.alignment(name), None)
+        return self._task_guard.attempt(f"clock of {name}", lambda: source.alignment(name), None)
 
     def link_counts(self) -> Mapping[str, LinkCounts]:
         """Return the link counts by device; empty if a link fails to tell."""
         nothing: Mapping[str, LinkCounts] = {}
-        return self._beside.attempt("counts of links", self._open.link_counts, nothing)
+        return self._task_guard.attempt("counts of links", self._open.link_counts, nothing)
 
     def newest(self, quantity: str) -> Mapping[str, float]:
         """Return the newest value of a quantity by source; only "temperature_c" is known, others give nothing.

@@ -196,7 +196,7 @@ class Session:
         try:
             return self._monitor.full()
         except Exception as error:
-            self._acquisition.beside.failed("the snapshot", error)
+            self._acquisition.task_guard.failed("the snapshot", error)
             raise
 
     @property
@@ -307,25 +307,25 @@ class Session:
             for service in services:
                 service.cancel()
 
-    def _check_serial(self, device: str, told: str) -> None:
-        """Record the serial number ``told`` by the only device under test, unless it is the stated one.
+    def _check_serial(self, device: str, serial: str) -> None:
+        """Record the serial number ``serial`` of the only device under test, unless it is the stated one.
 
         DeviceError if another one was stated without a reason. Ignored if there are several devices or it tells none.
         """
         options, attributes = self._options, {}
-        if not told or len(self._open.imus) != 1:
+        if not serial or len(self._open.imus) != 1:
             return
         if not options.device_serial:
-            attributes = {"device_serial": told}
-        elif told != options.device_serial:
+            attributes = {"device_serial": serial}
+        elif serial != options.device_serial:
             if not options.serial_reason:
-                raise DeviceError(device, sentence("run.other_serial", told=told, meant=options.device_serial))
-            attributes = {"device_serial_told": told, "serial_reason": options.serial_reason}
+                raise DeviceError(device, sentence("run.other_serial", told=serial, meant=options.device_serial))
+            attributes = {"device_serial_told": serial, "serial_reason": options.serial_reason}
         self._writer.set_attributes(attributes)
 
     def _take_row(self, row: TableRow) -> None:
         self._acquisition.take_row(row)
-        self._acquisition.beside.attempt("progress", lambda: self._on_progress(self._monitor.brief), None)
+        self._acquisition.task_guard.attempt("progress", lambda: self._on_progress(self._monitor.brief), None)
 
     async def _run_until_enough(self, group: asyncio.TaskGroup, sequencer: Sequencer, early_end: EarlyEnd) -> None:
         """Run the script to its end, or until enough has been seen; the table may then still turn.
@@ -402,7 +402,7 @@ class Session:
         except RecordingError as error:
             verdict = replace(verdict, reason=f"{verdict.reason}; the recording lacks the outcome: {error}")
         reports = tuple(acquisition.reports.values())
-        links, notes = self._monitor.link_counts(), tuple(acquisition.beside.notes)
+        links, notes = self._monitor.link_counts(), tuple(acquisition.task_guard.notes)
         return Result(
             verdict=verdict,
             recording=self._writer.path,

@@ -226,9 +226,9 @@ class Snapshot:
         return self.elapsed_s / max(self.elapsed_s + self.remaining_s + longer_s / 2, 1e-9)
 
 
-def snapshot_of(found: Mapping[str, Any]) -> Snapshot:
+def snapshot_of(message: Mapping[str, Any]) -> Snapshot:
     """Return the snapshot in an object of JSON; unknown keys are ignored.
 
     KeyError, TypeError or ValueError if it is not a snapshot.
     """
-    return view_of(Snapshot, found)
+    return view_of(Snapshot, message)

@@ -160,13 +160,13 @@ class MotionGuard:
                 return f"axis {axis} {found}; {_command_text(command)}"
         return ""
 
-    def _stands(self, axis: str, told: Commanded, late_s: float, way: "_Way") -> str:
+    def _stands(self, axis: str, command: Commanded, late_s: float, way: "_Way") -> str:
         """Return in words that an axis stands, by its readings, or its rate is wrong, although its course turns it.
 
-        ``way`` has the readings of the last moments, ``told`` the command, which may begin late by ``late_s``. "" if
+        ``way`` has the readings of the last moments, ``command`` the command, which may begin late by ``late_s``. "" if
         that is not so, there is no course, or it may be over.
         """
-        course = told.course
+        course = command.course
         if course is None or (course.may_be_over(way.until_s) and abs(way.angle_rad - course.target_rad) < _ANGLE_RAD):
             return ""
         least_rps = course.least_speed_rps(way.from_s - late_s, way.until_s)
@@ -250,24 +250,26 @@ class _Way:
         return f"reports that it stands (at {at_deg:.2f} deg, {turned_deg:+.2f} deg in {self.took_s:.2f} s)"
 
 
-def _patience_s(told: Commanded, limits: AxisLimits) -> tuple[float, float]:
+def _patience_s(command: Commanded, limits: AxisLimits) -> tuple[float, float]:
     """Return how late (s) an axis may start to turn, and for how long (s) it may then read as if it stood.
 
     Without a course it may not start late. Together they leave enough time to bring it to rest: on a gentle ramp it
     takes longer until the rate matters.
     """
     to_see_s = AT_REST_S - _SEEN_S
-    at_rate_s = to_see_s - told.rate_rps / limits.acceleration_rps2
-    if told.course is None:
+    at_rate_s = to_see_s - command.rate_rps / limits.acceleration_rps2
+    if command.course is None:
         return 0.0, max(at_rate_s, _SHORTEST_WINDOW_S)
-    on_the_ramp_s = to_see_s / (1.0 + told.course.acceleration_rps2 / limits.acceleration_rps2)
+    on_the_ramp_s = to_see_s / (1.0 + command.course.acceleration_rps2 / limits.acceleration_rps2)
     from_start_s = max(on_the_ramp_s, at_rate_s)
     late_s = max(_LATEST_START_S, from_start_s / 2)
     return late_s, max(min(at_rate_s, from_start_s - late_s), _SHORTEST_WINDOW_S)
 
 
-def _command_text(told: Commanded) -> str:
-    return f"it was told to {f'turn at up to {math.degrees(told.rate_rps):.1f} deg/s' if told.rate_rps else 'stand'}"
+def _command_text(command: Commanded) -> str:
+    return (
+        f"it was told to {f'turn at up to {math.degrees(command.rate_rps):.1f} deg/s' if command.rate_rps else 'stand'}"
+    )
 
 
 async def check_axes(table: Turntable, axes: tuple[str, ...]) -> None:

@@ -42,15 +42,16 @@ class Table(StrictTable):
         return place.fail(str(key), problem)
 
     def read(
-        self, section: str, folder: Path = Path(), *, each: int = 1, **made: Callable[[str, Path], Any]
+        self, section: str, folder: Path = Path(), *, list_length: int = 1, **made: Callable[[str, Path], Any]
     ) -> dict[str, Any]:
         """Return the values of a section's keys by field; None for one that is left out and has no default.
 
-        Paths count from ``folder``; ``each`` is the length of lists with one value for each. ``made`` has converters
-        (text, folder) by key, the message of whose ValueError is shown. The table's error for an invalid value.
+        Paths count from ``folder``; ``list_length`` is the length of lists with one value for each. ``made`` has
+        converters (text, folder) by key, the message of whose ValueError is shown. The table's error for an invalid
+        value.
         """
         keys = (replace(key, read=made.get(key.name)) for key in keys_of(section))
-        return {key.field or key.name: self.option(key, folder, each) for key in keys}
+        return {key.field or key.name: self.option(key, folder, list_length) for key in keys}
 
     def read_all(self, section: str, folder: Path = Path(), **more: Any) -> dict[str, Any]:
         """Take a section as ``read`` does, and raise the table's error for unknown keys."""
@@ -75,7 +76,7 @@ class Table(StrictTable):
         """Take the keys that the record of a device declares, by their names."""
         return {key.name: self.option(key, folder) for key in keys}
 
-    def option(self, key: Key, folder: Path = Path(), each: int = 1) -> Any:
+    def option(self, key: Key, folder: Path = Path(), list_length: int = 1) -> Any:
         """Return the value of one key as declared; None, or [] for tables, if it is left out. The table's error if
         invalid.
         """
@@ -88,7 +89,7 @@ class Table(StrictTable):
 
         def convert(value: object) -> Any:
             try:
-                return _value(key, value, folder, each)
+                return _value(key, value, folder, list_length)
             except UsageError as error:  # of another file that it names
                 raise ValueError(str(error)) from None
 
@@ -110,12 +111,12 @@ def known_in(known: Registry[T]) -> Callable[[str, Path], T]:
     return record
 
 
-def _value(key: Key, value: object, folder: Path, each: int) -> Any:
+def _value(key: Key, value: object, folder: Path, list_length: int) -> Any:
     """Return the value of a key, converted by its kind; ValueError if it is invalid."""
     if key.each:
-        values = value if isinstance(value, list) else [value] * each
-        if len(values) != each:
-            raise ValueError(f"{len(values)} values instead of {each}: give one for all, or one each")
+        values = value if isinstance(value, list) else [value] * list_length
+        if len(values) != list_length:
+            raise ValueError(f"{len(values)} values instead of {list_length}: give one for all, or one each")
         return tuple(_number(key, one) for one in values)
     if key.bound == "not_blank" and "" in (str(one).strip() for one in (value if isinstance(value, list) else [value])):
         raise ValueError(f"{value!r} is blank. Fill it in, or leave it out")

@@ -339,15 +339,15 @@ class StationApp(App[None]):
         if socket is not None:
             self._follow(LiveRun(), socket=Path(socket))
 
-    def work(self, what: Callable[[], Coroutine[Any, Any, None]], group: str) -> None:
-        """Run ``what`` in the background, cancelling earlier work of the same group.
+    def work(self, task: Callable[[], Coroutine[Any, Any, None]], group: str) -> None:
+        """Run ``task`` in the background, cancelling earlier work of the same group.
 
         An exception in it is only reported, so that STOP stays available.
         """
 
         async def guarded() -> None:
             try:
-                await what()
+                await task()
             except Exception as error:
                 words = f"{type(error).__name__}: {error}"
                 self.notify(words, title="Defect of the screen, please report it", severity="error", markup=False)

@@ -64,9 +64,11 @@ class StopBar(Widget):
         """Show the run at once, not at the next tick."""
         cast(SeenApp, self.app).show_stop()
 
-    def show(self, run: LiveRun | None, others: int, said: str = "") -> None:
-        """Show the state of a run; without one the number of ``others``, or the text ``said`` about a recording."""
-        view = stop_view(run, others, said)
+    def show(self, run: LiveRun | None, other_sessions: int, recording_line: str = "") -> None:
+        """Show the state of a run; without one the number of ``other_sessions``, or the text ``recording_line`` about a
+        recording.
+        """
+        view = stop_view(run, other_sessions, recording_line)
         if view.text != self._text:
             self._text = view.text
             for colour in filter(None, StopColour):
@@ -91,19 +93,19 @@ class Small(Lines):
         super().__init__(id="small")
         self._needs = sentence("screen.too_small", width=least[0], height=least[1])
 
-    def show_run(self, run: LiveRun | None, said: str) -> None:
-        """Show a run, or without one the text ``said`` on the chosen recording."""
-        lines = Text("\n").join([*_lines(run, said), Text(), Text(self._needs, style="dim")])
+    def show_run(self, run: LiveRun | None, recording_line: str) -> None:
+        """Show a run, or without one the text ``recording_line`` on the chosen recording."""
+        lines = Text("\n").join([*_lines(run, recording_line), Text(), Text(self._needs, style="dim")])
         self.show(lines, len(lines.split()))
 
 
-def _lines(run: LiveRun | None, said: str) -> list[Text]:
+def _lines(run: LiveRun | None, recording_line: str) -> list[Text]:
     """Return lines about a run, the most important first; one line on the outcome once it has ended.
 
-    Without a run the line is ``said``, or that no session runs; "starting" before the first snapshot.
+    Without a run the line is ``recording_line``, or that no session runs; "starting" before the first snapshot.
     """
     if run is None:
-        return [Text(said or "no session runs", style="bold")]
+        return [Text(recording_line or "no session runs", style="bold")]
     if run.outcome:
         reason = run.result.reason if run.result is not None else ""
         style = OUTCOME_STYLES.get(run.outcome, "")

@@ -31,7 +31,7 @@ def profile_lines(motion: PlannedMotion, width: int) -> list[str]:
         rate = motion.rate_rps[:, column]
         largest = float(np.abs(rate).max())
         up, down = np.maximum.reduceat(rate, edges), -np.minimum.reduceat(rate, edges)
-        lines.append(_LABEL.format(axis, _rate(up.max())) + _bars(up, largest, _UP, rest=may_last))
+        lines.append(_LABEL.format(axis, _rate(up.max())) + _bars(up, largest, _UP, at_rest=may_last))
         if down.max() > 0:
             lines.append(_LABEL.format("", _rate(-down.max())) + _bars(down, largest, _DOWN))
     return lines + _time_axis(float(motion.t_s[-1] + motion.t_s[0]), columns)
@@ -54,14 +54,14 @@ def _columns_within(motion: PlannedMotion, edges: NDArray[np.int64]) -> str:
     return "".join(characters)
 
 
-def _bars(size: Floats, largest: float, blocks: str, rest: str = "") -> str:
+def _bars(size: Floats, largest: float, blocks: str, at_rest: str = "") -> str:
     """Return a bar for each size (columns,), as a character of ``blocks``, relative to ``largest``.
 
-    Columns without rotation get the characters of ``rest``, one each, or blanks.
+    Columns without rotation get the characters of ``at_rest``, one each, or blanks.
     """
     steps = len(blocks) - 1
     share = np.clip(size / largest, 0, 1) if largest else np.zeros_like(size)
-    still = rest or " " * len(share)
+    still = at_rest or " " * len(share)
     characters = []
     for size_share, stands in zip(share, still, strict=True):
         # The least that turns at all is drawn as something.

@@ -91,7 +91,7 @@ def sds_of(covariances: Floats) -> Floats:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
+class FoundScript:
     """A script, its predicted sigmas (n, 4), and the number of combinations of turns that were compared.
 
     ``force_sd`` (m, 7) are the sigmas of states and places of accelerometers, if the search looked at any.
@@ -145,23 +145,23 @@ class Search:
         turn_s = LONGEST_S / (2 * cycles * len(ways))
         return self._shape(ways).again(cycles).script(np.array([turn_s] * len(ways) + [self.rest_s]), "longest")
 
-    def least_time(self) -> Found | None:
+    def least_time(self) -> FoundScript | None:
         """Return the shortest script that reaches every required sigma; None if none up to LONGEST_S does."""
         return self._chosen(lambda shape: _shortest(shape, self.needs), self._settled)
 
-    def least_sigmas(self, total_s: float) -> Found | None:
+    def least_sigmas(self, total_s: float) -> FoundScript | None:
         """Return the script of length ``total_s`` with the least criterion; None if no turns fit into it."""
 
         def solve(shape: Shape) -> _Solved | None:
             return _best_within(shape, self.needs, total_s, self.criterion)
 
-        def settle(shape: Shape) -> tuple[float, Found] | None:
+        def settle(shape: Shape) -> tuple[float, FoundScript] | None:
             solved = solve(shape)
             if solved is None:
                 return None
             script = shape.script(solved.v, f"best in {total_s:g} s", up=False)
             covariances = self.predict(script)
-            return self.needs.cost(covariances, self.criterion)[0], Found(script, sds_of(covariances), 0)
+            return self.needs.cost(covariances, self.criterion)[0], FoundScript(script, sds_of(covariances), 0)
 
         return self._chosen(solve, settle)
 
@@ -174,8 +174,8 @@ class Search:
         return [solved.shape.ways for solved in ranked[:most]]
 
     def _chosen(
-        self, solve: Callable[[Shape], _Solved | None], settle: Callable[[Shape], tuple[float, Found] | None]
-    ) -> Found | None:
+        self, solve: Callable[[Shape], _Solved | None], settle: Callable[[Shape], tuple[float, FoundScript] | None]
+    ) -> FoundScript | None:
         """Return the best script: the shapes best under white noise by ``solve``, settled by ``settle`` under all
         noise.
 
@@ -183,7 +183,7 @@ class Search:
         fewest steps is taken, with ramps as gentle as it costs nothing. None if no shape can be settled.
         """
         ranked = self._ranked(solve)
-        found: list[tuple[float, Found, Shape]] = []
+        found: list[tuple[float, FoundScript, Shape]] = []
         for solved in ranked[:_KEPT]:
             before = math.inf
             again = self.coloured and not solved.shape.ways[0].sign  # each turn comes back, and drift could matter
@@ -205,8 +205,12 @@ class Search:
         return replace(self._eased(best, shape, enough, settle), compared=sum(1 for _ in self._combinations()))
 
     def _eased(
-        self, best: Found, shape: Shape, enough: float, settle: Callable[[Shape], tuple[float, Found] | None]
-    ) -> Found:
+        self,
+        best: FoundScript,
+        shape: Shape,
+        enough: float,
+        settle: Callable[[Shape], tuple[float, FoundScript] | None],
+    ) -> FoundScript:
         """Return the script with the gentlest ramps whose cost, by ``settle``, is at most ``enough``; ``best`` if none
         is gentler.
 
@@ -257,14 +261,14 @@ class Search:
                 if self.one_directional and not any(way.moved for way in chosen):
                     yield from one_way(chosen)
 
-    def _settled(self, shape: Shape) -> tuple[float, Found] | None:
+    def _settled(self, shape: Shape) -> tuple[float, FoundScript] | None:
         """Return the shortest script of a shape that reaches all sigmas under the complete noise, with its cost; else
         None.
 
         The cost is the logarithm of its length.
         """
         factor = np.ones_like(self.needs.sd)
-        found: Found | None = None
+        found: FoundScript | None = None
         for _ in range(_ROUNDS):
             needs = replace(self.needs, sd=self.needs.sd / factor)
             solved = _shortest(shape, needs)
@@ -275,7 +279,7 @@ class Search:
             covariances = self.predict(script)
             worst = float(self.needs.excess(covariances).max())
             if worst <= 0 and (found is None or script.least_s < found.script.least_s):
-                found = Found(script, sds_of(covariances), 0)
+                found = FoundScript(script, sds_of(covariances), 0)
             if -_AGREED <= worst <= 0:
                 break
             white = sds_of(self.needs.covariances(shape.information(best.v)))

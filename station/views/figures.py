@@ -77,10 +77,10 @@ def state_figures(units: Units) -> tuple[StateUnit, ...]:
     return tuple(found)
 
 
-def figures_from(told: Any) -> tuple[StateUnit, ...]:
+def figures_from(stated: Any) -> tuple[StateUnit, ...]:
     """Return the states in the units of a session or file, given as JSON; the usual units if there are none."""
     try:
-        return state_figures(Units(**told)) if told else STATE_FIGURES
+        return state_figures(Units(**stated)) if stated else STATE_FIGURES
     except (TypeError, KeyError):  # of another version of the station
         return STATE_FIGURES
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from drivers.types import Floats
 from station.scripts.script import Script
-from station.scripts.script_search import Found
+from station.scripts.script_search import FoundScript
 
 _AFTER_MOVE_S = 0.05  # the sequencer asks for the arrival when it is due, and again after this time
 
@@ -35,7 +35,7 @@ class Improved:
 
     before: Script
     wanted: Wanted
-    found: Found
+    found: FoundScript
     gyros: tuple[tuple[str, str], ...]
     accelerometers: tuple[tuple[str, str], ...]
     search_s: float

@@ -231,34 +231,40 @@ class InvestigationView:
 
 
 def investigation_view(
-    found: Investigation, next_script: Path | None, recordings: Sequence[str] = (), verification: Sequence[str] = ()
+    investigation: Investigation,
+    next_script: Path | None,
+    recordings: Sequence[str] = (),
+    verification: Sequence[str] = (),
 ) -> InvestigationView:
     """Return the view of an investigation of ``recordings``, judged by those in ``verification``."""
-    models = [{"effects": m.effects, "log_evidence": m.log_evidence, **json_object(m.errors)} for m in found.models]
-    fitted = _both(found.residual_before, found.residual_after)
+    models = [
+        {"effects": m.effects, "log_evidence": m.log_evidence, **json_object(m.errors)} for m in investigation.models
+    ]
+    fitted = _both(investigation.residual_before, investigation.residual_after)
     whole = {
-        "verdict": str(found.finding),
-        "reason": found.reason,
-        **named(found, ("added", "rivals", "unexplained", "before", "after", "improvement", "in_sample")),
+        "verdict": str(investigation.finding),
+        "reason": investigation.reason,
+        **named(investigation, ("added", "rivals", "unexplained", "before", "after", "improvement", "in_sample")),
         "next_script": None if next_script is None else str(next_script),
         "models": models,
-        "gyros": {gyro.name: _gyro(gyro) for gyro in found.gyros},
-        "suspects": found.suspects,
-        "residual": fitted and {**fitted, "verification": _both(found.verified_before, found.verified_after)},
-        **named(found, ("left_out", "taken_back", "notes", "rival_sizes")),
-        "record_next": what_shows(found),
+        "gyros": {gyro.name: _gyro(gyro) for gyro in investigation.gyros},
+        "suspects": investigation.suspects,
+        "residual": fitted
+        and {**fitted, "verification": _both(investigation.verified_before, investigation.verified_after)},
+        **named(investigation, ("left_out", "taken_back", "notes", "rival_sizes")),
+        "record_next": what_shows(investigation),
         "recordings": recordings,
         "verification": verification,
     }
     return investigation_of(json_object(whole))
 
 
-def investigation_of(found: Mapping[str, Any]) -> InvestigationView:
+def investigation_of(answer: Mapping[str, Any]) -> InvestigationView:
     """Return the view in an object of JSON that ``investigation_object`` made.
 
     KeyError or TypeError if it is none, or one of another version of the station.
     """
-    return view_of(InvestigationView, found)
+    return view_of(InvestigationView, answer)
 
 
 def investigation_object(view: InvestigationView) -> dict[str, Any]:
@@ -267,17 +273,17 @@ def investigation_object(view: InvestigationView) -> dict[str, Any]:
     return whole
 
 
-def what_shows(found: Investigation) -> list[str]:
+def what_shows(investigation: Investigation) -> list[str]:
     """Return, for each candidate that the data could not separate, "effect: what a recording must hold to show it".
 
     Empty if nothing was found or the effects were added.
     """
-    if found.finding in (Finding.NOTHING, Finding.ADDED):
+    if investigation.finding in (Finding.NOTHING, Finding.ADDED):
         return []
     known = {record.name: record for record in records()}
-    names = [name for own in found.rivals for name in own]
+    names = [name for own in investigation.rivals for name in own]
     if not names:
-        names = [suspect.effect for suspect in found.suspects[:_MOST_SUSPECTS]]
+        names = [suspect.effect for suspect in investigation.suspects[:_MOST_SUSPECTS]]
     motions = [f"{readable(name)}: {known[name].shown_by}" for name in dict.fromkeys(names) if name in known]
     return [line for line in motions if not line.endswith(": ")]
 
@@ -325,10 +331,10 @@ def spectra_of(before: Residual | None, after: Residual | None) -> dict[str, Spe
     }
 
 
-def judged_spectra(found: Investigation) -> dict[str, Spectra]:
+def judged_spectra(investigation: Investigation) -> dict[str, Spectra]:
     """Return the spectra of the run that verifies, without one of the recordings that were fitted."""
-    verified = spectra_of(found.verified_before, found.verified_after)
-    return verified or spectra_of(found.residual_before, found.residual_after)
+    verified = spectra_of(investigation.verified_before, investigation.verified_after)
+    return verified or spectra_of(investigation.residual_before, investigation.residual_after)
 
 
 def judged_views(views: Iterable[ResidualCourse]) -> list[ResidualCourse]:

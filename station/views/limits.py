@@ -126,37 +126,37 @@ def worst_first(lines: Sequence[LimitLine]) -> list[LimitLine]:
 MEAN_NIS, SAMPLES_LOST = "mean NIS", "samples lost"
 
 
-def limit_lines(found: Calibration, limits: Limits, labels: Sequence[str] | None = None) -> list[LimitLine]:
+def limit_lines(calibration: Calibration, limits: Limits, labels: Sequence[str] | None = None) -> list[LimitLine]:
     """Return every stated limit with the value found; ``labels`` name the gyros, by default their own names.
 
     A gyro without an estimate is a broken limit.
     """
     lines = [
         LimitLine(gyro=e.name, what="estimate", value=math.nan, low=0.0, high=1.0, note=e.reason)
-        for e in [*found.excluded, *(e for one in found.forces for e in one.excluded)]
+        for e in [*calibration.excluded, *(e for one in calibration.forces for e in one.excluded)]
     ]
-    for row, gyro in enumerate(found.gyros):
+    for row, gyro in enumerate(calibration.gyros):
         label = labels[row] if labels else gyro.name
         for s, unit in enumerate(state_figures(limits.units)):
             bounds = limits.sizes[s], limits.written_sizes[s], limits.sds[s], limits.written_sds[s]
             values = float(gyro.states[s]), float(gyro.sd[s])
             lines += _state_lines(label, unit, values, bounds, row=row, state=s)
-    for source in found.forces:
+    for source in calibration.forces:
         for accelerometer in source.accelerometers:
             label = (
                 accelerometer.name
-                if len(found.forces) == 1
+                if len(calibration.forces) == 1
                 else f"{source.device or source.source} {accelerometer.name}"
             )
             for s, unit in enumerate(FORCE_FIGURES):
                 values = float(accelerometer.states[s]), float(accelerometer.sd[s])
                 lines += _state_lines(label, unit, values, limits.forces.of_state(s))
-    if math.isfinite(found.nis_mean):
+    if math.isfinite(calibration.nis_mean):
         lines.append(
-            LimitLine(gyro="all", what=MEAN_NIS, value=found.nis_mean, low=limits.nis_low, high=limits.nis_high)
+            LimitLine(gyro="all", what=MEAN_NIS, value=calibration.nis_mean, low=limits.nis_low, high=limits.nis_high)
         )
     if limits.lost < 1:
-        share = found.lost / max(found.samples + found.lost, 1)
+        share = calibration.lost / max(calibration.samples + calibration.lost, 1)
         written = limits.written.get("lost", "")
         lines.append(LimitLine(gyro="all", what=SAMPLES_LOST, value=share, low=0.0, high=limits.lost, written=written))
     return [line for line in lines if line.stated]

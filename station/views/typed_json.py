@@ -14,7 +14,7 @@ View = TypeVar("View")
 _UNIONS = (Union, types.UnionType)
 
 
-def view_of(kind: type[View], found: Mapping[str, Any]) -> View:
+def view_of(kind: type[View], values: Mapping[str, Any]) -> View:
     """Return the dataclass ``kind`` that an object of JSON holds, with all that is nested in it.
 
     Fields may be other dataclasses, texts, words of an enumeration, numbers, flags, None, arrays of numbers, and lists,
@@ -24,7 +24,7 @@ def view_of(kind: type[View], found: Mapping[str, Any]) -> View:
     KeyError for a missing key without a default, TypeError for a value of another type, ValueError for a word that is
     none of its enumeration.
     """
-    return cast(View, _read(kind, found))
+    return cast(View, _read(kind, values))
 
 
 def _read(kind: Any, value: Any) -> Any:

@@ -133,7 +133,7 @@ def regular(delay: str, order: str, rate_hz: float, seconds: float, seed: int) -
             parts.append(ready[0])
             given += len(ready[0])
             held_s = max(held_s, arrival_s[i] - arrival_s[given])
-    last = clock.ready(everything=True)
+    last = clock.ready(flush=True)
     cpu = (time.process_time() - began) / seconds
     t_s = np.concatenate([*parts, *([] if last is None else [last[0]])]) * 1e-9
     return _timed(t_s, true_s, arrival_s, number, counts, held_s, cpu, clock.alignment)

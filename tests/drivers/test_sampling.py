@@ -41,7 +41,7 @@ def timed(
     for value, arrival_ns in zip(values, ns(arrival_s), strict=True):
         clock.add(int(arrival_ns), float(value), np.float64(value).tobytes())
         parts.append(clock.ready())
-    parts.append(clock.ready(everything=True))
+    parts.append(clock.ready(flush=True))
     found = [part for part in parts if part is not None]
     t_ns, arrival_ns, value = (np.concatenate([part[i] for part in found]) for i in range(3))
     return t_ns * 1e-9, arrival_ns * 1e-9, value, counts
@@ -168,10 +168,10 @@ def test_few_samples_are_held_back_and_all_come_out_in_the_end() -> None:
         if clock.due and (ready := clock.ready()) is not None:
             out += len(ready[0])
         assert i + 1 - out <= 2 * RegularClock.HOLD
-    last = clock.ready(everything=True)
+    last = clock.ready(flush=True)
     assert last is not None
     assert out + len(last[0]) == counts.samples == 500
-    assert clock.ready(everything=True) is None
+    assert clock.ready(flush=True) is None
 
 
 def test_samples_are_not_held_for_ever_when_the_rhythm_does_not_come_back() -> None:
@@ -311,14 +311,14 @@ def test_a_clock_that_is_told_of_a_break_goes_on_by_arrivals() -> None:
     times = []
     for i, at_ns in enumerate(ns(true_s)):
         if i == 300:
-            last = clock.ready(everything=True)
+            last = clock.ready(flush=True)
             assert last is not None
             times.append(last[0])
             clock.restart()
         clock.add(int(at_ns), float(i), i.to_bytes(4))
         if (ready := clock.ready()) is not None:
             times.append(ready[0])
-    last = clock.ready(everything=True)
+    last = clock.ready(flush=True)
     assert last is not None
     np.testing.assert_allclose(np.concatenate([*times, last[0]]) * 1e-9, true_s, atol=2e-9)
     assert (counts.samples, counts.lost) == (600, 200)
@@ -398,7 +398,7 @@ def test_all_that_is_held_comes_out_when_the_stream_ends_while_the_sender_catche
         clock.ready()
         if i >= 1500:
             ending, told = copy.deepcopy((clock, counts))
-            ending.ready(everything=True)
+            ending.ready(flush=True)
             assert told.samples + told.lost >= i
 
 
@@ -409,13 +409,13 @@ def test_nothing_is_dropped_after_a_break_for_what_was_counted_lost_before_it() 
     for i, at_ns in enumerate(ns(arrival_s)):
         clock.add(int(at_ns), float(i), i.to_bytes(4))
         clock.ready()
-    clock.ready(everything=True)
+    clock.ready(flush=True)
     clock.restart()
     before = counts.samples
     again_s = 100 + np.arange(300) * PERIOD_S
     for i, at_ns in enumerate(ns(again_s)):
         clock.add(int(at_ns), float(i), i.to_bytes(4))
-    last = clock.ready(everything=True)
+    last = clock.ready(flush=True)
     assert last is not None
     np.testing.assert_allclose(last[0] * 1e-9, again_s, atol=2e-9)
     assert counts.samples == before + 300

@@ -78,7 +78,7 @@ def replayed(recording: Recording, kept: np.ndarray | None = None) -> LiveForces
         live.add(Samples(t_ns=own.t_ns[taken], accel_mps2=own.accel_mps2[taken]))
         live.advance(rates)
     rates.finish()
-    live.advance(rates, everything=True)
+    live.advance(rates, flush=True)
     return live
 
 

@@ -228,14 +228,14 @@ class CanImu(OneSource[FrameLink]):
 
     def flush(self) -> list[tuple[str, ImuBlock]]:
         """Return (source, block) for the samples that are still held back for their timing or for a part to come."""
-        self._time(everything=True)
+        self._time(flush=True)
         with self._timing:
             last = list(self._timed)
             self._timed.clear()
         return last
 
-    def _time(self, *, everything: bool = False) -> None:
-        """Time the frames that have arrived, and queue the finished blocks for ``blocks``; ``everything`` holds none
+    def _time(self, *, flush: bool = False) -> None:
+        """Time the frames that have arrived, and queue the finished blocks for ``blocks``; ``flush`` holds none
         back.
 
         Runs in a thread, under the lock that also guards the loop's accesses: a reader that stops may leave it running.
@@ -244,7 +244,7 @@ class CanImu(OneSource[FrameLink]):
             arrived, self._arrived = self._arrived, []
             self._take(arrived)
             for name, source in self._sources.items():
-                if (block := source.block(everything=everything)) is not None:
+                if (block := source.block(flush=flush)) is not None:
                     self._timed.append((name, block))
 
     def _take(self, frames: Iterable[Frame]) -> None:
@@ -333,16 +333,16 @@ class _Source:
         if isinstance(self._clock, RegularClock):
             self._clock.restart()
 
-    def block(self, *, everything: bool = False) -> ImuBlock | None:
-        """Return a block of the samples that can be timed, or None if there are none; ``everything`` holds none back.
+    def block(self, *, flush: bool = False) -> ImuBlock | None:
+        """Return a block of the samples that can be timed, or None if there are none; ``flush`` holds none back.
 
         Where a counter or time signal is given, samples without one and repeated ones are dropped.
         """
-        pieces, gyros = self._whole(everything=everything), len(self._signals.rates)
+        pieces, gyros = self._whole(flush=flush), len(self._signals.rates)
         if isinstance(self._clock, RegularClock):
             values = self._rows(pieces)[0] if pieces else np.empty((0, gyros))
             samples = [(piece.t_ns, row, piece.data) for piece, row in zip(pieces, values, strict=True)]
-            return regular_block(self._clock, samples, gyros, everything=everything)
+            return regular_block(self._clock, samples, gyros, flush=flush)
         if not pieces:
             return None
         values, counted, count = self._rows(pieces)
@@ -359,10 +359,10 @@ class _Source:
         arrival_ns = np.array([frame.t_ns for frame in frames], dtype=np.int64)
         return arrival_ns[there], np.column_stack([signal.values(rows) for signal in self._signals.rates])[there]
 
-    def _whole(self, *, everything: bool) -> list[Piece]:
+    def _whole(self, *, flush: bool) -> list[Piece]:
         """Take the waiting leading frames whose companions have come or will not come any more.
 
-        Only the newest may have to wait for one; ``everything`` takes it as well. Frames that carry none of the
+        Only the newest may have to wait for one; ``flush`` takes it as well. Frames that carry none of the
         multiplexed rates are dropped. Empty if no frame waits; companions that nothing can match any more are then
         dropped.
         """
@@ -378,7 +378,7 @@ class _Source:
             return []
         order = waiting[-1].order
         open_end = any(c.follows and not c.reached(order) for c in self._companions.values())
-        hold = 1 if open_end and not everything else 0
+        hold = 1 if open_end and not flush else 0
         pieces, self.lead.waiting = waiting[: len(waiting) - hold], waiting[len(waiting) - hold :]
         return pieces
 

@@ -246,9 +246,9 @@ class Stim300Imu(OneSource[ByteLink]):
                 self._refuse(f"has accelerometers of {text}", f"{self._wanted_range_g or 'one range for all'} g", "")
             self._accel = accel_unit_mps2(configuration.accel_unit, known.pop(), self._rate_hz)
 
-    def _refuse(self, found: str, wanted: str, command: str) -> None:
+    def _refuse(self, granted: str, wanted: str, command: str) -> None:
         otherwise = f", or configure the device (service mode: {command}, then s)" if command else ""
-        raise DeviceRefused(self._device, sentence("imu.otherwise", found=found, wanted=wanted, otherwise=otherwise))
+        raise DeviceRefused(self._device, sentence("imu.otherwise", found=granted, wanted=wanted, otherwise=otherwise))
 
 
 _RANGES = {"one_of": ACCEL_LSB_G, "told": f"is one of {', '.join(map(str, ACCEL_LSB_G))} g"}

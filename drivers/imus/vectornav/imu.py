@@ -118,7 +118,7 @@ class VectorNavImu(OneSource[ByteLink]):
 
     def flush(self) -> list[tuple[str, ImuBlock]]:
         """Return the samples still held back for their timing: ASCII output has no time stamp."""
-        block = regular_block(self._regular, [], gyros=3, everything=True)
+        block = regular_block(self._regular, [], gyros=3, flush=True)
         return [] if block is None else [(self._device, block)]
 
     def arrived(self) -> list[tuple[str, Stamps, Floats]]:
@@ -287,9 +287,9 @@ def _is_about(sentence: vectornav.Sentence, command: vectornav.Sentence) -> bool
     return sentence.header == command.header and _same(sentence.fields[:1], command.fields[:1])
 
 
-def _same(one: tuple[str, ...], other: tuple[str, ...]) -> bool:
+def _same(left: tuple[str, ...], right: tuple[str, ...]) -> bool:
     """Return whether these are the same numbers, decimal or hex, with or without leading zeros."""
-    return [text.lstrip("0").upper() for text in one] == [text.lstrip("0").upper() for text in other]
+    return [text.lstrip("0").upper() for text in left] == [text.lstrip("0").upper() for text in right]
 
 
 def _code(sentence: vectornav.Sentence) -> int:

@@ -34,9 +34,9 @@ _REVISION = re.compile(r"(\S+)\s+Rev\S*\s+(\S+)")
 _PROMPT = re.compile(rb"(?:\A|[\r\n])([:?])")
 
 
-def _flag(mask: int, what: str, *, when_low: bool = False) -> property:
+def _flag(mask: int, meaning: str, *, when_low: bool = False) -> property:
     """Return a property that tells whether a bit of the word is set; with ``when_low``, whether it is not set."""
-    return property(lambda switches: bool(switches.word & mask) is not when_low, doc=what)
+    return property(lambda switches: bool(switches.word & mask) is not when_low, doc=meaning)
 
 
 @dataclass(frozen=True, slots=True)

@@ -54,10 +54,10 @@ def calibrate_forces(
     return tuple(found), notes
 
 
-def undetermined(found: ForceCalibration, prior: ForcePrior) -> list[str]:
+def undetermined(calibration: ForceCalibration, prior: ForcePrior) -> list[str]:
     """Return a sentence for each accelerometer with states whose sigmas are nearly those of the data sheet."""
     sentences = []
-    for one in found.accelerometers:
+    for one in calibration.accelerometers:
         ratio = np.sqrt(np.diag(one.covariance) / prior.variances())
         unseen = [s.symbol for s, share in zip(ACCELEROMETER.states, ratio, strict=True) if share > _UNSEEN]
         if unseen:

@@ -117,20 +117,20 @@ class LiveFilter:
         """Standard deviation of the offset by now."""
         return float(np.sqrt(self._filter.P[-1, -1]))
 
-    def _take(self, z: Floats, h: Floats, kept: int) -> Innovation:
-        """Update the filter with ``kept`` compressed rows of each gyro, sorted by gyro; add the NIS to the sums.
+    def _take(self, z: Floats, h: Floats, rows: int) -> Innovation:
+        """Update the filter with ``rows`` compressed rows of each gyro, sorted by gyro; add the NIS to the sums.
 
         The result has the normalised innovation of the first row of each gyro.
         """
         m = len(self._array)
-        variances = np.repeat(self._noise**2, kept)
+        variances = np.repeat(self._noise**2, rows)
         self._filter.update(z, R=np.diag(variances), H=h)
         innovation = self._filter.y[:, 0]
         nis = float(innovation @ self._filter.SI @ innovation)
         self.nis_sum += nis
-        self.nis_dof += m * kept
+        self.nis_dof += m * rows
         spread = np.sqrt(np.diag(self._filter.S))
-        return Innovation(nis, m * kept, (innovation / spread).reshape(m, kept)[:, 0])
+        return Innovation(nis, m * rows, (innovation / spread).reshape(m, rows)[:, 0])
 
     @property
     def nis_mean(self) -> float:

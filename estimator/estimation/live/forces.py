@@ -123,14 +123,14 @@ class LiveForces:
         if block.accel_mps2 is not None:
             self._new.append(block)
 
-    def advance(self, rates: BodyRates, *, everything: bool = False) -> None:
+    def advance(self, rates: BodyRates, *, flush: bool = False) -> None:
         """Update the filter with the samples that the table's readings cover, in whole blocks.
 
-        With ``everything``, for the end of a run, the last part of a block is used too. Samples before the first known
+        With ``flush``, for the end of a run, the last part of a block is used too. Samples before the first known
         rate are dropped. Does nothing while no rate is known.
         """
         self._take_new()
-        blocks, start = covered_blocks(self._t, rates, self._rows, everything=everything)
+        blocks, start = covered_blocks(self._t, rates, self._rows, flush=flush)
         for block in blocks:
             self._update(rates, block)
         self._t, self._y = self._t[start:], self._y[start:]

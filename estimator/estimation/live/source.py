@@ -135,14 +135,14 @@ class LiveSource:
         """Add samples; they are used once the table's readings cover them."""
         self._new.append(block)
 
-    def advance(self, rates: BodyRates, *, everything: bool = False) -> None:
+    def advance(self, rates: BodyRates, *, flush: bool = False) -> None:
         """Update the filter with the samples that the table's readings cover, in whole blocks.
 
-        With ``everything``, for the end of a run, the last part of a block is used too. Samples before the first known
+        With ``flush``, for the end of a run, the last part of a block is used too. Samples before the first known
         rate are dropped. Does nothing while no rate is known.
         """
         self._take_new()
-        blocks, start = covered_blocks(self._t, rates, self._rows, everything=everything)
+        blocks, start = covered_blocks(self._t, rates, self._rows, flush=flush)
         for block in blocks:
             self._update(rates, block)
         if start:
@@ -292,7 +292,7 @@ def filter_nis(recording: Recording, model: ErrorModel | None = None) -> float |
             array=data.array, rate_hz=rate_hz, noise_rps=noise_rps, prior=data.prior, effects=effects, timing_s=timing_s
         )
         source.add(_Samples.of(data))
-        source.advance(rates, everything=True)
+        source.advance(rates, flush=True)
         total += source.filter.nis_sum
         dof += source.filter.nis_dof
     return total / dof if dof else float("nan")

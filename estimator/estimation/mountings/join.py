@@ -163,7 +163,7 @@ def _sensors(runs: Sequence[_Run]) -> list[DeviceSensor]:
 
 
 def _add(
-    found: dict[tuple[SensorKind, str, str], DeviceSensor],
+    sensors: dict[tuple[SensorKind, str, str], DeviceSensor],
     kind: SensorKind,
     source: str,
     name: str,
@@ -174,7 +174,7 @@ def _add(
     p, j, k = axes
     prior_sd = np.sqrt(prior.variances())
     sensor = DeviceSensor(kind=kind, source=source, name=name, p=p, j=j, k=k, prior_sd=prior_sd)
-    found.setdefault((kind, source, name), sensor)
+    sensors.setdefault((kind, source, name), sensor)
 
 
 def _shown(run: _Run, sensors: Sequence[DeviceSensor]) -> RunStates:
@@ -213,7 +213,7 @@ def _encoded(states: Floats) -> Floats:
     return np.asarray(states * np.array([1.0, 1.0, 1 - states[0], 1 - states[0]]))
 
 
-def _gyros(runs: Sequence[_Run], sensors: Sequence[DeviceSensor], found: JoinedStates) -> tuple[GyroCalibration, ...]:
+def _gyros(runs: Sequence[_Run], sensors: Sequence[DeviceSensor], joined: JoinedStates) -> tuple[GyroCalibration, ...]:
     """Return the calibrations of the gyros, with the noise of the first run that has estimated each."""
     gyros = []
     for number, sensor in enumerate(sensors):
@@ -226,10 +226,10 @@ def _gyros(runs: Sequence[_Run], sensors: Sequence[DeviceSensor], found: JoinedS
         gyros.append(
             replace(
                 first,
-                states=found.states[number],
-                covariance=found.covariance[own, own],
+                states=joined.states[number],
+                covariance=joined.covariance[own, own],
                 p=sensor.p,
-                budget=tuple(Contribution(name, found.lines[name][own, own]) for name in lines),
+                budget=tuple(Contribution(name, joined.lines[name][own, own]) for name in lines),
                 effects=(),
             )
         )
@@ -237,7 +237,7 @@ def _gyros(runs: Sequence[_Run], sensors: Sequence[DeviceSensor], found: JoinedS
 
 
 def _forces(
-    runs: Sequence[_Run], sensors: Sequence[DeviceSensor], found: JoinedStates, gravity: Gravity
+    runs: Sequence[_Run], sensors: Sequence[DeviceSensor], joined: JoinedStates, gravity: Gravity
 ) -> tuple[ForceCalibration, ...]:
     """Return the calibrations of the accelerometers by source. Their places are other ones in each mounting: NaN.
 
@@ -251,12 +251,12 @@ def _forces(
         numbers = [n for n, one in enumerate(sensors) if one.kind is ACCELEROMETER and one.source == source]
         states = [state for number in numbers for state in range(4 * number, 4 * number + 4)]
         stated = gravity.sd == 0
-        accelerometers = [_accelerometer(single, sensors[n], n, found, gravity_stated=stated) for n in numbers]
+        accelerometers = [_accelerometer(single, sensors[n], n, joined, gravity_stated=stated) for n in numbers]
         calibrations.append(
             replace(
                 first,
                 accelerometers=tuple(accelerometers),
-                covariance=found.covariance[np.ix_(states, states)],
+                covariance=joined.covariance[np.ix_(states, states)],
                 arm_m=np.full(3, np.nan),
                 arm_covariance_m2=np.full((3, 3), np.nan),
                 gravity_from=gravity.source,
@@ -289,7 +289,7 @@ def _mean_offset(offsets: Sequence[TimeOffset]) -> TimeOffset | None:
 
 
 def _accelerometer(
-    single: Sequence[ForceCalibration], sensor: DeviceSensor, number: int, found: JoinedStates, *, gravity_stated: bool
+    single: Sequence[ForceCalibration], sensor: DeviceSensor, number: int, joined: JoinedStates, *, gravity_stated: bool
 ) -> AccelerometerCalibration:
     """Return the calibration of one accelerometer, with the noise of the first run that has estimated it."""
     first = next(a for forces in single for a in forces.accelerometers if a.name == sensor.name)
@@ -300,30 +300,30 @@ def _accelerometer(
         p=sensor.p,
         j=sensor.j,
         k_axis=sensor.k,
-        states=found.states[number],
-        covariance=found.covariance[own, own],
+        states=joined.states[number],
+        covariance=joined.covariance[own, own],
         place_m=np.full(3, np.nan),
         place_covariance_m2=np.full((3, 3), np.nan),
-        budget=tuple(Contribution(name, found.lines[name][own, own]) for name in lines),
+        budget=tuple(Contribution(name, joined.lines[name][own, own]) for name in lines),
     )
 
 
-def _notes(runs: Sequence[_Run], sensors: Sequence[DeviceSensor], found: JoinedStates) -> list[str]:
+def _notes(runs: Sequence[_Run], sensors: Sequence[DeviceSensor], joined: JoinedStates) -> list[str]:
     """Return sentences on what was left out of each run, and on biases that change from run to run."""
     notes = [f"{run.recording.name}: {note}" for run in runs for note in run.force_notes]
-    for sensor, variance in zip(sensors, np.diag(found.covariance).reshape(-1, 4), strict=True):
+    for sensor, variance in zip(sensors, np.diag(joined.covariance).reshape(-1, 4), strict=True):
         wide = np.sqrt(variance) > _UNSEEN * sensor.prior_sd
         unseen = [state.symbol for state, own in zip(sensor.kind.states, wide, strict=True) if own]
         if unseen:
             notes.append(sentence("estimation.joined_unseen", name=sensor.name, states=", ".join(unseen)))
-    for kind, share in found.bias_change.items():
+    for kind, share in joined.bias_change.items():
         own = [one for one in sensors if one.kind is kind]
         if own and share > _CHANGED:
             notes.append(sentence("estimation.joined_biases", sensors=kind.plural, share=share))
     return notes
 
 
-def _doubts(runs: Sequence[_Run], found: JoinedStates) -> list[str]:
+def _doubts(runs: Sequence[_Run], joined: JoinedStates) -> list[str]:
     """Return what questions the sigmas: doubts of single runs, and runs that contradict each other."""
     doubts: list[str] = []
     for run in runs:
@@ -333,7 +333,7 @@ def _doubts(runs: Sequence[_Run], found: JoinedStates) -> list[str]:
             unseen = undetermined(forces, sheet.prior) if sheet is not None else []
             own += [doubt for doubt in forces.doubts if doubt not in unseen]
         doubts += [f"{run.recording.name}: {doubt}" for doubt in own]
-    beyond = found.misfit - found.misfit_count
-    if beyond > _CHANCE * np.sqrt(2 * found.misfit_count):
-        doubts.append(sentence("estimation.joined_misfit", misfit=found.misfit, count=found.misfit_count))
+    beyond = joined.misfit - joined.misfit_count
+    if beyond > _CHANCE * np.sqrt(2 * joined.misfit_count):
+        doubts.append(sentence("estimation.joined_misfit", misfit=joined.misfit, count=joined.misfit_count))
     return doubts

@@ -146,15 +146,15 @@ class _Grid:
     even: bool
 
 
-def _before_delivery(grid: _Grid, t: Floats, kept: NDArray[np.bool_]) -> Floats | None:
+def _before_delivery(grid: _Grid, t: Floats, used: NDArray[np.bool_]) -> Floats | None:
     """Return the instants of evenly spaced samples if the stamps may be of their arrivals, else None.
 
     Arrivals scatter about a grid without leaving it; stamps of uneven sampling leave it. ``t`` are the stamps of the
-    rows marked in ``kept``; the instants are of these rows, in s since the first stamp.
+    rows marked in ``used``; the instants are of these rows, in s since the first stamp.
     """
     if grid.away > max(grid.scatter, 1.0) or grid.scatter > _MOST_LATE:
         return None
-    even = grid.period_s * grid.number[kept]
+    even = grid.period_s * grid.number[used]
     return np.asarray(even + float(np.median(t - even)) - t[0])
 
 

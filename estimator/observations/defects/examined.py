@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimator.observations.alignment import Following, following
-from estimator.observations.defects.beside import Beside
+from estimator.observations.defects.comparison import ReferenceComparison
 from estimator.observations.defects.faults import Fault, held_samples, saturations, stuck_notes, without_stuck
 from estimator.observations.defects.glitches import without_glitches
 from estimator.observations.health import Usable, in_order, usable
@@ -68,11 +68,11 @@ def _source(recording: Recording, data: ImuData, notes: Sequence[str], line: Fol
     """Return the usable data of one source, with its faults and notes."""
     fine = recording.table is not None
     held = held_samples(data) if fine else 1
-    beside = Beside.of(data, recording.reference, recording.site, line)
+    beside = ReferenceComparison.of(data, recording.reference, recording.site, line)
     faults: list[Fault] = []
     if held == 1:
         data, faults = without_stuck(data, beside)
-    found = usable(data, fine=fine, beside=beside)
+    found = usable(data, fine=fine, comparison=beside)
     begin_s = float(data.t_ns[0]) * 1e-9 if len(data.t_ns) else 0.0
     told = (*notes, *stuck_notes(faults, begin_s), *found.notes)
     return Source(Usable(found.parts, told, found.excluded), [*faults, *saturations(found.notes, data)], held)

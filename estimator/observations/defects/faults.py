@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.effects.disturbances import SATURATION, STUCK
-from estimator.observations.defects.beside import Beside
+from estimator.observations.defects.comparison import ReferenceComparison
 from estimator.packaged import sentence
 from estimator.recordings.recording import ImuData
 from estimator.types import Floats, least_steps
@@ -71,11 +71,11 @@ def held_samples(data: ImuData) -> int:
     return 1 if fresh is None else round(len(data.t_ns) / len(fresh))
 
 
-def without_stuck(data: ImuData, beside: Beside | None = None) -> tuple[ImuData, list[Fault]]:
+def without_stuck(data: ImuData, comparison: ReferenceComparison | None = None) -> tuple[ImuData, list[Fault]]:
     """Return a source with stuck values set to NaN, and a fault for each time.
 
     Not counted are values at the extremes of the output, and outputs that never change. Coarse outputs, and exact
-    zeros, are stuck only if the comparison ``beside`` shows that the rate changed.
+    zeros, are stuck only if ``comparison`` with the reference shows that the rate changed.
     """
     if len(data.t_ns) < 100:
         return data, []
@@ -83,7 +83,9 @@ def without_stuck(data: ImuData, beside: Beside | None = None) -> tuple[ImuData,
     least = max(round(_STUCK_S / period_s), _FEWEST)
     faults: list[Fault] = []
     rate = data.rate_rps
-    together = _together(data.rate_rps) if beside is not None and beside.table else np.zeros(len(rate), dtype=np.bool_)
+    together = (
+        _together(data.rate_rps) if comparison is not None and comparison.table else np.zeros(len(rate), dtype=np.bool_)
+    )
     for i, name in enumerate(data.array.names):
         column = data.rate_rps[:, i]
         if np.isnan(column).all():
@@ -94,14 +96,14 @@ def without_stuck(data: ImuData, beside: Beside | None = None) -> tuple[ImuData,
         low, high = np.nanmin(column), np.nanmax(column)
         long = np.flatnonzero((lengths >= max(least, _UNUSUAL * usual)) & (lengths <= 0.9 * len(column)))
         fine = usual <= _FINE_ROWS
-        zone = beside is not None and len(long) > 0 and beside.dead_zone_rps(i) is not None
+        zone = comparison is not None and len(long) > 0 and comparison.dead_zone_rps(i) is not None
         for start, length in zip(starts[long].tolist(), lengths[long].tolist(), strict=True):
             value, span = column[start], slice(start, start + length)
             if together[span].mean() > _TOGETHER:
                 continue
             if value in (low, high) or (value == 0.0 and zone):
                 continue
-            changed = beside.changed(data.t_ns[span], i) if beside is not None else None
+            changed = comparison.changed(data.t_ns[span], i) if comparison is not None else None
             if not (changed or (fine and value != 0.0)):
                 continue
             if rate is data.rate_rps:

@@ -17,17 +17,17 @@ _MORE_OFTEN, _SHARE = 10, 0.2  # than with the one before the last, and of all r
 
 
 def without_odd(
-    what: str, t_s: Floats, values: Floats, names: tuple[str, ...] = ()
+    quantity: str, t_s: Floats, values: Floats, names: tuple[str, ...] = ()
 ) -> tuple[NDArray[np.intp], list[str]]:
     """Return the rows (k,) of values (n, c) at ``t_s`` (n,) that are neither spikes nor repetitions, and notes on the
     others.
 
-    ``what`` and ``names`` of the columns are for the notes.
+    ``quantity`` and ``names`` of the columns are for the notes.
     """
     far = np.column_stack([spikes(column) for column in values.T]) if values.size else np.zeros(values.shape, bool)
     spiked, again = np.asarray(far.any(axis=1)), repeats(values)
     own = ", ".join(name for name, column in zip(names, far.T, strict=False) if column.any())
-    told = ((spiked, f"{what} {own}".strip(), "are spikes"), (again, what, "are those before them again"))
+    told = ((spiked, f"{quantity} {own}".strip(), "are spikes"), (again, quantity, "are those before them again"))
     notes = [
         f"{who}: {flags.sum()} of {len(flags)} samples ({100 * flags.mean():.3g} %) {kind}, the first at "
         f"{t_s[np.argmax(flags)]:.6g} s; they were excluded"

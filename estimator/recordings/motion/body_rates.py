@@ -123,14 +123,14 @@ class BodyRates:
         change = changing(np.concatenate([[0.0], np.cumsum(step_ns * 1e-9)]), rates)
         self._read.append(t_ns, angle, rate_rps, summed, half_s, change)
         self._window_ns = rate_window_ns
-        self._take(everything=False)
+        self._take(flush=False)
         if len(self._rows):
             latest = int(self._rows["t_ns"][-1]) - ANCHOR_HALF_WINDOW_NS
             self._refine_up_to(int(np.searchsorted(self._rows["t_ns"], latest, side="right")))
             self._let_go()
 
-    def _take(self, *, everything: bool) -> None:
-        """Turn readings into rows, except the last few and a ramp without an end yet; ``everything`` leaves none."""
+    def _take(self, *, flush: bool) -> None:
+        """Turn readings into rows, except the last few and a ramp without an end yet; ``flush`` leaves none."""
         times, changes = self._read["t_ns"], self._read["change"]
         hold_ns = round(HOLD_S * 1e9) + self._window_ns
         while (taken := self._taken) < len(times):
@@ -139,7 +139,7 @@ class BodyRates:
             if start < len(times):  # a ramp: of its beginning a late reading may know nothing yet
                 before = int(np.searchsorted(times, times[start] - hold_ns))
             else:
-                before = start if everything else int(np.searchsorted(times, times[-1] - hold_ns))
+                before = start if flush else int(np.searchsorted(times, times[-1] - hold_ns))
             if before > taken:
                 self._append(taken, before, [])
                 continue
@@ -157,9 +157,9 @@ class BodyRates:
                 angle, rate = (self._read[name][start:until] for name in ("angle", "rate"))
                 piece = start + piece_of(t_s, angle[:, np.argmax(np.ptp(rate, axis=0))])
                 self._append(taken, piece, self._ramps(start, piece, until))
-            elif not is_ramp(self._read["rate"][max(start - 1, 0) : stop]) and (seen or everything):
+            elif not is_ramp(self._read["rate"][max(start - 1, 0) : stop]) and (seen or flush):
                 self._append(taken, stop, [])
-            elif everything or (seen and times[-1] >= times[stop - 1] + round(WINDOW_S * 1e9) + hold_ns):
+            elif flush or (seen and times[-1] >= times[stop - 1] + round(WINDOW_S * 1e9) + hold_ns):
                 # A reading soon after, or a mean, may still contain a part of the ramp.
                 after = changes[stop : int(np.searchsorted(times, times[stop - 1] + hold_ns))]
                 following = min(stop + int(np.argmax(after) if after.any() else len(after)), len(times) - 1)
@@ -209,15 +209,15 @@ class BodyRates:
                 found.append((column, times[:0], None))
         return found
 
-    def _append(self, start: int, stop: int, found: list[tuple[int, Stamps, Ramp | None]]) -> None:
+    def _append(self, start: int, stop: int, changes: list[tuple[int, Stamps, Ramp | None]]) -> None:
         """Append readings ``start`` to ``stop`` as rows, with averaged rates and unmeasured rows for the corners of
         ramps.
 
-        ``found`` has the gimbal's column, corners and ramp of each change of rate; one whose ramp is None leaves the
+        ``changes`` has the gimbal's column, corners and ramp of each change of rate; one whose ramp is None leaves the
         steps unknown.
         """
         self._taken = stop
-        ramps = [(column, corners, ramp) for column, corners, ramp in found if ramp is not None]
+        ramps = [(column, corners, ramp) for column, corners, ramp in changes if ramp is not None]
         part = slice(start, stop)
         t_ns, angle = self._read["t_ns"][part], self._read["angle"][part]
         known = slice(start, int(np.searchsorted(self._read["t_ns"], t_ns[-1] + self._window_ns, side="right")))
@@ -231,7 +231,7 @@ class BodyRates:
             t_ns, angle, rate, corner_s = with_corners(known_ns, angles, rates, ramps)
             measured = np.isin(t_ns, known_ns).astype(np.float64)
             half_width_s = np.where(measured > 0, np.interp(t_ns, known_ns[1:], half_width_s), 0.0)
-        self._add_rows(t_ns, angle, rate, half_width_s, measured, corner_s, known=len(ramps) == len(found))
+        self._add_rows(t_ns, angle, rate, half_width_s, measured, corner_s, known=len(ramps) == len(changes))
 
     def _add_rows(
         self,
@@ -261,7 +261,7 @@ class BodyRates:
 
     def finish(self) -> None:
         """Make the last seconds final too, with windows that end with the readings."""
-        self._take(everything=True)
+        self._take(flush=True)
         self._refine_up_to(len(self._rows))
 
     @property

@@ -69,9 +69,9 @@ class Hidden:
         return tuple(e for e in self.effects if not isinstance(e, OfTable))
 
 
-def _devices(said: object) -> tuple[str, ...] | None:
-    if said is None:
+def _devices(stated: object) -> tuple[str, ...] | None:
+    if stated is None:
         return None
-    if not isinstance(said, list | tuple) or not all(isinstance(name, str) for name in said):
+    if not isinstance(stated, list | tuple) or not all(isinstance(name, str) for name in stated):
         raise HiddenError("devices: must be a list of names")
-    return tuple(said)
+    return tuple(stated)

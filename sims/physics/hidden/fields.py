@@ -61,9 +61,9 @@ def choice(choices: Sequence[str]) -> dict[str, object]:
     return {"choices": tuple(choices)}
 
 
-def key_of(what: Field[Any]) -> str:
+def key_of(field: Field[Any]) -> str:
     """Return the key of a field: its name without the unit."""
-    return _SUFFIX.sub("", what.name)
+    return _SUFFIX.sub("", field.name)
 
 
 def read(kind: type[T], table: object, name: str) -> T:
@@ -129,25 +129,25 @@ def check(effect: object) -> None:
             raise HiddenError(f"{name}: give 0 % to 100 %" if most is not None else f"{name}: must be {wanted}")
 
 
-def _value(raw: object, what: Field[Any]) -> Any:
-    """Return a value of the file in SI, checked by the kind of its field ``what``; HiddenError if it is not of that
+def _value(raw: object, field: Field[Any]) -> Any:
+    """Return a value of the file in SI, checked by the kind of its field ``field``; HiddenError if it is not of that
     kind.
 
     Kinds are a quantity with a unit (a list of them where gyros may differ), a flag, an integer from 1 on, or a choice.
     """
-    if "like" in what.metadata:
-        if what.metadata.get("each") and isinstance(raw, list | tuple):
-            return np.array([quantity(r, what.metadata["like"]) for r in raw])
-        return quantity(raw, what.metadata["like"])
-    if what.metadata.get("flag"):
+    if "like" in field.metadata:
+        if field.metadata.get("each") and isinstance(raw, list | tuple):
+            return np.array([quantity(r, field.metadata["like"]) for r in raw])
+        return quantity(raw, field.metadata["like"])
+    if field.metadata.get("flag"):
         if not isinstance(raw, bool):
             raise HiddenError(f"{raw!r} is not true or false")
         return raw
-    if what.metadata.get("whole"):
+    if field.metadata.get("whole"):
         if not isinstance(raw, int) or isinstance(raw, bool) or raw < 1:
             raise HiddenError(f"{raw!r} is not a whole number from 1 on")
         return raw
-    choices = what.metadata["choices"]
+    choices = field.metadata["choices"]
     if raw not in choices:
         raise HiddenError(f"{raw!r} is not one of {', '.join(choices)}")
     return raw

@@ -165,24 +165,24 @@ def _forces(exported: Exported) -> dict[str, Any]:
     return {"force_formula": _FORCE_FORMULA, "accelerometers": [_force(one) for one in exported.forces]}
 
 
-def _force(one: ForceCalibration) -> dict[str, Any]:
+def _force(calibration: ForceCalibration) -> dict[str, Any]:
     """Return the JSON object of the accelerometers of a source; ``solution_m`` is null if they do not span space."""
-    found = force_object(one)
-    for told, accelerometer in zip(found["accelerometers"], one.accelerometers, strict=True):
+    found = force_object(calibration)
+    for told, accelerometer in zip(found["accelerometers"], calibration.accelerometers, strict=True):
         told["p"] = accelerometer.p.tolist()
         told["j"] = accelerometer.j.tolist()
         told["k_axis"] = accelerometer.k_axis.tolist()
         told["covariance"] = accelerometer.covariance.tolist()
         if accelerometer.placed:
             told["place_covariance_m2"] = accelerometer.place_covariance_m2.tolist()
-    found["notes"] = list(one.notes)
-    found["doubts"] = list(one.doubts)
-    if one.accelerometers:
-        sensitivity = sensitivity_of(one.accelerometers)
-        if one.placed:
-            found["lever_arm"]["covariance_m2"] = one.arm_covariance_m2.tolist()
+    found["notes"] = list(calibration.notes)
+    found["doubts"] = list(calibration.doubts)
+    if calibration.accelerometers:
+        sensitivity = sensitivity_of(calibration.accelerometers)
+        if calibration.placed:
+            found["lever_arm"]["covariance_m2"] = calibration.arm_covariance_m2.tolist()
         found["sensitivity_s"] = sensitivity.tolist()
-        found["bias_b_mps2"] = [accelerometer.states[1] for accelerometer in one.accelerometers]
+        found["bias_b_mps2"] = [accelerometer.states[1] for accelerometer in calibration.accelerometers]
         found["solution_m"] = np.linalg.pinv(sensitivity).tolist() if spans_space(sensitivity) else None
     return found
 

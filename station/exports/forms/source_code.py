@@ -115,9 +115,9 @@ def _c_string(text: str) -> str:
     return f'"{plain}"'
 
 
-def _single(found: re.Match[str]) -> str:
+def _single(match: re.Match[str]) -> str:
     """Return a function or a number of C in single precision; comments and strings unchanged."""
-    text = found.group()
+    text = match.group()
     if not text[0].isdigit():
         return text if text.startswith(("/*", '"')) else f"{text}f"
     return number(float(np.float32(min(float(text), 3e38))), 9) + "f"

@@ -16,65 +16,67 @@ _MICRO_G = 1e6 / GRAVITY_MPS2
 
 def print_force_findings(findings: Sequence[ForceFinding]) -> None:
     """Print what the accelerometers of each source lack, and the error before and after."""
-    for one in findings:
-        shown: list[Shown] = [(_verdict(one), {"highlight": False})]
-        if one.effects:
-            shown.append((_effects_table(one), {}))
-            shown.append((_errors_table(one), {}))
-        shown += [(line, {"highlight": False}) for line in _remarks(one)]
+    for finding in findings:
+        shown: list[Shown] = [(_verdict(finding), {"highlight": False})]
+        if finding.effects:
+            shown.append((_effects_table(finding), {}))
+            shown.append((_errors_table(finding), {}))
+        shown += [(line, {"highlight": False}) for line in _remarks(finding)]
         print_all(stdout(), shown)
 
 
-def _verdict(one: ForceFinding) -> str:
+def _verdict(finding: ForceFinding) -> str:
     """Return in one sentence what was found."""
-    who = f"accelerometers of {escape(one.source)}"
-    if not one.names:
+    who = f"accelerometers of {escape(finding.source)}"
+    if not finding.names:
         return f"[bold]{who}: not examined[/bold]"
-    if one.effects:
-        names = ", ".join(effect.effect.words for effect in one.effects)
+    if finding.effects:
+        names = ", ".join(effect.effect.words for effect in finding.effects)
         return f"[bold]{who}: added {escape(names)}[/bold]"
-    if one.suspects:
+    if finding.suspects:
         return f"[bold]{who}: there is an effect, but no run decides which[/bold]"
-    where = "" if one.verified else " (in-sample: --verify judges by a run that was not used)"
+    where = "" if finding.verified else " (in-sample: --verify judges by a run that was not used)"
     return f"[bold]{who}: nothing to add[/bold]{where}"
 
 
-def _effects_table(one: ForceFinding) -> Table:
+def _effects_table(finding: ForceFinding) -> Table:
     """Return the parameters of the effects that were added, with standard deviations."""
     rows = []
-    for effect in one.effects:
+    for effect in finding.effects:
         for row in rows_of_effect(effect.effect, effect.values, effect.sd):
             values = [row.figure.figure(value, sd) for value, sd in zip(row.values, row.sds, strict=True)]
             rows.append([row.name, *values, row.figure.unit, f"{effect.probability:.1%}"])
-    heads = ["effect", *(escape(name) for name in one.names), "unit", "probability"]
-    return rich_table("Effects added to the model", heads, "l" + len(one.names) * "r" + "lr", rows)
+    heads = ["effect", *(escape(name) for name in finding.names), "unit", "probability"]
+    return rich_table("Effects added to the model", heads, "l" + len(finding.names) * "r" + "lr", rows)
 
 
-def _errors_table(one: ForceFinding) -> Table:
+def _errors_table(finding: ForceFinding) -> Table:
     """Return a row for each accelerometer: rms error before and after in ug, and their ratio."""
-    where = "the verification runs" if one.verified else "the fitted runs: give --verify for runs that were not used"
+    where = (
+        "the verification runs" if finding.verified else "the fitted runs: give --verify for runs that were not used"
+    )
     rows = [
         [escape(name), f"{before * _MICRO_G:.1f}", f"{after * _MICRO_G:.1f}", f"{before / after:.2f}"]
-        for name, before, after in zip(one.names, one.before_mps2, one.after_mps2, strict=True)
+        for name, before, after in zip(finding.names, finding.before_mps2, finding.after_mps2, strict=True)
     ]
     heads = ["sensor", "before, ug", "after, ug", "times smaller"]
     return rich_table(f"Error of means over 2 s, noise included, on {where}", heads, "lrrr", rows)
 
 
-def _remarks(one: ForceFinding) -> list[str]:
+def _remarks(finding: ForceFinding) -> list[str]:
     """Return sentences on rivals, suspects, effects that were dropped and recordings that were left out."""
-    lines = [f"left out: {escape(reason)}" for reason in one.left_out.values()]
-    for effect in one.effects:
+    lines = [f"left out: {escape(reason)}" for reason in finding.left_out.values()]
+    for effect in finding.effects:
         rivals = ", ".join(f"{BY_NAME[name].words} ({chance:.0%})" for name, chance in effect.rivals.items())
         if rivals:
             lines.append(f"{effect.effect.name.replace('_', ' ')} may also be: {escape(rivals)}")
-    if one.suspects:
-        ordered = sorted(one.suspects.items(), key=lambda pair: -pair[1])
+    if finding.suspects:
+        ordered = sorted(finding.suspects.items(), key=lambda pair: -pair[1])
         suspects = ", ".join(f"{BY_NAME[name].words} ({chance:.0%})" for name, chance in ordered)
         lines.append(f"suspects: {escape(suspects)}")
         shown_by = dict.fromkeys(BY_NAME[name].shown_by for name, _ in ordered if BY_NAME[name].shown_by)
         if shown_by:
             lines.append(f"next, record a run with: {escape('; '.join(shown_by))}")
-    for name in one.dropped:
+    for name in finding.dropped:
         lines.append(f"{name.replace('_', ' ')} fits the fitted runs and makes the verification runs worse: not added")
     return lines

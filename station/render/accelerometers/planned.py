@@ -21,24 +21,24 @@ def print_planned_forces(planned: Sequence[PlannedForces]) -> None:
         print_all(stdout(), shown)
 
 
-def _sigmas(one: PlannedForces) -> Table:
+def _sigmas(planned: PlannedForces) -> Table:
     """Return the predicted sigmas of states and places by accelerometer."""
-    figures, place = fitted_forces(one.found), place_figure(one.found)
+    figures, place = fitted_forces(planned.found), place_figure(planned.found)
     heads = ["\nsensor", *(f"± {f.name}\n{f.unit}" for f in figures), *(f"± {axis}\n{PLACE.unit}" for axis in "xyz")]
     rows = []
-    for accelerometer in one.found.accelerometers:
+    for accelerometer in planned.found.accelerometers:
         cells = [escape(accelerometer.name)]
         cells += [figure.text(sd) for figure, sd in zip(figures, accelerometer.sd.tolist(), strict=True)]
         cells += [place.text(sd) for sd in accelerometer.place_sd_m.tolist()]
         rows.append(cells)
-    title = f"Predicted standard deviations of the accelerometers of {escape(one.device)}"
+    title = f"Predicted standard deviations of the accelerometers of {escape(planned.device)}"
     return rich_table(title, heads, "l" + 7 * "r", rows)
 
 
-def _effects(one: PlannedForces) -> Table:
+def _effects(planned: PlannedForces) -> Table:
     """Return the smallest size of each effect that a run detects."""
     rows = []
-    for name, sd in one.effects.items():
+    for name, sd in planned.effects.items():
         effect = BY_NAME[name]
         for parameter, own in zip(effect.parameters, sd.tolist(), strict=True):
             least = DETECTED * own
@@ -50,10 +50,10 @@ def _effects(one: PlannedForces) -> Table:
     return rich_table("Effects of accelerometers, each alone, at 1 % false alarms", heads, "lrrl", rows)
 
 
-def _not_shown(one: PlannedForces) -> list[str]:
+def _not_shown(planned: PlannedForces) -> list[str]:
     """Return a sentence on each effect that a run would not detect at its largest plausible size."""
     lines = []
-    for name, sd in one.effects.items():
+    for name, sd in planned.effects.items():
         effect = BY_NAME[name]
         if DETECTED * float(sd.max()) >= effect.largest:
             lines.append(f"{name.replace('_', ' ')} is not shown. It needs {effect.shown_by}")

@@ -43,44 +43,46 @@ def print_forces(forces: Sequence[ForceCalibration], *, details: bool) -> None:
         print_all(stdout(), shown)
 
 
-def _states_table(one: ForceCalibration) -> Table:
+def _states_table(calibration: ForceCalibration) -> Table:
     """Return the states of the accelerometers with their standard deviations."""
-    figures = fitted_forces(one)
+    figures = fitted_forces(calibration)
     heads = ["\nsensor"]
     for figure in figures:
         heads += [f"{figure.name}\n{figure.unit}", "±"]
     rows = []
-    for accelerometer in one.accelerometers:
+    for accelerometer in calibration.accelerometers:
         cells = [escape(accelerometer.name)]
         for figure, value, sd in zip(figures, accelerometer.states.tolist(), accelerometer.sd.tolist(), strict=True):
             cells += [figure.text(value), figure.text(sd)]
         rows.append(cells)
-    return rich_table(f"Accelerometers of {one.device or one.source} and their standard deviations", heads, "lr", rows)
+    return rich_table(
+        f"Accelerometers of {calibration.device or calibration.source} and their standard deviations", heads, "lr", rows
+    )
 
 
-def _places_table(one: ForceCalibration) -> Table:
+def _places_table(calibration: ForceCalibration) -> Table:
     """Return where each accelerometer sits, and their middle."""
-    figure = place_figure(one)
-    rows = [_place_row(a.name, a.place_m.tolist(), a.place_sd_m.tolist(), figure) for a in one.accelerometers]
-    rows.append(_place_row("middle", one.arm_m.tolist(), one.arm_sd_m.tolist(), figure))
+    figure = place_figure(calibration)
+    rows = [_place_row(a.name, a.place_m.tolist(), a.place_sd_m.tolist(), figure) for a in calibration.accelerometers]
+    rows.append(_place_row("middle", calibration.arm_m.tolist(), calibration.arm_sd_m.tolist(), figure))
     heads = ["\nlever arm"]
     for axis in "xyz":
         heads += [f"{axis}\n{PLACE.unit}", "±"]
     return rich_table("Places from where the axes of the table meet", heads, "lr", rows)
 
 
-def _effects_table(one: ForceCalibration) -> Table:
+def _effects_table(calibration: ForceCalibration) -> Table:
     """Return the parameters of the effects of the model, with their standard deviations."""
     heads = ["\neffect", "\nunit"]
-    for accelerometer in one.accelerometers:
+    for accelerometer in calibration.accelerometers:
         heads += [f"{escape(accelerometer.name)}\nvalue", "±"]
     rows = []
-    for row in effect_rows(one):
+    for row in effect_rows(calibration):
         cells = [row.name, row.figure.unit]
         for value, sd in zip(row.values, row.sds, strict=True):
             cells += [row.figure.text(value), row.figure.text(sd)]
         rows.append(cells)
-    return rich_table("Effects of the model", heads, "ll" + 2 * len(one.accelerometers) * "r", rows)
+    return rich_table("Effects of the model", heads, "ll" + 2 * len(calibration.accelerometers) * "r", rows)
 
 
 def _place_row(name: str, place_m: Sequence[float], sd_m: Sequence[float], figure: StateUnit) -> list[str]:
@@ -91,18 +93,20 @@ def _place_row(name: str, place_m: Sequence[float], sd_m: Sequence[float], figur
     return cells
 
 
-def _lines(one: ForceCalibration) -> list[str]:
+def _lines(calibration: ForceCalibration) -> list[str]:
     """Return sentences on the delay and the gravity."""
-    lines = [f"gravity: {one.gravity_mps2:.5f} m/s2, {one.gravity_from}"]
-    if one.offset is not None:
-        late_ms = 1e3 * one.offset.offset_s
-        lines.insert(0, f"delay: {late_ms:.3f} ± {1e3 * one.offset.sd_s:.3f} ms after the readings of the table")
+    lines = [f"gravity: {calibration.gravity_mps2:.5f} m/s2, {calibration.gravity_from}"]
+    if calibration.offset is not None:
+        late_ms = 1e3 * calibration.offset.offset_s
+        lines.insert(
+            0, f"delay: {late_ms:.3f} ± {1e3 * calibration.offset.sd_s:.3f} ms after the readings of the table"
+        )
     return lines
 
 
-def _intrinsic_table(one: ForceCalibration) -> Table:
+def _intrinsic_table(calibration: ForceCalibration) -> Table:
     """Return sensitivities, offsets and angles, which do not depend on how the device is mounted."""
-    found = one.intrinsic
+    found = calibration.intrinsic
     rows = []
     for place, name in enumerate(found.names):
         sensitivity = (found.sensitivity[place], found.sensitivity_sd[place])
@@ -115,17 +119,17 @@ def _intrinsic_table(one: ForceCalibration) -> Table:
     return rich_table("Intrinsic parameters (Geist et al. 2017)", ["parameter", "value", "±", "unit"], "lrrl", rows)
 
 
-def _budget_table(one: ForceCalibration) -> Table:
+def _budget_table(calibration: ForceCalibration) -> Table:
     """Return the standard uncertainties by source, rms over the accelerometers."""
-    figures = fitted_forces(one)
-    names = [line.name for line in one.accelerometers[0].budget]
+    figures = fitted_forces(calibration)
+    names = [line.name for line in calibration.accelerometers[0].budget]
     rows = []
     for name in names:
-        u = np.sqrt(np.mean([_line_of(a, name) ** 2 for a in one.accelerometers], axis=0)).tolist()
+        u = np.sqrt(np.mean([_line_of(a, name) ** 2 for a in calibration.accelerometers], axis=0)).tolist()
         rows.append(
             [LINE_WORDS.get(name, name), *(number(v * f.factor, f.digits) for v, f in zip(u, figures, strict=True))]
         )
-    combined = np.sqrt(np.mean([a.sd**2 for a in one.accelerometers], axis=0)).tolist()
+    combined = np.sqrt(np.mean([a.sd**2 for a in calibration.accelerometers], axis=0)).tolist()
     rows.append(["combined", *(number(v * f.factor, f.digits) for v, f in zip(combined, figures, strict=True))])
     heads = ["\nsource of uncertainty", *(f"{f.name}\n{f.unit}" for f in FORCE_FIGURES)]
     return rich_table("Sources of the standard deviations, rms over the accelerometers", heads, "lr", rows)

@@ -37,14 +37,15 @@ class _Place:
 
 
 def history_shown(
-    folder: str, recordings: Sequence[HistoryRow], found: int, serial: str | None, charts: Sequence[ChartView]
+    folder: str, recordings: Sequence[HistoryRow], count: int, serial: str | None, charts: Sequence[ChartView]
 ) -> Iterator[Shown]:
-    """Yield how many recordings of those ``found`` are listed, which are unreadable, and the charts of a device.
+    """Yield how many recordings of the ``count`` in the folder are listed, which are unreadable, and the charts of a
+    device.
 
     ``serial`` is that of the device, None if no charts were asked for.
     """
-    more = "; --last N shows more, --csv and --json show all" if found > len(recordings) else ""
-    yield line(escape(f"{len(recordings)} of {found} recordings in {folder}, newest first{more}"))
+    more = "; --last N shows more, --csv and --json show all" if count > len(recordings) else ""
+    yield line(escape(f"{len(recordings)} of {count} recordings in {folder}, newest first{more}"))
     for row in recordings:
         if row.wrong:
             yield line(escape(f"{row.file}: {row.wrong}"))

@@ -7,13 +7,13 @@ from station.views.figures import UNKNOWN, human, probability, whole_percent
 from station.views.investigation import AddedView, InvestigationView, OutOfSampleView, UnexplainedView
 
 
-def verdict_sentences(what: InvestigationView) -> list[str]:
+def verdict_sentences(investigation: InvestigationView) -> list[str]:
     """Return the result in sentences: effects with their parameters, rivals, the unexplained part."""
-    lines = [line for added in what.added for line in _added(added, len(what.gyros))]
-    lines += [_rivals(rivals) for rivals in what.rivals]
-    lines += [_rival_size(rival) for rival in what.rival_sizes]
-    if what.unexplained is not None:
-        lines.append(_unexplained(what.unexplained))
+    lines = [line for added in investigation.added for line in _added(added, len(investigation.gyros))]
+    lines += [_rivals(rivals) for rivals in investigation.rivals]
+    lines += [_rival_size(rival) for rival in investigation.rival_sizes]
+    if investigation.unexplained is not None:
+        lines.append(_unexplained(investigation.unexplained))
     return lines
 
 
@@ -60,9 +60,9 @@ def _by_gyro(added: AddedView) -> Mapping[str, list[str]]:
     return found
 
 
-def _out_of_sample(found: OutOfSampleView) -> str:
-    runs = "" if found.by_run is None else f"whole recordings by {_whole(found.by_run)}, "
-    return f"  improves the prediction of held-out data: {runs}steps by {_whole(found.by_step)} (log)"
+def _out_of_sample(out_of_sample: OutOfSampleView) -> str:
+    runs = "" if out_of_sample.by_run is None else f"whole recordings by {_whole(out_of_sample.by_run)}, "
+    return f"  improves the prediction of held-out data: {runs}steps by {_whole(out_of_sample.by_step)} (log)"
 
 
 def _whole(value: float | None) -> str:
@@ -79,10 +79,10 @@ def _rival_size(rival: AddedView) -> str:
     return f"  {readable(rival.effect)} would be {', '.join(sizes)}"
 
 
-def _unexplained(found: UnexplainedView) -> str:
-    share = whole_percent(found.share)
+def _unexplained(unexplained: UnexplainedView) -> str:
+    share = whole_percent(unexplained.share)
     return (
-        f"unexplained: {share} of the power of the residual depends on {found.depends_on}. "
+        f"unexplained: {share} of the power of the residual depends on {unexplained.depends_on}. "
         "No effect of the catalogue and no law built from the measured variables explains it. "
         "The sigmas of the states allow for it"
     )

@@ -19,20 +19,22 @@ def print_planned_mountings(planned: Sequence[PlannedMountings], units: Units) -
         print_all(stdout(), _shown(one, units))
 
 
-def _shown(one: PlannedMountings, units: Units) -> Iterator[Shown]:
+def _shown(planned: PlannedMountings, units: Units) -> Iterator[Shown]:
     """Yield a line on what is joined, and a table each of gyros and accelerometers."""
-    device = escape(one.device)
+    device = escape(planned.device)
     yield line("")
     yield line(f"Three runs with x, y and z of {device} along the axis, joined by `station calibrate --join`:")
-    gyros = [(gyro.name, gyro.sd.tolist()) for gyro in one.found.gyros]
-    yield _table(f"Predicted sigmas of the gyros of {device}", "gyro", fitted_figures(units, one.found), gyros), {}
-    for forces in (forces for forces in one.found.forces if forces.accelerometers):
+    gyros = [(gyro.name, gyro.sd.tolist()) for gyro in planned.found.gyros]
+    yield _table(f"Predicted sigmas of the gyros of {device}", "gyro", fitted_figures(units, planned.found), gyros), {}
+    for forces in (forces for forces in planned.found.forces if forces.accelerometers):
         sds = [(each.name, each.sd.tolist()) for each in forces.accelerometers]
         yield _table("The same of its accelerometers", "sensor", fitted_forces(forces), sds), {}
 
 
-def _table(title: str, what: str, figures: Sequence[StateUnit], rows: Sequence[tuple[str, list[float]]]) -> Table:
+def _table(
+    title: str, sensor_kind: str, figures: Sequence[StateUnit], rows: Sequence[tuple[str, list[float]]]
+) -> Table:
     """Return predicted standard deviations, a row for each sensor."""
-    heads = [f"\n{what}", *(f"± {figure.name}\n{figure.unit}" for figure in figures)]
+    heads = [f"\n{sensor_kind}", *(f"± {figure.name}\n{figure.unit}" for figure in figures)]
     cells = [[escape(name), *(figure.text(sd) for figure, sd in zip(figures, own, strict=True))] for name, own in rows]
     return rich_table(title, heads, "lrrrr", cells)

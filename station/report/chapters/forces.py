@@ -47,23 +47,27 @@ def chapters(recorded: Recorded) -> list[ForceChapter]:
     return [_chapter(one) for one in found.forces] if found is not None else []
 
 
-def _chapter(one: ForceCalibration) -> ForceChapter:
+def _chapter(calibration: ForceCalibration) -> ForceChapter:
     """Return what is said of one source."""
-    tables = [_states(one), _places(one), _intrinsic(one), _budget(one)] if one.accelerometers else []
-    if one.effects:
-        tables.insert(1, _effects(one))
+    tables = (
+        [_states(calibration), _places(calibration), _intrinsic(calibration), _budget(calibration)]
+        if calibration.accelerometers
+        else []
+    )
+    if calibration.effects:
+        tables.insert(1, _effects(calibration))
     lines = []
-    if one.offset is not None:
-        late_ms = 1e3 * one.offset.offset_s
-        wide_ms = COVERAGE * 1e3 * one.offset.sd_s
+    if calibration.offset is not None:
+        late_ms = 1e3 * calibration.offset.offset_s
+        wide_ms = COVERAGE * 1e3 * calibration.offset.sd_s
         lines.append(f"Delay after the readings of the table: {late_ms:.3f} ms, U {wide_ms:.3f} ms.")
-    if one.accelerometers:
-        lines.append(f"Gravity: {one.gravity_mps2:.5f} m/s², {one.gravity_from}.")
+    if calibration.accelerometers:
+        lines.append(f"Gravity: {calibration.gravity_mps2:.5f} m/s², {calibration.gravity_from}.")
     return ForceChapter(
-        device=one.device or one.source,
+        device=calibration.device or calibration.source,
         tables=tables,
         lines=[typographic(line) for line in lines],
-        excluded=[f"{e.name} is not calibrated: {e.reason}" for e in one.excluded],
+        excluded=[f"{e.name} is not calibrated: {e.reason}" for e in calibration.excluded],
     )
 
 
@@ -80,48 +84,50 @@ def _headed(symbol: Markup, figure: StateUnit) -> Markup:
     return Markup("{}, {}").format(symbol, typographic(figure.unit))
 
 
-def _states(one: ForceCalibration) -> ForceTable:
+def _states(calibration: ForceCalibration) -> ForceTable:
     """Return the states with expanded uncertainties."""
-    figures = fitted_forces(one)
+    figures = fitted_forces(calibration)
     heads = ["accelerometer"]
     for symbol, figure in zip(SYMBOLS, figures, strict=True):
         heads += [_headed(symbol, figure), "U"]
-    rows = [[a.name, *_cells(a.states.tolist(), a.sd.tolist(), figures)] for a in one.accelerometers]
+    rows = [[a.name, *_cells(a.states.tolist(), a.sd.tolist(), figures)] for a in calibration.accelerometers]
     note = "The model is that of the gyros, with the specific force at the place of each as input."
     return ForceTable(caption="States", table=table_of(heads, "l" + 8 * "r", rows), note=note)
 
 
-def _effects(one: ForceCalibration) -> ForceTable:
+def _effects(calibration: ForceCalibration) -> ForceTable:
     """Return the effects of the model, with expanded uncertainties."""
     heads = ["effect", "unit"]
-    for accelerometer in one.accelerometers:
+    for accelerometer in calibration.accelerometers:
         heads += [accelerometer.name, "U"]
     rows = []
-    for row in effect_rows(one):
+    for row in effect_rows(calibration):
         cells = [row.name, typographic(row.figure.unit)]
         for value, sd in zip(row.values, row.sds, strict=True):
             cells += _cells([value], [sd], [row.figure])
         rows.append(cells)
     note = "These effects were estimated with the states. The constants of the states do not correct them."
     caption = "Effects of the model"
-    return ForceTable(caption=caption, table=table_of(heads, "ll" + 2 * len(one.accelerometers) * "r", rows), note=note)
+    return ForceTable(
+        caption=caption, table=table_of(heads, "ll" + 2 * len(calibration.accelerometers) * "r", rows), note=note
+    )
 
 
-def _places(one: ForceCalibration) -> ForceTable:
+def _places(calibration: ForceCalibration) -> ForceTable:
     """Return where each accelerometer sits, with expanded uncertainties."""
-    figures = [place_figure(one)] * 3
+    figures = [place_figure(calibration)] * 3
     heads = ["lever arm"]
     for axis in "xyz":
         heads += [f"{axis}, {PLACE.unit}", "U"]
-    rows = [[a.name, *_cells(a.place_m.tolist(), a.place_sd_m.tolist(), figures)] for a in one.accelerometers]
-    rows.append(["middle", *_cells(one.arm_m.tolist(), one.arm_sd_m.tolist(), figures)])
+    rows = [[a.name, *_cells(a.place_m.tolist(), a.place_sd_m.tolist(), figures)] for a in calibration.accelerometers]
+    rows.append(["middle", *_cells(calibration.arm_m.tolist(), calibration.arm_sd_m.tolist(), figures)])
     caption = "Lever arm, from the point in which the axes of the table meet"
     return ForceTable(caption=caption, table=table_of(heads, "l" + 6 * "r", rows))
 
 
-def _intrinsic(one: ForceCalibration) -> ForceTable:
+def _intrinsic(calibration: ForceCalibration) -> ForceTable:
     """Return the nine parameters that another laboratory can reproduce."""
-    found = one.intrinsic
+    found = calibration.intrinsic
     rows = []
     for place, name in enumerate(found.names):
         value, sd = float(found.sensitivity[place]), float(found.sensitivity_sd[place])
@@ -138,16 +144,16 @@ def _intrinsic(one: ForceCalibration) -> ForceTable:
     return ForceTable(caption="Intrinsic parameters", table=table_of(heads, "lrrl", rows), note=note)
 
 
-def _budget(one: ForceCalibration) -> ForceTable:
+def _budget(calibration: ForceCalibration) -> ForceTable:
     """Return the standard uncertainties by source, rms over the accelerometers."""
-    figures = fitted_forces(one)
-    names = [line.name for line in one.accelerometers[0].budget]
+    figures = fitted_forces(calibration)
+    names = [line.name for line in calibration.accelerometers[0].budget]
     rows = []
     for name in names:
-        own = [line.u**2 for a in one.accelerometers for line in a.budget if line.name == name]
+        own = [line.u**2 for a in calibration.accelerometers for line in a.budget if line.name == name]
         u = np.sqrt(np.mean(own, axis=0)).tolist()
         rows.append([LINE_WORDS.get(name, name), *(f.text(v) for v, f in zip(u, figures, strict=True))])
-    combined = np.sqrt(np.mean([a.sd**2 for a in one.accelerometers], axis=0)).tolist()
+    combined = np.sqrt(np.mean([a.sd**2 for a in calibration.accelerometers], axis=0)).tolist()
     rows.append(["combined", *(f.text(v) for v, f in zip(combined, figures, strict=True))])
     heads = [
         "standard uncertainty",

@@ -107,12 +107,12 @@ def _effect_rows(effect: AddedView) -> Iterator[list[Content]]:
         yield [words(effect.effect), name, shown, probability(number(effect.probability))]
 
 
-def _errors_table(what: InvestigationView) -> Table:
+def _errors_table(investigation: InvestigationView) -> Table:
     """Return the error of each gyro before and after, and of all if there are several."""
-    rows = [_error_row(name, gyro.before, gyro.after) for name, gyro in what.gyros.items()]
-    if len(what.gyros) > 1:
-        rows.append(_error_row("all", what.before, what.after))
-    return table_of(_ERROR_HEADS, "lrrrrrr", rows, length=len(what.gyros) + 1)
+    rows = [_error_row(name, gyro.before, gyro.after) for name, gyro in investigation.gyros.items()]
+    if len(investigation.gyros) > 1:
+        rows.append(_error_row("all", investigation.before, investigation.after))
+    return table_of(_ERROR_HEADS, "lrrrrrr", rows, length=len(investigation.gyros) + 1)
 
 
 def _error_row(name: str, before: ErrorsView, after: ErrorsView) -> list[Content]:

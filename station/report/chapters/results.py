@@ -209,8 +209,10 @@ def as_found_view(
     )
 
 
-def _adjusted_rows(then: GyroCalibration, left: GyroCalibration, row: int, states: States) -> Iterator[list[Content]]:
+def _adjusted_rows(
+    as_found: GyroCalibration, as_left: GyroCalibration, row: int, states: States
+) -> Iterator[list[Content]]:
     for state, (symbol, unit) in enumerate(states):
-        before = with_uncertainty(float(then.states[state]), float(then.sd[state]), unit, None, None)
-        after = _figures(left, row, state, unit)
+        before = with_uncertainty(float(as_found.states[state]), float(as_found.sd[state]), unit, None, None)
+        after = _figures(as_left, row, state, unit)
         yield [symbol, before[0], before[2], after[0], after[2], unit.name]

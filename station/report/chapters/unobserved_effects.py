@@ -154,12 +154,12 @@ def _temperature(recorded: Recorded, t_s: Floats) -> Floats | None:
     return np.asarray(np.mean(courses, axis=0))
 
 
-def _noise(found: Calibration, source: str, data: ImuData) -> NoiseModel:
+def _noise(calibration: Calibration, source: str, data: ImuData) -> NoiseModel:
     """Return the noise of a source: the mean of its gyros' estimated noise, else that of the data sheet.
 
     Without either, white noise is derived from the noise of a sample; without gyros it has a usual size.
     """
-    own = [gyro for gyro in found.gyros if gyro.source == source]
+    own = [gyro for gyro in calibration.gyros if gyro.source == source]
     models = [gyro.noise.mean for gyro in own if gyro.noise is not None]
     if models:
         means = (float(np.mean([getattr(m, key) for m in models])) for key in ("arw", "instability", "walk"))
@@ -170,9 +170,9 @@ def _noise(found: Calibration, source: str, data: ImuData) -> NoiseModel:
     return NoiseModel(float(np.mean([gyro.noise_rps for gyro in own])) * float(np.sqrt(period_s)))
 
 
-def by_state(found: Forecast) -> Mapping[str, Floats]:
+def by_state(forecast: Forecast) -> Mapping[str, Floats]:
     """Return by effect the largest shift of each state (4,), in sigmas, that stays unseen."""
-    return {effect.effect.name: unnoticed(effect).max(axis=(0, 1), initial=0.0) for effect in found.effects}
+    return {effect.effect.name: unnoticed(effect).max(axis=(0, 1), initial=0.0) for effect in forecast.effects}
 
 
 def hidden(unseen: Unseen) -> list[tuple[EffectForecast, Floats]]:

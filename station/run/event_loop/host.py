@@ -107,6 +107,6 @@ class HostWatch:
         (first_s, first), (last_s, last) = self._pressure[0], self._pressure[-1]
         return (last - first) / ((last_s - first_s) / self._scale) if last_s > first_s else 0.0
 
-    def _forget(self, kept: deque[tuple[float, float]], now_s: float) -> None:
-        while now_s - kept[0][0] > self._recent_s:
-            kept.popleft()
+    def _forget(self, samples: deque[tuple[float, float]], now_s: float) -> None:
+        while now_s - samples[0][0] > self._recent_s:
+            samples.popleft()

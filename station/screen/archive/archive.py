@@ -15,7 +15,7 @@ from pathlib import Path
 from stat import S_ISREG
 from typing import TYPE_CHECKING, Any
 
-from station.screen.archive.entries import Entry, File, Whole, moves
+from station.screen.archive.entries import Entry, File, ReadRecording, moves
 from station.views.history import Move
 
 if TYPE_CHECKING:
@@ -67,13 +67,13 @@ class Archive:
                 if not entry.foreign and os.path.exists(file[0]):  # and was not deleted meanwhile
                     yield entry
 
-    async def read(self, path: Path) -> Whole:
+    async def read(self, path: Path) -> ReadRecording:
         """Return a whole recording; its entry has the error, if there is one."""
         try:
             when_utc_s = (await asyncio.to_thread(path.stat)).st_mtime
         except OSError as error:
-            return Whole(Entry(str(path), 0.0, wrong=error.strerror or "it cannot be read"))
-        return await self._read(path, when_utc_s, everything=True)
+            return ReadRecording(Entry(str(path), 0.0, wrong=error.strerror or "it cannot be read"))
+        return await self._read(path, when_utc_s, with_samples=True)
 
     async def accept(self, path: Path, attributes: Mapping[str, str]) -> str:
         """Write the acceptance into a recording; return the error, empty if there is none."""
@@ -95,11 +95,11 @@ class Archive:
         the end.
         """
         many = len(files) > _MANY
-        readers, tasks = Archive(2 * (os.cpu_count() or 1)) if many else self, deque[asyncio.Task[Whole]]()
+        readers, tasks = Archive(2 * (os.cpu_count() or 1)) if many else self, deque[asyncio.Task[ReadRecording]]()
         try:
             for at, file in enumerate(files):
                 for path, mtime_ns, _ in files[at + len(tasks) : at + 2 * readers._count]:
-                    tasks.append(asyncio.create_task(readers._read(Path(path), mtime_ns * 1e-9, everything=False)))
+                    tasks.append(asyncio.create_task(readers._read(Path(path), mtime_ns * 1e-9, with_samples=False)))
                 yield file, (await tasks.popleft()).entry
         finally:
             for task in tasks:
@@ -107,10 +107,10 @@ class Archive:
             if many:
                 await readers.close()
 
-    async def _read(self, path: Path, when_utc_s: float, *, everything: bool) -> Whole:
+    async def _read(self, path: Path, when_utc_s: float, *, with_samples: bool) -> ReadRecording:
         async with self._turn:
-            found = await self._do("read", path, when_utc_s, everything)
-        return Whole(Entry(str(path), when_utc_s, wrong=found)) if isinstance(found, str) else found
+            found = await self._do("read", path, when_utc_s, with_samples)
+        return ReadRecording(Entry(str(path), when_utc_s, wrong=found)) if isinstance(found, str) else found
 
     async def _do(self, work: str, *about: Any, limit_s: float = _LIMIT_S) -> Any:
         """Run a function of ``reading`` in a process; return its result, or a text if it took too long or crashed."""

@@ -115,7 +115,7 @@ class Exceeded:
 
 
 @dataclass(frozen=True, slots=True)
-class Whole:
+class ReadRecording:
     """A recording with everything that the result screen shows.
 
     ``sizes`` are the limits of the four states in SI, infinite where there is none, ``written`` the same as in the

@@ -22,7 +22,7 @@ from estimator.recordings.recovery import recover
 from estimator.recordings.writing import plain, write_attributes
 from estimator.untrusted import read_json
 from station.errors import BenchError
-from station.screen.archive.entries import INVESTIGATION, Entry, Exceeded, Whole
+from station.screen.archive.entries import INVESTIGATION, Entry, Exceeded, ReadRecording
 from station.screen.sessions.answers import InvestigationAnswer
 from station.screen.sessions.live_run import Trend
 
@@ -60,8 +60,8 @@ def accept(path: Path, attributes: Mapping[str, str]) -> str:
     return ""
 
 
-def read(path: Path, when_utc_s: float, everything: bool) -> Whole:
-    """Return a recording, or only its entry unless ``everything``; if unreadable, ``entry.wrong`` says why. Never
+def read(path: Path, when_utc_s: float, with_samples: bool) -> ReadRecording:
+    """Return a recording, or only its entry unless ``with_samples``; if unreadable, ``entry.wrong`` says why. Never
     raises.
 
     ``when_utc_s`` is the time of its last change, used if the recording has no clock. A run that was cut off is
@@ -73,21 +73,21 @@ def read(path: Path, when_utc_s: float, everything: bool) -> Whole:
     try:
         # Without HDF5's locks: a session that writes the same file must never find it locked by a reader.
         with h5py.File(path, "r", locking=False) as file:
-            list(objects(path, file, None if everything else _listed))  # which leads nowhere else, and can be held
+            list(objects(path, file, None if with_samples else _listed))  # which leads nowhere else, and can be held
             if plain(file.attrs.get("format")) != FORMAT:
-                return Whole(replace(unread, wrong="an HDF5 file, but not a recording", foreign=True))
+                return ReadRecording(replace(unread, wrong="an HDF5 file, but not a recording", foreign=True))
             version = plain(file.attrs.get("format_version", 0))
             if not isinstance(version, int) or version > FORMAT_VERSION:
                 wrong = f"format version {version}, this program reads up to {FORMAT_VERSION}: update it"
-                return Whole(replace(unread, wrong=wrong))
+                return ReadRecording(replace(unread, wrong=wrong))
             entry = _entry(unread, file)
-            if not everything:
-                return Whole(entry)
+            if not with_samples:
+                return ReadRecording(entry)
             whole, bench = _whole(entry, file), str(plain(file.attrs.get("bench", "")))
         return _judged(whole, bench)
     except Exception as error:  # a file made by hand may hold anything; the next one is still read
         wrong = f"it cannot be read: it is damaged or incomplete ({first_line(error)})"
-        return Whole(replace(unread, wrong=wrong))
+        return ReadRecording(replace(unread, wrong=wrong))
 
 
 def _listed(file: Any) -> list[str]:
@@ -131,7 +131,7 @@ def _units(bench: str) -> dict[str, str]:
     return {}
 
 
-def _whole(entry: Entry, file: Any) -> Whole:
+def _whole(entry: Entry, file: Any) -> ReadRecording:
     """Return everything the result screen shows of an open recording, except the limits."""
     found: dict[str, Any] = {}
     if (group := file.get("calibration")) is not None:
@@ -143,7 +143,7 @@ def _whole(entry: Entry, file: Any) -> Whole:
     if events is not None and "text" in events:
         rows = zip(events["t_ns"][()], events["text"][()], strict=False)
         found["events"] = [(float(t) * 1e-9, plain(text)) for t, text in rows]
-    return Whole(
+    return ReadRecording(
         entry,
         **found,
         attributes={name: plain(value) for name, value in file.attrs.items()},
@@ -152,22 +152,24 @@ def _whole(entry: Entry, file: Any) -> Whole:
     )
 
 
-def _judged(whole: Whole, bench: str) -> Whole:
+def _judged(recording: ReadRecording, bench: str) -> ReadRecording:
     """Return the recording with the limits of its bench, and the broken ones if its recorded reason names the same."""
     from station.bench.bench import read_limits  # with all drivers, which a list of recordings does without
     from station.views.limits import limit_lines, worst_first
 
     with suppress(EstimatorError, BenchError):
         limits = read_limits(bench)
-        whole = replace(whole, sizes=limits.sizes, written=limits.written_sizes)
-        found = limit_lines(read_calibration(whole.entry.path, trusted=True), limits)
+        recording = replace(recording, sizes=limits.sizes, written=limits.written_sizes)
+        found = limit_lines(read_calibration(recording.entry.path, trusted=True), limits)
         lines = [line for line in found if not line.within]
-        before, named, after = whole.entry.texts["reason"].partition("; ".join(line.broken for line in lines) or "\0")
+        before, named, after = recording.entry.texts["reason"].partition(
+            "; ".join(line.broken for line in lines) or "\0"
+        )
         if named:  # losses and noise first: they may explain the others
             broken = [_exceeded(line) for line in worst_first(lines)]
             because = [text.removeprefix("but ") for text in f"{before}{after}".split("; ") if text]
-            whole = replace(whole, broken=broken, because=because)
-    return whole
+            recording = replace(recording, broken=broken, because=because)
+    return recording
 
 
 def _exceeded(line: "LimitLine") -> Exceeded:

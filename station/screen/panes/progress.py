@@ -58,8 +58,10 @@ def progress_text(view: ProgressView) -> Text:
     return joined(lines)
 
 
-def _no_run(others: int) -> str:
-    running = f"{others} of your sessions are running: o shows one." if others else "No session is running."
+def _no_run(other_sessions: int) -> str:
+    running = (
+        f"{other_sessions} of your sessions are running: o shows one." if other_sessions else "No session is running."
+    )
     return f"{running} F2 prepares one, m starts manual mode."
 
 

@@ -29,19 +29,19 @@ class StopView:
     text: str
 
 
-def stop_view(run: LiveRun | None, others: int, recording_line: str = "") -> StopView:
-    """Return the bar for a run; without one for the number of ``others``, or the line on a recording."""
+def stop_view(run: LiveRun | None, other_sessions: int, recording_line: str = "") -> StopView:
+    """Return the bar for a run; without one for the number of ``other_sessions``, or the line on a recording."""
     if run is None:
-        return _no_run(others, recording_line)
+        return _no_run(other_sessions, recording_line)
     if run.stage is Stage.ENDED:
         return _ended(run)
     return _stopping(run) or _running(run)
 
 
-def _no_run(others: int, recording_line: str) -> StopView:
-    if not others:
+def _no_run(other_sessions: int, recording_line: str) -> StopView:
+    if not other_sessions:
         return StopView(colour=StopColour.NONE, text=recording_line or "no session is running")
-    sessions = "your session" if others == 1 else f"your {others} sessions"
+    sessions = "your session" if other_sessions == 1 else f"your {other_sessions} sessions"
     return _armed(f"or Ctrl+C: stops {sessions}, not shown here (F3 o: show)")
 
 

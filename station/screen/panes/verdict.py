@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rich.text import Text
 
-from station.screen.archive.entries import Entry, Exceeded, Whole
+from station.screen.archive.entries import Entry, Exceeded, ReadRecording
 from station.screen.panes.lines import TITLE, joined, line, padded
 from station.views.figures import OUTCOME_STYLES
 
@@ -21,7 +21,7 @@ class VerdictView:
     """A recording, None until it is read, and what is done with it: ``busy`` now, ``message`` on what was done last."""
 
     path: Path | None
-    whole: Whole | None
+    whole: ReadRecording | None
     busy: str = ""
     message: str = ""
 
@@ -39,12 +39,12 @@ def verdict_text(view: VerdictView) -> Text:
     return joined(lines)
 
 
-def _outcome_lines(whole: Whole) -> list[Text]:
+def _outcome_lines(recording: ReadRecording) -> list[Text]:
     """Return why a recording cannot be read, or its outcome or exceeded limits, date, names, and acceptance."""
-    entry = whole.entry
+    entry = recording.entry
     if entry.wrong:
         return [line(("CANNOT BE READ", "bold red"), f"  {entry.wrong}")]
-    lines = _limits_exceeded(whole) if whole.broken else [_outcome(entry)]
+    lines = _limits_exceeded(recording) if recording.broken else [_outcome(entry)]
     lines.append(line(f"{entry.when}   {'   '.join(_named(entry))}"))
     accepted_by = entry.texts.get("accepted_by")
     if accepted_by:
@@ -74,18 +74,20 @@ def _outcome(entry: Entry) -> Text:
     return line((outcome, _style(entry)), f"  {'; '.join(reasons[:_MOST])}{more}")
 
 
-def _limits_exceeded(whole: Whole) -> list[Text]:
+def _limits_exceeded(recording: ReadRecording) -> list[Text]:
     """Return lines on the exceeded limits: how many, possible causes, a table of the worst, remedies."""
-    count = len(whole.broken)
-    worst = whole.broken[:_MOST]
+    count = len(recording.broken)
+    worst = recording.broken[:_MOST]
     limits = "limit" if count == 1 else "limits"
-    lines = [line((whole.entry.texts["outcome"], _style(whole.entry)), f"  {count} {limits} of the bench exceeded")]
-    lines += [line(f"Possible cause: {cause}") for cause in whole.because]
+    lines = [
+        line((recording.entry.texts["outcome"], _style(recording.entry)), f"  {count} {limits} of the bench exceeded")
+    ]
+    lines += [line(f"Possible cause: {cause}") for cause in recording.because]
     lines += _table([limit for limit in worst if limit.bound])
     lines += [line((f"{limit.subject}: {limit.found}", _RED)) for limit in worst if not limit.bound]
     if count > len(worst):
         lines.append(line(f"and {count - len(worst)} more, see the record below"))
-    remedies = dict.fromkeys(limit.remedy for limit in whole.broken if limit.remedy)
+    remedies = dict.fromkeys(limit.remedy for limit in recording.broken if limit.remedy)
     return lines + [line(remedy) for remedy in remedies]
 
 
@@ -96,15 +98,15 @@ def _table(limits: Sequence[Exceeded]) -> list[Text]:
     return [line(("  ".join(head), _BOLD)), *(line(("  ".join(row), _RED)) for row in rows)]
 
 
-def record_text(whole: Whole) -> Text:
+def record_text(recording: ReadRecording) -> Text:
     """Return all reasons and exceeded limits that the verdict leaves out, what was excluded, notes and events."""
     lines = [line(("Record", TITLE))]
-    reasons = _reasons(whole.entry)
-    if len(reasons) > _MOST and not whole.broken:
+    reasons = _reasons(recording.entry)
+    if len(reasons) > _MOST and not recording.broken:
         lines += [line(reason) for reason in reasons]
-    if len(whole.broken) > _MOST:
-        lines += [line(("  ".join(filter(None, limit.cells)), _RED)) for limit in whole.broken]
-    lines += [line((f"excluded: {text}", _RED)) for text in whole.excluded]
-    lines += [line(f"note: {text}") for text in whole.notes]
-    lines += [line((f"{t_s:8.1f} s  ", "dim"), text) for t_s, text in whole.events]
+    if len(recording.broken) > _MOST:
+        lines += [line(("  ".join(filter(None, limit.cells)), _RED)) for limit in recording.broken]
+    lines += [line((f"excluded: {text}", _RED)) for text in recording.excluded]
+    lines += [line(f"note: {text}") for text in recording.notes]
+    lines += [line((f"{t_s:8.1f} s  ", "dim"), text) for t_s, text in recording.events]
     return joined(lines)

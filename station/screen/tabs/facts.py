@@ -13,7 +13,7 @@ from estimator.errors import MISSHAPEN
 from estimator.untrusted import read_text
 from station.atomic_write import write_whole
 from station.errors import UsageError
-from station.screen.archive.entries import Whole
+from station.screen.archive.entries import ReadRecording
 from station.screen.dialogs import AskDialog, AskTextDialog, ChooseDialog
 from station.screen.memory import state_folder
 from station.screen.panes.certificate_form import (
@@ -44,13 +44,13 @@ class FactsDialog(ChooseDialog):
     """All facts, one a line, as large as the terminal."""
 
 
-async def fill_in(app: Any, whole: Whole) -> None:
+async def fill_in(app: Any, recording: ReadRecording) -> None:
     """Let the operator edit facts, named as "customer.name" or "equipment.0.due", until they are stored or given up.
 
     Facts that cannot be read or stored are reported.
     """
     try:
-        recorded, files, sources = await asyncio.to_thread(_stated, whole)
+        recorded, files, sources = await asyncio.to_thread(_stated, recording)
     except (UsageError, *MISSHAPEN) as error:
         app.notify(str(error), title="Known facts cannot be read", severity="error", markup=False)
         return
@@ -116,7 +116,7 @@ def _edited(form: Form, texts: Mapping[str, str]) -> dict[str, str]:
     return entered
 
 
-def _stated(whole: Whole) -> tuple["Recorded", tuple[Path, Path], Mapping[str, Mapping[str, str]]]:
+def _stated(recording: ReadRecording) -> tuple["Recorded", tuple[Path, Path], Mapping[str, Mapping[str, str]]]:
     """Return the recording without samples, the two files for facts, and the facts stated so far, by their origin.
 
     The files are that of this recording and that of the last form of this bench.
@@ -125,9 +125,9 @@ def _stated(whole: Whole) -> tuple["Recorded", tuple[Path, Path], Mapping[str, M
     from station.report.formal import kept_facts
     from station.report.recorded import Recorded, Step
 
-    head = Recording({}, None, attributes=whole.attributes)  # type: ignore[arg-type]
+    head = Recording({}, None, attributes=recording.attributes)  # type: ignore[arg-type]
     recorded = Recorded(
-        path=whole.entry.path,
+        path=recording.entry.path,
         recording=head,
         calibration=None,
         rest=None,

@@ -249,26 +249,26 @@ class PrepareScreen(StationScreen):
             return
         await asyncio.gather(self._look_at_devices(choices, found), self._look_at_plan(choices, found))
 
-    async def _look_at_devices(self, choices: Choices, found: Prospect) -> None:
+    async def _look_at_devices(self, choices: Choices, prospect: Prospect) -> None:
         """Run `station check`, unless a session uses the bench or it is hardware that is only remembered from the last
         run.
         """
-        if self.station.bench_recalled and not found.all_twins:
-            self._checking = f"bench {found.bench} was used in the last run and is real hardware: F6 opens it"
+        if self.station.bench_recalled and not prospect.all_twins:
+            self._checking = f"bench {prospect.bench} was used in the last run and is real hardware: F6 opens it"
             self.redraw()
             return
-        others = await sessions_on(found.bench, choices.bench)
+        others = await sessions_on(prospect.bench, choices.bench)
         if others or self.station.busy:  # a port that two programs read loses samples of both
             self._checking = "a session is running on this bench, so its devices are not checked (F6 checks again)"
             self.redraw()
             return
         self._checking = ""
-        self._check = await ask(choices.check_arguments(found.all_twins), bench_check_of, self._tell)
+        self._check = await ask(choices.check_arguments(prospect.all_twins), bench_check_of, self._tell)
         self._suggest()
         self.redraw()
 
-    async def _look_at_plan(self, choices: Choices, found: Prospect) -> None:
-        if not found.script_wrong:
+    async def _look_at_plan(self, choices: Choices, prospect: Prospect) -> None:
+        if not prospect.script_wrong:
             self._plan = await ask(choices.plan_arguments(), plan_view_of)
             self.redraw()
 

@@ -32,7 +32,7 @@ async def _make(app: Any, recording: Path, suffix: str) -> None:
     would run in this terminal and hide STOP.
     """
     named = recording.with_suffix(".pdf" if suffix == "xml" else f".{suffix}")
-    file = await asyncio.to_thread(free_path, named, beside=[".html", ".xml"] if suffix in _PAPER else [])
+    file = await asyncio.to_thread(free_path, named, further_suffixes=[".html", ".xml"] if suffix in _PAPER else [])
     how = ["report"] if suffix in _PAPER else ["export", "--format", "c" if suffix == "h" else suffix]
     answer = await done([*how, str(recording), "--output", str(file), *["--dcc"] * (suffix == "xml")])
     title, severity = ("NOT written", "error") if answer.code else ("Written", "information")

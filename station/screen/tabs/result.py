@@ -17,7 +17,7 @@ from textual.widgets import Button, Static
 
 from station.atomic_write import free_path
 from station.render.archive.moved import moved_since
-from station.screen.archive.entries import INVESTIGATION, Entry, Whole, last_comparable, moves
+from station.screen.archive.entries import INVESTIGATION, Entry, ReadRecording, last_comparable, moves
 from station.screen.base import StationScreen
 from station.screen.charts import Charts
 from station.screen.dialogs import AskDialog, ChooseDialog
@@ -58,7 +58,7 @@ class ResultScreen(StationScreen):
     def __init__(self) -> None:
         """Start without a recording."""
         super().__init__()
-        self._whole: Whole | None = None
+        self._whole: ReadRecording | None = None
         self._same: list[Entry] = []
         self._moves: list[Move] = []
         self._investigation: InvestigationAnswer | None = None
@@ -114,9 +114,9 @@ class ResultScreen(StationScreen):
         self._moves = moves([*self._same, entry]).get(entry.file, [])
         self.redraw()
 
-    async def _take_investigation(self, found: InvestigationAnswer | None) -> None:
-        self._investigation = found
-        self._model = () if found is None else await asyncio.to_thread(_investigation_shown, found)
+    async def _take_investigation(self, answer: InvestigationAnswer | None) -> None:
+        self._investigation = answer
+        self._model = () if answer is None else await asyncio.to_thread(_investigation_shown, answer)
         self.redraw()
 
     def action_investigate(self) -> None:
@@ -220,25 +220,25 @@ class ResultScreen(StationScreen):
         """The script that the investigation needs, None if it needs none."""
         return self._investigation.next_script if self._investigation is not None else None
 
-    def _may(self, what: str) -> bool:
+    def _may(self, action: str) -> bool:
         """Return whether an action is possible, and notify why not."""
-        obstacle = self._obstacle(what)
+        obstacle = self._obstacle(action)
         if obstacle:
             self.notify(obstacle, severity="warning", markup=False)
         return not obstacle
 
-    def _obstacle(self, what: str) -> str:
-        """Return why the action ``what`` is not possible, "" if it is."""
+    def _obstacle(self, action: str) -> str:
+        """Return why the action ``action`` is not possible, "" if it is."""
         entry = self._whole.entry if self._whole is not None else None
         if entry is None or entry.wrong:
             return "no recording is open"
         if self._busy:
             return f"wait: {self._busy}"
-        if what == "accept":
+        if action == "accept":
             return self._not_to_accept(entry)
-        if what in ("investigate", "facts"):
+        if action in ("investigate", "facts"):
             return "" if entry.gyros else "there is no calibration in this recording"
-        if what == "next" and not self._next_script:
+        if action == "next" and not self._next_script:
             return "no investigation needs another script (I investigates)"
         return "a session runs: F3 shows it" if self.station.busy else ""
 
@@ -273,22 +273,22 @@ class ResultScreen(StationScreen):
             self._block(name, shown.get(name))
         charts.draw()
 
-    def _verdict(self, whole: Whole | None) -> Text:
+    def _verdict(self, recording: ReadRecording | None) -> Text:
         """Return the verdict, and what moved since the last comparable run."""
-        view = VerdictView(path=self.recording, whole=whole, busy=self._busy, message=self._said)
+        view = VerdictView(path=self.recording, whole=recording, busy=self._busy, message=self._said)
         moved = Text.from_markup(moved_since(self._moves), emoji=False)
         return joined(filter(None, (verdict_text(view), moved)))
 
-    def _blocks(self, whole: Whole) -> Mapping[str, RenderableType]:
+    def _blocks(self, recording: ReadRecording) -> Mapping[str, RenderableType]:
         """Return the other blocks that a recording has, by their names."""
-        if not whole.entry.gyros:
-            return {"record": record_text(whole)}
+        if not recording.entry.gyros:
+            return {"record": record_text(recording)}
         model = self._model or [Text("I looks for errors beyond the four states", "dim")]
         return {
-            "states": calibrated_text(whole),
-            "change": change_text(self._change(whole.entry)),
+            "states": calibrated_text(recording),
+            "change": change_text(self._change(recording.entry)),
             "model": Group(Text("Investigation", "bold underline"), *model),
-            "record": record_text(whole),
+            "record": record_text(recording),
         }
 
     def _change(self, entry: Entry) -> ChangeView:
@@ -328,7 +328,7 @@ class ResultScreen(StationScreen):
         return drawing._replace(words=[state, (figure, "line"), *others])
 
 
-def _investigation_shown(found: InvestigationAnswer) -> list[RenderableType]:
+def _investigation_shown(answer: InvestigationAnswer) -> list[RenderableType]:
     """Return the lines and tables of `station investigate` from its JSON; a hint if it is damaged or of another
     version.
 
@@ -339,7 +339,7 @@ def _investigation_shown(found: InvestigationAnswer) -> list[RenderableType]:
 
     shown = None
     with suppress(Exception):  # a file made by hand
-        shown = investigation_shown(investigation_of(found.view), "d drives it")
+        shown = investigation_shown(investigation_of(answer.view), "d drives it")
     if shown is None:
         return [Text("damaged, or written by another version of the station: I investigates again", "yellow")]
     return [Text.from_markup(line, emoji=False) if isinstance(line, str) else line for line, _ in shown]

@@ -15,7 +15,7 @@ from drivers.types import AxisLimits, Floats
 from station.scripts.prediction import Prediction
 from station.scripts.script import Script
 from station.scripts.script_family import Way
-from station.scripts.script_search import LONGEST_S, Found
+from station.scripts.script_search import LONGEST_S, FoundScript
 from station.scripts.whole_imu.attitudes import attitudes_of, chosen, in_order
 from station.scripts.whole_imu.durations import Times, least_cost, least_time
 from station.scripts.whole_imu.family import Structure, driven_limits
@@ -78,7 +78,7 @@ class _Solved:
     cost: float
     structure: Structure
     v: Floats
-    found: Found
+    found: FoundScript
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -108,7 +108,7 @@ class WholeImuSearch:
         share = (LONGEST_S - structure.time_s(structure.least)) / float(structure.counts @ structure.least)
         return structure.script(structure.least * (1 + max(share, 0.0)), "longest")
 
-    def best(self) -> Found | None:
+    def best(self) -> FoundScript | None:
         """Return the best script; None if none up to LONGEST_S reaches every sigma, or none fits into the time.
 
         It has more turns and poses where it takes them to reach the sigmas at all, and as long as that gains.
@@ -268,5 +268,5 @@ class _Problem:
         return self._search.predict(self._structure.script(v, "tried"), True)
 
 
-def _found(script: Script, prediction: Prediction) -> Found:
-    return Found(script, prediction.gyro_sd, 0, prediction.accelerometer_sd)
+def _found(script: Script, prediction: Prediction) -> FoundScript:
+    return FoundScript(script, prediction.gyro_sd, 0, prediction.accelerometer_sd)

@@ -6,36 +6,36 @@ from estimator.tracing.accelerometers.trace_forces import ForceFinding, FoundEff
 from station.views.json_values import json_object
 
 
-def finding_object(one: ForceFinding) -> dict[str, Any]:
+def finding_object(finding: ForceFinding) -> dict[str, Any]:
     """Return what the accelerometers of one source lack, in SI."""
     found: dict[str, Any] = json_object(
         {
-            "source": one.source,
-            "names": one.names,
-            "effects": [_effect_object(effect, one.names) for effect in one.effects],
-            "suspects": dict(one.suspects),
-            "dropped": one.dropped,
-            "left_out": dict(one.left_out),
-            "verified": one.verified,
-            "error_before_mps2": one.before_mps2,
-            "error_after_mps2": one.after_mps2,
+            "source": finding.source,
+            "names": finding.names,
+            "effects": [_effect_object(effect, finding.names) for effect in finding.effects],
+            "suspects": dict(finding.suspects),
+            "dropped": finding.dropped,
+            "left_out": dict(finding.left_out),
+            "verified": finding.verified,
+            "error_before_mps2": finding.before_mps2,
+            "error_after_mps2": finding.after_mps2,
         }
     )
     return found
 
 
-def _effect_object(one: FoundEffect, names: tuple[str, ...]) -> dict[str, Any]:
+def _effect_object(effect: FoundEffect, names: tuple[str, ...]) -> dict[str, Any]:
     """Return an effect with its parameters by accelerometer."""
     return {
-        "effect": one.effect.name,
-        "probability": one.probability,
-        "unit": one.effect.unit,
+        "effect": effect.effect.name,
+        "probability": effect.probability,
+        "unit": effect.effect.unit,
         "values": {
             name: {
                 parameter: {"value": float(value), "sd": float(sd)}
-                for parameter, value, sd in zip(one.effect.parameters, values, sds, strict=True)
+                for parameter, value, sd in zip(effect.effect.parameters, values, sds, strict=True)
             }
-            for name, values, sds in zip(names, one.values, one.sd, strict=True)
+            for name, values, sds in zip(names, effect.values, effect.sd, strict=True)
         },
-        "rivals": dict(one.rivals),
+        "rivals": dict(effect.rivals),
     }

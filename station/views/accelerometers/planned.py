@@ -41,10 +41,10 @@ def planned_forces_view(planned: PlannedForces) -> PlannedForcesView:
     )
 
 
-def planned_accelerometer(one: AccelerometerCalibration) -> PlannedAccelerometer:
+def planned_accelerometer(accelerometer: AccelerometerCalibration) -> PlannedAccelerometer:
     """Return the view of the predicted standard deviations of an accelerometer."""
     return PlannedAccelerometer(
-        name=one.name,
-        sd=dict(zip(ACCELEROMETER.keys, json_object(one.sd), strict=True)),
-        place_sd_m=tuple(json_object(one.place_sd_m)),
+        name=accelerometer.name,
+        sd=dict(zip(ACCELEROMETER.keys, json_object(accelerometer.sd), strict=True)),
+        place_sd_m=tuple(json_object(accelerometer.place_sd_m)),
     )

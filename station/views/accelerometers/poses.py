@@ -112,13 +112,16 @@ def turn_words(turn: RefusedTurn) -> str:
     return f"rest {turn.before} to {turn.after}"
 
 
-def _row(own: Parameter, unit: str, factor: float) -> ParameterRow:
+def _row(parameter: Parameter, unit: str, factor: float) -> ParameterRow:
     """Return a parameter in a unit, with digits down to the second that counts of its half width."""
-    if own.value is None or own.u95 is None:
-        return ParameterRow(name=own.name, value=NOT_SHOWN, u95="", unit=unit)
-    digits = _digits(own.u95 * factor)
+    if parameter.value is None or parameter.u95 is None:
+        return ParameterRow(name=parameter.name, value=NOT_SHOWN, u95="", unit=unit)
+    digits = _digits(parameter.u95 * factor)
     return ParameterRow(
-        name=own.name, value=f"{own.value * factor:.{digits}f}", u95=f"{own.u95 * factor:.{digits}f}", unit=unit
+        name=parameter.name,
+        value=f"{parameter.value * factor:.{digits}f}",
+        u95=f"{parameter.u95 * factor:.{digits}f}",
+        unit=unit,
     )
 
 
@@ -238,8 +241,8 @@ def _triad_object(triad: Triad) -> dict[str, Any]:
     }
 
 
-def _parameter_object(own: Parameter) -> dict[str, Any]:
-    return {"name": own.name, "value": own.value, "sd": own.sd, "u95": own.u95}
+def _parameter_object(parameter: Parameter) -> dict[str, Any]:
+    return {"name": parameter.name, "value": parameter.value, "sd": parameter.sd, "u95": parameter.u95}
 
 
 def _rest_object(rest: PoseRest) -> dict[str, Any]:

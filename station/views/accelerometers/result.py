@@ -50,34 +50,36 @@ class EffectRow:
     sds: tuple[float, ...]
 
 
-def fitted_forces(one: ForceCalibration) -> tuple[StateUnit, ...]:
+def fitted_forces(calibration: ForceCalibration) -> tuple[StateUnit, ...]:
     """Return the states with the digits that their standard deviations deserve."""
-    sds = zip(*(a.sd.tolist() for a in one.accelerometers), strict=True)
+    sds = zip(*(a.sd.tolist() for a in calibration.accelerometers), strict=True)
     return tuple(figure.fitted(own) for figure, own in zip(FORCE_FIGURES, sds, strict=True))
 
 
-def place_figure(one: ForceCalibration) -> StateUnit:
+def place_figure(calibration: ForceCalibration) -> StateUnit:
     """Return the unit of places with the digits that their standard deviations deserve."""
-    return PLACE.fitted([sd for a in one.accelerometers for sd in a.place_sd_m.tolist()])
+    return PLACE.fitted([sd for a in calibration.accelerometers for sd in a.place_sd_m.tolist()])
 
 
-def force_object(one: ForceCalibration) -> dict[str, Any]:
+def force_object(calibration: ForceCalibration) -> dict[str, Any]:
     """Return the accelerometers of a source for JSON, in SI."""
     found: dict[str, Any] = {
-        "source": one.source,
-        "device": one.device,
-        "gravity_mps2": one.gravity_mps2,
-        "gravity_from": one.gravity_from,
-        "accelerometers": [_accelerometer_object(a) for a in one.accelerometers],
-        "excluded": {e.name: e.reason for e in one.excluded},
-        "effects": {effect.name: _effect_object(effect, one) for effect in one.effects},
+        "source": calibration.source,
+        "device": calibration.device,
+        "gravity_mps2": calibration.gravity_mps2,
+        "gravity_from": calibration.gravity_from,
+        "accelerometers": [_accelerometer_object(a) for a in calibration.accelerometers],
+        "excluded": {e.name: e.reason for e in calibration.excluded},
+        "effects": {effect.name: _effect_object(effect, calibration) for effect in calibration.effects},
     }
-    if one.offset is not None:
-        found["delay"] = {"value_s": one.offset.offset_s, "sd_s": one.offset.sd_s}
-    if one.accelerometers:
-        intrinsic = one.intrinsic
-        found["lever_arm"] = {"value_m": one.arm_m, "sd_m": one.arm_sd_m} if one.placed else None
-        found["covariance"] = one.covariance
+    if calibration.offset is not None:
+        found["delay"] = {"value_s": calibration.offset.offset_s, "sd_s": calibration.offset.sd_s}
+    if calibration.accelerometers:
+        intrinsic = calibration.intrinsic
+        found["lever_arm"] = (
+            {"value_m": calibration.arm_m, "sd_m": calibration.arm_sd_m} if calibration.placed else None
+        )
+        found["covariance"] = calibration.covariance
         found["intrinsic"] = {
             "sensitivity": intrinsic.sensitivity,
             "sensitivity_sd": intrinsic.sensitivity_sd,
@@ -91,22 +93,22 @@ def force_object(one: ForceCalibration) -> dict[str, Any]:
     return checked
 
 
-def _effect_object(effect: ForceEffectValues, one: ForceCalibration) -> dict[str, Any]:
+def _effect_object(effect: ForceEffectValues, calibration: ForceCalibration) -> dict[str, Any]:
     """Return an effect of the model: its unit, what a unit of each parameter adds to the output, and about which
     temperature or instant; by accelerometer each parameter with its sigma.
     """
     adds = dict(zip(effect.parameters, BY_NAME[effect.name].adds, strict=True))
     found: dict[str, Any] = {"unit": effect.unit, "adds": adds, "about": effect.about}
-    for accelerometer, values, sds in zip(one.accelerometers, effect.values, effect.sd, strict=True):
+    for accelerometer, values, sds in zip(calibration.accelerometers, effect.values, effect.sd, strict=True):
         pairs = zip(effect.parameters, values.tolist(), sds.tolist(), strict=True)
         found[accelerometer.name] = {name: {"value": value, "sd": sd} for name, value, sd in pairs}
     return found
 
 
-def effect_rows(one: ForceCalibration) -> list[EffectRow]:
+def effect_rows(calibration: ForceCalibration) -> list[EffectRow]:
     """Return a row for each parameter of each effect of the model, in the units that people read."""
     rows = []
-    for effect in one.effects:
+    for effect in calibration.effects:
         rows += rows_of_effect(BY_NAME[effect.name], effect.values, effect.sd, effect.about)
     return rows
 
@@ -131,22 +133,22 @@ def rows_of_effect(effect: ForceEffect, values: Floats, sds: Floats, about: str 
     return rows
 
 
-def _accelerometer_object(one: AccelerometerCalibration) -> dict[str, Any]:
+def _accelerometer_object(accelerometer: AccelerometerCalibration) -> dict[str, Any]:
     """Return one accelerometer: states, sigmas, place, budget, noise."""
-    noise = one.noise and {
-        "vrw_mps2_rthz": one.noise.mean.arw,
-        "instability_mps2": one.noise.mean.instability,
-        "instability_below_mps2": one.noise.instability_below,
+    noise = accelerometer.noise and {
+        "vrw_mps2_rthz": accelerometer.noise.mean.arw,
+        "instability_mps2": accelerometer.noise.mean.instability,
+        "instability_below_mps2": accelerometer.noise.instability_below,
     }
     return {
-        "name": one.name,
-        **_by_state(one.states),
-        "sd": _by_state(one.sd),
-        "noise_of_a_sample_mps2": one.noise_mps2,
+        "name": accelerometer.name,
+        **_by_state(accelerometer.states),
+        "sd": _by_state(accelerometer.sd),
+        "noise_of_a_sample_mps2": accelerometer.noise_mps2,
         "noise": noise,
-        "place_m": one.place_m if one.placed else None,
-        "place_sd_m": one.place_sd_m if one.placed else None,
-        "budget": {line.name: _by_state(line.u) for line in one.budget},
+        "place_m": accelerometer.place_m if accelerometer.placed else None,
+        "place_sd_m": accelerometer.place_sd_m if accelerometer.placed else None,
+        "budget": {line.name: _by_state(line.u) for line in accelerometer.budget},
     }
 
 

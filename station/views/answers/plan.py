@@ -316,26 +316,26 @@ def _pair(pair: Pair, forecast: Forecast) -> PlannedPair:
     )
 
 
-def _effect(found: EffectForecast, forecast: Forecast) -> PlannedEffect:
+def _effect(effect: EffectForecast, forecast: Forecast) -> PlannedEffect:
     return PlannedEffect(
-        name=found.effect.name,
-        shared=found.effect.shared,
-        shown_by=found.effect.record.shown_by,
-        parameters=tuple(_parameter(found, row, forecast) for row in range(len(found.effect.parameters))),
+        name=effect.effect.name,
+        shared=effect.effect.shared,
+        shown_by=effect.effect.record.shown_by,
+        parameters=tuple(_parameter(effect, row, forecast) for row in range(len(effect.effect.parameters))),
     )
 
 
-def _parameter(found: EffectForecast, row: int, forecast: Forecast) -> PlannedParameter:
-    parameter = found.effect.parameters[row]
+def _parameter(effect: EffectForecast, row: int, forecast: Forecast) -> PlannedParameter:
+    parameter = effect.effect.parameters[row]
     gyros = [gyro.name for gyro in forecast.gyros]
-    names = ["all"] if found.effect.shared else gyros
-    shifts = zip(gyros, found.shift[row], found.shift_sigmas[row], strict=True)
+    names = ["all"] if effect.effect.shared else gyros
+    shifts = zip(gyros, effect.shift[row], effect.shift_sigmas[row], strict=True)
     return PlannedParameter(
         name=parameter.name,
         unit=parameter.unit,
         largest=parameter.largest,
-        smallest=dict(zip(names, json_object(found.smallest[row]), strict=True)),
-        seen=bool(found.seen[row].all()),
+        smallest=dict(zip(names, json_object(effect.smallest[row]), strict=True)),
+        seen=bool(effect.seen[row].all()),
         shift_of_largest=tuple(
             PlannedShift(gyro=gyro, **by_state(shift), sigmas=by_state(sigmas)) for gyro, shift, sigmas in shifts
         ),

@@ -24,7 +24,7 @@ _CHANGED = 8.0  # the same, by which outputs should have changed while one stuck
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Beside:
+class ReferenceComparison:
     """Mean outputs (n, m) of a source at instants (n,) in s, and their expected values (n, m), NaN where unknown.
 
     ``scatter_rps`` (m,) is their deviation, one sigma; ``turned_rps`` (m,) the rms of the rate about each sense axis as
@@ -43,7 +43,9 @@ class Beside:
     table: bool
 
     @classmethod
-    def of(cls, data: ImuData, reference: Reference, site: Site | None, line: Following | None) -> "Beside":
+    def of(
+        cls, data: ImuData, reference: Reference, site: Site | None, line: Following | None
+    ) -> "ReferenceComparison":
         """Return the comparison for a source in order of time; ``line`` is how it follows the reference."""
         t_s, outputs = _thinned(data)
         m = len(data.array)
