@@ -90,8 +90,10 @@ class StrictTable:
     def number(
         self, key: str, default: float | None = None, *, positive: bool = False, least: float = -inf, most: float = inf
     ) -> float:
-        """Take a finite number, if so stated above zero or between ``least`` and ``most``; the table's error
-        otherwise.
+        """Take the finite number of ``key``, ``default`` if it is left out.
+
+        The table's error if it is not between ``least`` and ``most``, not above zero while ``positive``, or left out
+        without a default.
         """
 
         def convert(value: object) -> float:
@@ -112,7 +114,10 @@ class StrictTable:
         return self.take(key, default, lambda value: bool(typed(value, (bool,), "true or false")))
 
     def string(self, key: str, default: str | None = None, *, one_of: Iterable[str] | None = None) -> str:
-        """Take a text, one of a few if ``one_of`` is given; the table's error otherwise."""
+        """Take the text of ``key``, ``default`` if it is left out; one of ``one_of`` if that is given.
+
+        The table's error for anything else, or if it is left out without a default.
+        """
 
         def convert(value: object) -> str:
             text = str(typed(value, (str,), "a text"))
@@ -123,7 +128,10 @@ class StrictTable:
         return self.take(key, default, convert)
 
     def strings(self, key: str, default: tuple[str, ...] | None = None) -> tuple[str, ...]:
-        """Take a list of texts, or a single text, as a tuple; the table's error for an empty list or anything else."""
+        """Take a list of texts of ``key``, or a single text, as a tuple; ``default`` if it is left out.
+
+        The table's error for an empty list or anything else, or if it is left out without a default.
+        """
 
         def convert(value: object) -> tuple[str, ...]:
             listed = [value] if isinstance(value, str) else value

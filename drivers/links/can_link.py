@@ -34,7 +34,10 @@ class CanLink:
     """
 
     def __init__(self, device: str, interface: str, channel: str, options: dict[str, Any]) -> None:
-        """Store python-can's names and options of the bus; ``open`` opens it."""
+        """Store the ``interface``, ``channel`` and ``options`` of a bus in python-can's words; ``open`` opens it.
+
+        ``device`` is for errors.
+        """
         self._device, self._interface, self._channel = device, interface, channel
         self._options = options
         self._bus: can.BusABC | None = None

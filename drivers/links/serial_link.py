@@ -37,10 +37,11 @@ class SerialLink:
     def __init__(
         self, device: str, url: str, baud: int, *, parity: str = "N", stop_bits: float = 1, gather_s: float = 0.0
     ) -> None:
-        """Store the settings of the port; ``open`` opens it. It has eight data bits; ``parity`` is N, E, O, M or S.
+        """Store the settings of the port at ``url``, a name or a URL of pyserial; ``open`` opens it.
 
-        With ``gather_s`` received bytes are handed over at most once in that time (wall clock), which saves most of the
-        cost of a stream. What comes after a pause of that length is handed over at once. ``device`` is for errors.
+        It has eight data bits; ``parity`` is N, E, O, M or S. With ``gather_s`` received bytes are handed over at most
+        once in that time (wall clock), which saves most of the cost of a stream. What comes after a pause of that
+        length is handed over at once. ``device`` is for errors.
         """
         self._device, self._url, self._gather_s = device, url, gather_s
         self._settings: dict[str, Any] = {"baudrate": baud, "parity": parity, "stopbits": stop_bits}

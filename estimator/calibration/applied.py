@@ -19,10 +19,11 @@ def applied(
     temperature_c: Floats | None,
     accel_mps2: Floats | None,
 ) -> Any:
-    """Return the body rate; arguments and result are those of ``Calibration.apply``.
+    """Return the body rate (N, 3) in rad/s, corrected for states and effects.
 
-    A frame is reduced to the gyros' columns and comes back as a frame. CompensationError for missing columns, another
-    shape, lengths that differ, or missing times that an effect needs.
+    ``outputs_rps`` (N, n) are the outputs of the gyros, as an array or as a frame with columns by their names; a frame
+    gives a frame. ``t_s``, ``temperature_c`` (N,) and ``accel_mps2`` (N, 3) are None if not known. CompensationError
+    for missing columns, another shape, lengths that differ, or missing times that an effect needs.
     """
     names = compensation.array.names
     is_frame = hasattr(outputs_rps, "columns")

@@ -115,7 +115,11 @@ def _conditions(
     accel_mps2: Floats | None,
     wdot_rps2: Floats | None = None,
 ) -> Conditions:
-    """Return the conditions for correcting samples: causal, without a table; the specific force is NaN if not given."""
+    """Return the conditions for correcting N samples: causal, without a table.
+
+    ``w_rps`` (N, 3) is the rate of the body, ``wdot_rps2`` (N, 3) its derivative, zero if not given. ``temperature_c``
+    (N,) is None if unknown; the specific force ``accel_mps2`` (N, 3) becomes NaN then.
+    """
     none = np.empty((len(t_s), 0))
     force = np.full((len(t_s), 3), np.nan) if accel_mps2 is None else accel_mps2
     wdot = np.zeros_like(w_rps) if wdot_rps2 is None else wdot_rps2

@@ -82,7 +82,11 @@ def in_order(data: ImuData) -> tuple[ImuData, list[str]]:
 
 
 def _dead(column: Floats, gyro: int, *, fine: bool, comparison: ReferenceComparison | None) -> str:
-    """Return why a channel (n,) is dead, "" if it is not."""
+    """Return why the channel ``column`` (n,) of a gyro, by its number, is dead; "" if it is not.
+
+    A constant output counts if readings are ``fine``, or ``comparison`` shows that the gyro turned. So does one that
+    does not follow the reference while other gyros do.
+    """
     low, high = float(np.nanmin(column)), float(np.nanmax(column))
     if low == high and (fine or (comparison is not None and comparison.turns(gyro))):
         return f"its output is constant at {low * _DEG:.4g} deg/s: disconnected or stuck"

@@ -95,7 +95,9 @@ def _of_rest_angles(information: Floats, known: int) -> Floats:
 def _mean_square(information: Floats, known: int) -> float:
     """Return the mean square of the size of the angles that a calibration finds where there are none.
 
-    It is the mean over the noise of a calibration, which weighs the sizes to choose among by their evidence.
+    ``information`` (a, c, c) is that of a accelerometers about their ``PARAMETERS``, then the shared ones up to
+    ``known``, then the angles. The mean is over the noise of a calibration, which weighs the sizes ``SCALES`` by their
+    evidence.
     """
     own = slice(0, PARAMETERS)
     further = slice(PARAMETERS, information.shape[1])

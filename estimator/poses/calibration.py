@@ -141,7 +141,11 @@ def gyro_vector(matrix: Floats, bias_rps: Floats) -> Floats:
 def parameters_of(
     names: Sequence[str], values: Floats, covariance: Floats, shown: Flags, factor: float
 ) -> tuple[Parameter, ...]:
-    """Return parameters with their uncertainties, without numbers where they are not ``shown``."""
+    """Return parameters with standard deviations and 95 % half widths; without numbers where they are not ``shown``.
+
+    ``values`` (n,) and ``covariance`` (n, n) are those of the n ``names``; a half width is ``factor`` standard
+    deviations.
+    """
     found = []
     for at, name in enumerate(names):
         if not shown[at]:

@@ -73,10 +73,11 @@ def noise_shape(series: list[Floats], period_s: float) -> NoiseShape:
 def variance_of_means(
     radial: list[Floats], spans: list[StillSpan], period_s: float, session_s: float
 ) -> tuple[Floats, Floats]:
-    """Return the variances (n,) of the mean over each rest of the force along gravity: white, and by the floor.
+    """Return the variances (n,) of the mean over each of n rests of the force along gravity: white, and by the floor.
 
-    ``radial`` are the samples of that component by rest, in m/s2. Each rest has its own size of noise, as a hand
-    trembles more than a table.
+    ``radial`` are the samples of that component in each rest, in m/s2, ``period_s`` apart; ``spans`` are the rests,
+    ``session_s`` is the length of the file, over which the floor wanders. Each rest has its own size of noise, as a
+    hand trembles more than a table.
     """
     centred = [own - own.mean() for own in radial]
     size = np.array([own.std(ddof=1) for own in centred])

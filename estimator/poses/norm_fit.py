@@ -228,7 +228,11 @@ def _minimised(rests: Rests, start: Intrinsic, between: float) -> Intrinsic:
 
 
 def _cost(rests: Rests, parameters: Intrinsic, between: float, regular: Floats, origin: Floats, sizes: Floats) -> float:
-    """Return half the weighted sum of squares, infinity for parameters that no triad has."""
+    """Return half the weighted sum of squares, infinity for parameters that no triad has.
+
+    ``between`` is the scatter between rests in addition to their noise, in m/s2. ``regular`` (9,) weighs the distance
+    of the parameters from ``origin`` (9,), in units of ``sizes`` (9,).
+    """
     if (parameters.scale <= 0).any() or np.linalg.eigvalsh(parameters.cosines)[0] <= 0.01:
         return np.inf
     linear = _linear(rests, parameters)

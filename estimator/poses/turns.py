@@ -319,7 +319,11 @@ def _linear(inverse: Floats, directions: _Directions, turns: Sequence[_Turn]) ->
 
 
 def _worst(inverse: Floats, directions: _Directions, turns: Sequence[_Turn], excess: float) -> tuple[int, float] | None:
-    """Return the turn that misses most, and by how many sigma, if that is no chance; sizes are those of most turns."""
+    """Return the number of the turn that misses most, and by how many sigmas; None if that may be chance.
+
+    ``inverse`` (3, 3) turns outputs into rates. A sigma is that of most turns, at most by the root of ``excess`` below
+    the expected one.
+    """
     from scipy.stats import chi2
 
     left, _, root = _linear(inverse, directions, turns)
@@ -344,7 +348,14 @@ def _result(
     directions: _Directions,
     before_rad: float,
 ) -> GyroTurnCalibration:
-    """Return the result: G is the inverse of C, and biases are the means over all rests."""
+    """Return the calibration from the inverse C (3, 3) of the matrix G of the gyros; biases are the means over all
+    rests.
+
+    ``covariance`` (9, 9) is that of C by rows, ``shown`` (9,) which of its elements the turns show. ``excess`` is the
+    mean square of the residuals in sigmas, with ``freedom`` degrees of freedom; above 1 it widens the covariance.
+    ``before_rad`` is the rms error of directions without calibration; ``refused`` are turns that were left out of
+    ``turns``.
+    """
     from scipy.stats import norm, t
 
     matrix: Floats = np.asarray(np.linalg.inv(inverse))

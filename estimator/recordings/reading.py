@@ -245,7 +245,10 @@ def _read_sheet(where: str, group: Any) -> ForceSheet | None:
 
 
 def _sheet_values(where: str, group: Any, key: str, names: Sequence[str]) -> list[float]:
-    """Return the values of an attribute, one for each name; RecordingError if they are others or no numbers."""
+    """Return the numbers of the attribute ``key`` of a group, one for each of ``names``.
+
+    RecordingError, which begins with ``where``, if it is missing, has more or fewer, or they are not finite.
+    """
     try:
         values = np.asarray(group.attrs[key], dtype=np.float64).ravel()
     except (TypeError, ValueError):

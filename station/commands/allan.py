@@ -88,7 +88,10 @@ def _share(text: str) -> float:
 def _object(
     recording: str, by_source: dict[str, list[list[SensorNoise]]], notes: list[str], share: float
 ) -> dict[str, Any]:
-    """Return the noise of all sensors for --json, in SI."""
+    """Return the noise of all sensors for --json, in SI, with the warnings about it.
+
+    ``by_source`` has the sensors of each kind by source; ``share`` is the relative uncertainty asked for.
+    """
     every = [(source, noise) for source, of_kinds in by_source.items() for noises in of_kinds for noise in noises]
     return {
         "recording": recording,

@@ -144,13 +144,14 @@ def estimate(
     model: ErrorModel | None = None,
     undeclared: tuple[frozenset[str] | None] | None = None,
 ) -> Estimated | OtherFile:
-    """Calibrate one recording and judge it, by the limits of its own bench file unless ``limits`` are given.
+    """Calibrate the recording ``name`` and judge it, by the limits of its own bench file unless ``limits`` are given.
 
     ``model`` has effects to estimate with the states; ``undeclared`` holds the effects that a file rules out. With
-    ``write`` the calibration is stored in the recording. A recording of a run that was aborted or driven by hand gives
-    a result without estimate.
+    ``write`` the calibration is stored in the recording. A recording of a run that was aborted, failed or was driven by
+    hand gives a result without estimate; another file of the station gives an OtherFile.
 
-    EstimatorError or UsageError if the recording cannot be used or written to.
+    EstimatorError if the recording cannot be used; UsageError for limits that cannot be read; RecordingError if it
+    cannot be written to.
     """
     try:
         recording = read_recording(Path(name))

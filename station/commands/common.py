@@ -39,8 +39,9 @@ async def drive(
     host: Host | None = None,
     bench_file: str | None = None,
 ) -> Result:
-    """Run a script on a bench into a recording; return the result. Progress goes to stderr, and to the clients of
-    ``host``.
+    """Run a script on a bench into the recording ``path``; return the result.
+
+    Progress goes to stderr unless ``quiet``, and to the clients of ``host``, who are told ``bench_file`` as well.
     """
     async with AsyncExitStack() as stack:
         stack.enter_context(patient_streams())

@@ -170,7 +170,9 @@ def _exported(arguments: argparse.Namespace) -> Exported:
 
 
 def _write_form(name: str, form: Format, exported: Exported, arguments: argparse.Namespace) -> Written:
-    """Return the calibration in a format; UsageError, with what to do, if the format cannot hold it or a plug-in's
+    """Return the calibration in the format ``form``, called ``name``.
+
+    UsageError, with what to do, for several devices in a format of one, if the format cannot hold it, or a plug-in
     fails.
     """
     if form.of_one_device and len(exported.devices) > 1 and not arguments.device:

@@ -165,7 +165,11 @@ def _chart(runs: Sequence[Entry]) -> ChartView:
 
 
 def _study(runs: Sequence[Entry]) -> GaugeView:
-    """Return a gauge study of comparable runs; its figures are unknown unless two devices were measured repeatedly."""
+    """Return a gauge study of comparable runs, at least one.
+
+    Its figures are None unless two devices have each been measured more than once by the same operator at the same
+    station.
+    """
     conditions = [(run.texts.get("operator", ""), run.texts.get("station", "")) for run in runs]
     times = Counter(zip((run.serial for run in runs), conditions, strict=True))
     repeated = {serial for (serial, _), number in times.items() if number > 1}

@@ -174,7 +174,11 @@ def _why_none(recordings: Sequence[Recording], limits: Limits | None) -> str:
 
 
 def _suspects(investigation: Investigation) -> tuple[str, ...]:
-    """Return effects that may explain an unexplained residual: those of its kind, else those with the most evidence."""
+    """Return effects of the catalogue that may explain the unexplained residual, by name; those most like it first.
+
+    These are the effects that are suspected of what the residual depends on. If there are none, or nothing is
+    unexplained, the suspects of the investigation with the most evidence, at most ``_MOST_RIVALS``.
+    """
     variable = "" if investigation.unexplained is None else investigation.unexplained.depends_on
     of_its_kind = [record for record in records() if variable in record.suspected_of]
     if of_its_kind:  # those that mainly depend on it first

@@ -167,8 +167,9 @@ def _report(loop: Loop, as_json: bool) -> int:
 
 
 def _end(loop: Loop | None, code: int, reason: str, as_json: bool) -> int:
-    """Print on stderr why there is no report and where the recordings are, with --json an empty result; return
-    ``code``.
+    """Print on stderr why there is no report and where the recordings are; return ``code``.
+
+    ``as_json`` prints an empty result on stdout as well. ``loop`` is None if it never began.
     """
     kept = loop is not None and loop.folder.is_dir()
     where = f"; the recordings are in {loop.folder}" if loop and kept else ""

@@ -110,7 +110,10 @@ def _document(recorded: "Recorded", formal: "Formal", report: "Report") -> "Docu
 
 
 def _print_result(recorded: "Recorded", verdict: "Verdict | None", *, details: bool) -> None:
-    """Print the verdict of the recording, None for imported data, and the states."""
+    """Print the verdict, unless it is None, and the states, unless there is no calibration.
+
+    ``verdict`` is None for imported data. ``details`` adds all broken limits and where the sigmas come from.
+    """
     from station.bench.units import Units
     from station.render.printing import print_calibration, print_verdict
     from station.report.document_status import limits_of

@@ -127,7 +127,11 @@ def _of_law(law: str, places: int) -> tuple[str, int]:
     """
 
     def call(name: str, inner: str, constant: str) -> str:
-        """Return a function call as text for a C-like program; functions with a memory take the next places in it."""
+        """Return a call of the function ``name`` as text for a C-like program, with its argument ``inner``.
+
+        ``constant`` is the lag in s, the width of play or the limit, "" for none. A function with a memory takes the
+        next places in the memory of the program.
+        """
         nonlocal places
         if name not in _PLACES:
             arguments = f"{inner}, {constant}" if constant else inner

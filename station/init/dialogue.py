@@ -47,8 +47,9 @@ class Dialogue:
                 return answer
 
     def choose(self, question: str, options: Mapping[str, str], proposed: str) -> str:
-        """Return the name of one of ``options``, given by name or an unambiguous beginning.
+        """Ask a question, and return the name of one of ``options`` (name and description).
 
+        An answer is a name or an unambiguous beginning of one, ``proposed`` by default; anything else is asked again.
         All are shown with their descriptions, also if nobody is asked.
         """
         for name, meaning in options.items():
@@ -61,9 +62,9 @@ class Dialogue:
         return _meant(self.ask(question, proposed, one_of), options)[0]
 
     def agrees(self, question: str, proposed: bool) -> bool:
-        """Return whether the answer is yes; y, ye, n and so on are accepted, and anything else is asked again.
+        """Ask a question, and return whether the answer is yes; y, ye, n and so on are accepted.
 
-        ``proposed`` is the answer by default.
+        ``proposed`` is the answer by default. Anything else is asked again.
         """
 
         def one_of(answer: str) -> None:

@@ -225,10 +225,11 @@ async def _orders(table: Turntable, axes: Sequence[str]) -> dict[str, Mapping[st
 async def _commands_of_others(
     table: Turntable, axes: Sequence[str], first_commands: Mapping[str, Mapping[str, float]], time_scale: float
 ) -> list[str]:
-    """Return sentences about commands that drives got from another master within a second; empty if there were none.
+    """Return sentences about commands that drives of ``axes`` got from another master; empty if there were none.
 
-    ``first_commands`` are the commands by axis at the beginning. The drives are looked at several times, at uneven
-    intervals: a master that moves to and fro may repeat a command.
+    ``first_commands`` are the commands by axis at the beginning. The drives are looked at several times within a
+    second, stretched by a ``time_scale`` above 1, at uneven intervals: a master that moves to and fro may repeat a
+    command.
     """
     for part in _LOOKS:
         await asyncio.sleep(part * _OTHERS_S * max(time_scale, 1.0))

@@ -29,9 +29,11 @@ _BUS = "can0"
 async def serve_twins(
     bench: Bench, *, time_scale: float, host: str, port: int, announce: Callable[[str], None]
 ) -> None:
-    """Serve every twin of the bench on real ports until cancelled; ``announce`` gets a line of JSON for each.
+    """Serve every twin of the bench on real ports until cancelled; ``announce`` gets a line of JSON for each, then
+    ready.
 
-    ``port`` is that of the table, 0 for any. [twin.wires] of the bench file says what each is served on.
+    ``host`` is the address to listen on, ``port`` that of the table, 0 for any. [twin.wires] of the bench file says
+    what each is served on. ``time_scale`` is how fast the clock of the twins runs.
     """
     async with AsyncExitStack() as stack:
         serving = Serving(Twins(bench, stack, time_scale), stack, host)

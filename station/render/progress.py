@@ -33,9 +33,11 @@ class Bar(Progress):
         transient: bool = False,
         **fields: Any,
     ) -> None:
-        """``begins`` is the first description of the task, ``fields`` are further values for its columns.
+        """Prepare a bar on stderr, hidden if ``quiet`` or if that is no terminal.
 
-        A ``transient`` bar is removed at the end.
+        ``begins`` is the first description of its task, which is done at ``total``; ``fields`` are further values for
+        the columns. A ``transient`` bar is removed at the end. Without ``auto_refresh`` it is drawn only when it is
+        updated.
         """
         console = HarmlessConsole(stderr=True)
         self._quiet, self._at_once = quiet, not auto_refresh

@@ -65,7 +65,10 @@ def print_all(console: Console, shown: Iterable[Shown]) -> None:
 
 
 def _wrapped(item: str, console: Console, *, markup: bool) -> list[Text]:
-    """Return a line broken to fit the console and 80 columns, without trailing spaces."""
+    """Return a line broken to fit the console and 80 columns, without trailing spaces.
+
+    ``item`` is read as rich's markup if ``markup`` is set.
+    """
     text = Text.from_markup(item, emoji=False) if markup else Text(item)
     text.plain = glued(text.plain)
     broken = list(text.wrap(console, min(console.width, LINE_WIDTH))) or [text]

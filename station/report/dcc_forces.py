@@ -86,7 +86,10 @@ def _place(accelerometer: AccelerometerCalibration) -> QuantityList:
 
 
 def _effects(calibration: ForceCalibration, place: int, dsi: Mapping[str, str]) -> Iterator[QuantityList]:
-    """Yield the parameters of the effects of an accelerometer, if it has any."""
+    """Yield the parameters of the effects of accelerometer number ``place``, as one list, if there are any.
+
+    ``dsi`` has the D-SI name of each unit; a parameter whose unit has none is given in words.
+    """
     quantities: list[Quantity] = []
     for effect in calibration.effects:
         called = effect.name.replace("_", " ") + (f" ({effect.about})" if effect.about else "")

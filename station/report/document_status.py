@@ -116,7 +116,13 @@ def _guarded(line: LimitLine, calibration: Calibration, false_accept: float | No
 
 
 def _kind_of(recorded: Recorded, limits: Limits | None, lines: tuple[LimitLine, ...]) -> tuple[Kind, Verdict | None]:
-    """Return the kind of the document, before formal reasons, and the verdict by the limits with their guard bands."""
+    """Return the kind of the document, before formal reasons, and the verdict to print, None without one.
+
+    A run by hand, aborted or ended by a fault keeps the verdict with which it ended, as does one without a calibration.
+    Otherwise the calibration is judged by ``limits``, and a pass that is within them but not within ``lines``, those
+    with guard bands, is a fail. Imported data are ELSEWHERE unless they fail; without limits a run is UNJUDGED. A
+    calibration that passes is no certificate if the run itself ended otherwise.
+    """
     ended = ended_of(recorded.recording.attributes)
     if ended is not None and ended.outcome in (Outcome.MANUAL, Outcome.ABORTED, Outcome.FAULT):
         return Kind[ended.outcome.name], ended

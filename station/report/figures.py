@@ -83,7 +83,8 @@ def plain(value: float, unit: Unit, digits: int = 3, source: str | None = None) 
 
 
 def interval(value: float, low: float, high: float, unit: Unit, place: str) -> Markup:
-    """Return a term of the noise at rest with its interval; "at most" and the upper end if the lower one is 0.
+    """Return ``value``, a term of the noise at rest, with its interval from ``low`` to ``high``; "at most" ``high`` if
+    ``low`` is 0.
 
     ``place`` is the index in the datasets of the calibration.
     """
@@ -111,8 +112,10 @@ def known(value: float | None, unit: Unit) -> Markup:
 
 
 def with_uncertainty(value: float, sd: float, unit: Unit, source: str | None, source_of_sd: str | None) -> list[Markup]:
-    """Return a value, its standard and its expanded uncertainty, rounded to two digits of the uncertainty (GUM
-    7.2.6).
+    """Return a value, its standard and its expanded uncertainty in ``unit``.
+
+    The value is rounded to two digits of the expanded uncertainty (GUM 7.2.6). ``value`` and ``sd`` are in SI;
+    ``source`` and ``source_of_sd`` say where in the recording they stand, None for nowhere.
     """
     expanded = COVERAGE * sd
     shown = [rounded(x * unit.factor, expanded * unit.factor) for x in (value, expanded)]

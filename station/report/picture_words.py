@@ -24,7 +24,7 @@ class LastEstimate:
 
 
 def rates_words(quantity: str, span_s: float, largest: Sequence[str]) -> PictureWords:
-    """Return the words for rates over time; ``largest`` has the range of each."""
+    """Return the words for rates over ``span_s``; ``quantity`` says which, ``largest`` has the range of each."""
     return PictureWords(
         alternative=(
             f"Line plots of the {quantity} over {span_s:.0f} s, one panel each, in degrees per second: "
@@ -74,7 +74,11 @@ def allan_words(lowest: Sequence[str]) -> PictureWords:
 
 
 def residual_words(gyro: str, run: str, *, with_spectrum: bool, before_dph: float, after_dph: float) -> PictureWords:
-    """Return the words for the residual of a gyro; the rms of its block means is in deg/h."""
+    """Return the words for the picture of a gyro's residual in the run named ``run``.
+
+    ``before_dph`` and ``after_dph`` are the rms of its block means in deg/h, before and after the traced effects were
+    added. ``with_spectrum`` says whether the picture has the spectra.
+    """
     drawn = "over time, against the rate and as a spectrum" if with_spectrum else "over time, against the rate"
     spectra = ", and its spectra" if with_spectrum else ""
     return PictureWords(

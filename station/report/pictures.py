@@ -232,7 +232,10 @@ def _draw_allan(
     band: tuple[Floats, Floats] | None,
     factor: float,
 ) -> None:
-    """Draw the Allan deviation (t,) of sensor ``number`` and, if known, the band (t,), (t,) of its interval."""
+    """Draw the Allan deviation (t,) of sensor ``number``, called ``name``, over averaging times ``tau_s`` (t,).
+
+    ``band`` is its interval (t,), (t,), None if unknown; ``factor`` turns SI into the unit of the panel.
+    """
     colour, style = _STYLES[number % len(_STYLES)]
     if band is not None:
         panel.fill_between(tau_s, band[0] * factor, band[1] * factor, color=colour, alpha=0.15, lw=0)
@@ -302,7 +305,11 @@ def draw_investigation(path: Path, investigation: Investigation) -> None:
 
 
 def _draw(row: "Sequence[Axes]", view: ResidualView, spectra: Spectra | None, *, warm: bool = False) -> None:
-    """Draw one gyro into a row of panels, with labels for the legend."""
+    """Draw one gyro into a row of panels, with labels for the legend.
+
+    The residual before and after is drawn over time, over the rate and, if ``warm``, over temperature, with a band of
+    two sigmas of the noise; ``spectra``, if not None, into the last panel.
+    """
     over_time, *beside = row
     both = (("before", ORANGE, "x", view.before_rps), ("after", BLUE, "o", view.after_rps))
     since = view.t_s - view.t_s[0]
@@ -366,9 +373,10 @@ def _drawn(
     between: float = 0.5,
     widths: Sequence[float] | None = None,
 ) -> "Iterator[tuple[Figure, NDArray[np.object_]]]":
-    """Context that gives a figure of ``size`` (inches) with panels (rows, columns), in the style of the report.
+    """Give a figure of ``size`` (inches) with panels (rows, columns), in the style of the report.
 
-    Margins and the space ``between`` panels are in inches: letting matplotlib find them doubles the time.
+    Margins and the space ``between`` panels are in inches: letting matplotlib find them doubles the time. ``widths``
+    are the relative widths of the columns. Panels of one column share their x axis.
     """
     import matplotlib as mpl
     from matplotlib.figure import Figure

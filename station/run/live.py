@@ -50,7 +50,10 @@ class LiveEstimate:
     def add_accelerometers(
         self, name: str, axes: Floats, rate_hz: float, sheet: ForceSheet, uncertainty: TableUncertainty | None
     ) -> None:
-        """Add the accelerometers of a source: their axes (a, 3) in the body, and their data sheet."""
+        """Add the accelerometers of the source ``name``, which sample at ``rate_hz``.
+
+        ``axes`` (a, 3) are theirs in the body, ``sheet`` is their data sheet, ``uncertainty`` that of the table.
+        """
         self.forces[name] = LiveForces(
             array=sensor_array(axes, names=accelerometer_names(len(axes)), part_of_array=True),
             rate_hz=rate_hz,

@@ -104,9 +104,10 @@ class ManualSequencer(Sequencer):
             self._order([step], now_s + _FIRST_S * self._scale)
 
     def _checked(self, label: str, axis: str, angle_rad: float, rate_rps: float, given: Mapping[str, Any]) -> Move:
-        """Return the move as the table carries it out; ScriptError, which names ``label``, if it is beyond a limit.
+        """Return the move of ``axis`` to ``angle_rad`` as the table carries it out.
 
-        ``given`` may have the acceleration; by default it is the limit of the axis.
+        ``given`` may have the acceleration; by default it is the limit of the axis. ScriptError, which names ``label``,
+        if it is beyond a limit.
         """
         limits = self._table.limits.get(axis)
         acceleration = given.get("acceleration_rps2", limits.acceleration_rps2 if limits else 1.0)

@@ -77,8 +77,9 @@ class Table(StrictTable):
         return {key.name: self.option(key, folder) for key in keys}
 
     def option(self, key: Key, folder: Path = Path(), list_length: int = 1) -> Any:
-        """Return the value of one key as declared; None, or [] for tables, if it is left out. The table's error if
-        invalid.
+        """Return the value of one key as declared; if it is left out its default, else None, or [] for tables.
+
+        The table's error if it is invalid, or left out and required. ``list_length`` as for ``read``.
         """
         if not self.has(key.name) and key.default is None and not key.required:
             return [] if key.kind == "tables" else None
@@ -112,7 +113,11 @@ def known_in(known: Registry[T]) -> Callable[[str, Path], T]:
 
 
 def _value(key: Key, value: object, folder: Path, list_length: int) -> Any:
-    """Return the value of a key, converted by its kind; ValueError if it is invalid."""
+    """Return the value of a key, converted by its kind; ValueError if it is invalid.
+
+    Paths count from ``folder``. Of a key for each of several things it is a tuple of ``list_length`` numbers, one
+    number standing for all. A file that has a schema is checked by it.
+    """
     if key.each:
         values = value if isinstance(value, list) else [value] * list_length
         if len(values) != list_length:

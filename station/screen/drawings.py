@@ -63,12 +63,12 @@ def state_drawing(
     figures: Sequence[StateUnit] = STATE_FIGURES,
     began_utc_s: float | None = None,
 ) -> Drawing:
-    """Return a chart of a state's estimate over time, as a band of one sigma.
+    """Return a chart of the estimate of state number ``index`` over time, as a band of one sigma.
 
     ``figures`` are the states in the units of the bench. If ``over`` is not "s", points with error bars show successive
-    calibrations instead. Before the motion that shows the state, the band is as wide as the prior, and the title says
-    so. The values' range is that of the last fifth of the time, so that the narrowing can be seen; a limit is drawn if
-    it is near, and otherwise only named.
+    calibrations instead, from ``began_utc_s`` on. Before the motion that shows the state, the band is as wide as the
+    prior, and the title says so; without an estimate there is only a title. The values' range is that of the last fifth
+    of the time, so that the narrowing can be seen; a limit is drawn if it is near, and otherwise only named.
     """
     state, days = figures[index], over != "s"
     words = [(f"{state.name} ({state.unit})", "")]

@@ -164,7 +164,11 @@ def _axis_words(axis: AxisSnapshot, style: str, *, turns: bool) -> list[tuple[st
 
 
 def _axis_curves(axis: AxisSnapshot, radius: float, style: str, *, turns: bool) -> list[Curve]:
-    """Return the circle of a gimbal, an arc to the target of one that turns, and its hand."""
+    """Return the circle of a gimbal with ``radius``, an arc to the target of one that ``turns``, and its hand in
+    ``style``.
+
+    The arc is at most one turn long.
+    """
     at = axis.angle_rad
     curves = [_arc(radius, 0.0, 2 * math.pi, style if turns else "mark")]
     if turns and math.isfinite(axis.target_rad):

@@ -34,7 +34,8 @@ _POLICY = (
 def _guard(key: str, port: int) -> Any:
     """Return a middleware that refuses other hosts and origins (403), and addresses without the key (404).
 
-    Pages of other sites reach the loopback by their own names and can open websockets.
+    Allowed are this computer's own names with ``port``: pages of other sites reach the loopback by names of theirs, and
+    can open websockets.
     """
     from aiohttp import web
 

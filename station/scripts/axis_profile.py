@@ -71,7 +71,9 @@ def _bars(size: Floats, largest: float, blocks: str, at_rest: str = "") -> str:
 
 
 def _time_axis(duration_s: float, columns: int) -> list[str]:
-    """Return the ruler and the labels of the time axis, both with the indent of the bars."""
+    """Return the ruler, ``columns`` wide, and the labels of the time axis to ``duration_s``, with the indent of the
+    bars.
+    """
     most = max(columns // _LEAST_TICK, 1)
     step = next((s for s in _STEPS_S if duration_s / s <= most), duration_s)
     ruler, labels = ["─"] * columns, [" "] * columns

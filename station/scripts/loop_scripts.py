@@ -39,6 +39,8 @@ def there_and_back(
 ) -> tuple[Rotate, Rotate]:
     """Return a turn at a rate and the opposite turn, each of ``duration_s`` with its ramps: the axis ends where it
     began.
+
+    The rate is in deg/s, the acceleration in rad/s2.
     """
     first, second = (
         Rotate(axis, rate * _DEG, duration_s, acceleration_rps2, f"{axis} at {rate:g} deg/s")

@@ -72,7 +72,10 @@ def _gyro_covariances(motion: PlannedMotion, bench: Bench, imu: ImuConfig, perio
 
 
 def _force_covariances(motion: PlannedMotion, bench: Bench, imu: ImuConfig, period_s: float, coarse: bool) -> Floats:
-    """Return the covariances (a, 7, 7) of states and places of the accelerometers of a device."""
+    """Return the covariances (a, 7, 7) of states and places of the accelerometers of a device.
+
+    ``period_s`` is that of its samples. ``coarse`` leaves out the rounding of angles to counts, which takes long.
+    """
     sheet = imu.force_sheet
     assert sheet is not None
     device = PlannedAccelerometers(

@@ -28,6 +28,7 @@ def view_of(kind: type[View], values: Mapping[str, Any]) -> View:
 
 
 def _read(kind: Any, value: Any) -> Any:
+    """Return a value of JSON as the annotated type ``kind``; TypeError or ValueError if it cannot be one."""
     origin = get_origin(kind)
     if kind is Any:
         return value
@@ -71,6 +72,10 @@ def _read_mapping(part: Any, value: Any) -> dict[str, Any]:
 
 
 def _read_dataclass(kind: type, value: Any) -> Any:
+    """Return an object of JSON as the dataclass ``kind``; a missing key takes the default of its field.
+
+    TypeError if it is no object, KeyError if a key without a default is missing.
+    """
     if not isinstance(value, Mapping):
         raise TypeError(f"{value!r} is not an object")
     values = {}
@@ -81,7 +86,11 @@ def _read_dataclass(kind: type, value: Any) -> Any:
 
 
 def _read_plain(kind: type, value: Any) -> Any:
-    """Return a text, word, number or flag. A whole number of JSON may stand for any number."""
+    """Return a text, word of an enumeration, number or flag of the type ``kind``; NaN for null in place of a number.
+
+    A whole number of JSON may stand for any number. TypeError for a value of another type, ValueError for an unknown
+    word.
+    """
     if kind is float and value is None:
         return math.nan
     if kind is float and isinstance(value, int) and not isinstance(value, bool):

@@ -89,9 +89,10 @@ class Configuration:
     ) -> Self:
         """Return the configuration of a device with all axes on, 262 Hz filters, and all that is not stated at 0.
 
-        The flags say which groups normal datagrams carry and whether CR LF ends them. ``gyro_unit`` is a code,
-        ``accel_range_g`` holds for all three axes; a ``bit_rate`` that is not listed becomes "user defined". ValueError
-        for a rate that the device does not have, StopIteration for such a range.
+        ``accelerometer``, ``inclinometer``, ``temperature`` and ``pps`` say which groups normal datagrams carry,
+        ``line_termination`` whether CR LF ends them. ``gyro_unit`` is a code; ``accel_range_g`` holds for all three
+        axes; a ``bit_rate`` that is not listed becomes "user defined". ``revision`` is a letter, ``firmware`` a number
+        of one byte. ValueError for a ``rate_hz`` that the device does not have, StopIteration for such a range.
         """
         data = bytearray(21)
         data[0], data[1] = ord(revision), firmware

@@ -171,7 +171,10 @@ def _conditions(
     arm_m: Floats,
     gravity_mps2: float,
 ) -> Conditions:
-    """Return the conditions on an even grid within the blocks whose middles are ``t_s`` (b,)."""
+    """Return the conditions on an even grid of about ``GRID_S`` within blocks of ``length_s`` around ``t_s`` (b,).
+
+    The specific force is that at the place ``arm_m`` (3,).
+    """
     steps = max(round(length_s / GRID_S), 1)
     offsets = (np.arange(steps) + 0.5) / steps * length_s
     grid_s = (t_s[:, None] - 0.5 * length_s + offsets).ravel()

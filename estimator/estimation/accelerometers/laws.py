@@ -185,7 +185,11 @@ def _law(
     mean: Floats | None = None,
     line: str = "",
 ) -> Law:
-    """Return a law with ``columns``, its parameters called ``names``, with their expected standard deviations."""
+    """Return a law with ``columns``, its parameters called ``names``, with their ``expected`` standard deviations (k,).
+
+    ``shared`` says that all accelerometers have the same parameters, ``mean`` (k,) where these are expected, by default
+    at zero. ``line`` is the line of the budget that the law fills, "" for none.
+    """
     parameters = tuple(Parameter(name, "", float(sd)) for name, sd in zip(names, expected, strict=True))
     record = Record(name=called.replace(" ", "_"), parameters=parameters, shared=shared)
     regressors: Regressors = columns

@@ -361,7 +361,11 @@ def white_forces(recording: Recording, source: str, live: LiveForces) -> ForceSt
 
 
 def _rows(problem: ForceProblem, columns: Floats, z: Floats, usable: Flags) -> _Rows:
-    """Return the rows of a block: of each accelerometer its usable samples, compressed by an orthogonal transform."""
+    """Return the rows of a block of n samples: of each accelerometer its usable ones, by an orthogonal transform.
+
+    ``columns`` (n, a, c) are the derivatives of the outputs by the c parameters of an accelerometer, ``z`` (n, a) their
+    deviations, ``usable`` (n, a) which count. The first row of each is that of the mean.
+    """
     outputs, wide, counts = [np.empty(0)], [np.empty((0, len(problem.variances)))], []
     for i, places in enumerate(problem.places):
         own = usable[:, i]

@@ -65,9 +65,11 @@ class RunStates:
 def run_states(
     sensors: Sequence[int], x: Floats, covariance: Floats, prior_sd: Floats, mounting_sd_rad: float
 ) -> RunStates:
-    """Return what a run shows, from its estimate x (4 s,) under the prior with covariance (4 s, 4 s).
+    """Return what a run shows of the s ``sensors``, numbers in the device.
 
-    Combinations of states that the run hardly shows are left out.
+    ``x`` (4 s,) and ``covariance`` (4 s, 4 s) are its estimate under independent priors ``prior_sd`` (4 s,).
+    Combinations of states that the run hardly shows are left out. ``mounting_sd_rad`` is the uncertainty of its
+    mounting.
     """
     scaled = covariance / np.outer(prior_sd, prior_sd)
     variance, directions = np.linalg.eigh(0.5 * (scaled + scaled.T))
@@ -194,7 +196,11 @@ class _Problem:
         return information, vector
 
     def _estimate(self, information: Floats, vector: Floats, precision: Floats) -> tuple[float, Floats, Floats]:
-        """Return the log evidence of a prior precision, and mean and covariance of the parameters under it."""
+        """Return the log evidence of a prior, and mean (c,) and covariance (c, c) of the parameters under it.
+
+        ``information`` (c, c) and ``vector`` (c,) are those of the data, ``precision`` (c,) is that of the prior about
+        zero.
+        """
         scale = 1 / np.sqrt(precision)  # changes of biases that cannot be are as well conditioned as all others
         scaled = information * np.outer(scale, scale) + np.eye(len(scale))
         root = np.linalg.cholesky(scaled)

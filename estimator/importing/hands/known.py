@@ -106,7 +106,12 @@ def _sections(
 def _rests(
     known: KnownSections, log: HandLog, rate: Floats | None, names: Sequence[str], spans: list[StillSpan], count: int
 ) -> tuple[list[KnownRest], list[PoseRest]]:
-    """Return the rests in ``spans`` as observations, without those in which an axis is at fault, and as listed."""
+    """Return the rests in ``spans`` as observations, and the same as listed in the result.
+
+    ``names`` are those of their sections in ``known``; ``rate`` (rows, 3) is that of the gyros, None without. Rests in
+    which an axis is at fault are only listed, as refused. ``count`` rests were listed before, and numbers go on from
+    there.
+    """
     assert log.t_s is not None
     if not spans:
         return [], []

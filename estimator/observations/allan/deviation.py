@@ -98,7 +98,11 @@ def _weighted_sum(squares: Floats, count: float) -> Floats:
 def curves(
     tau_s: Floats, deviation: Floats, lengths: Sequence[int], period_s: float, sizes: Floats
 ) -> list[AllanCurve]:
-    """Return the curve of each sensor from deviations (t, m) and the noise ``sizes`` (m, 3): N, B, K."""
+    """Return the curve of each sensor with its intervals at ``LEVEL``.
+
+    ``deviation`` (t, m) holds the deviations at averaging times ``tau_s`` (t,), from stretches of so many samples,
+    ``lengths``, ``period_s`` apart. Degrees of freedom follow from the noise ``sizes`` (m, 3): N, B, K.
+    """
     from scipy.special import gammaincinv  # chi-square by scipy.stats would take a second to import
 
     widths = np.round(tau_s / period_s).astype(int).tolist()

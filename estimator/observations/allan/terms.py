@@ -172,7 +172,12 @@ def _excess(bands: Bands, squares: Floats, chosen: Flags) -> Floats:
 
 
 def _unexplained(bands: Bands, hz: Floats, squares: Floats) -> tuple[float | None, float]:
-    """Return the middle of the octave that deviates most from the fit, and the factor; None and 1 if none does."""
+    """Return the middle in Hz of the octave that deviates most from the fit, and by which factor; None and 1 if none
+    does.
+
+    ``hz`` (b,) are the frequencies of the bands, ``squares`` (3,) those of the fitted terms. The factor is one of the
+    density's root.
+    """
     octave = np.floor(np.log2(hz)).astype(int)
     worst, found, factor = _UNLIKE, None, 1.0
     for number in np.unique(octave):

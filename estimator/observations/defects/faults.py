@@ -74,8 +74,9 @@ def held_samples(data: ImuData) -> int:
 def without_stuck(data: ImuData, comparison: ReferenceComparison | None = None) -> tuple[ImuData, list[Fault]]:
     """Return a source with stuck values set to NaN, and a fault for each time.
 
-    Not counted are values at the extremes of the output, and outputs that never change. Coarse outputs, and exact
-    zeros, are stuck only if ``comparison`` with the reference shows that the rate changed.
+    Not counted are values at the extremes of the output, outputs that never change, and times in which all gyros stand
+    still on a table. Coarse outputs, and exact zeros, are stuck only if ``comparison`` with the reference shows that
+    the rate changed. Sources of fewer than 100 samples are returned unchanged.
     """
     if len(data.t_ns) < 100:
         return data, []

@@ -67,7 +67,12 @@ def _change(t_ns: Stamps, rate: Floats, window_ns: int) -> Floats:
 
 
 def _still_doubts(axis: str, t_ns: Stamps, turned: Floats, summed: Floats, rate: Floats) -> list[str]:
-    """Return at most one sentence on angles (n + 1,) or rates that stand still while the other ones show motion."""
+    """Return at most one sentence on angles or rates of ``axis`` that stand still while the others show motion: the
+    worst.
+
+    ``turned`` (n,) is how far the angles moved between two of the n + 1 readings, ``summed`` (n,) the integral of their
+    ``rate`` (n + 1,).
+    """
     worst, told = 0.0, []
     fine_rad, fine_rps = _quantum(np.abs(turned[np.isfinite(turned)])), _quantum(rate)
     for of_angle, still in ((True, turned == 0), (False, (np.diff(rate) == 0) & np.isfinite(turned))):
@@ -95,9 +100,10 @@ def _quantum(values: Floats) -> float:
 
 
 def _scale_doubts(axis: str, turned: Floats, summed: Floats, known: float) -> list[str]:
-    """Return a sentence if the rates' integral differs in scale or sign from the angles, which are taken as true.
+    """Return at most one sentence: the rates' integral differs in scale or sign from the angles, taken as true.
 
-    ``known`` is the relative uncertainty of the rates. Empty if there are too few intervals (n,).
+    ``turned`` (n,) is how far the angles of ``axis`` moved between readings, ``summed`` (n,) the integral of its rates;
+    ``known`` is the relative uncertainty of the rates. Empty for fewer than ``_FEWEST`` intervals.
     """
     if len(turned) < _FEWEST:
         return []

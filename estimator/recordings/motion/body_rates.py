@@ -109,9 +109,10 @@ class BodyRates:
             )
 
     def _add(self, t_ns: Stamps, angle_rad: Floats, rate_rps: Floats, half_s: Floats, rate_window_ns: int) -> None:
-        """Add a few readings, with whole-turn jumps removed, and make rows of what can be judged now.
+        """Add n readings, with jumps by whole turns removed, and make rows of what can be judged now.
 
-        RecordingError if times do not increase.
+        ``angle_rad`` and ``rate_rps`` (n, g) are those of g gimbals, ``half_s`` (n,) the doubt of each instant,
+        ``rate_window_ns`` the time over which the table averages its rate. RecordingError if times do not increase.
         """
         step_ns, rates, summed = integrated(self._read, t_ns, rate_rps)
         if np.any(step_ns[not len(self._read) :] <= 0):
@@ -244,7 +245,13 @@ class BodyRates:
         *,
         known: bool,
     ) -> None:
-        """Append rows with integrated rates; ``known``, and a steady rate across a gap, mark a step as understood."""
+        """Append n rows with rates integrated to angles.
+
+        ``angle`` and ``rate_rps`` (n, g) are those of g gimbals, ``half_width_s`` (n,) the doubt of each instant.
+        ``measured`` (n,) is 1 for a reading, 0 for a computed corner; ``corner_s`` (n, g) the doubt of a corner's
+        instant, NaN without one. A step is understood without a gap if ``known`` is set, else at a corner or if a
+        steady rate explains its angle.
+        """
         step_ns, rates, summed = integrated(self._rows, t_ns, rate_rps)
         drift = angle - summed
         unexplained = np.diff(np.vstack([drift_of(self._rows, drift), drift]), axis=0)

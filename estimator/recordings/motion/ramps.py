@@ -397,9 +397,10 @@ def _weighed_deviations(p: Floats, readings: Readings, sd: Floats, tail: float) 
 
 
 def _start_parameters(t_s: Floats, angle_rad: Floats, rate_rps: Floats, first: int, last: int) -> Floats | None:
-    """Return start parameters (corners, rates, angle, scale) suggested by the readings; None if there is no change.
+    """Return start parameters (corners, rates, angle, scale) suggested by readings ``first`` to ``last``.
 
-    A change that goes up and down again has three corners, any other two.
+    ``angle_rad`` and ``rate_rps`` are those of one axis at all instants ``t_s``. A change that goes up and down again
+    has three corners, any other two. None if the rate does not change, or its peak is at an end.
     """
     before, after = float(np.median(rate_rps[: first + 1])), float(np.median(rate_rps[last:]))
     inner = rate_rps[first : last + 1]

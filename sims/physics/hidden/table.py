@@ -83,7 +83,10 @@ class EncoderEccentricity(OfTable):
             raise HiddenError("encoder_eccentricity: size times order is beyond 0.1 rad")
 
     def true_angle(self, axis: str, angle_rad: Floats) -> Floats:
-        """Return the true angles at encoder angles, by Newton's method; unchanged for other axes."""
+        """Return the true angles (n,) at encoder angles ``angle_rad`` (n,), by Newton's method.
+
+        They are returned unchanged for another axis than the one with the error.
+        """
         if self.axis not in (axis, ALL):
             return angle_rad
         true = angle_rad

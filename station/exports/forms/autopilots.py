@@ -69,9 +69,10 @@ def write_ardupilot(exported: Exported) -> Written:
 def _bias_only(exported: Exported, form: str, most: int) -> tuple[dict[str, str], dict[str, Any]]:
     """Return the effects that are left out, with reasons, and the values that an autopilot can hold.
 
-    Values: bias in rad/s along x, y, z, its linear and quadratic temperature coefficients (empty without any),
-    temperatures in degC. UsageError, which names ``form``, if the gyro number is not below ``most`` or there are not
-    three gyros.
+    Values: gyro number, bias in rad/s along x, y, z, its linear and quadratic temperature coefficients (empty without
+    any), scale factor errors in ppm as text for a comment, reference and lowest, mean and highest temperature in degC.
+    UsageError if the gyro number is not below ``most``, or there are not three gyros along x, y and z; ``form`` names
+    the format in it.
     """
     if not 0 <= exported.instance < most:
         raise UsageError(f"{form} has gyros number 0 to {most - 1}, not {exported.instance}")

@@ -15,7 +15,11 @@ _MICRO_G = 1e6 / GRAVITY_MPS2
 
 
 def print_force_findings(findings: Sequence[ForceFinding]) -> None:
-    """Print what the accelerometers of each source lack, and the error before and after."""
+    """Print for each source which effects its accelerometers need, and what is left open.
+
+    Tables of the effects and of the rms error before and after follow only where effects were added; then rivals,
+    suspects, and recordings and effects that were left out.
+    """
     for finding in findings:
         shown: list[Shown] = [(_verdict(finding), {"highlight": False})]
         if finding.effects:

@@ -90,7 +90,7 @@ def _scatters(study: GaugeStudy, state: str) -> bool:
 
 
 def _size(value: float | None, factor: float = 1.0) -> str:
-    """Return a size with fewer decimals the larger it is, or a dash."""
+    """Return ``value`` times ``factor`` with fewer decimals the larger it is; a dash for None."""
     if value is None:
         return UNKNOWN
     size = value * factor

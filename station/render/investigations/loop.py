@@ -99,7 +99,10 @@ def runs_object(loop: "Loop") -> list[dict[str, Any]]:
 
 
 def _round_object(turn: "Round") -> dict[str, Any]:
-    """Return one round of a loop for --json."""
+    """Return one round of a loop for --json: its runs, the result of the investigation, and the script to drive next.
+
+    ``next_name`` and ``next_probability``, that of its deciding, are None if no script follows.
+    """
     whole = investigation_object(_view(turn))
     following = turn.following
     return {

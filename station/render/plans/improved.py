@@ -73,7 +73,10 @@ def _table(
     required: Floats,
     reached: Floats,
 ) -> Table:
-    """Return the table of required and reached sigmas (n, c) of n sensors (device, name), in the units of figures."""
+    """Return the table of required and reached sigmas (n, c) of n sensors (device, name), in the units of ``figures``.
+
+    ``kind`` heads the column of names, which has the device only if there are several.
+    """
     heads = [kind]
     for figure in figures:
         heads += [f"{figure.name}\n{figure.unit}", "\nreached"]

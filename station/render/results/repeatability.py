@@ -26,7 +26,10 @@ def print_repeatability(repeats: Sequence[Repeatability], device: str, script: s
 
 
 def _shown(repeats: Sequence[Repeatability], device: str, script: str, figures: Sequence[StateUnit]) -> Iterator[Shown]:
-    """Yield the scatter of the states over repeated runs, and a line for each that scatters more than by chance."""
+    """Yield the scatter of the states over repeated runs, and a line for each that scatters more than by chance.
+
+    ``device`` and ``script`` are for the title, "" if not known.
+    """
     of_device = f" of {device}" if device else ""
     of_script = f" of {script}" if script else ""
     runs = f"{repeats[0].runs} runs{of_script}"

@@ -71,7 +71,11 @@ def closing_view(
     made_with: str,
     simulated: bool,
 ) -> ClosingView:
-    """Return what closes the report of a recording."""
+    """Return what closes the report of a recording: sources, events, versions and hashes, signatures.
+
+    ``hashes`` are the SHA-256 of "file", "data" and, if there is one in a file of its own, "investigation".
+    ``made_with`` is the version that makes the document; the seed is stated only if the run was ``simulated``.
+    """
     sources = recorded.recording.sources
     source_rows = [_source(name, data, recorded.source_attributes.get(name, {})) for name, data in sources.items()]
     event_rows = [_event(event, recorded.start_ns) for event in recorded.events]
@@ -85,7 +89,10 @@ def closing_view(
 
 
 def _source(name: str, data: ImuData, attributes: Mapping[str, Any]) -> list[Content]:
-    """Return samples, temperatures, losses and clock of a source."""
+    """Return the row of a source: samples, rate, temperatures, losses and clock.
+
+    ``attributes`` are those of the source in the recording; figures that it lacks are left blank, no loss counts as 0.
+    """
     where = f"imu/{name}@"
     samples = len(data.t_ns)
     lost = int(attributes.get("lost", 0))
@@ -139,7 +146,10 @@ def _event(event: Event, start_ns: int) -> list[Content]:
 def _software(
     recorded: Recorded, traced: Traced | None, hashes: Mapping[str, str], made_with: str, *, simulated: bool
 ) -> list[tuple[str, Content]]:
-    """Return versions, files and hashes that identify how the document was made; None where a fact is missing."""
+    """Return versions, files and hashes that identify how the document was made; None where a fact is missing.
+
+    ``hashes`` and ``made_with`` as for ``closing_view``; the seed is left out unless the run was ``simulated``.
+    """
     version = recorded.text("software_version")
     apart = traced is not None and "investigation" in hashes
     return [

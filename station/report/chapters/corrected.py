@@ -92,7 +92,10 @@ def _direction(axis: Floats) -> Markup:
 
 
 def _device(correction: Correction, title: str, states: States, origin: str) -> DeviceView:
-    """Return the correction of one device, with the effects that it cannot undo and its code in C."""
+    """Return the correction of one device, with the effects that it cannot undo and its code in C.
+
+    ``origin`` and ``title`` stand at the top of the code.
+    """
     compensation = correction.compensation
     delay_s = compensation.delay_s
     return DeviceView(

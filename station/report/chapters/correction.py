@@ -100,7 +100,10 @@ def _augmented(gyro: GyroCalibration, label: str, traced: Traced) -> GyroCalibra
 
 
 def _correction(device: str, gyros: list[GyroCalibration], arrays: Mapping[str, SensorArray], model: str) -> Correction:
-    """Return the correction of one device; with ``axes_only`` effects that need the body rate are not applied."""
+    """Return the correction of one device by the error model ``model`` (TOML), of gyros with ``arrays`` by source.
+
+    ``axes_only`` if the gyros do not span space: then effects that need the body rate are not applied.
+    """
     compensation = Compensation.of(gyros, arrays, model)
     try:
         axes_only = not compensation.solution.size
@@ -196,7 +199,11 @@ def _of(correction: Correction, acts: Acts) -> Iterator[str]:
 
 
 def _called(name: str, inner: str, constant: str) -> str:
-    """Return the call of a law's function in the code, on arrays."""
+    """Return the call of a law's function ``name`` in the code, on arrays.
+
+    ``inner`` is its argument as code, ``constant`` its number: a power, a lag in s, a width of play, or a limit, which
+    may be empty. Other functions are NumPy's.
+    """
     if name == "pow":
         return f"({inner} ** {constant})"
     if name == "lag":

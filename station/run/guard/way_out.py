@@ -38,9 +38,10 @@ class WayOut:
         return list(self._troubles)
 
     async def _made_safe(self, device: OpenDevice, *, is_table: bool, untrue_readings: bool) -> SafeState:
-        """Make one device safe, and return its state and trouble; attempts that were not confirmed are told.
+        """Make one device safe, and return its state and trouble; attempts that were not confirmed are reported.
 
-        An exception of a driver becomes a trouble, except that of the table, which is raised.
+        An exception of a driver becomes a trouble, except that of the table, which is raised. ``untrue_readings`` says
+        that readings of the table cannot be believed.
         """
 
         def unconfirmed(trouble: str) -> None:

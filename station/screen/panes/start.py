@@ -42,7 +42,11 @@ class StartView:
 
 
 def ready_text(view: StartView) -> Text:
-    """Return everything that stands against a start."""
+    """Return what stands against a start, a line each, or that nothing is missing.
+
+    A mounted device is announced above, as its run starts automatically. Sigmas that the script cannot reach are a note
+    and no obstacle.
+    """
     lines = [line(("Before START", TITLE))]
     if view.mounted:
         waits = "the device is mounted: its run starts automatically once nothing is missing (F9 cancels)"

@@ -39,7 +39,10 @@ class Trend:
     sds: list[tuple[float, ...]] = field(default_factory=list)
 
     def add(self, t_s: float, values: tuple[float, ...], sds: tuple[float, ...]) -> None:
-        """Add an estimate if it is new; when there are too many points, every other one is dropped."""
+        """Add an estimate of the four states with their sigmas, unless its time or its values are those of the last.
+
+        When there are too many points, every other one is dropped.
+        """
         if self.values and (self.values[-1] == values or t_s <= self.times_s[-1]):
             return
         self.times_s.append(t_s)

@@ -49,7 +49,11 @@ def look_ahead(choices: "Choices") -> Prospect:
 
 
 def _read(bench_path: str, script_path: str, device_options: tuple[str, ...]) -> Prospect:
-    """Read bench and script, the built-in ones for empty paths; errors are part of the result."""
+    """Read bench and script, the built-in ones for empty paths; errors are part of the result.
+
+    A bench that cannot be read gives a result with ``bench_wrong`` alone. ``device_options`` are options of the command
+    line, of which the values of ``--device`` are used.
+    """
     from station.bench.bench import load_bench
     from station.errors import ScriptError, UsageError
     from station.opening import needs_only_memory, with_links

@@ -96,8 +96,9 @@ class Turn:
 
 
 def turn_to(axis: str, from_rad: float, to_rad: float, rate_rps: float, acceleration_rps2: float) -> Turn:
-    """Return the turn of an axis between two angles, with the duration of its trapezoid of rate; 0 if they are
-    equal.
+    """Return the turn of an axis between two angles, with the duration of its trapezoid of rate; 0 if they are equal.
+
+    A short way is a triangle that does not reach ``rate_rps``, of which the sign is ignored.
     """
     way_rad = abs(to_rad - from_rad)
     peak_rps = min(abs(rate_rps), math.sqrt(way_rad * acceleration_rps2))

@@ -188,7 +188,10 @@ def _shortest(model: _Model, times: Times, reach: float) -> Floats:
 
 
 def _lowest(model: _Model, times: Times, log_total: float, reach: float) -> Floats:
-    """Return the variables of the lowest sigma of a model in a total time."""
+    """Return the variables of the lowest sigma of a model in a total time, given as its logarithm ``log_total``.
+
+    They are searched within ``reach`` of those about which the model was made.
+    """
     from scipy.optimize import minimize  # as above
 
     found = minimize(

@@ -138,6 +138,10 @@ class WholeImuSearch:
         return replace(structure, attitudes=tuple(in_order(attitudes, self.limits)))
 
     def _structure(self, ways: tuple[Way, ...], poses: int, cycles: int) -> Structure:
+        """Return the structure of a script that turns in ``ways``, ``cycles`` times each.
+
+        It has ``poses`` static poses, or as many as the table can take.
+        """
         bare = Structure(
             ways=ways,
             attitudes=(),
@@ -246,7 +250,9 @@ class _Problem:
         return None
 
     def best_within(self, start: Floats, total_s: float) -> _Solved | None:
-        """Return the variables of the least criterion in the time given; None if the structure does not fit in."""
+        """Return the variables of the least criterion in ``total_s``, searched from ``start``; None if it does not fit
+        in.
+        """
         structure = self._structure
         needs, criterion = self._search.needs, self._search.criterion
         if structure.time_s(structure.least) > total_s:
