@@ -54,7 +54,7 @@ def load_file(path: Path) -> ModuleType:
     """Import a Python file; return the module loaded before if its text is unchanged.
 
     A bench and its script may name the same file: both must get the same objects. PluginError if it is missing, not a
-    regular file or raises any exception.
+    regular file, not a Python file, or raises any exception.
     """
     text: bytes | None = None
     with suppress(OSError):  # missing and unreadable files are reported below

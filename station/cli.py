@@ -205,8 +205,9 @@ def _add_command(commands: "argparse._SubParsersAction[_Parser]", name: str, opt
 
 
 def _number(kind: type[float], fits: Callable[[float], bool], wrong: str) -> Callable[[str], float]:
-    """Return a converter for argparse that accepts numbers of type ``kind`` for which ``fits`` is true; else
-    ``wrong``.
+    """Return a converter for argparse of text to a number of type ``kind``.
+
+    ArgumentTypeError with the text ``wrong`` for numbers for which ``fits`` is false, ValueError for no number.
     """
 
     def read(text: str) -> float:

@@ -131,7 +131,11 @@ def read_calibration(path: Path | str, *, trusted: bool = False) -> Calibration:
 
 
 def _read(path: Path, file: Any, group: Any) -> Calibration:
-    """Return the calibration of an open group; ValueError if it holds no valid states."""
+    """Return the calibration in ``group`` of the open ``file``, whose sources hold the arrays.
+
+    Attributes that earlier versions did not write have empty values. ValueError if it holds no gyro or no valid states,
+    KeyError if it lacks others.
+    """
     names, sources = _texts(group["name"][()]), _texts(group["source"][()])
     n = len(names)
     model = str(plain(group.attrs.get("model", "")))

@@ -93,9 +93,9 @@ class Calibration:
 
         ``outputs_rps`` (N, n) in rad/s has a column for each gyro, in the order of ``gyros``. In a pandas.DataFrame
         columns are found by name; the result is then a DataFrame (x_rps, y_rps, z_rps) with its index, else an array
-        (N, 3). ``device`` selects the gyros of one device under test.
+        (N, 3). ``device`` selects the gyros of one device under test, None all.
 
-        Effects of the error model are corrected, too. Those of temperature need ``temperature_c`` (N,), those of
+        Effects of the error model are corrected, too. Effects of temperature need ``temperature_c`` (N,), those of
         acceleration ``accel_mps2`` (N, 3), the specific force in body axes, and those with memory the instants ``t_s``
         (N,). Rates are NaN where an effect of the rate cannot be undone.
 

@@ -183,10 +183,10 @@ class Record:
         return next((setting for setting in self.settings if setting.grid is not None), None)
 
     def effect(self, gimbals: Sequence[str] = (), **settings: Value) -> "Effect":
-        """Return the effect for a table with these axes and these values of its settings.
+        """Return the effect for a table with ``gimbals``, its axes, and with ``settings`` by key.
 
-        The settings are inserted into law, label and names of parameters; an effect without a law has the record's
-        regressors. LawError if the law is invalid, KeyError if a setting is missing.
+        The settings are inserted into law, label and names of parameters. An effect without a law has the record's
+        regressors, or none. LawError if the law is invalid, KeyError if a setting is missing.
         """
         own = self.parameters if isinstance(self.parameters, tuple) else self.parameters(gimbals, settings)
         law = self.law.format(**settings) if settings else self.law
@@ -275,9 +275,9 @@ class Effect:
     def acts(self) -> Acts | None:
         """How it is corrected; None if it is not.
 
-        Without a law, or with no correction, as its record says. Else by the law: effects that need neither rate nor
-        acceleration are subtracted; those with acceleration, temperature change or memory are computed once from the
-        motion, as iteration must not repeat them; all others are solved with the rate.
+        Without a law, or left out of corrections, as its record says. Else by the law: effects that need neither rate
+        nor acceleration are subtracted; effects with acceleration, temperature change or memory are computed once from
+        the motion, as iteration must not repeat them; all others are solved with the rate.
         """
         if self.record.left_out or not self.law:
             return self.record.acts

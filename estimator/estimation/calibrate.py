@@ -109,9 +109,9 @@ def _gyros_of(
 def _doubts(
     recording: Recording, devices: Sequence[DeviceEstimate], forces: Sequence[ForceCalibration]
 ) -> tuple[list[str], list[str]]:
-    """Return what no sigma can cover, and all notes that question the sigmas, these included: those of the table first.
+    """Return sentences on what no sigma can cover, and all notes that question the sigmas, which include the former.
 
-    A table is doubted where its readings contradict each other, or where samples repeat while it turns.
+    A table comes first: it is doubted where its readings contradict each other, or where samples repeat while it turns.
     """
     of_table: list[str] = []
     if recording.table is not None:

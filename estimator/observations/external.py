@@ -42,9 +42,10 @@ def external_motion_notes(recording: Recording) -> list[str]:
 
 
 def sparse_doubts(recording: Recording) -> list[str]:
-    """Return a sentence if a rate reference is read too seldom to give the motion between its readings.
+    """Return a sentence if a rate reference is read too seldom to give the motion between its readings; else none.
 
-    The gyros' own data, sampled at its instants only, are compared with all of them.
+    The gyros' own data, sampled at its instants only, are compared with all of them. Other references, and bodies at
+    rest, are not doubted.
     """
     reference = recording.reference
     if not isinstance(reference, RateReadings) or reference.at_rest:

@@ -76,10 +76,10 @@ def check_unit(name: str, means: Floats, gravity_mps2: float) -> None:
 
 
 def check_responding(name: str, means: Floats, size: Floats) -> None:
-    """Raise RecordingError if an axis of means (n, 3) stays where it is while the others show that it is turned.
+    """Raise RecordingError if an axis of means (n, 3) of the file ``name`` does not respond to gravity.
 
-    ``size`` (3,) is gravity in units of each output. If an axis that stays were alive, the others would keep the length
-    of what they share.
+    That is, it stays where it is while the two others show that it is turned: if it were alive, they would keep the
+    length of what they share. ``size`` (3,) is gravity in units of each output.
     """
     scaled = means / size
     for number, axis in enumerate(AXES):

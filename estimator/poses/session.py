@@ -105,7 +105,10 @@ def _joined(parts: Sequence[_Means]) -> _Means:
 
 
 def _means_of(samples: PoseSamples, least_s: float) -> _Means:
-    """Return the means of the rests of a file; RecordingError if nothing rests."""
+    """Return the means of the rests of a file, each of ``least_s`` or more, with their variances and faults.
+
+    A file without times holds means already, one for each row. RecordingError if nothing rests.
+    """
     outputs = samples.outputs
     if samples.t_s is None:
         return _given_means(samples.name, outputs)

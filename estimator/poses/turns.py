@@ -192,7 +192,11 @@ def _rows(samples: GyroSamples, rest: PoseRest) -> slice:
 
 
 def _noise(sessions: Sequence[GyroSamples], rests: Sequence[PoseRest]) -> _Noise:
-    """Return the noise of the gyros at rest, common to all axes."""
+    """Return the noise of the gyros at rest, common to all axes, and their biases.
+
+    It is white noise within the rests and a walk from rest to rest. A rest in which the device turns counts neither for
+    the biases nor as one of its own. FewTurns for a rest of fewer than two samples.
+    """
     from scipy.stats import chi2, norm
 
     by_name = {samples.name: samples for samples in sessions}

@@ -25,10 +25,10 @@ _STDOUT = "-"
 
 
 def command_export(arguments: argparse.Namespace) -> int:
-    """Write a calibration, or with other options a list, a series or all formats, to files or stdout; return the exit
-    code.
+    """Write a calibration in one format, to a file or stdout; return the exit code.
 
-    What the format does not hold goes to stderr.
+    With other options print the list of formats, or write a series of recordings or all formats. What the format does
+    not hold goes to stderr. UsageError if the recording cannot be read or the file not be written.
     """
     if arguments.list:
         _print_list(arguments.json)
@@ -116,7 +116,7 @@ def refused(reason: str, arguments: argparse.Namespace) -> dict[str, str | None]
 def _export_all(arguments: argparse.Namespace, folder: Path) -> int:
     """Write every format that can hold the calibration as FOLDER/RECORDING-FORMAT.SUFFIX, and say why others cannot.
 
-    Return 0 if at least one was written, else 2.
+    Return 0 if at least one was written, else 2. UsageError without a recording, or with --format or --output.
     """
     if arguments.recording is None:
         raise UsageError("give a recording: `station export RUN.h5 --all FOLDER`")

@@ -114,7 +114,10 @@ def calibration_valid_on(serial: str, day: date, folder: Path | str = "recording
 
 
 def _print_valid(arguments: argparse.Namespace, folder: Path) -> int:
-    """Print which calibration of a device was valid on a day; return 0 if there was one, else 1."""
+    """Print which calibration of a device was valid on a day; return 0 if there was one, else 1.
+
+    UsageError without --serial, with options that do not go together, or for a day that is no date.
+    """
     if arguments.serial is None or arguments.csv or arguments.gauge:
         raise UsageError("--valid-on needs --serial, and cannot be combined with --csv or --gauge")
     try:

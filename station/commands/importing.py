@@ -27,10 +27,10 @@ from station.views.accelerometers.poses import session_object
 
 
 def command_import(arguments: argparse.Namespace) -> int:
-    """Convert data of other programs to a recording, or with --look show a file; return 2 if a file was lost,
-    else 0.
+    """Convert data of other programs to a recording; return 2 if a file was lost, else 0.
 
-    Sessions in which hands laid the device in many poses become a calibration.
+    With --look show a file instead. Sessions in which hands laid the device in many poses become a calibration.
+    UsageError without mapping, data or output.
     """
     if arguments.look is not None:
         return _look(arguments)

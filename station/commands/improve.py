@@ -100,7 +100,10 @@ def improve(arguments: argparse.Namespace, bench: Bench, script: Script) -> int:
 
 
 def search_of(bench: Bench, wanted: Wanted, on_progress: Callable[[str], None]) -> Search:
-    """Return the search for a script for the bench's used devices."""
+    """Return the search for a script for the gyros of the bench's used devices.
+
+    ``on_progress`` gets a line of text now and then.
+    """
     imus = _used(bench)
     needs = Needs(
         maps=np.vstack([regressor_maps(imu.array) for imu in imus]),
@@ -140,8 +143,10 @@ def _used(bench: Bench) -> list[ImuConfig]:
 
 
 def _wanted(arguments: argparse.Namespace, bench: Bench, script: Script) -> Wanted:
-    """Return the goal of the options; UsageError if one is out of range, or no sigma is required that the script
-    shows.
+    """Return the goal of the options: the sigmas to reach, by state, and the limits of the search.
+
+    UsageError if an option is out of range, no sigma is required that the script shows, or ``--one-way`` meets
+    accelerometers.
     """
     margin, rest_s = quantity(arguments, "margin", "ratio"), quantity(arguments, "rest", "time")
     if not 0 <= margin < 1 or not 1 <= rest_s <= LONGEST_S / 4:
@@ -224,7 +229,8 @@ def _lowered(sd: Floats, floor: Floats, margin: float) -> Floats:
 def whole_imu_search(bench: Bench, wanted: Wanted, on_progress: Callable[[str], None]) -> WholeImuSearch:
     """Return the search for a script for gyros and accelerometers of the bench's used devices.
 
-    It tries the turns that come first among those about directions of their own, and those best for the gyros.
+    It tries the first turns about as many directions as the table has and, if sigmas of gyros are wanted, those best
+    for gyros alone. ``on_progress`` gets a line of text now and then.
     """
     gimbals = bench.table.gimbals
     turns = [spanning(ways_within(ways_of(gimbals, (0.0, math.pi / 2)), bench.table.limits))]
@@ -265,7 +271,10 @@ def _columns(text: str) -> list[int]:
 
 
 def _why_not(search: Search, bench: Bench, wanted: Wanted, gyros: tuple[tuple[str, str], ...]) -> str:
-    """Return the text that says which sigmas cannot be reached, and what limits them."""
+    """Return why no script was found: the time is too short, or which sigmas cannot be reached and what limits them.
+
+    ``gyros`` are device and name of each; the cause is the motion, the table or the noise.
+    """
     if wanted.total_s is not None:
         return f"{wanted.total_s:g} s is too short for the rests and a turn about each axis. Allow more time"
     missed = search.unreachable()
@@ -281,7 +290,11 @@ def _why_not(search: Search, bench: Bench, wanted: Wanted, gyros: tuple[tuple[st
 
 
 def _whole_why_not(search: WholeImuSearch, bench: Bench) -> str:
-    """Return the text that says which sigmas of gyros and accelerometers cannot be reached, and what limits them."""
+    """Return why no script was found: the time is too short, or which sigmas cannot be reached and what limits them.
+
+    Checked in turn are the axes of the table, local gravity that is not measured, then noise or table. If the longest
+    script would reach all, no family of scripts was found.
+    """
     if search.total_s is not None:
         return f"{search.total_s:g} s is too short for the rests, the poses and a turn about each axis. Allow more time"
     longest = search.longest()
@@ -298,8 +311,10 @@ def _whole_why_not(search: WholeImuSearch, bench: Bench) -> str:
 
 
 def _no_gain(search: WholeImuSearch, found: FoundScript, script: Script, bench: Bench) -> str:
-    """Return the text that says that the given script is better than the one found; empty if it is not, or the table
-    cannot do it.
+    """Return the text that says that the given script is better than the one found; "" if it is not.
+
+    Also "" if the table cannot drive the given script. With a stated time it has to be within that and of lower cost;
+    else it has to be shorter and reach all sigmas, but for a margin.
     """
     if not is_possible(script, bench.table.limits):
         return ""
@@ -323,7 +338,10 @@ def _no_gain(search: WholeImuSearch, found: FoundScript, script: Script, bench: 
 
 
 def _names(gyros: Flags, accelerometers: Flags, bench: Bench) -> str:
-    """Return the names of the states of gyros (n, 4), and of states and places of accelerometers (m, 7), by flags."""
+    """Return the names of the flagged states of gyros (n, 4), and states and places of accelerometers (m, 7).
+
+    Of each kind only the first few are named, then how many more there are.
+    """
     own = [name for imu in _used(bench) for name in imu.array.names]
     rows = accelerometer_rows(bench)
     kinds = (
@@ -362,7 +380,7 @@ def _limit_of_motion(bench: Bench) -> str:
 
 
 def _origin(improved: Improved, bench: Bench) -> str:
-    """Return the comment at the top of the script found: what it was found for, and how long it lasts."""
+    """Return the comment at the top of the script: for which bench and goal it was found, its length and its rests."""
     wanted = improved.wanted
     aim = "shortest time to its sigmas"
     if wanted.total_s is not None:
@@ -398,7 +416,10 @@ def _quoted(text: str) -> str:
 
 
 def improved_object(improved: Improved, path: Path) -> dict[str, Any]:
-    """Return the script found for --json, in SI; null where nothing was required."""
+    """Return the script found for --json, in SI; null where nothing was required.
+
+    Accelerometers are left out for a bench that has none.
+    """
     script, before, found, wanted = improved.found.script, improved.before, improved.found, improved.wanted
     told = {
         "reached": bool((found.sd <= wanted.sd).all() and (found.force_sd <= wanted.force_sd).all()),

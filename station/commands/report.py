@@ -21,7 +21,11 @@ if TYPE_CHECKING:
 
 
 def command_report(arguments: argparse.Namespace) -> int:
-    """Write a recording's report as HTML and, if asked for, PDF and digital certificate; print the result."""
+    """Write a recording's report as HTML and, if asked for, PDF and digital certificate; print the result.
+
+    Return 0, or 2 if PDF or certificate could not be made: the HTML is written all the same. The document is entered
+    into the register of the folder, which refuses a number that is taken.
+    """
     html, pdf, dcc = _outputs(arguments)
     keys = [Path(name) for name in (arguments.sign, arguments.certificate) if name]
     # numpy, h5py and matplotlib are slow to import: errors in the arguments were reported before.

@@ -42,7 +42,11 @@ def command_run(arguments: argparse.Namespace) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    """Run a script on a bench into a recording; return the exit code, also for wrong usage and unopened devices."""
+    """Run a script on a bench into a recording, or drive by hand; print the result and return the exit code.
+
+    Wrong usage and devices that cannot be opened are printed, too. The program that the bench names is started after
+    the run; its failure is only a note.
+    """
     try:
         bench = chosen_bench(arguments)
         operator = bench.checked_operator(arguments.operator) if arguments.operator is not None else ""

@@ -60,9 +60,9 @@ def _on_battery(root: Path) -> bool:
 
 
 def look_at_usb_suspend(port: str, root: Path = Path("/")) -> Iterator[Finding]:
-    """Yield that the kernel may suspend the USB adapter of a serial port; nothing for a port that is not on USB.
+    """Yield that the kernel may suspend the USB adapter of a serial port, with a remedy.
 
-    ``root`` is the root of the file system to look at.
+    Nothing if it may not, or for a port that is not on USB. ``root`` is the root of the file system to look at.
     """
     name = (root / port.lstrip("/")).resolve().name
     device = (root / "sys/class/tty" / name / "device").resolve()

@@ -324,6 +324,9 @@ def hidden_of(bench: Bench) -> Hidden | None:
 
 
 def truth_of(truths: Table, imu: ImuConfig) -> GyroTruth:
+    """Return the true errors of a device's gyros from its table in ``truths``; its angle random walk is by default that
+    of its data sheet.
+    """
     table = truths.table(imu.name, optional=True)
     own = table.read_all("bench.truth", each=len(imu.array))
     del own["fault"]  # read by read_faults

@@ -66,7 +66,10 @@ class RunProgress(Bar):
         self._shown_share = -1.0
 
     def show(self, look: Callable[[], Snapshot]) -> None:
-        """Show the progress of a run, at most a few times per second; ``look`` is called only then."""
+        """Show the progress of a run, at most a few times per second, nothing if quiet.
+
+        ``look`` is called only then.
+        """
         now = time.monotonic()
         if self._quiet or now - self._shown_at < _REFRESH_S:
             return

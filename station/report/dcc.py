@@ -93,7 +93,7 @@ def sign(xml: bytes, key: Path, certificate: Path) -> bytes:
 def read_key(key: Path, certificate: Path) -> tuple[Any, str, Any]:
     """Return a private key, its certificate (PEM) and the signature method (RSA or ECDSA with SHA-256).
 
-    UsageError if they cannot be read, do not belong together, are of another kind, or packages are missing.
+    UsageError if they cannot be read, do not belong together, are neither RSA nor ECDSA, or packages are missing.
     """
     try:
         from cryptography import x509

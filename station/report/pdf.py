@@ -9,9 +9,10 @@ from station.errors import UsageError, sentence
 
 
 def print_pdf(html: str, pdf: Path) -> bytes:
-    """Print a report as PDF/A-3b (ISO 19005-3) with matplotlib's fonts, write it, and return it.
+    """Print the report ``html`` as PDF/A-3b (ISO 19005-3) with matplotlib's fonts, write it to ``pdf``, and return it.
 
-    Only data URIs and these fonts are loaded. UsageError if WeasyPrint or Pango is not installed.
+    Only data URIs and these fonts are loaded; anything else is left out. UsageError if WeasyPrint or Pango is not
+    installed.
     """
     try:
         with warnings.catch_warnings():

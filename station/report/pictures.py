@@ -147,7 +147,10 @@ def _last_estimates(course: Course, channel: int, states: Sequence[tuple[Markup,
 
 
 def nis_picture(recorded: Recorded) -> Picture | None:
-    """Return a picture of the NIS of each source, averaged over blocks; None if none is stored."""
+    """Return a picture of the NIS per degree of freedom of each source, averaged over some 60 blocks.
+
+    A band shows where 95 % of the means are to be. None if no NIS is stored.
+    """
     courses = [(name, course) for name, course in recorded.courses.items() if len(course.nis)]
     if not courses:
         return None

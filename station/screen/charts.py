@@ -47,7 +47,10 @@ class Charts(Grid):
             self.call_after_refresh(lambda: cast(SeenApp, self.app).work(self._mount_missing, f"more {id(self)}"))
 
     async def _mount_missing(self) -> None:
-        """Create the charts that have a name but no widget yet; their library is loaded in a thread."""
+        """Create the charts that have a name but no widget yet; their library is loaded in a thread.
+
+        Nothing if there are none, or if this widget was removed meanwhile.
+        """
         kind = (await asyncio.to_thread(import_module, "station.screen.chart")).Chart
         missing = range(len(self._charts), len(self._names))
         if not self.is_attached or not missing:

@@ -99,14 +99,14 @@ def next_script(
 ) -> NextScript | None:
     """Return the best script to decide between effects, None if none of them is known or no script fits.
 
-    ``rivals`` are sets of effects that explain the same; an effect alone in its set is compared with nothing. ``past``
-    was fitted, ``judging`` only verified; ``evidence`` is the log evidence of each effect in both, which gives its
-    likely size. The script is one that a table with these ``limits``, ``gimbals`` and ``site`` can do, and must end
-    within ``most_s``.
+    ``rivals`` are sets of effects that explain the same; an effect alone in its set is compared with no effect. The
+    runs ``past`` were fitted, ``judging`` only verified; ``evidence`` is the log evidence of each effect in both, which
+    gives its likely size. The script is one that a table with these ``limits``, ``gimbals`` and ``site`` can do, and
+    must end within ``most_s``.
 
     Two rivals are decided when the log of their odds exceeds that of 0.95. Its mean is half the squared misfit, in
     sigmas, that one leaves of the other's effect, plus what the former's greater freedom costs it. The shortest script
-    that decides with sufficient probability is taken, else the best one.
+    that decides all sets with sufficient probability is taken, else the best one.
     """
     names = {name for own in rivals for name in own}
     effects = _effects(names, gimbals, past)

@@ -42,9 +42,9 @@ class Prediction:
 def predict(script: Script, bench: Bench, *, coarse: bool = False) -> Prediction:
     """Return the covariances predicted for a run of the script on the used devices of a bench: noise and table.
 
-    Those of gyros equal those of ``station.scripts.plan.make_plan`` without the effects that it adds. Accelerometers
-    are those of devices that state a data sheet for them. ``coarse``: in longer steps, and without what the resolution
-    of encoders adds.
+    Covariances of gyros equal those of ``station.scripts.plan.make_plan`` without the effects that it adds.
+    Accelerometers are only those of devices that state a data sheet for them. ``coarse``: in longer steps, and without
+    what the resolution of encoders adds.
     """
     step_s = max(_COARSE_S if coarse else _PERIOD_S, script.least_s / _MOST_ROWS)
     motion = planned_motion(script, bench.table.gimbals, step_s)

@@ -138,7 +138,9 @@ def _heading_cells(errors: Floats) -> Sequence[str]:
 
 
 def paper_findings(study: PaperStudy) -> list[str]:
-    """Return what the numbers say, in sentences."""
+    """Return what the numbers of the study say, in sentences: about the paper's noise, that of MEMS gyros, and Earth
+    rate.
+    """
     floor = relative_percent(study.noise_free.linear)[2:].mean()
     decoded = relative_percent(study.noise_free.decoded)[2:].mean()
     k_alone_ppm, k_noisy_ppm = (np.abs(errors.linear[:, 1]).max() for errors in (study.noise_free, study.clean))
@@ -172,7 +174,10 @@ def paper_findings(study: PaperStudy) -> list[str]:
 
 
 def paper_object(study: PaperStudy) -> dict[str, Any]:
-    """Return the results as --json prints them; errors by gyro, in the units given."""
+    """Return the results as --json prints them: the errors of the paper's method and of this station by gyro and state.
+
+    ``units`` has the unit of each state.
+    """
     return {
         "study": "paper",
         "states": list(NAMES),

@@ -99,7 +99,7 @@ class LimitLine:
 
     @property
     def remedy(self) -> str:
-        """What usually helps where this limit is broken."""
+        """What usually helps where this limit is broken, "" for a value that is missing."""
         if self.of_u:
             return "Uncertainty too large. Use a longer or better script: `station plan --improve` finds one."
         if self.what == MEAN_NIS:

@@ -24,9 +24,9 @@ def calibrate_forces(
 ) -> tuple[tuple[ForceCalibration, ...], list[str]]:
     """Return the calibrations of the accelerometers by source, and notes.
 
-    Calibrated are those with a data sheet, on a table. Those of which too little was recorded are excluded. The
-    ``effects`` of a model are estimated with the states; ModelError for one that cannot be. A note says so if they are
-    not used at all.
+    Calibrated are accelerometers with a data sheet, on a table; those of which too little was recorded are excluded.
+    The ``effects`` of a model are estimated with the states; ModelError for one that cannot be. Without any
+    accelerometer to estimate them from, a note says so.
     """
     found: list[ForceCalibration] = []
     notes: list[str] = []
@@ -66,10 +66,10 @@ def undetermined(calibration: ForceCalibration, prior: ForcePrior) -> list[str]:
 
 
 def usable_forces(recording: Recording) -> list[tuple[str, Checked]]:
-    """Return by source what can be used of its accelerometers; none without a table or a data sheet for them.
+    """Return by source what can be used of its accelerometers; empty without a table or a data sheet for them.
 
-    A device with a data sheet for accelerometers that sent no outputs of any is in the list, by its first source, with
-    these as excluded.
+    A device with a data sheet for accelerometers that sent none of their outputs is in the list once, by its first
+    source, with its accelerometers excluded.
     """
     table = recording.table
     if table is None:

@@ -107,8 +107,11 @@ def _without_impossible(outputs: Floats, names: tuple[str, ...], table: TableRea
 def _compared(
     samples: ForceSamples, table: TableReadings
 ) -> tuple[list[Excluded], dict[str, np.ndarray], dict[str, str]]:
-    """Return the accelerometers that are not what is stated, flags (n,) of the samples of others at a limit or stuck,
-    and sentences on those that stuck for a time.
+    """Return which accelerometers to exclude, bad samples of the others, and which of them stuck for a time.
+
+    Excluded are outputs that are constant, missing, or not of the stated axis and unit, compared with the force by the
+    table. Bad samples are flags (n,) by name, at a limit or stuck; sentences by name are on those that stuck. All are
+    empty if no sample is within the readings.
     """
     rates = BodyRates.of(table, None)
     t_ns, outputs = samples.t_ns, samples.output_mps2

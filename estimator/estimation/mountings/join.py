@@ -66,10 +66,10 @@ def join_mountings(
     """Return the one calibration of a device that was mounted otherwise in each of several recordings on a table.
 
     Misalignments are those in the frame of the gyros. ``excluded`` are for each recording the effects that are ruled
-    out, as for ``calibrate``; with ``innovations`` the mean NIS is that of all runs.
+    out, as for ``calibrate``; with ``innovations`` the mean NIS is computed, over all runs.
 
-    RecordingError for fewer than two recordings, those that are not of one device or not on a table, or whose device
-    has other axes.
+    RecordingError for fewer than two recordings, recordings that are not of one device or not on a table, a device that
+    has other axes in one of them, or one without a sensor that can be estimated.
     """
     _check(recordings)
     runs = [_run(one, own, innovations) for one, own in zip(recordings, excluded, strict=True)]
@@ -178,7 +178,10 @@ def _add(
 
 
 def _shown(run: _Run, sensors: Sequence[DeviceSensor]) -> RunStates:
-    """Return what a run shows of the sensors that it has estimated."""
+    """Return what a run shows of the sensors that it has estimated, with their encoded states (``decode`` undoes it).
+
+    ``sensors`` are those of the device. A mounting without a stated uncertainty has that of misalignments.
+    """
     numbers = {(one.kind, one.source, one.name): number for number, one in enumerate(sensors)}
     used: list[int] = []
     states: list[Floats] = []
@@ -239,9 +242,9 @@ def _gyros(runs: Sequence[_Run], sensors: Sequence[DeviceSensor], joined: Joined
 def _forces(
     runs: Sequence[_Run], sensors: Sequence[DeviceSensor], joined: JoinedStates, gravity: Gravity
 ) -> tuple[ForceCalibration, ...]:
-    """Return the calibrations of the accelerometers by source. Their places are other ones in each mounting: NaN.
+    """Return the calibrations of the accelerometers by source; places differ between mountings and become NaN.
 
-    Excluded are those that one run could not estimate, also where others could.
+    Excluded are accelerometers that any run could not estimate, even where others could.
     """
     calibrations = []
     for source in dict.fromkeys(forces.source for run in runs for forces in run.forces):

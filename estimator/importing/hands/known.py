@@ -71,7 +71,11 @@ def known_session(
 def _sections(
     mapping: PoseMapping, known: KnownSections, log: HandLog, count: int
 ) -> tuple[list[KnownRest], list[KnownTurn], list[PoseRest]]:
-    """Return the rests and turns of a file, and its rests as they are listed, numbered after ``count`` others."""
+    """Return the rests and turns of a file, and its rests as they are listed, numbered after ``count`` others.
+
+    Turns are left out without gyros. RecordingError for sections that the file does not have, or of fewer than two
+    rows.
+    """
     assert log.log is not None
     assert log.kept is not None
     assert log.t_s is not None

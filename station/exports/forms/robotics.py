@@ -26,7 +26,8 @@ from station.exports.written import Written, as_triad, from_template
 def write_ros(exported: Exported) -> Written:
     """Return a file that imu_calib loads, with the gyros in keys of the same form: gyro_SM y - gyro_bias.
 
-    SM and bias are those of the accelerometers, or leave them as they are.
+    SM and bias are those of the accelerometers, or leave accelerations as they are if none are exported. UsageError if
+    there are not three gyros.
     """
     constants, dropped = as_triad(exported, "imu_calib")
     h = constants.solution

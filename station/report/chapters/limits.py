@@ -88,7 +88,10 @@ def limits_by_gyro(lines: Sequence[LimitLine]) -> Mapping[str, list[tuple[LimitL
 
 
 def quantity_of(line: LimitLine) -> Quantity:
-    """Return the quantity of a limit."""
+    """Return name, unit and place in the recording of a limit's quantity.
+
+    It is a state, its sigma, a state of an accelerometer, lost samples, or the mean NIS.
+    """
     if line.state is not None and line.unit is not None:
         unit = Unit(typographic(line.unit.unit), line.unit.factor)
         column = "sd" if line.of_u else "states"
@@ -134,7 +137,10 @@ def written(line: LimitLine) -> Markup:
 
 
 def _accepted(line: LimitLine | None) -> Content:
-    """Return up to where a value is accepted: a guard band may end that before the limit."""
+    """Return up to where a value is accepted: a guard band may end that before the limit.
+
+    "nothing" if the guard band leaves nothing; a dash without a limit or a value.
+    """
     if line is None or line.note:
         return _NONE
     if line.guard == math.inf:

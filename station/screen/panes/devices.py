@@ -33,6 +33,7 @@ def devices_text(view: DevicesView) -> Text:
 
 
 def _answer_lines(view: DevicesView) -> list[Text]:
+    """Return the lines on the devices and this computer; one that says why there are none, or that the check waits."""
     if view.check is None:
         return [marked(Mark.WAIT, view.checking or "not asked yet")]
     if view.check.value is None:

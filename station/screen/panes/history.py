@@ -42,7 +42,7 @@ class TrendView:
 
 
 def trend_text(view: TrendView) -> Text:
-    """Return whose trend is shown, or why there is none."""
+    """Return whose trend is shown, or why there is none; empty if no recording is chosen."""
     chosen = view.chosen
     if chosen is None:
         return Text()

@@ -44,7 +44,10 @@ def measured_text(view: MeasuredView) -> Text:
 
 
 def _accelerometer_lines(snapshot: Snapshot) -> list[Text]:
-    """Return the states of the accelerometers, what those of a source have in common, and what is left out."""
+    """Return the states of the accelerometers, what those of a source have in common, and which are left out.
+
+    Empty without accelerometers.
+    """
     if not snapshot.accelerometers:
         return []
     accelerometers = snapshot.accelerometers

@@ -80,6 +80,9 @@ def limits_text(limits: "Limits | None") -> Text:
 
 
 def _stated_limits(limits: "Limits") -> list[str]:
+    """Return the limits that the bench states, in its words: of states, mean NIS and lost samples; left out if
+    infinite.
+    """
     stated = []
     for state, name in enumerate(_LIMITED):
         size = f"{name} up to {limits.written_sizes[state]}"

@@ -98,8 +98,9 @@ class HistoryScreen(StationScreen):
         self._show()
 
     async def _read(self, folder: Path) -> None:
-        """Read the entries of a folder, showing them from time to time; limits and units are those of the newest
-        calibration.
+        """Read the entries of a folder, newest first, showing them from time to time; without the recording under way.
+
+        Limits and units become those of the newest calibration.
         """
         self._entries, self._reading, shown_s = [], True, time.monotonic()
         running = self.station.shown
@@ -122,7 +123,11 @@ class HistoryScreen(StationScreen):
             self.redraw()
 
     def _show(self) -> None:
-        """Fill the table with the entries that match the filter, in the chosen order."""
+        """Fill the table with the entries that contain all words of the filter, in the chosen order, and redraw the
+        trend.
+
+        At most ``_MOST_ROWS`` are in the table; the line above says how many match.
+        """
         words = self.query_one("#device", Input).value.lower().split()
         rows = [(entry, _cells(entry)) for entry in self._entries]
         rows = [row for row in rows if all(word in " ".join(map(str, row[1])).lower() for word in words)]

@@ -96,8 +96,10 @@ class ManualScreen(StationScreen):
         begin_manual(self)
 
     def action_drive(self, word: str) -> None:
-        """Change the chosen axis or rate, ask for an angle, or send the command ``word`` with axis and rate to the
-        session.
+        """Carry out ``word``: axis, slower, faster, go, hold, end or home; any other is a sign, to jog.
+
+        The first three change the chosen axis or rate, ``go`` asks for an angle; the others are sent to the session,
+        with axis and rate where they need them. Nothing without a table to drive.
         """
         view = self.manual_view()
         if view is None:

@@ -228,7 +228,11 @@ class ResultScreen(StationScreen):
         return not obstacle
 
     def _obstacle(self, action: str) -> str:
-        """Return why the action ``action`` is not possible, "" if it is."""
+        """Return why ``action`` is not possible, "" if it is.
+
+        No action is without a recording that can be read, or while another one works; most are not while a session
+        runs.
+        """
         entry = self._whole.entry if self._whole is not None else None
         if entry is None or entry.wrong:
             return "no recording is open"

@@ -62,7 +62,11 @@ def place_figure(calibration: ForceCalibration) -> StateUnit:
 
 
 def force_object(calibration: ForceCalibration) -> dict[str, Any]:
-    """Return the accelerometers of a source for JSON, in SI."""
+    """Return the accelerometers of a source for JSON, in SI.
+
+    The delay is left out if it is not known; lever arm, covariance and intrinsic parameters are if no accelerometer is
+    calibrated. The lever arm is null if no places are known.
+    """
     found: dict[str, Any] = {
         "source": calibration.source,
         "device": calibration.device,

@@ -263,6 +263,7 @@ def planned_gyros(plan: Plan) -> tuple[PlannedGyro, ...]:
 
 
 def _judged_gyros(plan: Plan) -> tuple[JudgedGyro, ...]:
+    """Return for each gyro the predicted sigmas, the part of the table, and whether all required ones are reached."""
     rows = zip(plan.forecast.gyros, plan.sd, plan.table_sd, plan.reached, strict=True)
     return tuple(
         JudgedGyro(
@@ -326,6 +327,10 @@ def _effect(effect: EffectForecast, forecast: Forecast) -> PlannedEffect:
 
 
 def _parameter(effect: EffectForecast, row: int, forecast: Forecast) -> PlannedParameter:
+    """Return the forecast of parameter number ``row`` of an effect: its smallest visible size by gyro, and shifts.
+
+    An effect that is the same for all gyros has one size, under the name "all".
+    """
     parameter = effect.effect.parameters[row]
     gyros = [gyro.name for gyro in forecast.gyros]
     names = ["all"] if effect.effect.shared else gyros
