@@ -109,8 +109,9 @@ def _changed_by_others(path: Path) -> str:
 
 
 def _on_the_way(path: Path) -> Iterator[Path]:
-    """Yield every folder and symbolic link that leads to a file, then the file; OSError if one is missing or links
-    loop.
+    """Yield every folder and symbolic link that leads to a file, then the file.
+
+    OSError if one is missing, or if links loop or are too many.
     """
     left = [*reversed(path.absolute().parts)]
     here = Path(left.pop())
@@ -192,6 +193,7 @@ class Registry(Mapping[str, T]):
         """Return the record ``name``, importing it; KeyError if there is none.
 
         PluginError if two have this name, or an installed one fails to load, is of the wrong type or has another name.
+        An exception in importing a built-in one passes through.
         """
         entries = list(self._installed.select(name=name))
         if len(entries) + (name in self._own) > 1:

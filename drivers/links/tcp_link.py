@@ -38,7 +38,9 @@ class TcpLink:
         _set_up(self._writer.get_extra_info("socket"))
 
     async def receive(self) -> ByteChunk:
-        """Return the next bytes; LinkLost if the link is not open, fails or was closed by the peer."""
+        """Return the next bytes with their time of arrival; LinkLost if the link is not open, fails or was closed by
+        the peer.
+        """
         if self._reader is None:
             raise LinkLost(self._device, self._ended or "the link is not open")
         try:

@@ -183,7 +183,11 @@ class ErrorModel:
 
     @classmethod
     def parse(cls, text: str, where: str) -> Self:
-        """Return the model in a text; ModelError, with the reason, if it is not one. ``where`` names the text."""
+        """Return the model in a text; ``where`` names the text in errors.
+
+        ModelError, with the reason, if it is no model, of another version, damaged, lists an effect twice, or has one
+        that the catalogue lacks.
+        """
         try:
             whole = read_json(text)
         except (ValueError, RecursionError):

@@ -101,10 +101,10 @@ def of_sections(
 
 
 def _section_rows(mapping: str, stated: StatedTurns | Rests | KnownSections, log: Log) -> list[tuple[str, int, int]]:
-    """Return (name, first, stop) of each section in kept rows, by labels, a list, or limits in seconds.
+    """Return (name, first, stop) of each named section in kept rows, by labels, a list, or limits in seconds.
 
-    RecordingError if a named section is missing; for turns also if the file has one that is not named. Unnamed sections
-    of rests are skipped.
+    ``mapping`` is the name of the mapping. RecordingError if a named section is missing or begins after the file; for
+    turns also if the file has one that is not named. Unnamed sections of rests are skipped.
     """
     cuts, names, path, all_named = stated.cuts, stated.sections, log.path, isinstance(stated, StatedTurns)
     edges, last_s = log.time.rows if not cuts.limits_s else log.time.t_s, float(log.time.t_s[-1])

@@ -51,9 +51,10 @@ class _Turn:
 
 
 def estimate(data: ImuData, poses: Poses, prior: Prior) -> Laid:
-    """Return the states that best carry the direction of gravity from rest to rest.
+    """Return the states that best carry the direction of gravity from rest to rest, and the noise seen at rest.
 
-    RecordingError if the gyros do not span space, or there are gaps between all rests.
+    The biases are those of the mean of all rests. A misfit beyond the noise widens the covariance. RecordingError if
+    the gyros do not span space, or there are gaps between all rests.
     """
     array, m = data.array, len(data.array)
     if np.linalg.matrix_rank(array.p, tol=0.1) < 3:

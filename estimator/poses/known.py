@@ -106,7 +106,7 @@ def known_accelerometers(rests: Sequence[KnownRest], gravity: Gravity, accuracy:
 def known_gyros(rests: Sequence[KnownRest], turns: Sequence[KnownTurn], accuracy: Accuracy) -> Triad:
     """Return the twelve states of gyros from stated turns, and their biases from the rests.
 
-    RecordingError if there is no rest, or a turn is not the stated one.
+    RecordingError if no rest has gyros, or a turn is not by the stated angle about the stated axis.
     """
     known = [(rest.rate_rps, rest.rate_variance) for rest in rests if rest.rate_rps is not None]
     if not known:

@@ -54,7 +54,8 @@ class _Means:
 def calibrate_poses(sessions: Sequence[PoseSamples], gravity: Gravity, least_s: float) -> PoseCalibration:
     """Return the nine parameters of one device from the rests of all its files, each of at least ``least_s``.
 
-    RecordingError, naming the file, for gross errors and for files without rests.
+    Rests that disagree with the others are refused and listed. RecordingError, naming the file, for gross errors, files
+    without rests, and poses that are too few or show nothing.
     """
     for samples in sessions:
         check_alive(samples.name, samples.outputs)
@@ -175,7 +176,11 @@ def _result(
     fit: NormFit,
     doubtful: Sequence[Doubtful],
 ) -> PoseCalibration:
-    """Return the result with every rest and the notes; ``good`` (n,) are the rests without a fault of an axis."""
+    """Return the result with every rest and the notes.
+
+    ``good`` (n,) are the rests without a fault of an axis, of which those in ``doubtful`` are refused. ``start`` are
+    the parameters before the fit; ``unit`` is that of the outputs.
+    """
     numbers = np.flatnonzero(good)
     reasons = list(means.faults)
     for rest in doubtful:
@@ -221,7 +226,11 @@ def _result(
 
 
 def _notes(result: PoseCalibration) -> list[str]:
-    """Return sentences on what the result does not show and what it rests on."""
+    """Return sentences on what the result does not show and what it rests on.
+
+    They say whether poses are too few for all parameters, or for a test of the model, and whether many rests were
+    refused; the handedness of the axes is always named.
+    """
     notes = []
     count = len(result.used)
     timed = result.rests[0].start_s is not None

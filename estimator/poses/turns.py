@@ -234,7 +234,10 @@ def _noise(sessions: Sequence[GyroSamples], rests: Sequence[PoseRest]) -> _Noise
 def _turns(
     sessions: Sequence[GyroSamples], rests: Sequence[PoseRest], noise: _Noise
 ) -> tuple[list[_Turn], list[RefusedTurn]]:
-    """Return the turns between neighbouring rests, and those that cannot be used."""
+    """Return the turns between neighbouring rests of a file, and those that cannot be used, with reasons.
+
+    The rate within a turn is given less the mean bias of the two rests. A turn is refused if a rest between was.
+    """
     by_name = {samples.name: samples for samples in sessions}
     turns: list[_Turn] = []
     refused: list[RefusedTurn] = []

@@ -73,9 +73,11 @@ def _check_owner(path: Path, journal: os.stat_result) -> None:
 
 
 def _fold_in_journal(path: Path, journal: Path, file: BinaryIO) -> str:
-    """Replace the recording by one with the journal's content; return in words what was done.
+    """Replace the recording by one with the journal's content, delete the journal, and return in words what was done.
 
-    ValueError for a journal that is not used; RecordingError if nothing can be written.
+    A recording that holds all of it already stays, one with more samples gets only the journal's counts, and one that
+    is replaced but holds other data is kept under a free name. ValueError for a journal that is not used: of another
+    run, or damaged and no longer than the recording. RecordingError if nothing can be written.
     """
     found = _JournalContent(file)
     readable = path.exists() and _is_readable(path)
@@ -330,8 +332,9 @@ class _JournalContent:
         sync(part)
 
     def _write_rows(self, writer: RecordingWriter, file: BinaryIO) -> None:
-        """Write all rows of the journal that fit; samples that had no time yet get times by their arrival and are
-        counted.
+        """Write all rows of the journal that fit to the datasets; others are skipped.
+
+        Samples that had arrived but had no time yet get times by their arrival, and are added to ``samples``.
         """
         timed: dict[str, Mapping[str, Any]] = {}
         waiting: dict[str, list[Mapping[str, Any]]] = {}

@@ -115,7 +115,7 @@ class GalilAxisTwin:
         """Carry out ST, MO or SH, or store any other word, HM or FI, as the kind of the next motion.
 
         Refused during a motion, except ST. ST at rest does nothing, nor does SH while the axis turns or the interlock
-        is open.
+        is open; otherwise SH clears a trip.
         """
         if word == "ST":
             if self._moving:

@@ -74,8 +74,10 @@ class SlcanAdapter(LineDevice):
             self.flag(1)
 
     def _obey(self, line: bytes) -> bytes:
-        """Carry out one command line and return its answer, BELL for a refusal or an unknown command; CR for an empty
-        line.
+        """Carry out one command line and return its answer: CR alone for an empty line.
+
+        BELL for a refusal, an unknown command, or text that is not ASCII. Flags of errors are returned only while the
+        channel is open, and cleared.
         """
         if not line:
             return CR

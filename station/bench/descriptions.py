@@ -85,7 +85,8 @@ def _checked(top: Table, source: CanChannel, signals: dict[str, Any]) -> CanChan
 def _frame(table: Table) -> tuple[Frames, list[Any]]:
     """Return the framing and the signals of a table [frame].
 
-    Its error if frames could not be recognised, are shorter than sync and end, or a field or check does not fit.
+    The table's error if frames could not be recognised, are shorter than sync and end together, or a field or check
+    does not fit.
     """
     own = table.read_all("description.frame", sync=_bytes, end=_known)
     size, order = own["bytes"], own["byte_order"]
@@ -126,7 +127,8 @@ def _line(table: Table, source: CanChannel) -> tuple[Lines, list[Any], CanChanne
     """Return the framing and the signals of a table [line], and the source with its wrap converted to the stored
     integer.
 
-    Columns named "-" are skipped. The table's error if a name occurs twice or the separator is empty.
+    Columns named "-" are skipped. The table's error if a name occurs twice, the separator is empty or the check
+    unknown.
     """
     own, check, first = table.read_all("description.line"), None, 0
     columns = own["columns"]

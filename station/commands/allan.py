@@ -90,7 +90,7 @@ def _object(
 ) -> dict[str, Any]:
     """Return the noise of all sensors for --json, in SI, with the warnings about it.
 
-    ``by_source`` has the sensors of each kind by source; ``share`` is the relative uncertainty asked for.
+    ``by_source`` has the sensors of each kind by source; ``share`` is the relative uncertainty to be shown.
     """
     every = [(source, noise) for source, of_kinds in by_source.items() for noises in of_kinds for noise in noises]
     return {

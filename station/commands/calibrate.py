@@ -217,8 +217,10 @@ def _print_json(ends: Sequence[End]) -> int:
 
 
 def _print(ends: Sequence[End], *, in_lines: bool, details: bool) -> int:
-    """Print the results in full or, ``in_lines``, as an overview, then repeatability and failures; return the worst
-    code.
+    """Print the results, then repeatability and failures; return the worst exit code.
+
+    Results are printed in full or, ``in_lines``, as an overview. Repeated runs are those of a device with the same
+    script. Failures go to stderr.
     """
     judged = [(name, end) for name, end in ends if isinstance(end, Estimated)]
     if in_lines:

@@ -149,7 +149,10 @@ def _export_all(arguments: argparse.Namespace, folder: Path) -> int:
 
 
 def _written(arguments: argparse.Namespace) -> tuple[Exported, Written]:
-    """Return what is exported and the file in the chosen format; UsageError for missing or wrong options."""
+    """Return what is exported and the file in the chosen format.
+
+    UsageError for missing or wrong options, an unknown format, or one that cannot hold the calibration.
+    """
     if arguments.recording is None or arguments.format is None:
         raise UsageError(
             "give a recording and --format, or --all FOLDER; `station export --list` lists what each format holds"

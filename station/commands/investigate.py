@@ -21,7 +21,7 @@ from estimator.tracing.investigation import Finding, Investigation
 from station.atomic_write import check_new_file, check_picture, free_path, write_whole
 from station.bench.bench import load_bench
 from station.commands.calibrate import recordings_of
-from station.commands.improve import script_text
+from station.commands.improve.script_file import script_text
 from station.errors import UsageError
 from station.exports.investigation_file import write_investigation
 from station.render.accelerometers.findings import print_force_findings

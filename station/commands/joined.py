@@ -24,7 +24,8 @@ from station.views.json_values import json_object
 def command_join(arguments: argparse.Namespace, names: Sequence[str]) -> int:
     """Calibrate the one device of all recordings together, print the result, and return its exit code.
 
-    UsageError for options that a joined calibration does not have.
+    It is judged by the limits of --bench, else those of the first recording. Recordings that do not go together are
+    refused. UsageError for options that a joined calibration does not have.
     """
     for option in ("write", "model", "scheduler"):
         if getattr(arguments, option):

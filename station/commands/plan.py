@@ -7,7 +7,9 @@ from pathlib import Path
 
 from station.atomic_write import check_new_file, free_path, write_whole
 from station.bench.bench import load_bench
-from station.commands.improve import improve, quantity, script_text
+from station.commands.improve.command import improve
+from station.commands.improve.goal import quantity
+from station.commands.improve.script_file import script_text
 from station.errors import UsageError, sentence
 from station.opening import with_links
 from station.opening.planned_forces import planned_forces
@@ -32,7 +34,8 @@ EARLY_LATE_FILE = "early-late.toml"
 def command_plan(arguments: argparse.Namespace) -> int:
     """Print what a script will show on a bench; return 1 if it misses the sigmas that the bench requires, else 0.
 
-    With --improve or --early-late write a better script instead. UsageError for both together.
+    With --improve or --early-late write a better script instead, and return 1 if there is none. UsageError for both
+    together.
     """
     bench = load_bench(Path(arguments.bench) if arguments.bench else None)
     bench = with_links(bench, {}, arguments.device)

@@ -66,17 +66,8 @@ def command_report(arguments: argparse.Namespace) -> int:
         problem = str(error)
     made = [str(path) if path is not None and path.exists() else None for path in (pdf, dcc)]
     if arguments.json:
-        print(
-            json.dumps(
-                {
-                    **_result_object(report, formal, verdict),
-                    "recording": arguments.recording,
-                    "html": str(html),
-                    "pdf": made[0],
-                    "dcc": made[1],
-                }
-            )
-        )
+        files = {"recording": arguments.recording, "html": str(html), "pdf": made[0], "dcc": made[1]}
+        print(json.dumps({**_result_object(report, formal, verdict), **files}))
     else:
         _print_result(recorded, verdict, details=arguments.details)
         _print_documents(report, html, made, next_after_report(verdict, recorded.path))
@@ -154,8 +145,10 @@ def refused(reason: str, arguments: argparse.Namespace) -> dict[str, str | None]
 
 
 def _outputs(arguments: argparse.Namespace) -> tuple[Path, Path | None, Path | None]:
-    """Return the paths of HTML and, where wanted, PDF and XML, checked to be free; UsageError if not, or for wrong
-    options.
+    """Return the paths of HTML and, where wanted, PDF and XML, all without overwriting.
+
+    Without --output they are named as the recording, with a number if need be. UsageError if a file exists, for another
+    ending than .html or .pdf, or for a signature without certificate or --dcc.
     """
     if bool(arguments.sign) != bool(arguments.certificate) or (arguments.sign and not arguments.dcc):
         raise UsageError("--sign KEY.pem goes with --certificate CERTIFICATE.pem and --dcc")

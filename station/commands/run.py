@@ -4,8 +4,10 @@ import argparse
 import asyncio
 import json
 import sys
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext, suppress
 from pathlib import Path
+from typing import Any
 
 from drivers.errors import DeviceError
 from estimator.calibration.error_model import ErrorModel
@@ -97,13 +99,18 @@ def _run(arguments: argparse.Namespace) -> int:
                 _print_moved(path)
     if bench.after_run:
         sys.stdout.flush()  # the result is told by then, however long the program takes
-        told = {"bench": bench.station, "script": script.name, "operator": operator, "serial_number": serial}
-        if sys.stderr.isatty():
-            tell(f"after_run: {bench.after_run[0]} receives the result", sys.stderr)
-        problem = tell_program(bench.after_run, {**run_object(result), **told})
-        if problem:
-            tell(f"note: after_run: {problem}; the result is in {path}", sys.stderr)
+        facts = {"bench": bench.station, "script": script.name, "operator": operator, "serial_number": serial}
+        _tell_after_run(bench.after_run, {**run_object(result), **facts}, path)
     return result.verdict.outcome.exit_code
+
+
+def _tell_after_run(command: Sequence[str], result: Mapping[str, Any], recording: Path) -> None:
+    """Give the result to the program that the bench names, and wait for it; its failure is only a note."""
+    if sys.stderr.isatty():
+        tell(f"after_run: {command[0]} receives the result", sys.stderr)
+    problem = tell_program(command, result)
+    if problem:
+        tell(f"note: after_run: {problem}; the result is in {recording}", sys.stderr)
 
 
 def _print_moved(recording: Path) -> None:
@@ -118,7 +125,8 @@ def _print_moved(recording: Path) -> None:
 def _model_of(arguments: argparse.Namespace, bench: Bench) -> ErrorModel | None:
     """Return the error model of --model, checked against the bench before anything moves; None without it.
 
-    ModelError if the bench's table or devices cannot show an effect; UsageError with --end-early.
+    ModelError if the bench's table or accelerometers cannot show an effect; UsageError with --end-early, or if a device
+    has no temperature that an effect needs. Effects of accelerometers that the bench lacks are only a note.
     """
     if arguments.model is None:
         return None

@@ -36,7 +36,7 @@ def refused(reason: str, arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _paper(arguments: argparse.Namespace) -> paper.PaperStudy:
-    """Run the study of the paper, print it, and write the picture and the curves that were asked for.
+    """Run the study of the paper, print it, and write the picture and the curves that were asked for; return it.
 
     UsageError, before anything is run, if a file cannot be written there.
     """

@@ -160,7 +160,10 @@ def _correction(calibration: ForceCalibration) -> ForceCorrection:
 
 
 def _lacking(exported: Exported, correction: ForceCorrection, parts: Collection[Part]) -> Iterator[str]:
-    """Yield a line for each thing that is known of the accelerometers and is not among ``parts``."""
+    """Yield a line for each thing that is known of the accelerometers and is not among ``parts``, those of the format.
+
+    Always also: at which temperature they were calibrated, or that this is unknown.
+    """
     if Part.DELAY not in parts and correction.delay_s:
         yield sentence("export.force_delay", delay_s=correction.delay_s)
     if not correction.calibration.placed:

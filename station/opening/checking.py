@@ -142,8 +142,8 @@ def _errors_noted(check: DeviceCheck, look_at: str) -> Iterator[None]:
 async def _check_table(opened: OpenBench, device: OpenDevice, time_scale: float) -> DeviceCheck:
     """Ask the table for identity, status and readings of each axis, and whether another master commands it.
 
-    Returns the answers; faults, axes that turn and errors are noted as wrong, and also if reading all axes takes longer
-    than the poll rate allows.
+    Returns the answers. Noted as wrong are faults, axes that turn, commands of others, errors, and axes that take
+    longer to read than the poll rate allows. Time limits are stretched by ``time_scale``.
     """
     bench, table = opened.bench, opened.table
     check = DeviceCheck(device.name, bench.table.protocol, ", ".join(bench.table.links))

@@ -328,7 +328,7 @@ def truth_of(truths: Table, imu: ImuConfig) -> GyroTruth:
     of its data sheet.
     """
     table = truths.table(imu.name, optional=True)
-    own = table.read_all("bench.truth", each=len(imu.array))
+    own = table.read_all("bench.truth", list_length=len(imu.array))
     del own["fault"]  # read by read_faults
     del own["accelerometers"]  # read by force_truth_of
     del own["mounting_error"]  # read by mounting_of
@@ -342,7 +342,7 @@ def force_truth_of(truths: Table, imu: ImuConfig, site: Site | None) -> tuple[Ac
     if section is None:
         return None
     table = truths.again().table(imu.name, optional=True).table("accelerometers")
-    own = table.read_all("bench.force_truth", each=3)
+    own = table.read_all("bench.force_truth", list_length=3)
     stated_mps2 = own.pop("gravity_mps2")
     values: dict[str, Any] = {key: np.array(v) if isinstance(v, tuple) else v for key, v in own.items()}
     middle, apart = values.pop("arm_m"), values.pop("apart_m")

@@ -190,7 +190,10 @@ def _calibrated(sources: _Sources, calibration: Calibration) -> dict[str, object
 
 
 def _headings(sources: _Sources) -> dict[str, Heading]:
-    """Return the headings of the chapters that the report has, numbered."""
+    """Return the headings of the chapters that the report has, numbered without gaps.
+
+    Chapters of a calibration, as found, of accelerometers and of verification are left out where there is none.
+    """
     titles = dict(_CHAPTERS)
     if sources.recorded.calibration is None:
         titles = {key: titles[key] for key in _ALWAYS}

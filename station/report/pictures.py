@@ -147,10 +147,7 @@ def _last_estimates(course: Course, channel: int, states: Sequence[tuple[Markup,
 
 
 def nis_picture(recorded: Recorded) -> Picture | None:
-    """Return a picture of the NIS per degree of freedom of each source, averaged over some 60 blocks.
-
-    A band shows where 95 % of the means are to be. None if no NIS is stored.
-    """
+    """Return a picture of the NIS per degree of freedom of each source, in some 60 means; None if none is stored."""
     courses = [(name, course) for name, course in recorded.courses.items() if len(course.nis)]
     if not courses:
         return None
@@ -235,10 +232,7 @@ def _draw_allan(
     band: tuple[Floats, Floats] | None,
     factor: float,
 ) -> None:
-    """Draw the Allan deviation (t,) of sensor ``number``, called ``name``, over averaging times ``tau_s`` (t,).
-
-    ``band`` is its interval (t,), (t,), None if unknown; ``factor`` turns SI into the unit of the panel.
-    """
+    """Draw the Allan deviation (t,) of sensor ``number`` and, if known, the ``band`` (t,), (t,) of its interval."""
     colour, style = _STYLES[number % len(_STYLES)]
     if band is not None:
         panel.fill_between(tau_s, band[0] * factor, band[1] * factor, color=colour, alpha=0.15, lw=0)
@@ -308,11 +302,7 @@ def draw_investigation(path: Path, investigation: Investigation) -> None:
 
 
 def _draw(row: "Sequence[Axes]", view: ResidualView, spectra: Spectra | None, *, warm: bool = False) -> None:
-    """Draw one gyro into a row of panels, with labels for the legend.
-
-    The residual before and after is drawn over time, over the rate and, if ``warm``, over temperature, with a band of
-    two sigmas of the noise; ``spectra``, if not None, into the last panel.
-    """
+    """Draw one gyro into a row of panels, with labels for the legend; ``warm`` adds a panel over temperature."""
     over_time, *beside = row
     both = (("before", ORANGE, "x", view.before_rps), ("after", BLUE, "o", view.after_rps))
     since = view.t_s - view.t_s[0]

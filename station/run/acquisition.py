@@ -200,8 +200,8 @@ class Acquisition:
     async def follow(self, device: OpenDevice) -> None:
         """Record the series of a device until cancelled; a lost link is reopened while nothing turns.
 
-        The link of a table or tested device is reopened elsewhere. DeviceFault: incomplete row, end, or unexpected
-        exception.
+        Links of the table and of tested devices are reopened elsewhere. DeviceFault for an incomplete row, the end of
+        the series, or an unexpected exception.
         """
         driver = device.driver
         assert isinstance(driver, AppendsSeries)

@@ -54,7 +54,7 @@ class Table(StrictTable):
         return {key.field or key.name: self.option(key, folder, list_length) for key in keys}
 
     def read_all(self, section: str, folder: Path = Path(), **more: Any) -> dict[str, Any]:
-        """Take a section as ``read`` does, and raise the table's error for unknown keys."""
+        """Take a section as ``read`` does with its keywords ``more``, and raise the table's error for unknown keys."""
         found = self.read(section, folder, **more)
         self.done()
         return found
@@ -165,7 +165,10 @@ def _texts(key: Key, value: object) -> tuple[str, ...]:
 
 
 def _number(key: Key, value: object) -> float:
-    """Return a number within the key's bounds, in SI if it has a unit; ValueError if it is invalid."""
+    """Return a number within the key's bounds, in SI if it has a unit, integers included.
+
+    ValueError if it is of another type, not finite or beyond the bounds.
+    """
     number: float
     if key.kind == "integer":
         number = int(typed(value, (int,), "a whole number"))

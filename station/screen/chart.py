@@ -112,7 +112,10 @@ class Chart(PlotWidget, inherit_bindings=False):
         yield Legend(id="legend")
 
     def show(self, drawing: Drawing, window: tuple[float, float] | None) -> None:
-        """Show a drawing, for all of its time or for ``window``; the title has as many words as fit."""
+        """Show a drawing, for all of its time or for ``window`` (first, last); the title has as many words as fit.
+
+        A dial has no axes, and its circles are round. Without a range the values in sight give it.
+        """
         time = window or (drawing.span[0], max(drawing.span[1], drawing.span[0] + 1.0))
         low, high = (-math.inf, math.inf) if drawing.dial else time
         cells = max(self.size.width - _LABEL_WIDTH, _TICK_WIDTH)

@@ -176,7 +176,10 @@ def check_turn(turn: Turn, limits: Mapping[str, AxisLimits]) -> None:
 
 
 def _check_demand(demand: Demand, limits: Mapping[str, AxisLimits]) -> None:
-    """Raise ScriptError for a rate or acceleration that is zero or beyond the limit of its axis, or an unknown axis."""
+    """Raise ScriptError for a rate or acceleration that is zero or beyond the limit of its axis, or an unknown axis.
+
+    Accelerations must be positive; the sign of a rate is a direction.
+    """
     axis = demand.axis
     if axis not in limits:
         raise ScriptError(f"the table has no axis {axis}, only {', '.join(limits)}")

@@ -12,8 +12,9 @@ from estimator.observations.allan.terms import Term
 
 
 def json_object(value: Any) -> Any:
-    """Return a value with dataclasses, sequences, arrays and numbers converted to JSON's types; null for non-finite
-    numbers.
+    """Return a value with dataclasses, dicts, sequences, arrays and numbers converted to JSON's types, all levels down.
+
+    null for floats that are not finite; anything else is returned as it is.
     """
     if isinstance(value, float):
         return value if math.isfinite(value) else None

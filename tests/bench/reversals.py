@@ -37,7 +37,7 @@ from support import command
 from timing import BENCHES, DEG, found_states
 
 from station.bench.bench import default_bench_text, load_bench
-from station.commands.improve import script_text
+from station.commands.improve.script_file import script_text
 from station.opening import open_bench
 from station.run.event_loop.loops import VirtualLoop
 from station.run.session import Session

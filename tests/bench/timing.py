@@ -29,7 +29,7 @@ import numpy as np
 from support import TwinProcess, command
 
 from station.bench.bench import Bench, default_bench_text, load_bench
-from station.commands.improve import script_text
+from station.commands.improve.script_file import script_text
 from station.opening import open_bench
 from station.opening.twins import truth_of
 from station.run.event_loop.loops import VirtualLoop

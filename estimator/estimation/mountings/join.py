@@ -105,7 +105,10 @@ def join_mountings(
 
 
 def _check(recordings: Sequence[Recording]) -> None:
-    """Raise RecordingError unless there are two recordings or more of one device on a table."""
+    """Raise RecordingError unless there are two recordings or more, on a table, of one device with the same gyros.
+
+    The same are sources and axes, to within ``TOLERANCE``.
+    """
     if len(recordings) < 2:
         raise RecordingError(sentence("estimation.joined_alone"))
     for one in recordings:

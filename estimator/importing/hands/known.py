@@ -31,7 +31,8 @@ def known_session(
 ) -> PoseSession:
     """Return the calibration from stated poses and turns of all files; ``refused`` are files left out before.
 
-    RecordingError for gross errors, and if no section can be used.
+    Gyros are calibrated only if there are turns and a mapping of gyros. RecordingError for gross errors, and if no rest
+    can be used.
     """
     rests: list[KnownRest] = []
     turns: list[KnownTurn] = []

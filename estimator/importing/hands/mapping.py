@@ -90,7 +90,8 @@ def is_poses(path: Path) -> bool:
 def read_pose_mapping(path: Path, protocols: Protocols | None = None) -> PoseMapping:
     """Return the mapping in a file of kind poses; captures of the ``protocols`` are formats besides the others.
 
-    RecordingError with file, line and what to write if anything is unknown or wrong.
+    RecordingError with file, line and what to write if a table is missing, anything is unknown or wrong, or several
+    IMUs on a board come with known poses or means.
     """
     text = read_text(path, RecordingError)
     top = StrictTable.parse(text, path.name, RecordingError)
@@ -137,7 +138,10 @@ def read_pose_mapping(path: Path, protocols: Protocols | None = None) -> PoseMap
 
 
 def _timing(top: StrictTable, name: str, file_format: FileFormat, *, means: bool) -> Timing | None:
-    """Return the timing of a mapping, None for given means; RecordingError if it is missing, or there for means."""
+    """Return the timing of the mapping ``name``, None for files of ``means``, one row for each rest.
+
+    The table's error if means come with times or gyros, RecordingError if samples have no table [time].
+    """
     if not means:
         if not top.has("time"):
             raise RecordingError(
@@ -175,7 +179,10 @@ def _accelerometer(section: StrictTable) -> tuple[Columns, bool]:
 
 
 def _known(reference: StrictTable, timing: Timing | None, *, scale_known: bool) -> KnownSections:
-    """Return the sections with their poses and turns; the table's error if one states neither, or cannot be used."""
+    """Return the stated sections with their poses and turns.
+
+    The table's error if one states neither, and with given means or accelerometers without a known unit.
+    """
     if timing is None:
         raise reference.fail("sections", 'cannot be combined with data = "means"')
     if not scale_known:
@@ -194,7 +201,10 @@ def _known(reference: StrictTable, timing: Timing | None, *, scale_known: bool) 
 
 
 def _gravity(section: StrictTable, latitude_rad: float | None) -> Gravity:
-    """Return gravity as stated, by the site, or the standard one; the section's error if it is stated twice."""
+    """Return gravity as stated, that of the site, or the standard one with a wide uncertainty.
+
+    The section's error if it is stated beside a site, or has an uncertainty or height without either.
+    """
     if section.has("gravity_mps2"):
         if latitude_rad is not None:
             raise section.fail("gravity_mps2", "is stated beside a table [site]: leave one of them out")

@@ -16,7 +16,7 @@ from estimator.poses.turns import FewTurns, GyroSamples, calibrate_turns
 
 
 def calibrate_by_hand(mapping: PoseMapping, data_paths: Sequence[Path]) -> PoseSession:
-    """Return the calibration from all files of one device.
+    """Return the calibration from all files of one device, in known or unknown poses, or of several IMUs on a board.
 
     A file that cannot be read is left out; RecordingError, with every reason, if none is left, and for gross errors.
     """

@@ -78,7 +78,11 @@ class Bands:
         return squares, deviance
 
     def _scored(self, squares: Floats, fixed: int | None) -> Floats:
-        """Return the non-negative least-squares fit (p, 3), weighted by the variances at ``squares``."""
+        """Return the non-negative least-squares fit (p, 3) of N, B and K squared, weighted by the variances at
+        ``squares``.
+
+        The term number ``fixed`` keeps its value of ``squares`` (p, 3); None fits all.
+        """
         weight = 1 / (squares @ self.shapes.T) ** 2
         gram = np.einsum("bi,pb,bj->pij", self.shapes, self.counts * weight, self.shapes)
         right = (self.sums * weight) @ self.shapes

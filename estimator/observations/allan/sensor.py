@@ -146,8 +146,10 @@ class SensorNoise:
 
 
 def usable(series: Series) -> tuple[Series | None, list[str]]:
-    """Return the series with the sensors whose noise can be determined, None if there is none, and notes on the
-    others.
+    """Return the series with the sensors whose noise can be determined, None if there is none, and notes.
+
+    Left out are constant outputs, or all sensors if no stretch is long enough. Notes are also on silent sensors and
+    missing samples.
     """
     names = ", ".join(series.names)
     notes: list[str] = []

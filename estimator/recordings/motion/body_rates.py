@@ -131,7 +131,11 @@ class BodyRates:
             self._let_go()
 
     def _take(self, *, flush: bool) -> None:
-        """Turn readings into rows, except the last few and a ramp without an end yet; ``flush`` leaves none."""
+        """Turn readings that wait into rows, as far as it is known where a ramp among them ends; ``flush`` leaves none.
+
+        The last readings are held back, as they may belong to the beginning of a ramp. A change of rate without an end
+        within ``LONGEST_S`` is taken piece by piece if the table averages its rates, else as no ramp.
+        """
         times, changes = self._read["t_ns"], self._read["change"]
         hold_ns = round(HOLD_S * 1e9) + self._window_ns
         while (taken := self._taken) < len(times):

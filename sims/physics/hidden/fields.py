@@ -130,10 +130,10 @@ def check(effect: object) -> None:
 
 
 def _value(raw: object, field: Field[Any]) -> Any:
-    """Return a value of the file in SI, checked by the kind of its field ``field``; HiddenError if it is not of that
-    kind.
+    """Return a value of the file in SI, checked by the kind of ``field``; HiddenError if it is not of that kind.
 
-    Kinds are a quantity with a unit (a list of them where gyros may differ), a flag, an integer from 1 on, or a choice.
+    Kinds are a quantity with a unit (an array for a list of them, where gyros may differ), a flag, an integer from 1
+    on, or a choice.
     """
     if "like" in field.metadata:
         if field.metadata.get("each") and isinstance(raw, list | tuple):
@@ -154,7 +154,10 @@ def _value(raw: object, field: Field[Any]) -> Any:
 
 
 def quantity(text: object, like: str) -> float:
-    """Return the SI value of a text whose unit measures the same as ``like``; HiddenError if it does not."""
+    """Return the SI value of a text whose unit measures the same as the unit ``like``.
+
+    HiddenError for no text, no number, no or an unknown unit, or one that measures something else.
+    """
     if not isinstance(text, str):
         raise HiddenError(f'{text!r} has no unit: write a text, for instance "1 {like}"')
     if (found := split_quantity(text)) is None:

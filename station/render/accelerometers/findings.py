@@ -30,7 +30,9 @@ def print_force_findings(findings: Sequence[ForceFinding]) -> None:
 
 
 def _verdict(finding: ForceFinding) -> str:
-    """Return in one sentence whether effects were added, are suspected, or nothing is to be added; or was not examined."""
+    """Return in one sentence whether effects were added or are suspected, there is nothing to add, or it was not
+    examined.
+    """
     who = f"accelerometers of {escape(finding.source)}"
     if not finding.names:
         return f"[bold]{who}: not examined[/bold]"

@@ -20,7 +20,10 @@ _MOST_CORRELATED = 0.9999
 
 
 def effects_shown(forecast: Forecast, figures: tuple[StateUnit, ...]) -> Iterator[Shown]:
-    """Yield tables and lines on the effects of a forecast, with the states in these units; nothing without effects."""
+    """Yield tables and lines on the effects of a forecast, with the states in these units; nothing without effects.
+
+    They are the sizes that can be detected, effects that hide in the states, and pairs that look alike.
+    """
     if not forecast.effects:
         return
     sizes = [row for found in forecast.effects for row in detectable_sizes(found)]

@@ -38,7 +38,10 @@ def requires_sigmas(plan: Plan) -> bool:
 
 
 def sigmas_table(plan: Plan) -> Table:
-    """Return the predicted sigmas by gyro, and, if the bench requires sigmas, those and whether they are reached."""
+    """Return the predicted sigmas by gyro; if the bench requires sigmas, also those and which are reached.
+
+    Devices are named only if there are several.
+    """
     figures = state_figures(plan.bench.units)
     required = requires_sigmas(plan)
     several = len({gyro.source for gyro in plan.forecast.gyros}) > 1

@@ -34,7 +34,10 @@ _NEGLIGIBLE = 1e-3
 
 
 def details_shown(calibration: Calibration, units: Units) -> Iterator[Shown]:
-    """Yield the origin of the sigmas of a calibration, in these units, its noise, and notes."""
+    """Yield the origin of the sigmas of a calibration, in these units, its noise, and notes.
+
+    Parts that the calibration does not have are left out; the noise of a sample is always there.
+    """
     figures = fitted_figures(units, calibration)
     budget = budget_of(calibration)
     if budget:

@@ -48,7 +48,10 @@ def chapters(recorded: Recorded) -> list[ForceChapter]:
 
 
 def _chapter(calibration: ForceCalibration) -> ForceChapter:
-    """Return what is said of one source."""
+    """Return the chapter on the accelerometers of one source: tables, delay, gravity, and which are not calibrated.
+
+    Without calibrated accelerometers there are no tables.
+    """
     tables = (
         [_states(calibration), _places(calibration), _intrinsic(calibration), _budget(calibration)]
         if calibration.accelerometers

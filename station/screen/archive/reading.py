@@ -97,7 +97,11 @@ def _listed(file: Any) -> list[str]:
 
 
 def _entry(unread: Entry, file: Any) -> Entry:
-    """Return the entry of an open recording; ValueError for an impossible time."""
+    """Return the entry of an open recording; ``unread`` has its path and the time of its last change.
+
+    That time stays if the recording has no clock. Without a calibration there are no figures. ValueError for an
+    impossible time.
+    """
     began_utc_s = plain(file.attrs.get("clock_zero_utc_s"))
     if began_utc_s is not None and not 0 <= float(began_utc_s) < 2.5e11:  # later years have five digits
         raise ValueError(f"it began {began_utc_s} s after 1970")

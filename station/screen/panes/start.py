@@ -108,7 +108,10 @@ class ScriptView:
 
 
 def script_text(view: ScriptView) -> Text:
-    """Return how long the script takes, and the sigmas that are predicted for it."""
+    """Return how long the script takes, and the sigmas that are predicted for it.
+
+    In place of these: why the script cannot be read, that the prediction is under way, or why it failed.
+    """
     prospect = view.prospect
     if prospect.motion is None:
         lines = [line(("Script", TITLE))]

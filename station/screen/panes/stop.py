@@ -55,7 +55,11 @@ def _ended(run: LiveRun) -> StopView:
 
 
 def _stopping(run: LiveRun) -> StopView | None:
-    """Return the bar of a run whose table is at rest or is to come to rest; None for another."""
+    """Return the bar of a run whose table is at rest or is to come to rest; None if neither.
+
+    It tells the operator to use the emergency stop if rest is not confirmed, or if a STOP has had no reaction for
+    ``_PATIENCE_S``.
+    """
     if run.at_rest:
         sent = "STOP sent, " if run.stop_asked else ""
         return StopView(colour=StopColour.REST, text=f"{sent}table at rest")

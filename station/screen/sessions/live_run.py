@@ -156,7 +156,10 @@ class LiveRun:
         self._heard_s = time.monotonic()
 
     def take(self, message: Mapping[str, Any]) -> None:
-        """Update the state from a message; malformed messages and unknown kinds are ignored."""
+        """Update the state from a message of the session, by its kind; a result ends the run.
+
+        Malformed messages and unknown kinds change nothing, but show that the session is alive.
+        """
         self._heard_s = time.monotonic()
         kind = message.get("kind")
         with suppress(KeyError, TypeError, ValueError):

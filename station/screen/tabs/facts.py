@@ -47,7 +47,8 @@ class FactsDialog(ChooseDialog):
 async def fill_in(app: Any, recording: ReadRecording) -> None:
     """Let the operator edit facts, named as "customer.name" or "equipment.0.due", until they are stored or given up.
 
-    Facts that cannot be read or stored are reported.
+    They are stored beside the recording and as the form of the bench. Nothing is stored while one is wrong: that field
+    is asked for next. Facts that cannot be read or stored are reported.
     """
     try:
         recorded, files, sources = await asyncio.to_thread(_stated, recording)

@@ -318,7 +318,10 @@ class PrepareScreen(StationScreen):
         self._chosen = self.station.choices = replace(self.station.choices, **entered)
 
     def _obstacles(self) -> list[Obstacle]:
-        """Return what prevents a start."""
+        """Return what prevents a start: a running session, the entries, bench, script, folder, devices and plan.
+
+        Devices and plan are left out while the bench cannot be read.
+        """
         prospect = self._prospect
         found = [_wait("a session is running: F3 shows it")] if self.station.busy else []
         found += self._entry_obstacles()
@@ -335,7 +338,10 @@ class PrepareScreen(StationScreen):
         return found
 
     def _entry_obstacles(self) -> list[Obstacle]:
-        """Return what is wrong with operator and serial number."""
+        """Return what is wrong with operator and serial number: empty, not of the bench's pattern, or not confirmed.
+
+        An operator has to confirm after a shift; a serial number needs a reason if the device reports another.
+        """
         found: list[Obstacle] = []
         prospect = self._prospect
         choices = self.station.choices

@@ -34,7 +34,10 @@ class ParameterRow:
 
 
 def parameter_rows(result: PoseCalibration) -> list[ParameterRow]:
-    """Return the nine parameters in everyday units; biases in mg stand beside those in m/s2."""
+    """Return the nine parameters in everyday units: biases in m/s2, and in mg below, angles in deg.
+
+    Scales and biases of raw counts are in counts.
+    """
     counts = result.unit == "counts"
     rows = []
     for own in result.parameters:
