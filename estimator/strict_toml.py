@@ -179,6 +179,8 @@ class StrictTable:
     def stated(self, keys: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
         """Take the plain keys declared in ``keys``; return the values by field. Degrees become radians, choices their
         values.
+
+        The table's error if one is invalid, or missing without a default.
         """
         found = {}
         for key, says in keys.items():
@@ -219,7 +221,7 @@ class StrictTable:
             raise self.fail(key, str(error)) from None
 
     def _line(self, key: str | None) -> int | None:
-        """Return the line in the file of the key, or else of this table; None if neither is found."""
+        """Return the line in the file of the key, or else of this table, from 1; None if neither is found."""
         path = (*self._path, *([key] if key else []))
         name = next((part for part in reversed(path) if isinstance(part, str)), None)
         if name is None or not _leads(path, self._text):

@@ -163,7 +163,7 @@ class ErrorModel:
         return any("temperature" in known.effect(()).needs for known in self.effects)
 
     def text(self) -> str:
-        """Return the model as JSON."""
+        """Return the model as JSON text, which ``parse`` reads; without accelerometers that key is left out."""
         effects = [
             {
                 "effect": known.name,

@@ -29,7 +29,7 @@ def forces_of(text: str) -> tuple[ForceCalibration, ...]:
 
 
 def _object(calibration: ForceCalibration) -> dict[str, Any]:
-    """Return the calibration of a source as values of JSON."""
+    """Return the calibration of a source as values of JSON, without the data sheet; ``_calibration`` reads them."""
     return {
         "source": calibration.source,
         "device": calibration.device,
@@ -60,7 +60,7 @@ def _effect_object(effect: ForceEffectValues) -> dict[str, Any]:
 
 
 def _accelerometer_object(accelerometer: AccelerometerCalibration) -> dict[str, Any]:
-    """Return one accelerometer as values of JSON."""
+    """Return one accelerometer as values of JSON; its noise is null if it is unknown."""
     noise = None
     if accelerometer.noise is not None:
         mean = accelerometer.noise.mean
@@ -82,7 +82,7 @@ def _accelerometer_object(accelerometer: AccelerometerCalibration) -> dict[str, 
 
 
 def _calibration(source: Mapping[str, Any]) -> ForceCalibration:
-    """Return the calibration of a source."""
+    """Return the calibration of a source from values of JSON, as ``_object`` made them; KeyError if one is missing."""
     offset = source["offset"]
     return ForceCalibration(
         source=str(source["source"]),
@@ -102,7 +102,7 @@ def _calibration(source: Mapping[str, Any]) -> ForceCalibration:
 
 
 def _effect(effect: Mapping[str, Any]) -> ForceEffectValues:
-    """Return an effect of a model."""
+    """Return an effect of a model from values of JSON; its parameters are by accelerometer."""
     return ForceEffectValues(
         name=str(effect["name"]),
         unit=str(effect["unit"]),
@@ -114,7 +114,7 @@ def _effect(effect: Mapping[str, Any]) -> ForceEffectValues:
 
 
 def _accelerometer(accelerometer: Mapping[str, Any], source: Mapping[str, Any]) -> AccelerometerCalibration:
-    """Return one accelerometer of a source."""
+    """Return one accelerometer of ``source`` from values of JSON, as ``_accelerometer_object`` made them."""
     noise = None
     if accelerometer["noise"] is not None:
         arw, instability, walk, instability_below, walk_below = map(float, accelerometer["noise"])

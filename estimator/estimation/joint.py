@@ -267,7 +267,10 @@ def _hz(known: KnownEffect) -> float | None:
 
 
 def _delay_law(recording: Recording, source: str, taken_off_s: float) -> Law:
-    """Return the law of a source's time offset, of which ``taken_off_s`` beyond the expected one was subtracted."""
+    """Return the law of a source's time offset, of which ``taken_off_s`` was subtracted.
+
+    Its sigma is that of the table's stated timing and of its readings' instants, else the usual one.
+    """
     table = recording.table
     sd_s = expected_sd_s()
     line = ""
@@ -298,8 +301,9 @@ def _delays(joint: Joint, covariances: Sequence[Floats]) -> dict[str, tuple[floa
 
 
 def _offset_notes(recording: Recording, offsets: dict[str, TimeOffset], external: bool) -> list[str]:
-    """Return, in sentences, the time offsets beyond chance and, of a table, beyond its stated timing; none if not
-    stated.
+    """Return sentences on the time offsets beyond chance and, of a table, beyond its stated timing.
+
+    None for a table without a stated uncertainty. ``external``: the reference is another instrument.
     """
     stated = recording.table.uncertainty if recording.table is not None else None
     notes = []

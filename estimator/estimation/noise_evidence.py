@@ -201,8 +201,9 @@ def settled(
 
 
 def run_of_blocks(source: str, data: ImuData, blocks: Blocks, reference: TableReadings) -> Run:
-    """Return blocks as a run without conditions, for which only the states can be estimated; ``data`` may hold no
-    samples.
+    """Return blocks as a run of one source, without conditions: only the states can be estimated for it.
+
+    ``data`` may hold no samples. Blocks that are less than half full have no weight.
     """
     b, m = (int(blocks.index[-1]) + 1 if len(blocks.index) else 0), len(data.array)
     w, z, weight = np.zeros((b, 3)), np.zeros((b, m)), np.zeros(b)

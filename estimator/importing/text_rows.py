@@ -130,7 +130,7 @@ class _Body:
         return f"check delimiter and decimal in [file]{unit * stamps}, or repair the file"
 
     def _stamps_hint(self) -> str:
-        """Return how to state stamps that are dates or times; "" if they are numbers or of no known form."""
+        """Return how to state stamps that are dates or times; "" if they are numbers, of no known form, or missing."""
         at = self.header.index(_bare(self.wanted.needed[0]))
         fields = [_fields(line, self.format) for _, line in self.lines]
         texts = [own[at] for own in fields if len(own) >= len(self.header)]

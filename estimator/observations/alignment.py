@@ -337,7 +337,10 @@ def _tried(means: _Means, fits: Flags) -> float:
 
 
 def _loss_by_normal_equations(means: _Means, outputs: Floats, delay_s: float, fits: Flags) -> float:
-    """Return the same as ``_loss`` but for rounding; ``outputs`` (n, m) are 0 where they do not fit."""
+    """Return what ``_loss`` returns, but for rounding, in less time.
+
+    ``delay_s`` is tried; ``fits`` (n, m) flags the intervals that count, ``outputs`` (n, m) are 0 where they do not.
+    """
     columns, known, weight = _columns(means, delay_s)
     if not known.all():
         columns = np.where(known[:, None], columns, 0.0)

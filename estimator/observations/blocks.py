@@ -95,7 +95,9 @@ class BlockSums:
         self._products += columns.T @ columns
 
     def blocks(self) -> Blocks:
-        """Return the blocks so far, the last of which may be incomplete."""
+        """Return the means of the blocks so far, the last of which may be incomplete, and the products within
+        blocks.
+        """
         index, rows, sums = (self._parts[name] for name in ("index", "rows", "sums"))
         first = np.flatnonzero(np.diff(index, prepend=index[:1] - 1))  # a block may come in two parts
         index, rows, sums = index[first], np.add.reduceat(rows, first), np.add.reduceat(sums, first, axis=0)

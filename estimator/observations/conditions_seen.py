@@ -9,7 +9,10 @@ _STILL_DPS = 0.5
 
 
 def holds_for(recording: Recording) -> str:
-    """Return a text on the rates, directions, temperatures and times after the start that a recording covers."""
+    """Return a text on the rates, directions, temperatures and times after the start that a recording covers.
+
+    It says "rest" for all rates below ``_STILL_DPS``, and names axes that turn in one direction only.
+    """
     ranges = [_limits(np.degrees(rate)) for rate in _rates_rps(recording)]
     if max(max(-low, high) for low, high in ranges) < _STILL_DPS:
         said = ["rest"]
@@ -26,7 +29,10 @@ def holds_for(recording: Recording) -> str:
 
 
 def _rates_rps(recording: Recording) -> list[Floats]:
-    """Return the rates (k,) about x, y, z; for a table those of its axes."""
+    """Return the rates (k,) about x, y, z: of the axes of a table, of turns, of a reference, else of the gyros.
+
+    An axis that a table does not have rests.
+    """
     table = recording.table
     rates = recording.reference.external_rates()
     if table is not None:

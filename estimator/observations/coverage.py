@@ -202,7 +202,10 @@ def _middle(turning: _Turning, amount: Floats) -> tuple[float, float]:
 
 
 def _turnings(recording: Recording, data: ImuData) -> Iterator[_Turning]:
-    """Yield the motion of the body as seen by a source, then that of the axes of a table."""
+    """Yield the motion of the body, then that of the axes of a table.
+
+    Without turns, table or rates the gyros of the source themselves give the motion.
+    """
     turns = recording.turns
     rates = recording.reference.external_rates()
     if turns is not None:

@@ -96,7 +96,10 @@ def _dead(column: Floats, gyro: int, *, fine: bool, comparison: ReferenceCompari
 
 
 def _limited(data: ImuData, gyro: int, *, fine: bool, comparison: ReferenceComparison | None) -> tuple[Flags, str]:
-    """Return as flags (n,) which samples of a gyro are at or beside a limit, and its levels in words."""
+    """Return as flags (n,) which samples of gyro number ``gyro`` are at or beside a limit, and its levels in words.
+
+    Extreme values count as limits only if readings are ``fine``; ``comparison`` shows further ones below the range.
+    """
     column = data.rate_rps[:, gyro]
     low, high = float(np.nanmin(column)), float(np.nanmax(column))
     limited = at_limits(data.t_ns, column, low, high) if fine else np.zeros(len(column), dtype=bool)

@@ -59,7 +59,10 @@ def accelerometer_series(data: ImuData, spans_ns: list[tuple[int, int]]) -> Seri
 
 
 def motion_notes(recording: Recording) -> list[str]:
-    """Return sentences on what the motion of the table leaves unobserved; empty for other references."""
+    """Return sentences on what the motion of the table leaves unobserved: axes that never turn, and no rest.
+
+    Empty if there is nothing, and for other references.
+    """
     table = recording.table
     if table is None:
         return []

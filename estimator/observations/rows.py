@@ -188,7 +188,7 @@ def _quantum(rate_rps: Floats) -> Floats:
 
 
 def in_order(data: ImuData) -> tuple[Stamps, Floats]:
-    """Return stamps and outputs of the finite samples, in order of time."""
+    """Return stamps (n,) and outputs (n, m) of the samples in which all outputs are finite, in order of time."""
     t_ns, rate = data.t_ns, data.rate_rps
     finite = np.isfinite(rate).all(axis=1)
     if not finite.all():

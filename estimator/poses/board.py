@@ -46,7 +46,10 @@ class _Motion:
 
 
 def locate(imus: Sequence[ImuSamples]) -> Board:
-    """Return rotations and arms of IMUs against the first; RecordingError for too few IMUs or fast turns."""
+    """Return rotations and arms of IMUs against the first, from samples of fast turns.
+
+    Samples at or beside the limit of any sensor are left out. RecordingError for too few IMUs or samples.
+    """
     if len(imus) < _FEWEST_IMUS:
         raise RecordingError(f"arms between {len(imus)} IMUs are not estimated: {_FEWEST_IMUS} and more are needed")
     rotations, sds = _rotations(imus)

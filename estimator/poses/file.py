@@ -33,7 +33,7 @@ _NUMBERS = ("factor", "freedom", "before_mps2", "after_mps2", "between_mps2")
 
 
 def write_pose_session(path: Path, session: PoseSession) -> None:
-    """Write a calibration by hand to a new file; RecordingError if it exists or cannot be written."""
+    """Write a calibration by hand to a new file, with its folders; RecordingError if it exists or cannot be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with h5py.File(path, "x") as file:
@@ -82,7 +82,9 @@ def read_pose_session(path: Path) -> PoseSession:
 
 
 def is_pose_session(path: Path) -> bool:
-    """Return whether a file is an HDF5 file of this format."""
+    """Return whether a file is an HDF5 file of this format; false for one that is missing, damaged or cannot be
+    read.
+    """
     try:
         if not path.is_file() or not h5py.is_hdf5(path):
             return False

@@ -198,7 +198,11 @@ def _linear(rests: Rests, parameters: Intrinsic) -> _Linear:
 
 
 def _minimised(rests: Rests, start: Intrinsic, between: float) -> Intrinsic:
-    """Return the parameters of least squares from ``start``, with plausible sizes for what is not determined."""
+    """Return the parameters of least squares from ``start``, by damped steps (Levenberg, Marquardt).
+
+    ``between`` is as for ``_cost``. If the rests do not determine all parameters, all are drawn to ``start``, within
+    plausible sizes.
+    """
     parameters = start
     sizes = _sizes(rests, start)
     damping = 1e-3
@@ -313,7 +317,10 @@ def _near(rests: Rests, start: Intrinsic, least: int) -> Flags:
 
 
 def _deleted(rests: Rests, used: Flags, current: NormFit) -> Floats:
-    """Return the residual of each rest (n,) without it in the fit, in its own sigma (externally studentised)."""
+    """Return the residual of each rest (n,) without it in the fit, in its own sigma (externally studentised).
+
+    ``used`` (n,) are the rests in the fit ``current``. It is 0 for a rest that alone determines a parameter.
+    """
     linear = _linear(rests, current.parameters)
     variance = linear.variance + current.between_mps2**2
     own = linear.slopes[used]

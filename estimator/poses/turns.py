@@ -115,7 +115,10 @@ def _alive(samples: GyroSamples) -> GyroSamples:
 
 
 def _axes_contradict(up: Floats, turns: Sequence[_Turn]) -> str:
-    """Return a sentence if the turns fit the directions up (k, 3) only with other gyro axes or units; else ""."""
+    """Return a sentence if the turns fit the directions up (k, 3) only with other gyro axes or units; else "".
+
+    Tried are all orders and signs of the axes, and rad for deg or the reverse.
+    """
     found: list[tuple[float, str]] = []
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):
@@ -182,7 +185,7 @@ def _up(vector: Floats, means: Floats) -> Floats:
 
 
 def _rows(samples: GyroSamples, rest: PoseRest) -> slice:
-    """Return the rows of a rest."""
+    """Return the rows of the samples within a timed rest."""
     assert rest.start_s is not None
     assert rest.duration_s is not None
     half_s = 0.5 * float(np.median(np.diff(samples.t_s)))
@@ -262,7 +265,10 @@ def _turns(
 
 
 def _unusable(samples: GyroSamples, between: slice) -> str:
-    """Return why the samples of a turn cannot be summed up; "" if they can."""
+    """Return why the samples of a turn, the rows ``between``, cannot be summed up; "" if they can.
+
+    Samples are missing, or a gyro stays at the largest or least value of its file.
+    """
     t_s, rate = samples.t_s[between], samples.rate_rps[between]
     if np.diff(t_s).max() > _LOST_STEPS * float(np.median(np.diff(samples.t_s))):
         return "samples are missing in it"
@@ -275,7 +281,11 @@ def _unusable(samples: GyroSamples, between: slice) -> str:
 
 
 def _fit(directions: _Directions, turns: Sequence[_Turn]) -> tuple[Floats, Floats, Flags, int, float]:
-    """Return C (3, 3), its covariance (9, 9), which are shown (9,), degrees of freedom, and the mean square misfit."""
+    """Return C (3, 3), its covariance (9, 9), which are shown (9,), degrees of freedom, and the mean square misfit.
+
+    Elements that the turns do not show have a plausible size as prior in the covariance. The misfit is 1 without
+    freedom.
+    """
     inverse = np.eye(3)
     root = np.eye(2 * len(turns))
     for _ in range(_ITERATIONS):

@@ -38,7 +38,7 @@ class Settings:
     gyro_filter: int = 4
 
     def configuration(self) -> Configuration:
-        """Return the configuration datagram of these settings."""
+        """Return the configuration datagram of these settings: rate, units, filters, serial line and contents."""
         layout = LAYOUTS[self.identifier]
         configuration = Configuration.of(
             rate_hz=self.rate_hz,

@@ -91,7 +91,9 @@ class Accelerometers:
         return np.vstack(parts)
 
     def true_output_mps2(self, t_s: Floats) -> Floats:
-        """Return the outputs (n, m) at instants, without noise and quantisation."""
+        """Return the outputs (n, m) at instants (n,), delayed and with all errors of the truth, without noise and
+        quantisation.
+        """
         truth = self._truth
         felt_s = t_s - truth.delay_s
         force = self._body.specific_force_mps2(felt_s, truth.places_m, self._gravity_mps2)

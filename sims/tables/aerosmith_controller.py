@@ -18,7 +18,7 @@ class AerosmithController(LineController):
     """A controller of one axis; a line ends with CR."""
 
     def __init__(self, setup: TableTwinSetup, write: Callable[[bytes], None]) -> None:
-        """Start with the servo off."""
+        """Start with the servo off, at the largest rate and acceleration of the one axis."""
         super().__init__(setup, write)
         self._table, (self._axis,) = setup.table, setup.addresses
         self._servo_on = False

@@ -11,7 +11,7 @@ from station.views.json_values import json_object
 
 
 def command_effects(arguments: argparse.Namespace) -> int:
-    """Print the catalogue of effects; return 0."""
+    """Print the catalogue of effects, or the same as JSON; return 0."""
     effects = [effect_view(effect) for effect in everything()]
     if arguments.json:
         print(json.dumps(json_object(effects)))

@@ -71,7 +71,10 @@ def _check_place(path: Path, dialogue: Dialogue, force: bool) -> None:
 
 
 def _ask(dialogue: Dialogue, arguments: argparse.Namespace, path: Path) -> Data:
-    """Return the bench from the answers: name, table, devices under test, devices of other kinds, and the rest."""
+    """Return the bench from the answers: name, table, devices under test, devices of other kinds, and the rest.
+
+    Options state protocols and links beforehand. If nobody is asked, there are no devices beyond these.
+    """
     dialogue.say(sentence("init.begin"))
     folder = path.absolute().parent
     links = Links(serial_ports(), can_interfaces()) if dialogue.asks else Links()

@@ -71,7 +71,8 @@ def early_late_plan(plan: Plan) -> Plan | None:
 
 
 def _write_early_late(arguments: argparse.Namespace, plan: Plan) -> int:
-    """Write the script that turns each axis early and late, and print its sigmas; return 1 if there is none.
+    """Write the script that turns each axis early and late, and print its sigmas; return 1, with the reason, if there
+    is none.
 
     UsageError if the file exists.
     """

@@ -16,7 +16,10 @@ from station.run.outcome import Outcome
 
 
 def command_twin(arguments: argparse.Namespace) -> int:
-    """Serve the twins of a bench until SIGINT or SIGTERM; return 0, or 4 if a port cannot be had."""
+    """Serve the twins of a bench until SIGINT or SIGTERM; return 0, or 4 if a port cannot be had.
+
+    The ports are announced on stdout, a line of JSON each.
+    """
     bench = seeded(load_bench(Path(arguments.bench) if arguments.bench else None), arguments.seed)
 
     async def serve() -> None:

@@ -72,8 +72,9 @@ def _keep(text: str) -> str:
 
 
 def choices_of(arguments: argparse.Namespace) -> "Choices":
-    """Return what the options of `station ui` or `station run --ui` choose beforehand; UsageError for --json or
-    --output.
+    """Return what the options of `station ui` or `station run --ui` choose beforehand; empty where none is given.
+
+    UsageError for --json or --output.
     """
     from station.screen.choices import Choices
 

@@ -145,7 +145,9 @@ def _why_refused(calibration: ForceCalibration, form: str, triad: bool) -> str:
 
 
 def _correction(calibration: ForceCalibration) -> ForceCorrection:
-    """Return the constants of accelerometers that span space."""
+    """Return the constants of accelerometers that span space: sensitivity, its pseudo-inverse, biases, effects of
+    force.
+    """
     sensitivity = sensitivity_of(calibration.accelerometers)
     of_force = [effect for effect in calibration.effects if BY_NAME[effect.name].of_force]
     return ForceCorrection(

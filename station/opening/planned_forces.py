@@ -51,7 +51,10 @@ def _planned(script: Script, bench: Bench, imu: ImuConfig) -> PlannedForces | No
 
 
 def simulated_run(script: Script, bench: Bench, imu: ImuConfig) -> Recording:
-    """Return a run of a device without errors, with the noise of its data sheets; it states one for accelerometers."""
+    """Return a simulated run of a device without errors, with the noise of its data sheets.
+
+    The device has to state one for accelerometers. Gravity is that of the site, else the standard one.
+    """
     sheet = imu.force_sheet
     assert sheet is not None
     count = len(imu.array.p[:3])

@@ -337,7 +337,11 @@ def truth_of(truths: Table, imu: ImuConfig) -> GyroTruth:
 
 
 def force_truth_of(truths: Table, imu: ImuConfig, site: Site | None) -> tuple[AccelerometerTruth, float] | None:
-    """Return the true errors of the accelerometers of a device and its true gravity; None if the bench states none."""
+    """Return the true errors of the accelerometers of a device and its true gravity in m/s2; None if the bench states
+    none.
+
+    Gravity is by default that of the site, else the standard one.
+    """
     section = truths.again().table(imu.name, optional=True).value("accelerometers", None)
     if section is None:
         return None

@@ -98,7 +98,7 @@ def _early_late(plan: Plan, offered: Plan | None) -> Iterator[Shown]:
 
 
 def _assumed(plan: Plan) -> list[Shown]:
-    """Return what the plan assumes."""
+    """Return what the plan assumes of temperature, tones, constant biases, site and table."""
     imus = [imu for imu in plan.bench.imus if imu.used]
     values = {
         "from_degc": f"{REFERENCE_C:g}",

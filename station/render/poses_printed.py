@@ -21,7 +21,9 @@ _HEADS = ["parameter", "value", "U (95 %)", "unit"]
 
 
 def print_pose_session(session: PoseSession) -> None:
-    """Print a calibration by poses."""
+    """Print a calibration by poses: parameters, refused rests, then gyros, board and stated frame where it has them,
+    notes.
+    """
     result = session.accelerometer
     rows = [[own.name, own.value, own.u95, own.unit] for own in parameter_rows(result)]
     first = f", {session.board.imus[0].name}" if session.board else ""
@@ -42,7 +44,7 @@ def print_pose_session(session: PoseSession) -> None:
 
 
 def _gyro(session: PoseSession) -> list[Shown]:
-    """Return what is printed of gyros; nothing without them."""
+    """Return what is printed of gyros, refused turns included; nothing without them."""
     result = session.gyro
     if result is None:
         return []

@@ -27,7 +27,10 @@ def rendered(package: str, name: str, values: Mapping[str, Any]) -> str:
 
 @cache
 def _environment(package: str, rich: bool) -> "Environment":
-    """Return the jinja2 environment for the templates of a package, with the shared functions and filters."""
+    """Return the jinja2 environment for the templates of a package, with the shared functions and filters.
+
+    Undefined names are errors. With ``rich`` values are escaped for rich's markup; else None is printed as nothing.
+    """
     from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
     from station.views.figures import (

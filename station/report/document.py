@@ -140,7 +140,9 @@ class _Sources:
 
 
 def _values(sources: _Sources) -> dict[str, object]:
-    """Return the chapters by the names that the templates have for them."""
+    """Return the chapters by the names that the templates have for them; those on a calibration only if there
+    is one.
+    """
     recorded = sources.recorded
     headings = _headings(sources)
     values: dict[str, object] = {
@@ -166,7 +168,7 @@ def _values(sources: _Sources) -> dict[str, object]:
 
 
 def _calibrated(sources: _Sources, calibration: Calibration) -> dict[str, object]:
-    """Return the chapters on a calibration."""
+    """Return the chapters on a calibration, by the names that the templates have for them."""
     recorded, traced, before = sources.recorded, sources.traced, sources.before
     limits = limits_of(recorded)
     states = figures.states_in(limits.units if limits is not None else Units())

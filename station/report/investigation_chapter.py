@@ -74,7 +74,10 @@ def read_traced(path: Path | None, recorded: Recorded) -> Traced | None:
 
 
 def _read(path: Path, group: "Group") -> Traced:
-    """Return the investigation in an open group; ValueError if its states have a wrong shape."""
+    """Return the investigation in an open group of the file ``path``; ValueError if its states have a wrong shape.
+
+    Residuals and spectra are those of the verification run where there is one. Older files have no model.
+    """
     names = tuple(str(plain(name)) for name in group["name"][()])
     states = np.asarray(group["states_after"][()], dtype=np.float64)
     if states.shape != (len(names), 4):

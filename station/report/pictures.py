@@ -395,7 +395,7 @@ def _drawn(
 
 
 def _done(figure: "Figure", words: PictureWords) -> Picture:
-    """Return the figure as a compact SVG with its words."""
+    """Return the figure as a compact SVG in a data URI, with its words and its size in inches."""
     out = io.StringIO()
     figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     text = out.getvalue()

@@ -78,7 +78,7 @@ class StationApp(App[None]):
     ]
 
     def __init__(self, choices: Choices, *, attach: bool = False) -> None:
-        """Load what was entered last and combine it with ``choices``; ``attach``: begin with a running session."""
+        """Load what was entered last, for all that ``choices`` leave empty; ``attach``: begin with a session."""
         if attach:
             self.DEFAULT_MODE = "run"
         super().__init__()
@@ -157,7 +157,7 @@ class StationApp(App[None]):
             self._told_by_key = link.stop()
 
     async def _stop_all(self) -> None:
-        """Stop all running sessions, and show the first."""
+        """Stop all running sessions, and show the first; nothing if there are none."""
         sockets = await asyncio.to_thread(running_sessions)
         if sockets:
             run = LiveRun()
@@ -410,7 +410,7 @@ class StationApp(App[None]):
                     screen.tick()
 
     def show_stop(self) -> None:
-        """Show the run's state in the bars; if the run is settled, a line on the recording that is shown."""
+        """Show the run's state in the bars; without a run that matters, a line on the recording that is shown."""
         with suppress(ScreenStackError):
             below = next((screen for screen in self.screen_stack if isinstance(screen, StationScreen)), None)
             run, line = self.shown, ""

@@ -127,7 +127,7 @@ def _temperature(run: LiveRun, sensor: Sensor) -> Drawing:
 
 
 def _state(index: int, run: LiveRun, sensor: Sensor) -> Drawing:
-    """Return the live estimate of a state."""
+    """Return the chart of the live estimate of state number ``index`` of a gyro or accelerometer, with its limit."""
     limits = run.limits
     trend = run.trends.get(sensor.full_name) or Trend()
     if not isinstance(sensor, GyroSnapshot):

@@ -56,7 +56,9 @@ def relative_percent(errors: Floats) -> Floats:
 
 
 def inconsistencies(bias_sd_dps: float) -> list[str]:
-    """Return where the paper's own numbers disagree; ``bias_sd_dps`` is what its noise leaves of a bias."""
+    """Return sentences on where the paper's own numbers disagree; ``bias_sd_dps`` is what its noise leaves of a
+    bias.
+    """
     gain = (TABLE_4 - TABLE_3).mean()
     claimed = _PRINTED["claimed"]
     from_table_2 = _by_state(relative_percent(TABLE_2), ".3g")

@@ -61,7 +61,7 @@ def mean_noise(calibration: Calibration) -> MeanNoise | None:
 
 
 def rest_noise(calibration: Calibration) -> RestNoise | None:
-    """Return the noise of the gyros at rest; None without rest."""
+    """Return the noise of the gyros at rest, and where their mean Allan deviation is least; None without rest."""
     rests = [gyro.rest for gyro in calibration.gyros if gyro.rest is not None]
     if not rests:
         return None
@@ -92,7 +92,10 @@ def budget_of(calibration: Calibration) -> Mapping[str, Floats]:
 
 
 def undeclared_shares(calibration: Calibration, units: Units) -> list[UndeclaredShare]:
-    """Return by state what undeclared effects add to its sigma; empty if there are none."""
+    """Return by state the sigma with and without undeclared effects, rms over the gyros, and which add most to it.
+
+    Empty if there are no such effects.
+    """
     if not calibration.undeclared or not calibration.gyros:
         return []
     whole = np.sqrt(np.mean([gyro.sd**2 for gyro in calibration.gyros], axis=0)).tolist()

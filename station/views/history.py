@@ -118,7 +118,7 @@ _ROW_KEYS = tuple(field.name for field in fields(HistoryRow) if field.name not i
 
 
 def row_object(row: HistoryRow) -> dict[str, Any]:
-    """Return a row for --json."""
+    """Return a row for --json: the recording, what moved since the last comparable one, and states by gyro."""
     from station.views.json_values import named
 
     return {

@@ -236,7 +236,10 @@ def investigation_view(
     recordings: Sequence[str] = (),
     verification: Sequence[str] = (),
 ) -> InvestigationView:
-    """Return the view of an investigation of ``recordings``, judged by those in ``verification``."""
+    """Return the view of an investigation of ``recordings``, judged by those in ``verification``.
+
+    ``next_script`` is the file of the script to run next, None without one.
+    """
     models = [
         {"effects": m.effects, "log_evidence": m.log_evidence, **json_object(m.errors)} for m in investigation.models
     ]

@@ -48,7 +48,9 @@ class LimitLine:
 
     @property
     def broken(self) -> str:
-        """The text for a broken limit. Call it only if the limit is broken."""
+        """The text for a broken limit: value and bound, or why there is no estimate. Call it only if the limit is
+        broken.
+        """
         if self.note:
             return f"{self.gyro} is not estimated: {self.note}"
         if self.unit is not None:
@@ -127,9 +129,9 @@ MEAN_NIS, SAMPLES_LOST = "mean NIS", "samples lost"
 
 
 def limit_lines(calibration: Calibration, limits: Limits, labels: Sequence[str] | None = None) -> list[LimitLine]:
-    """Return every stated limit with the value found; ``labels`` name the gyros, by default their own names.
+    """Return every stated limit with its value: of states and sigmas, accelerometers, mean NIS and lost samples.
 
-    A gyro without an estimate is a broken limit.
+    ``labels`` name the gyros, by default their own names. A sensor that was excluded is a broken limit.
     """
     lines = [
         LimitLine(gyro=e.name, what="estimate", value=math.nan, low=0.0, high=1.0, note=e.reason)

@@ -97,6 +97,8 @@ def detectable_sizes(forecast: EffectForecast) -> Iterator[DetectableSizes]:
 def hidden_effects(forecast: Forecast, figures: tuple[StateUnit, ...]) -> list[HiddenEffect]:
     """Return the effects with an unseen parameter that shifts a state by ``MARKED`` sigmas, each with its worst
     parameter.
+
+    The number of its other such parameters is given with it.
     """
     gyros = [gyro.name for gyro in forecast.gyros]
     hidden = []

@@ -21,7 +21,10 @@ class Seen:
 
 
 def seen_by(sources: Iterable[ImuData]) -> Seen:
-    """Return the conditions of these sources together; NaN where not recorded."""
+    """Return the conditions of these sources together: least, mean and largest temperature, largest rate, sample rate.
+
+    NaN where not recorded. The sample rate is the highest of the sources.
+    """
     used = list(sources)
     temperatures = [data.temperature_c for data in used if data.temperature_c is not None]
     known = np.concatenate([t[np.isfinite(t)] for t in temperatures]) if temperatures else np.empty(0)

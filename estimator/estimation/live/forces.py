@@ -74,7 +74,11 @@ class LiveForces:
         gravity: Gravity,
         uncertainty: TableUncertainty | None,
     ) -> None:
-        """Begin with the data sheet; ``array`` has the axes of the accelerometers, ``gimbals`` are outermost first."""
+        """Begin with the data sheet ``sheet``; ``array`` has the axes of the accelerometers, which sample at
+        ``rate_hz``.
+
+        ``gimbals`` are outermost first; ``uncertainty`` is that of the table, None if not stated.
+        """
         self.array = array
         self.noise_mps2 = float(sheet.noise.arw * np.sqrt(rate_hz))
         self.problem = ForceProblem(array, sheet.prior, gimbals, uncertainty, gravity)
@@ -238,7 +242,11 @@ class LiveForces:
                 self._take(int(t_ns[-1]), rows)
 
     def _tried(self, rows: _Rows) -> About | None:
-        """Return about what a block ought to be linearised; None if that is what it was, or if it may be wrong."""
+        """Return about which delay and arm a block ought to be linearised, by trying it on the filter, which is
+        restored.
+
+        None if that is nearly what it was, if the block may be wrong, or is empty.
+        """
         if not len(rows.z):
             return None
         with self.lock:  # nobody else sees the filter as it is tried
@@ -288,7 +296,10 @@ class LiveForces:
         self._history[group].append(*(np.array([value]) for value in row))
 
     def _take_out(self) -> None:
-        """Make the filter anew from what the accelerometers gave that are not excluded."""
+        """Make the filter anew from what the accelerometers gave that are not excluded.
+
+        All samples of an excluded one count as unused.
+        """
         self._begin()
         for i, judge in enumerate(self._judges):
             if judge.excluded:

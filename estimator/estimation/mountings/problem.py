@@ -159,7 +159,12 @@ class _Problem:
         return np.concatenate([np.ones(self.edges[2]), 1 / sizes**2, np.ones(1)])
 
     def solved(self) -> JoinedStates:
-        """Return the estimate: linearised about itself, and averaged over the sizes of the changes of biases."""
+        """Return the estimate: linearised about itself, and averaged over the sizes of the changes of biases by
+        evidence.
+
+        Gyros and accelerometers have sizes of their own if the device has both. It ends after ``_MOST_STEPS`` at the
+        latest.
+        """
         u = np.zeros(self.edges[-1])
         sizes = [(gyros, forces) for gyros in _CHANGES.tolist() for forces in _CHANGES.tolist()]
         if not self.felt.any() or self.felt.all():

@@ -168,11 +168,13 @@ def _sample_means(run: Run) -> Floats:
 
 
 def _unknown_earth(run: Run) -> dict[str, Any]:
-    """Return ``pose`` and ``earth_rps`` for a run without a table, or an empty dict where they are not needed.
+    """Return ``pose`` (b,) and ``earth_rps`` (b, m) for a run without a table, or an empty dict where they are not
+    needed.
 
-    They are needed where the body rests in several poses and the heading is not known. A new pose begins after a break
-    if the direction of gravity has changed. The dict is empty where gravity is not known, the body rate holds the
-    horizontal part of Earth rate, or each file has only one pose.
+    The former numbers the poses of the blocks from 0, the latter is the standard deviation of Earth rate about each
+    sense axis, as the heading is not known. A new pose begins after a break if the direction of gravity has changed.
+    The dict is empty where gravity is not known, the body rate holds the horizontal part of Earth rate, or each file
+    has only one pose.
     """
     up, good, site = run.fold(run.grid.specific_force_mps2) / GRAVITY_MPS2, run.weight > 0, run.recording.site
     size = EARTH_RATE_RPS * (np.cos(site.latitude_rad) if site else np.sqrt(0.5))

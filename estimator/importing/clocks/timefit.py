@@ -166,8 +166,9 @@ def _grids(t: Floats, rows: NDArray[np.intp], position: NDArray[np.int64] | None
 
 
 def _grid(t: Floats, number: NDArray[np.int64]) -> _Grid | None:
-    """Return the even grid through stamps ``t`` (rows,) of numbered rows; None if they do not advance, or are fewer
-    than two.
+    """Return the even grid through stamps ``t`` (rows,) of rows numbered ``number`` (rows,).
+
+    It says whether the stamps are even to within their resolution. None if they do not advance, or are fewer than two.
     """
     if len(t) < 2:
         return None

@@ -285,7 +285,9 @@ def read_format(section: StrictTable, protocols: Protocols, folder: Path) -> Fil
 
 
 def _record(section: StrictTable) -> np.dtype[Any]:
-    """Return the structured type of a binary row; the section's error if it is no list of names and types."""
+    """Return the structured type of a binary row; the section's error if it is no list of different names with
+    types.
+    """
     order = section.string("byte_order", "little", one_of=("little", "big"))
     fields: dict[str, str] = {}
     if "," in section.text_of("record"):

@@ -46,7 +46,10 @@ class ReferenceComparison:
     def of(
         cls, data: ImuData, reference: Reference, site: Site | None, line: Following | None
     ) -> "ReferenceComparison":
-        """Return the comparison for a source in order of time; ``line`` is how it follows the reference."""
+        """Return the comparison for a source in order of time; ``line`` is how it follows the reference.
+
+        Without a line nothing is expected of the outputs, and limits are known only from turns.
+        """
         t_s, outputs = _thinned(data)
         m = len(data.array)
         limits: Sequence[Sequence[Limit]]
@@ -144,8 +147,9 @@ def _thinned(data: ImuData) -> tuple[Floats, Floats]:
 
 
 def _turned(data: ImuData, reference: Reference) -> Floats:
-    """Return the rms (m,) of the rate about each sense axis, for turns and for rests with turns by hand; 0 if
-    unknown.
+    """Return the rms (m,) of the rate about each sense axis in turns; 0 if unknown.
+
+    For rests with turns by hand it is the largest standard deviation of any output, for all alike.
     """
     if reference.turns is not None:
         return np.asarray(np.sqrt(np.mean((reference.turns.mean_rates_rps @ data.array.p.T) ** 2, axis=0)))

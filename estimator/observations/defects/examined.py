@@ -65,7 +65,11 @@ def _together(source: Source, data: ImuData) -> ImuData:
 
 
 def _source(recording: Recording, data: ImuData, notes: Sequence[str], line: Following | None) -> Source:
-    """Return the usable data of one source, with its faults and notes."""
+    """Return the usable data of one source, with its faults and notes, ``notes`` first.
+
+    Stuck values are searched only in a source whose values are not held for several samples; these are counted on a
+    table.
+    """
     fine = recording.table is not None
     held = held_samples(data) if fine else 1
     beside = ReferenceComparison.of(data, recording.reference, recording.site, line)

@@ -20,7 +20,8 @@ _STEADY_SHARE = 0.01  # by which a mean rate may change for its scale to be judg
 def reading_doubts(readings: TableReadings) -> tuple[str, ...]:
     """Return sentences on the readings of each axis that contradict each other; empty if angles and rates agree.
 
-    Rates that were derived from the angles are not compared.
+    They are on angles or rates that stand still, jumps of the encoder, and rates of another scale or sign. Rates that
+    were derived from the angles are not compared.
     """
     if not readings.own_rates:
         return ()

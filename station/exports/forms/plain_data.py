@@ -100,7 +100,10 @@ def _line(exported: Exported, i: int, gyro: GyroCalibration) -> dict[str, str]:
 
 
 def _force_line(force: ForceCalibration, place: int, row: Floats) -> dict[str, str]:
-    """Return the values of an accelerometer of a source as texts by heading; ``row`` (3,) is its sensitivity."""
+    """Return the values of accelerometer number ``place`` as texts by heading; ``row`` (3,) is its sensitivity.
+
+    Columns of places, delay and effects are left out if they are not known.
+    """
     one = force.accelerometers[place]
     values: dict[str, float] = {}
     for letter, axis in (("p", one.p), ("j", one.j), ("k", one.k_axis), ("g", row)):
@@ -166,7 +169,10 @@ def _forces(exported: Exported) -> dict[str, Any]:
 
 
 def _force(calibration: ForceCalibration) -> dict[str, Any]:
-    """Return the JSON object of the accelerometers of a source; ``solution_m`` is null if they do not span space."""
+    """Return the JSON object of the accelerometers of a source, with axes and covariances.
+
+    ``solution_m`` is null if they do not span space; without accelerometers there are no constants.
+    """
     found = force_object(calibration)
     for told, accelerometer in zip(found["accelerometers"], calibration.accelerometers, strict=True):
         told["p"] = accelerometer.p.tolist()

@@ -74,7 +74,11 @@ def _chain(exported: Exported, form: str, called: str) -> Written:
 
 
 def _forces(exported: Exported, called: str) -> tuple[HeldForces, dict[str, object]]:
-    """Return what a model of a lower triangular matrix and a rotation holds of the accelerometers, and its values."""
+    """Return what a model of a lower triangular matrix and a rotation holds of the accelerometers, and its values.
+
+    There are no values without accelerometers to export, or if they are left-handed, which a line then says. Places
+    count from the first accelerometer, and are zero if unknown. ``called`` names the format.
+    """
     forces = held_forces(exported, called, triad=True)
     if forces.correction is None:
         return forces, {}
@@ -105,8 +109,9 @@ def _noise(exported: Exported) -> tuple[float, float]:
 
 
 def _force_noise(exported: Exported, correction: ForceCorrection) -> tuple[float, float]:
-    """Return velocity random walk in m/s2/rtHz and acceleration random walk in m/s3/rtHz, rms over the
-    accelerometers.
+    """Return velocity random walk in m/s2/rtHz and acceleration random walk in m/s3/rtHz, rms over the accelerometers.
+
+    If the noise of any is unknown, the former is derived from the noise of a sample, and the latter is 0.
     """
     found = [one.noise.mean for one in correction.accelerometers if one.noise is not None]
     if len(found) == len(correction.accelerometers):

@@ -44,7 +44,10 @@ def write_c_float(exported: Exported) -> Written:
 
 
 def _header(exported: Exported, real: str, prefix: str) -> Written:
-    """Return the C99 header, in type ``real`` and with names that begin with ``prefix``, and what it leaves out."""
+    """Return the C99 header, in type ``real`` and with names that begin with ``prefix``, and what it leaves out.
+
+    It corrects accelerometers, too, if they are exported.
+    """
     terms = terms_of(exported.compensation)
     forces = _held_forces(exported)
     not_held = _cautions(exported, terms, forces)

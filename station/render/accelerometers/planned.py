@@ -36,7 +36,10 @@ def _sigmas(planned: PlannedForces) -> Table:
 
 
 def _effects(planned: PlannedForces) -> Table:
-    """Return the smallest size of each effect that a run detects."""
+    """Return the smallest size of each parameter of an effect that a run detects, beside the largest plausible one.
+
+    "not shown" where the former is the larger.
+    """
     rows = []
     for name, sd in planned.effects.items():
         effect = BY_NAME[name]

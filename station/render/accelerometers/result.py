@@ -21,8 +21,9 @@ from station.views.figures import StateUnit, number
 
 
 def print_forces(forces: Sequence[ForceCalibration], *, details: bool) -> None:
-    """Print the accelerometers of each source; with ``details`` also the sources of uncertainty and what does not
-    depend on the mounting.
+    """Print the accelerometers of each source, and which are not calibrated.
+
+    With ``details`` also the sources of uncertainty and what does not depend on the mounting.
     """
     for one in forces:
         shown: list[Shown] = []
@@ -94,7 +95,7 @@ def _place_row(name: str, place_m: Sequence[float], sd_m: Sequence[float], figur
 
 
 def _lines(calibration: ForceCalibration) -> list[str]:
-    """Return sentences on the delay and the gravity."""
+    """Return sentences on the delay, if it is known, and the gravity."""
     lines = [f"gravity: {calibration.gravity_mps2:.5f} m/s2, {calibration.gravity_from}"]
     if calibration.offset is not None:
         late_ms = 1e3 * calibration.offset.offset_s

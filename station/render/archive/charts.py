@@ -114,7 +114,7 @@ def _zone(view: ChartView, place: _Place, run: int) -> str:
 
 
 def _marks(view: ChartView, place: _Place) -> Iterator[str]:
-    """Yield a line for each run that is outside the limits, or whose moving average is."""
+    """Yield a line for each run whose state is outside the limits, or else whose moving average is."""
     at = place.gyro, place.state
     for run, (when, file) in enumerate(zip(view.when, view.files, strict=True)):
         what = ""

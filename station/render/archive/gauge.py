@@ -19,7 +19,10 @@ _NOT_REPRODUCED = (
 
 
 def gauge_shown(folder: str, studies: Sequence[GaugeView]) -> Iterator[Shown]:
-    """Yield the studies of the runs in a folder, with an explanation of their columns."""
+    """Yield the studies of the runs in a folder, with an explanation of their columns.
+
+    A line says so if there is no run, or if too few devices were measured repeatedly.
+    """
     if not studies:
         yield line(f"no run in {escape(folder)} {_NO_RUN}")
     for view in studies:

@@ -53,7 +53,9 @@ def _errors_table(view: InvestigationView) -> Table:
 
 
 def _errors(before: ErrorsView, after: ErrorsView) -> list[str]:
-    """Return rms error, largest error (both in deg/h) and coverage of the 95 % intervals, each before and after."""
+    """Return six texts: rms error, largest error (both in deg/h) and coverage of the 95 % intervals, each before, then
+    after.
+    """
     return [
         dph(before.rms_rps),
         dph(after.rms_rps),

@@ -85,7 +85,7 @@ def loop_object(loop: "Loop") -> dict[str, Any]:
 
 
 def runs_object(loop: "Loop") -> list[dict[str, Any]]:
-    """Return the runs of a loop for --json."""
+    """Return the runs of a loop for --json: purpose, time on the table in s, script, recording and outcome."""
     return [
         {
             **named(run, ("purpose", "table_s")),

@@ -114,7 +114,10 @@ def _dependences(gyro: GyroResidualView) -> str:
 
 
 def _origins(compared: _Compared) -> str:
-    """Return whether gyros have a residual in common, before and after."""
+    """Return whether gyros have a residual in common, before and after, once if both are the same.
+
+    "unknown", with the reason, if either could not be split.
+    """
     before, after = compared.before.split, compared.after.split
     if before is None or after is None:
         return f"unknown: {compared.before.no_split or compared.after.no_split or ''}"

@@ -18,7 +18,10 @@ _BROKEN_HEADS = ("exceeded", "found", "limit", "missed by")
 
 
 def verdict_shown(verdict: Verdict, *, details: bool) -> Iterator[Shown]:
-    """Yield the outcome and its reasons: causes first, then broken limits as a table; without ``details`` the worst."""
+    """Yield the outcome and its reasons: possible causes first, then broken limits as a table.
+
+    Without ``details`` only the worst limits are listed. Without broken limits it is one line with the reason.
+    """
     outcome = f"[{OUTCOME_STYLES[verdict.outcome]}]{verdict.outcome}[/]"
     if not verdict.broken:
         yield line(f"{outcome}  {escape(verdict.reason)}")

@@ -79,7 +79,10 @@ def _by_device(gyros: Sequence[GyroCalibration]) -> dict[str, list[GyroCalibrati
 
 
 def _augmented(gyro: GyroCalibration, label: str, traced: Traced) -> GyroCalibration:
-    """Return the gyro with the states and effects of the investigation."""
+    """Return the gyro ``label`` with the states and effects of the investigation, which must hold a model.
+
+    An effect that the investigation does not have for this gyro is 0.
+    """
     assert traced.model is not None
     model, none = traced.model.effects, (0.0, 0.0)
     found = {k.called: k.found.get(ALL if k.shared else label, [none] * len(k.sizes)) for k in model}
@@ -214,7 +217,7 @@ def _called(name: str, inner: str, constant: str) -> str:
 
 
 def _tables(correction: Correction, code: str) -> dict[str, Floats]:
-    """Return the arrays that ``code`` needs, by their names in it."""
+    """Return the arrays that ``code`` needs, by their names in it; of gyros that do not span space a gain each."""
     compensation = correction.compensation
     tables = {"BIAS_RPS": compensation.bias_rps}
     if correction.axes_only:

@@ -55,7 +55,10 @@ class FrontView:
 
 
 def front_view(recorded: Recorded, formal: Formal, standing: Standing, *, adjusted: bool) -> FrontView:
-    """Return what was calibrated, by whom, when and where; ``adjusted``: the device was adjusted before this run."""
+    """Return what was calibrated, by whom, when and where; ``adjusted``: the device was adjusted before this run.
+
+    Imported data have no adjustment, and nothing is missed in them.
+    """
     measured = bool(recorded.text("outcome"))  # by a station, whose laboratory fills in what no file knows
     return FrontView(
         device=facts_of([*_device(recorded, formal), *_identities(recorded), *_origin(recorded, formal)]),
@@ -114,7 +117,7 @@ def _identities(recorded: Recorded) -> list[tuple[str, Content]]:
 
 
 def _origin(recorded: Recorded, formal: Formal) -> list[tuple[str, Content]]:
-    """Return the recording, the station, and where the data come from."""
+    """Return the recording, the station, and where the data come from; lines that do not apply are empty or None."""
     links = links_of(recorded)
     local = ", ".join(local_links(links))
     return [
@@ -134,7 +137,10 @@ def _origin(recorded: Recorded, formal: Formal) -> list[tuple[str, Content]]:
 
 
 def _when_and_where(recorded: Recorded, formal: Formal, standing: Standing) -> list[tuple[str, Content]]:
-    """Return dates, place, ambient conditions and procedure; None where a line is to be left out."""
+    """Return dates, place, ambient conditions and procedure; None where a line is to be left out.
+
+    A date of calibration is given only if it is not that of the measurement.
+    """
     begun = recorded.begun_utc
     undated = "none: the run was in simulated time" if standing.simulated else _NOT_STATED
     on_another_day = begun is not None and formal.performed_date != begun.date()

@@ -113,7 +113,9 @@ def _value(line: LimitLine | None) -> Content:
 
 
 def _limit(line: LimitLine | None) -> Content:
-    """Return a limit as an interval; a dash without one, "estimated" for a gyro that had to be estimated but is not."""
+    """Return a limit as an interval, ± or ≤; a dash without one, "estimated" for a gyro that had to be estimated but is
+    not.
+    """
     if line is None:
         return _NONE
     if line.note:

@@ -64,7 +64,10 @@ class ResidualView:
 
 
 def residual_view(traced: Traced | None, recorded: Recorded) -> ResidualView | None:
-    """Return the result of an investigation; None without one."""
+    """Return the result of an investigation with its pictures; None without one.
+
+    It says whether the recording of the report is among the investigated ones.
+    """
     if traced is None:
         return None
     what = investigation_of(traced.what)

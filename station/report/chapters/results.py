@@ -73,7 +73,10 @@ def results_view(
     unseen: Unseen | None,
     traced: Traced | None,
 ) -> ResultsView:
-    """Return the results of a calibration, with an investigation if there is one."""
+    """Return the results of a calibration, with what an investigation added if there is one.
+
+    That is left out if the calibration has effects of a model itself. A summary is made only for several devices.
+    """
     several = summary(recorded, standing)
     corrected = any(gyro.effects for gyro in calibration.gyros)
     added = traced.added if traced is not None and not corrected else []
@@ -164,7 +167,7 @@ def _state_rows(gyro: GyroCalibration, row: int, states: States) -> Iterator[lis
 
 
 def _effects_table(recorded: Recorded, calibration: Calibration) -> Table | None:
-    """Return the effects that were estimated beside the states, None if there are none."""
+    """Return the effects that were estimated with the states, None if there are none; a shared effect has one row."""
     gyros = calibration.gyros
     if not gyros[0].effects:
         return None

@@ -36,7 +36,7 @@ class TraceabilityView:
 
 
 def traceability_view(recorded: Recorded, equipment: Sequence[Equipment]) -> TraceabilityView:
-    """Return what the results of a recording are traced to."""
+    """Return what the results are traced to: the stated uncertainty of a table, and the equipment with certificates."""
     reference = recorded.recording.reference
     table = reference if isinstance(reference, TableReadings) else None
     certified = [instrument for instrument in equipment if instrument.certificate]

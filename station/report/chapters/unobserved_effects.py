@@ -72,7 +72,10 @@ class Unseen:
 
 
 def unseen_of(recorded: Recorded) -> Unseen | None:
-    """Return what a run on a table could not see; None without table readings, steps, a calibration, or any turn."""
+    """Return which effects a run on a table could not see, without those of its calibration.
+
+    None without table readings, steps, a calibration, or any turn.
+    """
     table, found = recorded.recording.table, recorded.calibration
     if table is None or not recorded.steps or found is None:
         return None
@@ -219,7 +222,10 @@ class UnseenView:
 
 
 def unseen_view(recorded: Recorded, unseen: Unseen | None) -> UnseenView:
-    """Return what a run could not see, and the conditions for which its results hold."""
+    """Return what a run could not see, and the rates and temperatures for which its results hold.
+
+    Temperatures are empty if they were not recorded; ``unseen`` is None if nothing is known of the motion.
+    """
     seen = seen_by(recorded.recording.sources.values())
     low_c, mean_c, high_c = seen.temperature_c
     known = mean_c == mean_c

@@ -44,8 +44,9 @@ class Guard:
         self._starts = 0
 
     def start(self) -> None:
-        """Start the process, which is ready a fraction of a second later; nothing without devices. A failure is
-        told.
+        """Start the process, which is ready a fraction of a second later; nothing without devices.
+
+        A failure to start it is only reported: the run goes on without a guard.
         """
         if self._devices is None:
             return

@@ -136,7 +136,10 @@ def _units(bench: str) -> dict[str, str]:
 
 
 def _whole(entry: Entry, file: Any) -> ReadRecording:
-    """Return everything the result screen shows of an open recording, except the limits."""
+    """Return everything the result screen shows of an open recording, except the limits.
+
+    Figures are left out without a calibration, the noise unless the calibration estimated it.
+    """
     found: dict[str, Any] = {}
     if (group := file.get("calibration")) is not None:
         found = {key: plain(group.attrs[key]) for key in ("samples", "lost", "nis_mean") if key in group.attrs}

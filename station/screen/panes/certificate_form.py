@@ -129,7 +129,10 @@ def form_question(form: Form, checked: Checked) -> str:
 
 
 def _remarks(form: Form, formal: "Formal") -> list[str]:
-    """Return what the operator should check: the customer, what prevents a certificate, and facts not stated."""
+    """Return what the operator should check: a customer of the last form, what prevents a certificate, missing facts.
+
+    The last line is always there: how many facts are not stated, and how many a digital certificate needs.
+    """
     lines = []
     last_customer = form.sources.get(LAST_FORM, {}).get(_CUSTOMER)
     if last_customer and form.entered.get(_CUSTOMER) == last_customer:

@@ -75,7 +75,9 @@ def _judgement_of_forces(arm: ArmSnapshot) -> tuple[str, str]:
 
 
 def _axis_lines(view: MeasuredView) -> list[Text]:
-    """Return a line for each axis below the headings."""
+    """Return a line for each axis below the headings, by name; an axis that turned last is at rest once nothing
+    moves.
+    """
     axes = sorted(view.snapshot.axes, key=lambda axis: axis.name)
     heads = ["axis", "     angle deg", "    rate deg/s", "setpoint deg/s"]
     head, *rows = padded([heads, *(_axis_row(axis, view.moving) for axis in axes)])

@@ -106,7 +106,7 @@ def _driven_by_hand(snapshot: Snapshot) -> Text:
 
 
 def _under_way(run: LiveRun, snapshot: Snapshot, width: int) -> list[Text]:
-    """Return what the run does, what is left of it, and its bar."""
+    """Return two lines: what the run does, what is left and its newest event; its bar, fitted to ``width`` columns."""
     left = clock_between(snapshot.remaining_s, snapshot.longer_s)
     total = clock_between(snapshot.elapsed_s + snapshot.remaining_s, snapshot.longer_s)
     parts: list[Part] = [(snapshot.doing, _BOLD), f"   {left} left of {total}"]

@@ -130,8 +130,9 @@ def script_text(view: ScriptView) -> Text:
 
 
 def _predicted(plan: PlanView, figures: Sequence[StateUnit]) -> list[Text]:
-    """Return the predicted sigmas of each gyro, those that do not reach the required ones in yellow, and of each
-    accelerometer.
+    """Return the predicted sigmas of each gyro and accelerometer, and axes that do not prove constancy.
+
+    Gyros that do not reach the required sigmas are yellow.
     """
     heads = ["predicted", *(f"{figure.name} {figure.unit}" for figure in figures)]
     rows = [heads, *([gyro.name, *_sigmas(gyro.sd.values(), figures)] for gyro in plan.gyros)]

@@ -27,7 +27,10 @@ class VerdictView:
 
 
 def verdict_text(view: VerdictView) -> Text:
-    """Return the outcome with its reasons, who measured what and when, and the file."""
+    """Return the outcome with its reasons, who measured what and when, the file, and what is under way or was done.
+
+    Without a recording it says what to do.
+    """
     if view.path is None:
         return line("No run has ended yet. F5 opens a recording, F2 prepares a run.")
     lines = [] if view.whole is None else _outcome_lines(view.whole)

@@ -84,7 +84,9 @@ class SessionLink:
             self._remote = None
 
     async def _find(self) -> Path | None:
-        """Return the session's socket, waiting for that of a new process; None if the session is gone."""
+        """Return the session's socket, waiting for that of a new process; None if the session is gone or did
+        not start.
+        """
         while True:
             sockets = await asyncio.to_thread(running_sessions)
             if self._socket is not None:

@@ -107,7 +107,10 @@ class SessionProcess:
     """A run in a process that outlives the screen: its own session, output in a file without a name."""
 
     def __init__(self, arguments: Sequence[str]) -> None:
-        """Start the command; OSError if that fails."""
+        """Start the station with these arguments in a session of its own; OSError if that fails.
+
+        The process outlives this one. What it prints is stored for its end.
+        """
         self._output: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  read when the process has ended
         self._code: int | None = None
         words = command_line(arguments)

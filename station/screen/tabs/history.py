@@ -38,7 +38,7 @@ class HistoryScreen(StationScreen):
     ]
 
     def __init__(self) -> None:
-        """Start without entries."""
+        """Start without entries, in order of time."""
         super().__init__()
         self._entries: list[Entry] = []
         self._shown: list[Entry] = []

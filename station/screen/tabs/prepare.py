@@ -68,7 +68,7 @@ class PrepareScreen(StationScreen):
     ]
 
     def __init__(self) -> None:
-        """Start without answers."""
+        """Start with nothing read, checked or planned."""
         super().__init__()
         self._prospect: Prospect | None = None
         self._check: Reply[BenchCheck] | None = None
@@ -155,7 +155,11 @@ class PrepareScreen(StationScreen):
         self._burst += event.character
 
     def _take_scan(self) -> bool:
-        """Move a serial number that was scanned into another field to its own; return whether there was one."""
+        """Move a serial number that was scanned into another field to its own; return whether there was one.
+
+        The field gets its text back. A scan is a burst of ``_SCAN_LEAST`` characters or more that look like a serial
+        number.
+        """
         text, self._burst = self._burst.strip(), ""
         field, before = self._before_burst
         serial = self.query_one("#serial", Input)
@@ -383,7 +387,7 @@ class PrepareScreen(StationScreen):
             self.action_start()  # or reports its obstacles
 
     def _blocks(self, obstacles: Sequence[Obstacle]) -> Mapping[str, Text]:
-        """Return the texts of all blocks, by their names."""
+        """Return the texts of all blocks, by their names: summary, ready, limits, check and plan."""
         prospect = self._prospect or Prospect()
         figures = STATE_FIGURES if prospect.limits is None else state_figures(prospect.limits.units)
         plan = self._plan.value if self._plan is not None else None

@@ -56,7 +56,7 @@ class ResultScreen(StationScreen):
     ]
 
     def __init__(self) -> None:
-        """Start without a recording."""
+        """Start without a recording, and nothing under way."""
         super().__init__()
         self._whole: ReadRecording | None = None
         self._same: list[Entry] = []
@@ -184,7 +184,10 @@ class ResultScreen(StationScreen):
             self.station.work(partial(self._certify, self.recording), "accept")
 
     async def _certify(self, path: Path) -> None:
-        """Record the acceptance, write the certificate, and show what succeeded."""
+        """Record the acceptance by the operator, write the certificate, and show what succeeded.
+
+        Without a certificate the acceptance stands. Nothing is shown if another recording is open by then.
+        """
         now = datetime.now(UTC).isoformat(timespec="seconds")
         wrong = await self.station.archive.accept(
             path, {"accepted_by": self.station.choices.operator, "accepted_utc": now}
@@ -296,7 +299,7 @@ class ResultScreen(StationScreen):
         }
 
     def _change(self, entry: Entry) -> ChangeView:
-        """Return the change of a calibration since the last comparable one."""
+        """Return the change of a calibration since the last comparable one; without one it has no values before."""
         last = last_comparable(entry, self._same)
         since = "" if last is None else f"{last.when} ({last.path.name}, {last.texts.get('outcome', '')})"
         return ChangeView(
@@ -315,7 +318,11 @@ class ResultScreen(StationScreen):
         block.update("" if shown is None else shown)
 
     def _drawing(self, name: str) -> Drawing | None:
-        """Return the chart of a state, with the calibration's figure; None without curves."""
+        """Return the chart of the state ``name`` of the chosen gyro, with the calibration's figure; None without
+        curves.
+
+        The figure is that of the live filter if the gyro was not calibrated.
+        """
         whole = self._whole
         if whole is None or not whole.curves:
             return None

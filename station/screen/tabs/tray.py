@@ -128,7 +128,7 @@ class TrayScreen(StationScreen):
             self.station.tray.change(spot, state=SKIPPED if spot.state == WAITING else WAITING, recording="")
 
     def tick(self) -> None:
-        """Update the list if the tray has changed."""
+        """Show the tray anew if it has changed; the highlighted row stays."""
         tray = self.station.tray
         if self.query("#spots") and tray.spots != self._shown:
             view = TrayView(spots=tray.spots, next=tray.next)

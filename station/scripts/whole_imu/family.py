@@ -105,7 +105,11 @@ class Structure:
         return Script(name, tuple(self._steps(rounded * _TIME_STEP_S)))
 
     def _steps(self, v: Floats) -> Iterator[Step]:
-        """Yield the steps for variables v: rest, turns and poses in turn, rest."""
+        """Yield the steps for variables v: rest, turns and poses in turn, rest.
+
+        Variables are the times of the turns, that of a pose and that of a rest, in s. Poses are spread over the gaps
+        between cycles.
+        """
         rest_s = float(v[-1])
         angles = dict.fromkeys(self.gimbals, 0.0)
         yield Rest(rest_s, "rest before")

@@ -7,7 +7,7 @@ from station.views.json_values import json_object
 
 
 def finding_object(finding: ForceFinding) -> dict[str, Any]:
-    """Return what the accelerometers of one source lack, in SI."""
+    """Return what the accelerometers of one source lack, in SI: effects, suspects, dropped effects, errors."""
     found: dict[str, Any] = json_object(
         {
             "source": finding.source,
@@ -25,7 +25,9 @@ def finding_object(finding: ForceFinding) -> dict[str, Any]:
 
 
 def _effect_object(effect: FoundEffect, names: tuple[str, ...]) -> dict[str, Any]:
-    """Return an effect with its parameters by accelerometer."""
+    """Return an effect with its probability, its rivals, and its parameters with sigmas by accelerometer
+    (``names``).
+    """
     return {
         "effect": effect.effect.name,
         "probability": effect.probability,

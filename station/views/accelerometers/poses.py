@@ -54,7 +54,7 @@ def parameter_rows(result: PoseCalibration) -> list[ParameterRow]:
 
 
 def gyro_rows(result: GyroTurnCalibration) -> list[ParameterRow]:
-    """Return the twelve parameters of gyros in everyday units."""
+    """Return the twelve parameters of gyros in everyday units: scales as factors, biases in deg/s, tilts in deg."""
     rows = []
     for own in result.parameters:
         kind = own.name.split()[1]

@@ -138,7 +138,7 @@ def rows_of_effect(effect: ForceEffect, values: Floats, sds: Floats, about: str 
 
 
 def _accelerometer_object(accelerometer: AccelerometerCalibration) -> dict[str, Any]:
-    """Return one accelerometer: states, sigmas, place, budget, noise."""
+    """Return one accelerometer: states, sigmas, place, budget, noise; null for a place or noise that is unknown."""
     noise = accelerometer.noise and {
         "vrw_mps2_rthz": accelerometer.noise.mean.arw,
         "instability_mps2": accelerometer.noise.mean.instability,
