@@ -143,7 +143,9 @@ class ForceCalibration:
 
     @property
     def intrinsic(self) -> Intrinsic:
-        """Sensitivities, offsets and angles, which another laboratory can reproduce, with their sigmas."""
+        """Sensitivities (a,), offsets (a,) and angles of all pairs, which another laboratory can reproduce, with
+        sigmas.
+        """
         states = np.concatenate([one.states for one in self.accelerometers])
         value = self._intrinsic_of(states)
         columns = []

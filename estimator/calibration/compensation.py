@@ -149,7 +149,7 @@ class Compensation:
 
 
 def _joined(gyros: Sequence[GyroCalibration], arrays: Mapping[str, SensorArray]) -> SensorArray:
-    """Return the gyros of all sources as one array."""
+    """Return the gyros of all sources as one array; names that come twice get their device or source in front."""
     names = [gyro.name for gyro in gyros]
     if len(set(names)) < len(names):
         names = [f"{gyro.device or gyro.source} {gyro.name}" for gyro in gyros]

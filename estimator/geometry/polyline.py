@@ -45,7 +45,11 @@ def modelled(p: Floats, t_s: Floats, window_s: float = 0.0) -> tuple[Floats, Flo
 
 
 def _slopes(corners: Floats, rates: Floats, t_s: Floats) -> tuple[Floats, Floats]:
-    """Return the derivatives (parameters, n) of angles and of rates; only those by the rates are used for values."""
+    """Return the derivatives (2 k + 2, n) of angles and of rates at instants ``t_s`` (n,) by the parameters.
+
+    ``corners`` and ``rates`` (k,) are those of the polyline; angle and scale follow. Only the derivatives by rates are
+    used for values.
+    """
     k = len(corners)
     lengths = np.diff(corners)[:, None]
     bends = np.diff(rates)[:, None] / lengths

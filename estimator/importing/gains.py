@@ -80,7 +80,9 @@ def fitted(recording: Recording, source: str, gyro: GyroColumns) -> tuple[Record
 
 
 def _gains(recording: Recording, source: str) -> list[_Gain | None]:
-    """Return the gain of every gyro of a source; None where the motion does not show it."""
+    """Return the gain of every gyro of a source, from a line or else from rows; None where the motion does not
+    show it.
+    """
     data = recording.sources[source]
     line = following(data, recording.reference, recording.site)
     if line is None:

@@ -226,7 +226,10 @@ def _followed(data: ImuData, reference: Reference, site: Site | None) -> Followi
 
 
 def body_turned(reference: Reference, site: Site | None) -> Turned | None:
-    """Return the integrated motion of a body; None if a reference does not give it at all instants."""
+    """Return the integrated motion of a body, about its axes.
+
+    None if a reference does not give it at all instants, or has fewer than two that are known.
+    """
     if reference.instants_ns is None or len(reference.instants_ns) < 2:
         return None
     if reference.by_turns:
@@ -364,7 +367,7 @@ def _loss_by_normal_equations(means: _Means, outputs: Floats, delay_s: float, fi
 
 
 def _refined(means: _Means, delay_s: float, fits: Flags) -> float:
-    """Return the delay of least loss near ``delay_s``."""
+    """Return the delay of least loss within one and a half steps of ``delay_s``; ``fits`` (n, m) as for ``_loss``."""
     from scipy.optimize import minimize_scalar
 
     found = minimize_scalar(

@@ -40,7 +40,10 @@ class Blocks:
         return np.asarray(np.clip(share, 1, 20) / 20 * self.length_s)
 
     def merged(self, factor: int) -> "Blocks":
-        """Return blocks ``factor`` times as long; differences between the short ones become part of ``within``."""
+        """Return blocks ``factor`` times as long; differences between the short ones become part of ``within``.
+
+        Each is weighed by its rows. The same object for a factor of 1.
+        """
         if factor == 1:
             return self
         long = self.index // factor

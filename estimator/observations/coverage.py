@@ -229,7 +229,11 @@ def _table_turnings(readings: TableReadings) -> Iterator[_Turning]:
 
 
 def _means(t_ns: Floats, rate_rps: Floats, *, gearing: bool = False) -> _Turning:
-    """Return rates (k, 3) at instants (k,) as means over 0.1 s, or unchanged if they are less frequent."""
+    """Return rates (k, 3) at instants (k,) as means over 0.1 s, or unchanged if they are less frequent.
+
+    Rates that are not finite are left out. Each mean lasts to the next, but not over a gap. ``gearing``: they are rates
+    of the table's axes.
+    """
     known = np.flatnonzero(np.isfinite(rate_rps).all(axis=1))
     known = known[np.argsort(t_ns[known], kind="stable")]
     t_ns = t_ns[known]

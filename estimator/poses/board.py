@@ -101,7 +101,10 @@ def _rate(imu: ImuSamples) -> Floats:
 
 
 def _rotations(imus: Sequence[ImuSamples]) -> tuple[list[Floats], list[float]]:
-    """Return the rotation (3, 3) of each IMU into the first by gravity at rests that both used, and its uncertainty."""
+    """Return the rotation (3, 3) of each IMU into the first, and its uncertainty in rad, by gravity at common rests.
+
+    The first has the identity and 0.
+    """
     from scipy.spatial.transform import Rotation
 
     first = {_middle(rest.start_s, rest.duration_s): rest.mean for rest in imus[0].accelerometer.used}
@@ -144,7 +147,10 @@ def _crossing(vectors: Floats) -> Floats:
 
 
 def _arms(motion: _Motion, start: Floats) -> tuple[Floats, float]:
-    """Return the arms (m, 3) from the first IMU, and the rms of what is left, from ``start`` (m, 3)."""
+    """Return the arms (m, 3) in m from the first IMU, and the rms misfit, iterated from ``start`` (m, 3).
+
+    In turn the common acceleration is fitted for given arms, and the arms for given acceleration.
+    """
     arms = start
     misfit = 0.0
     for _ in range(_ITERATIONS):

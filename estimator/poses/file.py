@@ -149,7 +149,10 @@ def _accelerometer(group: Any) -> PoseCalibration:
 
 
 def _rests(group: Any) -> tuple[PoseRest, ...]:
-    """Return the rests in the columns of a group; ValueError if they differ in length."""
+    """Return the rests in the columns of a group, numbered from 1; ValueError if they differ in length.
+
+    NaN stands for what is not known.
+    """
     columns = {key: np.asarray(group[key][:], dtype=np.float64).tolist() for key in group if key not in _REST_TEXTS}
     files, reasons = _texts(group, "file"), _texts(group, "refused")
     rests = []

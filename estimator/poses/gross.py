@@ -16,7 +16,10 @@ _RESPONDS = 0.1  # share of gravity by which an axis changes if the body is turn
 
 
 def check_alive(name: str, outputs: Floats) -> None:
-    """Raise RecordingError if an axis of outputs (n, 3) gives no number, always the same one, or those of another."""
+    """Raise RecordingError if an axis of outputs (n, 3) gives no number, always the same one, or those of another.
+
+    ``name`` is for the message. A single row only has to have numbers.
+    """
     for axis, column in zip(AXES, outputs.T, strict=True):
         known = column[np.isfinite(column)]
         if len(known) == 0:

@@ -239,7 +239,7 @@ def _packed(value: Any) -> msgpack.ExtType:
 
 
 def _unpacked(code: int, data: bytes) -> Any:
-    """Return the array in a msgpack extension of type ``code``; None if it is not a valid one."""
+    """Return the array in a msgpack extension of type ``code``; None if it is of another type, or damaged."""
     if code != _ARRAY:
         return None
     try:

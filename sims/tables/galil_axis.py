@@ -146,7 +146,7 @@ class GalilAxisTwin:
     def begin(self) -> None:
         """Start the motion that was set up: jog, homing, index search, or a move limited by the soft limits.
 
-        It is not checked whether it may begin: see ``check_begin``.
+        Whether it may begin is checked by ``check_begin``, not here.
         """
         self._stood = self._position()
         self._way, self._moving, self._stop_code, self._end = self._direction(), True, 0, galil.AT_TARGET

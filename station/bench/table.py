@@ -111,7 +111,7 @@ def read_table(table: Table, folder: Path, known: Registry[TableSpec] = TABLES) 
 def _axis(table: Table, spec: TableSpec, folder: Path) -> AxisSetup:
     """Return the setup of one axis; the table's error if its travel does not include home or its counts are missing.
 
-    The counts may be missing for a protocol in degrees, where they matter to a twin alone.
+    A protocol in degrees needs no counts: they matter to a twin alone, and are 3 600 000 by default.
     """
     limits, counts = table.read("bench.axis", list_length=2), table.read("bench.encoder")["counts_per_turn"]
     low, high = limits["travel_rad"] or (-math.inf, math.inf)

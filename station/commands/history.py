@@ -153,7 +153,7 @@ async def _listed(folder: Path, quiet: bool) -> list[Entry]:
 
 
 def _chart(runs: Sequence[Entry]) -> ChartView:
-    """Return control charts of runs. Failed runs set no limits."""
+    """Return control charts of runs of one script on one bench. Failed runs set no limits."""
     counted = [not run.failed for run in runs]
     return ChartView(
         bench=runs[0].texts["station"],

@@ -106,7 +106,10 @@ def _close(loop: Loop, scripts: Sequence[tuple[str, Script]], driver: _Driver) -
 
 
 def _investigate(loop: Loop, driver: _Driver) -> Round:
-    """Investigate the recordings so far; if causes cannot be separated, find and write the next script."""
+    """Investigate the recordings so far; if causes cannot be separated, find and write the next script.
+
+    The round has no script if the finding is settled, or none fits into the time that is left.
+    """
     fitted, judging = (
         [read_recording(path, trusted=True) for path in loop.recordings(judging=j)] for j in (False, True)
     )

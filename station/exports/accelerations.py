@@ -134,7 +134,10 @@ def spans_space(sensitivity: Floats) -> bool:
 
 
 def _why_refused(calibration: ForceCalibration, form: str, triad: bool) -> str:
-    """Return why a format cannot hold accelerometers; empty if it can."""
+    """Return why the format ``form`` cannot hold accelerometers; "" if it can.
+
+    They have to span space, and with ``triad`` there have to be three.
+    """
     count = len(calibration.accelerometers)
     excluded = "".join(f"; {one.name}: {one.reason}" for one in calibration.excluded)
     if count < 3 or not spans_space(sensitivity_of(calibration.accelerometers)):

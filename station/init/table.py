@@ -83,7 +83,8 @@ def _ask_axis(
 ) -> Data:
     """Return the axis ``name``, given the ``table`` so far; ``axis`` is the proposal.
 
-    ``checked`` raises UsageError for an invalid table; the question is then repeated.
+    Asked are its link and address where the protocol has them, counts if it needs them, limits and travel. ``checked``
+    raises UsageError for an invalid table; the question is then repeated.
     """
 
     def ask(key: Key, question: str = "") -> Data:

@@ -211,7 +211,10 @@ def _headings(sources: _Sources) -> dict[str, Heading]:
 
 
 def _head(sources: _Sources) -> HeadView:
-    """Return title, number, laboratory, warning, outcome and foot of the document."""
+    """Return title, number, laboratory, logo, warning, outcome and foot of the document.
+
+    Without a laboratory it is the station; the device is its serial number, else its name.
+    """
     recorded, formal, standing = sources.recorded, sources.formal, sources.standing
     device = formal.item_serial_number or recorded.text("device")
     return HeadView(

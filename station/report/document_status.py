@@ -75,7 +75,10 @@ class Standing:
 
 
 def standing_of(recorded: Recorded, formal: Formal | None = None) -> Standing:
-    """Judge a recording by its formal facts, by default its own; BenchError if its bench text cannot be read."""
+    """Return the kind, verdict and judged limits of a recording's document, by its formal facts, by default its own.
+
+    BenchError if its bench text cannot be read.
+    """
     formal, limits, found = formal or read_formal(recorded), limits_of(recorded), recorded.calibration
     lines: tuple[LimitLine, ...] = ()
     if found is not None and limits is not None:

@@ -177,7 +177,7 @@ def nis_picture(recorded: Recorded) -> Picture | None:
 
 
 def allan_picture(recorded: Recorded) -> Picture | None:
-    """Return a picture of the gyros' Allan deviations at rest with their intervals; None if they are not stored."""
+    """Return a picture of the gyros' Allan deviations at rest, with intervals if stored; None without deviations."""
     if recorded.rest is None:
         return None
     names, rest = recorded.labels, recorded.rest

@@ -127,9 +127,7 @@ class Acquisition:
             self._add_sources(imu)
 
     def _add_sources(self, imu: OpenImu) -> None:
-        """Add the sources of a device to the recording and to the live estimate, with the effects of the model
-        if any.
-        """
+        """Add the sources of a device to the recording and to the live estimate, with the effects of the model."""
         config, table = imu.config, self._bench.table
         noise_rps = float(config.noise.arw * np.sqrt(config.rate_hz))
         timing_s = table.uncertainty.timing_s if table.uncertainty else 0.0

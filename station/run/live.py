@@ -127,7 +127,7 @@ class LiveEstimate:
         return into_body(np.array([0.0, 0.0, gravity_mps2]), row.angle_rad[None], self._gimbals)
 
     def finish(self) -> None:
-        """Use all remaining rows and samples."""
+        """Use all remaining rows and samples, for the end of a run."""
         with self._working:
             self._take_rows()
             self.rates.finish()

@@ -333,7 +333,7 @@ class Monitor:
                 )
 
     def _arm_snapshots(self) -> Iterator[ArmSnapshot]:
-        """Yield lever arm, delay and innovations of the accelerometers of each source."""
+        """Yield lever arm, delay and recent NIS of the accelerometers of each source; NaN without innovations."""
         for name, forces in tuple(self._live.forces.items()):
             arm_m, arm_sd_m = forces.arm()
             delay, recent = forces.delay, forces.recent_innovations()

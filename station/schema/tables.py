@@ -193,7 +193,7 @@ def _within(key: Key, number: float) -> bool:
 
 
 def link_of(value: object) -> str:
-    """Return a link; ValueError if it is not a text, or its scheme, host or port is invalid."""
+    """Return a link; ValueError if it is not a text, or its scheme or port is invalid. An empty one is valid."""
     link = str(typed(value, (str,), "a text"))
     try:
         url = urlsplit(link)

@@ -75,7 +75,10 @@ def _name(run: LiveRun, sensor: Sensor) -> str:
 
 
 def _output(run: LiveRun, sensor: Sensor) -> Drawing:
-    """Return the output of a sensor, beside the one that is expected of it by the table."""
+    """Return the output of a sensor over time, beside the one expected of it by the table, if that is known.
+
+    Rates are in deg/s, forces in m/s2.
+    """
     times = _times_s(run)
     courses = _courses(run, sensor)
     what, factor = ("rate (deg/s)", _DEG) if isinstance(sensor, GyroSnapshot) else ("specific force (m/s2)", 1.0)

@@ -53,7 +53,9 @@ def print_paper(study: PaperStudy, *, details: bool = False) -> None:
 
 
 def _table_of_means(study: PaperStudy) -> Table:
-    """Return the table of mean relative errors: as printed, to the letter, of this station, and the bound."""
+    """Return the table of mean relative errors in %: as printed, by the letter of the paper, of this station, the
+    bound.
+    """
     earth = np.array([errors.linear for errors in study.headings.values()])
     printed = {
         "the paper, Table 3": TABLE_3,

@@ -347,7 +347,10 @@ class ModbusLine:
         return await client.write_registers(request.address, list(request.words), device_id=unit)
 
     def _checked(self, request: Request, reply: Any) -> tuple[int, ...]:
-        """Return the words of a reply; DeviceRefused for an exception reply, _Busy for one that asks to try again."""
+        """Return the words of a reply, none for a write; DeviceRefused for an exception reply.
+
+        _Busy if the device asks to try again.
+        """
         if reply.isError():
             code = int(getattr(reply, "exception_code", 0))
             function = "write" if request.words else "read"

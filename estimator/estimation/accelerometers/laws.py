@@ -148,7 +148,10 @@ def rest_angle_law(table: TableReadings) -> Law | None:
 
 
 def counted_angles_law(table: TableReadings, counts_rad: Floats) -> Law | None:
-    """Return the law of the angles at rest for counts (g,) that are known, infinite for an axis without."""
+    """Return the law of the angles at rest, each rounded to a count, for counts (g,) in rad, infinite for unknown ones.
+
+    None without rests, or if no count is known.
+    """
     spans_s = [(first * 1e-9, last * 1e-9) for first, last in table.rests_ns]
     rounded = [place for place, count in enumerate(counts_rad.tolist()) if np.isfinite(count)]
     if not spans_s or not rounded:

@@ -264,7 +264,10 @@ class LiveForces:
         return About(delay_s=delay_s, arm_m=tuple(arm_m.tolist()))
 
     def _updated(self, rows: _Rows) -> Innovation:
-        """Update the filter with rows, and return their innovation."""
+        """Update the filter with rows, and return their innovation.
+
+        It has the normalised innovation of each accelerometer's mean, NaN for one without rows.
+        """
         own = self._filter
         own.update(rows.z[:, None], R=np.diag(np.full(len(rows.z), self.noise_mps2**2)), H=rows.h)
         innovation = own.y[:, 0]

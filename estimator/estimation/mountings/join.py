@@ -315,7 +315,7 @@ def _accelerometer(
 
 
 def _notes(runs: Sequence[_Run], sensors: Sequence[DeviceSensor], joined: JoinedStates) -> list[str]:
-    """Return sentences on what was left out of each run, and on biases that change from run to run."""
+    """Return sentences on states that no run shows, on accelerometers of single runs, and on biases that change."""
     notes = [f"{run.recording.name}: {note}" for run in runs for note in run.force_notes]
     for sensor, variance in zip(sensors, np.diag(joined.covariance).reshape(-1, 4), strict=True):
         wide = np.sqrt(variance) > _UNSEEN * sensor.prior_sd
@@ -330,7 +330,10 @@ def _notes(runs: Sequence[_Run], sensors: Sequence[DeviceSensor], joined: Joined
 
 
 def _doubts(runs: Sequence[_Run], joined: JoinedStates) -> list[str]:
-    """Return what questions the sigmas: doubts of single runs, and runs that contradict each other."""
+    """Return what questions the sigmas: doubts of single runs, and runs that contradict each other.
+
+    Doubts on states that a single run does not show are left out: the others may show them.
+    """
     doubts: list[str] = []
     for run in runs:
         own = list(run.calibration.doubts)

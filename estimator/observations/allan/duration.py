@@ -54,7 +54,10 @@ def relative_uncertainty(sizes: Floats, term: int, span_s: float, mean_s: float)
 
 
 def _bands(count: int, mean_s: float) -> Bands:
-    """Return bands of a series of ``count`` means, without data."""
+    """Return bands of a series of ``count`` means over ``mean_s``, without data.
+
+    The lowest frequencies have a band each, the others some sixty together.
+    """
     numbers = np.arange(1, min(count, _SINGLY))
     counts = np.ones(len(numbers))
     if count > _SINGLY:

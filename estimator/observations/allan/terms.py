@@ -73,9 +73,10 @@ def mean_width(period_s: float) -> int:
 
 
 def noise_terms(stretches: Sequence[Floats], period_s: float) -> list[NoiseTerms]:
-    """Return the terms of each sensor of separate, evenly sampled stretches (n, m).
+    """Return N, B and K of each sensor, with intervals, of separate, evenly sampled stretches (n, m).
 
-    Stretches shorter than ``fewest_samples`` are left out; ValueError if none is left.
+    High frequencies that a filter has taken out are left out, and the octave that fits least is named. Stretches
+    shorter than ``fewest_samples`` do not count; ValueError if none is left.
     """
     width = mean_width(period_s)
     used = [part for part in stretches if len(part) >= fewest_samples(period_s)]

@@ -35,7 +35,11 @@ class Examined:
 
 
 def examined(recording: Recording) -> Examined:
-    """Return the usable part of a recording: spikes, stuck and limited values and glitches of the reference removed."""
+    """Return the usable part of a recording: spikes, stuck and limited values and glitches of the reference removed.
+
+    Glitches are found by the source that follows the reference best; if there are any, all is examined once more
+    without them.
+    """
     ordered = {name: in_order(data) for name, data in recording.sources.items()}
     lines = _lines(recording, ordered)
     sources = {name: _source(recording, *pair, lines[name]) for name, pair in ordered.items()}

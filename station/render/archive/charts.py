@@ -101,7 +101,10 @@ def _row(view: ChartView, place: _Place) -> list[str]:
 
 
 def _zone(view: ChartView, place: _Place, run: int) -> str:
-    """Return the letter of the zone in which a run lies, in lower case below the mean; "!" outside the limits."""
+    """Return the letter of the zone in which a run lies, a third of the limit each, in lower case below the mean.
+
+    "!" outside the limits.
+    """
     chart = view.chart
     at = place.gyro, place.state
     if chart.outside[run][at]:

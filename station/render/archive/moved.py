@@ -11,7 +11,7 @@ _MOST_IN_LIST = 2
 
 
 def moved_since(moves: Sequence[Move]) -> str:
-    """Return, as markup, what moved since the last comparable run; empty if nothing did."""
+    """Return, as markup, which states moved since the last comparable run, the first few; "" if none did."""
     if not moves:
         return ""
     words = [move.words for move in moves[:_MOST_AFTER_RUN]]

@@ -28,7 +28,10 @@ _MODEL_HEADS = ("model", "log evidence", "rms deg/h", "largest deg/h", "in 95 %"
 
 
 def errors_shown(view: InvestigationView) -> Iterator[Shown]:
-    """Yield the errors by gyro before and after, how much smaller they became, and the chain of models."""
+    """Yield the errors by gyro before and after, how much smaller they became or that no effect was added.
+
+    Then that they are in-sample, if so, and the chain of models if it has several.
+    """
     yield _errors_table(view), {}
     if view.improvement is None:
         yield line(f"rms error {dph(view.before.rms_rps)} deg/h; unchanged, since no effect was added")

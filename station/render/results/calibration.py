@@ -19,7 +19,10 @@ _EFFECT_HEADS = ("effect", "parameter", "gyro", "found", "typical size")
 
 
 def calibration_shown(calibration: Calibration, verdict: Verdict, units: Units) -> Iterator[Shown]:
-    """Yield the states of every gyro with their sigmas, in these units, effects and noise; broken limits are red."""
+    """Yield the states of every gyro with their sigmas, in these units; those of broken limits are red.
+
+    Effects, mean NIS and noise follow if the calibration has them.
+    """
     yield _states(calibration, verdict, units), {}
     if any(gyro.effects for gyro in calibration.gyros):
         yield _effects(calibration), {}

@@ -129,7 +129,7 @@ def _places(calibration: ForceCalibration) -> ForceTable:
 
 
 def _intrinsic(calibration: ForceCalibration) -> ForceTable:
-    """Return the nine parameters that another laboratory can reproduce."""
+    """Return sensitivities, offsets and angles with U, the nine parameters that another laboratory can reproduce."""
     found = calibration.intrinsic
     rows = []
     for place, name in enumerate(found.names):

@@ -238,7 +238,7 @@ class MotionView:
 
 
 def motion_view(recorded: Recorded) -> MotionView:
-    """Return the motion of a run, as far as it is known."""
+    """Return the motion of a run: turns, a picture and the steps, each as far as it is known."""
     driven = driven_steps(recorded)
     return MotionView(
         turns=turns(recorded),

@@ -41,7 +41,7 @@ class Quantity:
 
 
 def limits_view(standing: Standing, false_accept: float | None) -> LimitsView | None:
-    """Return all limits with what was found; None if the recording states none."""
+    """Return all limits, and how many are not met; None if the recording states none or has no calibration."""
     if not standing.lines:
         return None
     return LimitsView(

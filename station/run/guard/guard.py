@@ -130,7 +130,7 @@ class Guard:
                 self._process.stdin.write(data)
 
     def _read_output(self) -> None:
-        """Handle output of the guard: that it is ready, or its end."""
+        """Handle output of the guard: anything says that it is ready; its end closes it."""
         assert self._process is not None
         assert self._process.stdout is not None
         self._heard.set()

@@ -53,7 +53,10 @@ class FormLine:
     wrong: bool
 
     def words(self, width: int, *, first: bool) -> str:
-        """Return the line in a terminal of ``width`` columns; the ``first`` line of a table names it."""
+        """Return the line for a terminal of ``width`` columns; the ``first`` line of a table names it.
+
+        In a wide one the meaning of the key follows, unless the fact is wrong.
+        """
         table = self.table if first else ""
         text = self.text.ljust(34 if width >= _WIDE else 21)
         begin = f"{table:11} {self.key.name.replace('_', ' '):16} {text}  "

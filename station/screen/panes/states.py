@@ -70,7 +70,9 @@ def _state_cells(gyro: GyroSnapshot | AccelerometerSnapshot, figures: Sequence[S
 
 
 def _styled(cells: Sequence[str], gyro: int, exceeded: frozenset[StateCell]) -> Text:
-    """Return the line of a gyro, or of a heading if its number is negative."""
+    """Return the line of gyro number ``gyro``, exceeded states and sigmas in red; a heading if the number is
+    negative.
+    """
     if gyro < 0:
         return Text(" ").join(Text(cell, _BOLD) for cell in cells)
     shown = [Text(cells[0])]

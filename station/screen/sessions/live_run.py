@@ -197,7 +197,10 @@ class LiveRun:
             self.trends[name] = trend
 
     def _take_snapshot(self, snapshot: Snapshot) -> None:
-        """Keep a snapshot as the newest and, if time has advanced, in the history; extend the trends."""
+        """Make a snapshot the newest; if time has advanced, add it to the history, and its estimates to the trends.
+
+        Of too long a history every other snapshot is dropped. Estimates that are not finite are left out.
+        """
         self.snapshot = snapshot
         self.moved = self.moved or snapshot.phase in _MOVING or snapshot.elapsed_s > 0
         if not self.seen or snapshot.elapsed_s > self.seen[-1].elapsed_s:

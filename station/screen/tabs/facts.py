@@ -120,7 +120,8 @@ def _edited(form: Form, texts: Mapping[str, str]) -> dict[str, str]:
 def _stated(recording: ReadRecording) -> tuple["Recorded", tuple[Path, Path], Mapping[str, Mapping[str, str]]]:
     """Return the recording without samples, the two files for facts, and the facts stated so far, by their origin.
 
-    The files are that of this recording and that of the last form of this bench.
+    The files are that of this recording and that of the last form of this bench; the latter is looked at only if the
+    former does not exist. UsageError if the former cannot be read.
     """
     from estimator.recordings.recording import Recording
     from station.report.formal import kept_facts

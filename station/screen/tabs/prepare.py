@@ -112,7 +112,11 @@ class PrepareScreen(StationScreen):
         self.set_focus(self.query_one("#operator" if not choices.operator else "#serial", Input))
 
     def on_input_changed(self, event: Input.Changed) -> None:
-        """Take over the text; bench and script are read only when they are complete."""
+        """Take over the text; bench and script are read only on Enter, and until then there is no prospect of changed
+        ones.
+
+        A mounted device is mounted no longer.
+        """
         self.station.mounted = False
         if event.input.id == "operator":
             self.station.operator_utc_s = time.time()
@@ -229,7 +233,7 @@ class PrepareScreen(StationScreen):
         self.station.work(partial(self._look, self.station.choices), "look")
 
     def action_start(self) -> None:
-        """Start the run, or report what prevents it; nothing if the screen is too small to be seen."""
+        """Start the run, or report what prevents it; nothing if the screen is too small for its texts."""
         if self.small:  # no start by something that cannot be seen
             return
         self._take_over()
@@ -373,7 +377,10 @@ class PrepareScreen(StationScreen):
         return [_wrong(f"{each.device}: {wrong}") for each in self._check.value.devices for wrong in each.wrong]
 
     def redraw(self) -> None:
-        """Show all answers; start a mounted device's run if nothing prevents it, or report what does."""
+        """Show all answers; nothing before the screen is built.
+
+        A mounted device's run is started if nothing prevents it; if something is wrong, that is reported.
+        """
         if not self.query(Charts):
             return
         obstacles = self._obstacles()

@@ -21,7 +21,10 @@ class ScanField(Field):
     """A field for a scanner: Enter or Tab submits its text, and it is free for the next at once."""
 
     def on_key(self, event: events.Key) -> None:
-        """Submit the text on Enter or Tab, before the next character is read."""
+        """Submit the text on Enter or Tab, before the next character is read, and clear the field.
+
+        Nothing is submitted without text; Tab then goes to the next field.
+        """
         text = self.value.strip()
         if event.key == "enter" or (event.key == "tab" and text):
             event.stop()

@@ -118,9 +118,10 @@ def _by_models(
     merit: Callable[[Floats, Floats], float],
     step: Callable[[_Model, float], Floats],
 ) -> Floats:
-    """Return the times of the least ``merit`` that steps from model to model find, from ``start``.
+    """Return the times (p,) of the least ``merit`` that steps from model to model find, from ``start`` (p,).
 
-    A step that does not gain is made again, shorter.
+    ``function`` gives the logarithms to be modelled at some times, ``merit(times, logarithms)`` is to be lowered, and
+    ``step(model, reach)`` gives the logarithms of the next times. A step that does not gain is made again, shorter.
     """
     v = start
     logs = function(v)

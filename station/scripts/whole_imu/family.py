@@ -90,7 +90,9 @@ class Structure:
         return replace(self, limits=driven_limits(gentle))
 
     def described(self) -> str:
-        """Return what the script consists of, for people."""
+        """Return in words about which axes, and with which angles of the others, the script turns, and its number of
+        poses.
+        """
         turns = ", ".join(
             way.axis + "".join(f" with {axis} at {math.degrees(angle):g} deg" for axis, angle in way.pose if angle)
             for way in self.ways

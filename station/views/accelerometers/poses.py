@@ -179,7 +179,7 @@ def session_object(session: PoseSession, path: str) -> dict[str, Any]:
 
 
 def _accelerometer_object(result: PoseCalibration) -> dict[str, Any]:
-    """Return a calibrated triad; covariance and matrix are None if the rests did not show all parameters."""
+    """Return a calibrated triad for JSON; covariance and matrix are None if the rests did not show all parameters."""
     complete = bool(result.shown.all())
     return {
         "unit": result.unit,

@@ -208,8 +208,10 @@ def plan_view(
     forces: Sequence[PlannedForces] = (),
     mountings: Sequence[PlannedMountings] = (),
 ) -> PlanView:
-    """Return the view of a plan, of the script that turns each axis early and late, of the accelerometers, and of three
-    mountings joined.
+    """Return the view of a plan.
+
+    ``early_late`` is the plan of the script that turns each axis early and late, ``forces`` are the forecasts for
+    accelerometers, ``mountings`` those for three mountings joined; all are left empty without.
     """
     forecast = plan.forecast
     least_s, most_s = plan.script.span.least_s, plan.script.span.most_s
