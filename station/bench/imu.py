@@ -139,8 +139,10 @@ def read_imu(table: Table, folder: Path, known: Registry[ImuSpec] = IMUS) -> Imu
 
 
 def _mounting(table: Table, along: Sequence[str]) -> Floats:
-    """Return the axes x, y, z of a device as rows (3, 3) in the body that the table turns; the table's error if they
-    are not three at right angles, right-handed.
+    """Return the axes x, y, z of a device as rows (3, 3) in the body that the table turns.
+
+    ``along`` says for each along which axis of that body it lies: "x", "-y" and so on. The table's error if these are
+    not three at right angles, right-handed.
     """
     signs = [-1.0 if name.startswith("-") else 1.0 for name in along]
     rows = [sign * np.eye(3)[AXES.index(name[-1])] for sign, name in zip(signs, along, strict=True)]

@@ -83,7 +83,8 @@ def held_forces(exported: Exported, form: str = "", *, triad: bool, parts: Colle
     """Return what a format holds of the accelerometers of an export.
 
     ``form`` names it in messages. With ``triad`` it holds exactly three accelerometers. ``parts`` are those that it
-    holds beside the constants. Without accelerometers nothing is held, and no line says so.
+    holds beside the constants. Without accelerometers nothing is held, and no line says so; for those of several
+    places, or that the format cannot hold, only a line says why.
     """
     if not exported.forces:
         return HeldForces()

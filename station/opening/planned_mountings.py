@@ -25,7 +25,8 @@ class PlannedMountings:
 def planned_mountings(script: Script, bench: Bench) -> list[PlannedMountings]:
     """Return what a script shows of each used device with x, then y, then z along the axis of a table that has one.
 
-    Empty for tables of more axes, and without devices that state a data sheet for their accelerometers.
+    Empty for tables of more axes. Left out are devices that state no data sheet for their accelerometers, and those for
+    which the script is too short.
     """
     if len(bench.table.gimbals) > 1:
         return []

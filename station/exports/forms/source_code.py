@@ -239,8 +239,10 @@ def _argument_comments(exported: Exported, terms: Terms) -> list[str]:
 
 
 def _cautions(exported: Exported, terms: Terms, forces: HeldForces) -> list[str]:
-    """Return the effects that the function does not correct, the noise that correcting a lag adds, and what is lacking
-    of the accelerometers, one line each.
+    """Return what the function does not hold, a line each.
+
+    That is effects that it does not correct, the delay, the noise that correcting a lag adds at the recorded sample
+    rate, and what is lacking of the accelerometers.
     """
     lines = [*lines_of(exported.compensation.left_out), *delay_line(exported)]
     if terms.lag is not None and np.isfinite(exported.seen.rate_hz):
