@@ -114,23 +114,23 @@ def _investigate(loop: Loop, driver: _Driver) -> Round:
         [read_recording(path, trusted=True) for path in loop.recordings(judging=j)] for j in (False, True)
     )
     with TracingProgress(driver.arguments.json) as progress:
-        found = investigate(fitted, judging, most_effects=driver.arguments.most_effects, progress=progress.show)
-    if found.finding is not Finding.CANNOT_TELL:
-        return Round(len(loop.runs), found, None, None)
+        investigation = investigate(fitted, judging, most_effects=driver.arguments.most_effects, progress=progress.show)
+    if investigation.finding is not Finding.CANNOT_TELL:
+        return Round(len(loop.runs), investigation, None, None)
     limits = Limits(driver.bench.table.limits, driver.bench.name)
-    following = following_script(found, fitted, judging, limits, loop.left_s - _AROUND_S)
+    following = following_script(investigation, fitted, judging, limits, loop.left_s - _AROUND_S)
     path = None
     if following is not None:
         path = loop.folder / f"{len(loop.runs) + 1}-{NEXT}.toml"
         write_next(path, following, limits)
-    return Round(len(loop.runs), found, following, path)
+    return Round(len(loop.runs), investigation, following, path)
 
 
 def _why_ended(turn: Round, left_s: float) -> str:
     """Return why nothing more is to be driven, "" if the round's next script should be."""
-    if turn.found.finding is Finding.UNEXPLAINED:
+    if turn.investigation.finding is Finding.UNEXPLAINED:
         return "unexplained: no further run can tell the remaining effects of the catalogue apart"
-    if turn.found.finding is not Finding.CANNOT_TELL:
+    if turn.investigation.finding is not Finding.CANNOT_TELL:
         return "settled"
     if turn.following is None:
         return f"no script that decides between them fits into the {max(left_s, 0) / 60:.1f} min of table time left"
@@ -160,7 +160,7 @@ def _folder(name: str | None) -> Path:
 
 def _report(loop: Loop, as_json: bool) -> int:
     """Write the investigation, print the result, and return its exit code."""
-    found, result = loop.rounds[-1].found, loop_object(loop)
+    found, result = loop.rounds[-1].investigation, loop_object(loop)
     write_investigation(loop.folder / "investigation.h5", found, result)
     if as_json:
         print(json.dumps(result))

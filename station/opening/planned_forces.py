@@ -24,13 +24,13 @@ _SEED = 1
 class PlannedForces:
     """What a script shows of the accelerometers of one device.
 
-    ``found`` has the sigmas that a run will have; its values are those of a simulated run without errors. ``notes`` say
-    what the script does not show. ``effects`` are by name the standard deviations (p,) of the parameters of each
-    effect, looked for alone, rms over the accelerometers.
+    ``calibration`` has the sigmas that a run will have; its values are those of a simulated run without errors.
+    ``notes`` say what the script does not show. ``effects`` are by name the standard deviations (p,) of the parameters
+    of each effect, looked for alone, rms over the accelerometers.
     """
 
     device: str
-    found: ForceCalibration
+    calibration: ForceCalibration
     notes: tuple[str, ...]
     effects: Mapping[str, Floats]
 
@@ -47,7 +47,7 @@ def _planned(script: Script, bench: Bench, imu: ImuConfig) -> PlannedForces | No
     if not forces or not forces[0].accelerometers:
         return None
     effects = effect_sigmas(recording, imu.name)
-    return PlannedForces(device=imu.name, found=forces[0], notes=tuple(notes), effects=effects)
+    return PlannedForces(device=imu.name, calibration=forces[0], notes=tuple(notes), effects=effects)
 
 
 def simulated_run(script: Script, bench: Bench, imu: ImuConfig) -> Recording:

@@ -19,7 +19,7 @@ class PlannedMountings:
     """The joined calibration of a device that has the sigmas of three runs; its values are those without errors."""
 
     device: str
-    found: Calibration
+    calibration: Calibration
 
 
 def planned_mountings(script: Script, bench: Bench) -> list[PlannedMountings]:
@@ -53,4 +53,4 @@ def _planned(script: Script, bench: Bench, imu: ImuConfig) -> PlannedMountings:
         recordings.append(replace(run, sources=sources))
     excluded = frozenset(record.name for record in records())  # as in the plan of one mounting
     joined = join_mountings(recordings, excluded=[excluded] * len(recordings), innovations=False)
-    return PlannedMountings(device=imu.name, found=joined.calibration)
+    return PlannedMountings(device=imu.name, calibration=joined.calibration)

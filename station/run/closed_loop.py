@@ -27,7 +27,7 @@ class Round:
     """One investigation, the number of runs before it, and the script that would decide what it leaves open."""
 
     runs: int
-    found: Investigation
+    investigation: Investigation
     following: NextScript | None
     script_file: Path | None
 

@@ -16,17 +16,17 @@ from station.views.figures import number
 def print_planned_forces(planned: Sequence[PlannedForces]) -> None:
     """Print the predicted sigmas of the accelerometers of each device, and the effects that a run would detect."""
     for one in planned:
-        shown: list[Shown] = [(_sigmas(one), {}), (_effects(one), {})] if one.found.accelerometers else []
+        shown: list[Shown] = [(_sigmas(one), {}), (_effects(one), {})] if one.calibration.accelerometers else []
         shown += [(escape(line), {"highlight": False}) for line in (*_not_shown(one), *one.notes)]
         print_all(stdout(), shown)
 
 
 def _sigmas(planned: PlannedForces) -> Table:
     """Return the predicted sigmas of states and places by accelerometer."""
-    figures, place = fitted_forces(planned.found), place_figure(planned.found)
+    figures, place = fitted_forces(planned.calibration), place_figure(planned.calibration)
     heads = ["\nsensor", *(f"± {f.name}\n{f.unit}" for f in figures), *(f"± {axis}\n{PLACE.unit}" for axis in "xyz")]
     rows = []
-    for accelerometer in planned.found.accelerometers:
+    for accelerometer in planned.calibration.accelerometers:
         cells = [escape(accelerometer.name)]
         cells += [figure.text(sd) for figure, sd in zip(figures, accelerometer.sd.tolist(), strict=True)]
         cells += [place.text(sd) for sd in accelerometer.place_sd_m.tolist()]

@@ -65,7 +65,7 @@ def _round(number: int, turn: "Round") -> str:
 
 
 def _view(turn: "Round") -> InvestigationView:
-    return investigation_view(turn.found, turn.script_file)
+    return investigation_view(turn.investigation, turn.script_file)
 
 
 def loop_object(loop: "Loop") -> dict[str, Any]:
@@ -74,7 +74,7 @@ def loop_object(loop: "Loop") -> dict[str, Any]:
     fitted = [str(path) for path in loop.recordings(judging=False)]
     judging = [str(path) for path in loop.recordings(judging=True)]
     return {
-        **investigation_object(investigation_view(last.found, last.script_file, fitted, judging)),
+        **investigation_object(investigation_view(last.investigation, last.script_file, fitted, judging)),
         "rounds": [_round_object(turn) for turn in loop.rounds],
         "runs": runs_object(loop),
         "folder": str(loop.folder),

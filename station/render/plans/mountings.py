@@ -24,9 +24,10 @@ def _shown(planned: PlannedMountings, units: Units) -> Iterator[Shown]:
     device = escape(planned.device)
     yield line("")
     yield line(f"Three runs with x, y and z of {device} along the axis, joined by `station calibrate --join`:")
-    gyros = [(gyro.name, gyro.sd.tolist()) for gyro in planned.found.gyros]
-    yield _table(f"Predicted sigmas of the gyros of {device}", "gyro", fitted_figures(units, planned.found), gyros), {}
-    for forces in (forces for forces in planned.found.forces if forces.accelerometers):
+    gyros = [(gyro.name, gyro.sd.tolist()) for gyro in planned.calibration.gyros]
+    figures = fitted_figures(units, planned.calibration)
+    yield _table(f"Predicted sigmas of the gyros of {device}", "gyro", figures, gyros), {}
+    for forces in (forces for forces in planned.calibration.forces if forces.accelerometers):
         sds = [(each.name, each.sd.tolist()) for each in forces.accelerometers]
         yield _table("The same of its accelerometers", "sensor", fitted_forces(forces), sds), {}
 

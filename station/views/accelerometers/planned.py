@@ -35,7 +35,7 @@ def planned_forces_view(planned: PlannedForces) -> PlannedForcesView:
     """Return the view of what a script shows of the accelerometers of a device."""
     return PlannedForcesView(
         device=planned.device,
-        accelerometers=tuple(map(planned_accelerometer, planned.found.accelerometers)),
+        accelerometers=tuple(map(planned_accelerometer, planned.calibration.accelerometers)),
         detected={name: tuple(json_object(DETECTED * sd)) for name, sd in planned.effects.items()},
         notes=planned.notes,
     )

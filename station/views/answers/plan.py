@@ -239,10 +239,11 @@ def _mountings_view(planned: PlannedMountings) -> PlannedMountingsView:
     return PlannedMountingsView(
         device=planned.device,
         gyros=tuple(
-            PlannedGyro(device=planned.device, name=gyro.name, sd=by_state(gyro.sd)) for gyro in planned.found.gyros
+            PlannedGyro(device=planned.device, name=gyro.name, sd=by_state(gyro.sd))
+            for gyro in planned.calibration.gyros
         ),
         accelerometers=tuple(
-            planned_accelerometer(one) for force in planned.found.forces for one in force.accelerometers
+            planned_accelerometer(one) for force in planned.calibration.forces for one in force.accelerometers
         ),
     )
 
