@@ -1,6 +1,10 @@
 """A whole IMU on the shipped script: coverage of the intervals of all states and of the lever arm, and speed.
 
-python tests/bench/full_imu.py coverage --runs 200       gyros and accelerometers with other true errors in each run
+python tests/bench/full_imu.py coverage --runs 200       gyros and accelerometers with other true errors in each run,
+                                                         errors and stated sigmas over the Cramér-Rao bound
+python tests/bench/full_imu.py coverage --between-counts --noise-spread 3
+                                                         the same with poses anywhere within a count of the encoders,
+                                                         and noise of the twins that differs from the data sheet
 python tests/bench/full_imu.py effects --runs 60         one hidden effect of accelerometers in each run: is it named?
 python tests/bench/full_imu.py clean --runs 40           none: is anything named?
 python tests/bench/full_imu.py speed                     360 s at 4 kHz with six channels, against three
@@ -10,20 +14,25 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
 import time
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
+from cramer_rao import COUNT_RAD, TOGETHER, Bound, Motion, Sensors, Whitening, force_bounds, gyro_bound
 
 from estimator.estimation.calibrate import calibrate
 from estimator.recordings.recording import Recording
 from estimator.tracing.accelerometers.trace_forces import trace_forces
 from station.bench.bench import Bench, load_bench, read_bench
 from station.opening.simulate import simulate_bench
-from station.scripts.script import load_script
+from station.opening.twins import force_truth_of, mounting_of, truth_of
+from station.scripts.script import Script, load_script
+from station.scripts.steps.pose import Aim, Pose
 
 BENCH = Path(__file__).parents[1] / "data" / "benches" / "full_imu.toml"
 WITHIN = 1.959964
@@ -35,16 +44,21 @@ FORCE = {"k": (2000.0, "ppm"), "b": (10.0, "mg"), "sigma_j": (2.0, "mrad"), "sig
 PLACES = {"lever_arm": (50.0, "mm"), "size": (2.0, "mm")}
 
 
-def drawn_bench(seed: int) -> Bench:
-    """Return the bench with other true errors of its device, and another true gravity."""
+def drawn_bench(seed: int, noise_spread: float = 1.0) -> Bench:
+    """Return the bench with other true errors of its device, and another true gravity.
+
+    The bias instabilities are those of the data sheet times factors of which one standard deviation is
+    ``noise_spread``.
+    """
     random = np.random.default_rng([seed, 29])
     text = BENCH.read_text(encoding="utf-8")
     before, _, _ = text.partition("[twin.mti]")
-    lines = ["[twin.mti]", *_drawn(random, GYRO), 'bias_instability = "0.3 deg/h"', ""]
+    factors = noise_spread ** np.random.default_rng([seed, 41]).standard_normal(2)
+    lines = ["[twin.mti]", *_drawn(random, GYRO), f'bias_instability = "{0.3 * factors[0]:.6f} deg/h"', ""]
     lines += ["[twin.mti.accelerometers]", *_drawn(random, FORCE | PLACES)]
     gravity = 9.80619777 * (1 + 5e-5 * random.standard_normal())
     delay_ms = 1.0 + random.standard_normal()
-    lines += ['vrw = "60 ug/rtHz"', 'bias_instability = "15 ug"', f'delay = "{delay_ms:.6f} ms"']
+    lines += ['vrw = "60 ug/rtHz"', f'bias_instability = "{15 * factors[1]:.6f} ug"', f'delay = "{delay_ms:.6f} ms"']
     lines.append(f'gravity = "{gravity:.9f} m/s2"')
     return read_bench("\n".join([before, *lines, ""]), f"seed {seed}")
 
@@ -58,45 +72,146 @@ def _drawn(random: np.random.Generator, sizes: dict[str, tuple[float, str]]) -> 
     return lines
 
 
-def errors_of(bench: Bench, seed: int) -> dict[str, np.ndarray]:
-    """Return the errors over their stated sigmas of one run: of the states of gyros and accelerometers, of places."""
-    from station.opening.twins import force_truth_of, truth_of
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Figures:
+    """What one run found of values (sensors, values) of a kind: their errors, stated sigmas, and Cramér-Rao bound.
 
-    recording = simulate_bench(bench, load_script(Path("full-imu")), seed)
+    ``counted`` is the bound with angles at rest that are only known to a count of the encoders.
+    """
+
+    error: np.ndarray
+    sd: np.ndarray
+    bound: np.ndarray
+    counted: np.ndarray
+
+
+def figures_of(bench: Bench, seed: int, script: Script) -> dict[str, Figures]:
+    """Return the figures of one run: of the states of gyros and accelerometers, of places, of the delay."""
+    recording = simulate_bench(bench, script, seed)
     found = calibrate(recording, excluded=bench.excluded, innovations=False)
     (imu,) = bench.imus
     felt = force_truth_of(bench.twin.truths.again(), imu, bench.site)
     truth = truth_of(bench.twin.truths.again(), imu)
     assert felt is not None
+    force, gravity_mps2 = felt
     gyro_truth = np.column_stack([truth.k, truth.b_rps, truth.sigma_j_rad, truth.sigma_k_rad])
-    force = felt[0]
     force_truth = np.column_stack([force.k, force.b_mps2, force.sigma_j_rad, force.sigma_k_rad])
     (forces,) = found.forces
     assert forces.offset is not None
-    accelerometers = forces.accelerometers
+    of_gyros, exact, counted = bounds_of(bench, script, gyro_truth, force_truth)
+    ours = forces.accelerometers
     return {
-        "gyros": np.array([(g.states - t) / g.sd for g, t in zip(found.gyros, gyro_truth, strict=True)]),
-        "accelerometers": np.array([(a.states - t) / a.sd for a, t in zip(accelerometers, force_truth, strict=True)]),
-        "places": np.array(
-            [(a.place_m - t) / a.place_sd_m for a, t in zip(accelerometers, force.places_m, strict=True)]
+        "gyros": Figures(
+            error=np.array([one.states for one in found.gyros]) - gyro_truth,
+            sd=np.array([one.sd for one in found.gyros]),
+            bound=of_gyros.states,
+            counted=of_gyros.states,
         ),
-        "delay": np.array([[(forces.offset.offset_s - force.delay_s) / forces.offset.sd_s]]),
+        "accelerometers": Figures(
+            error=np.array([one.states for one in ours]) - force_truth,
+            sd=np.array([one.sd for one in ours]),
+            bound=exact.states,
+            counted=counted.states,
+        ),
+        "places": Figures(
+            error=np.array([one.place_m for one in ours]) - force.places_m,
+            sd=np.array([one.place_sd_m for one in ours]),
+            bound=exact.places_m,
+            counted=counted.places_m,
+        ),
+        "delay": Figures(
+            error=np.array([[forces.offset.offset_s - force.delay_s]]),
+            sd=np.array([[forces.offset.sd_s]]),
+            bound=np.array([[exact.delay_s]]),
+            counted=np.array([[counted.delay_s]]),
+        ),
     }
 
 
-def coverage(runs: int, first: int) -> None:
-    """Print for each state how many of the true values are within the 95 % intervals, and the rms error in sigmas."""
-    found: dict[str, list[np.ndarray]] = {}
-    for seed in range(first, first + runs):
-        for what, errors in errors_of(drawn_bench(seed), seed).items():
-            found.setdefault(what, []).append(errors)
+def bounds_of(
+    bench: Bench, script: Script, gyro_states: np.ndarray, force_states: np.ndarray
+) -> tuple[Bound, Bound, Bound]:
+    """Return the Cramér-Rao bounds of gyros, of accelerometers, and of these with angles known to a count."""
+    (imu,) = bench.imus
+    truth = truth_of(bench.twin.truths.again(), imu)
+    felt = force_truth_of(bench.twin.truths.again(), imu, bench.site)
+    assert bench.site is not None
+    assert felt is not None
+    force, gravity_mps2 = felt
+    motion = Motion(
+        script,
+        rate_hz=imu.rate_hz,
+        gimbals=bench.table.gimbals,
+        latitude_rad=bench.site.latitude_rad,
+        heading_rad=bench.site.heading_rad,
+    )
+    mounting = mounting_of(bench.twin.truths.again(), imu)
+    gyros = Sensors(p=mounting.p, j=mounting.j, k=mounting.k, states=gyro_states)
+    accelerometers = replace(gyros, states=force_states, places_m=force.places_m, delay_s=force.delay_s)
+    groups = len(motion.t_s) // TOGETHER
+    of_gyros, of_forces = (
+        Whitening(white=white, instability=instability, rate_hz=imu.rate_hz, groups=groups)
+        for white, instability in (
+            (truth.arw_rps_rthz, truth.bias_instability_rps),
+            (force.vrw_mps2_rthz, force.bias_instability_mps2),
+        )
+    )
+    return gyro_bound(motion, gyros, of_gyros), *force_bounds(
+        motion, accelerometers, of_forces, gravity_mps2=gravity_mps2
+    )
+
+
+def between_counts(script: Script, seed: int) -> Script:
+    """Return the script with each angle of its poses moved by up to half a count of the encoders, either way."""
+    random = np.random.default_rng([seed, 37])
+
+    def moved(aim: Aim) -> Aim:
+        return replace(aim, angle_rad=aim.angle_rad + COUNT_RAD * random.uniform(-0.5, 0.5))
+
+    steps = (replace(s, aims=tuple(map(moved, s.aims))) if isinstance(s, Pose) else s for s in script.steps)
+    return replace(script, steps=tuple(steps))
+
+
+def coverage(arguments: argparse.Namespace) -> None:
+    """Print for each value how many of the true ones are within the 95 % intervals, and errors and sigmas in bounds."""
+    found: dict[str, list[Figures]] = {}
+    shipped = load_script(Path("full-imu"))
+    for number, seed in enumerate(range(arguments.first, arguments.first + arguments.runs)):
+        script = between_counts(shipped, seed) if arguments.between_counts else shipped
+        for what, figures in figures_of(drawn_bench(seed, arguments.noise_spread), seed, script).items():
+            found.setdefault(what, []).append(figures)
+        if (number + 1) % 10 == 0:
+            print(f"{number + 1} runs of {arguments.runs}", file=sys.stderr, flush=True)
+    print(
+        f"{arguments.runs} runs from seed {arguments.first}; rms of sensors and runs; / CRB: over the Cramér-Rao bound"
+    )
+    print(
+        f"{'':24}{'within':>8}{'error/sigma':>13}{'error/CRB':>11}{'sigma/CRB':>11}"
+        f"{'error/CRB counted':>19}{'sigma/CRB counted':>19}"
+    )
     for what, parts in found.items():
-        errors = np.array(parts)
-        within = np.mean(np.abs(errors) < WITHIN, axis=(0, 1))
-        rms = np.sqrt(np.mean(errors**2, axis=(0, 1)))
         names = {"places": "xyz", "delay": ("delay",)}.get(what, STATES)
-        cells = [f"{n} {100 * w:.1f} % (rms {r:.3f})" for n, w, r in zip(names, within, rms, strict=True)]
-        print(f"{what:15} {runs} runs: " + ", ".join(cells), flush=True)
+        whole = {key: np.array([getattr(one, key) for one in parts]) for key in ("error", "sd", "bound", "counted")}
+        for column, name in enumerate(names):
+            line(f"{what} {name}", {key: values[:, :, column] for key, values in whole.items()})
+            for sensor in range(parts[0].error.shape[0]) if arguments.each else ():
+                line(f"    of {'xyz'[sensor]}", {key: values[:, sensor, column] for key, values in whole.items()})
+    if arguments.keep is not None:
+        kept = {
+            f"{what} {key}": [getattr(p, key) for p in ps] for what, ps in found.items() for key in Figures.__slots__
+        }
+        np.savez(arguments.keep, **kept)
+
+
+def line(name: str, values: Mapping[str, np.ndarray]) -> None:
+    """Print a line of the table of ``coverage``."""
+    error, sd, bound, counted = (values[key] for key in ("error", "sd", "bound", "counted"))
+    within = 100 * np.mean(np.abs(error) < WITHIN * sd)
+    ratios = [np.sqrt(np.mean(r**2)) for r in (error / sd, error / bound, sd / bound, error / counted, sd / counted)]
+    print(
+        f"{name:24}{within:7.1f} {ratios[0]:13.3f}{ratios[1]:11.3f}{ratios[2]:11.3f}{ratios[3]:19.3f}{ratios[4]:19.3f}",
+        flush=True,
+    )
 
 
 # What a twin may hide, at the size that data sheets of MEMS accelerometers state: by the key of the twin the name that
@@ -174,9 +289,13 @@ def main() -> None:
     parser.add_argument("part", choices=("coverage", "effects", "clean", "speed"))
     parser.add_argument("--runs", type=int, default=200)
     parser.add_argument("--first", type=int, default=0, help="seed of the first run")
+    parser.add_argument("--each", action="store_true", help="coverage of each sensor, too")
+    parser.add_argument("--between-counts", action="store_true", help="poses anywhere within a count of the encoders")
+    parser.add_argument("--noise-spread", type=float, default=1.0, help="factor by which noise is off the data sheet")
+    parser.add_argument("--keep", type=Path, help="an .npz file for the figures of all runs")
     arguments = parser.parse_args()
     if arguments.part == "coverage":
-        coverage(arguments.runs, arguments.first)
+        coverage(arguments)
     elif arguments.part in ("effects", "clean"):
         effects(arguments.runs, arguments.first, planted=arguments.part == "effects")
     else:
