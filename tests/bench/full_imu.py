@@ -7,6 +7,7 @@ python tests/bench/full_imu.py coverage --between-counts --noise-spread 3
                                                          and noise of the twins that differs from the data sheet
 python tests/bench/full_imu.py effects --runs 60         one hidden effect of accelerometers in each run: is it named?
 python tests/bench/full_imu.py clean --runs 40           none: is anything named?
+python tests/bench/full_imu.py live --runs 3             live filters against estimates from all samples, in sigmas
 python tests/bench/full_imu.py speed                     360 s at 4 kHz with six channels, against three
 """
 
@@ -19,6 +20,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -26,6 +28,10 @@ import numpy as np
 from cramer_rao import COUNT_RAD, TOGETHER, Bound, Motion, Sensors, Whitening, force_bounds, gyro_bound
 
 from estimator.estimation.calibrate import calibrate
+from estimator.estimation.live.forces import LiveForces, white_forces
+from estimator.estimation.live.sample_columns import white_solution
+from estimator.estimation.live.source import LiveSource
+from estimator.recordings.motion.body_rates import BodyRates
 from estimator.recordings.recording import Recording
 from estimator.tracing.accelerometers.trace_forces import trace_forces
 from station.bench.bench import Bench, load_bench, read_bench
@@ -37,7 +43,7 @@ from station.scripts.steps.pose import Aim, Pose
 BENCH = Path(__file__).parents[1] / "data" / "benches" / "full_imu.toml"
 WITHIN = 1.959964
 STATES = ("k", "b", "sigma_j", "sigma_k")
-DEVICE = "mti"
+DEVICE, RATE_HZ = "mti", 100.0
 # Standard deviations of the true errors from run to run: those of the data sheet, a tenth for what a triad promises.
 GYRO = {"k": (1000.0, "ppm"), "b": (30.0, "deg/h"), "sigma_j": (1.0, "mrad"), "sigma_k": (1.0, "mrad")}
 FORCE = {"k": (2000.0, "ppm"), "b": (10.0, "mg"), "sigma_j": (2.0, "mrad"), "sigma_k": (2.0, "mrad")}
@@ -252,6 +258,57 @@ def effects(runs: int, first: int, planted: bool) -> None:
     )
 
 
+def live(runs: int, first: int) -> None:
+    """Print by how much the live filters, fed a second at a time, differ from the estimates from all samples at once.
+
+    The largest difference of a value in sigmas, and of a sigma in itself, of gyros and of accelerometers.
+    """
+    worst = 0.0
+    for seed in range(first, first + runs):
+        recording = simulate_bench(drawn_bench(seed), load_script(Path("full-imu")), seed)
+        for what, (x, sd, batch, batch_sd) in zip(("gyros", "accelerometers"), replayed(recording), strict=True):
+            apart, grown = float(np.abs((x - batch) / batch_sd).max()), float(np.abs(sd / batch_sd - 1).max())
+            worst = max(worst, apart)
+            print(
+                f"seed {seed}: {what}: {x.size} values within {apart:.1e} sigma, sigmas within {grown:.1e}", flush=True
+            )
+    print(f"at most {worst:.1e} sigma (bar 1e-6)")
+
+
+def replayed(recording: Recording) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    """Return values and sigmas of the live filter, then those of all samples at once: of gyros, of accelerometers."""
+    table, data = recording.table, recording.sources[DEVICE]
+    assert table is not None
+    assert data.noise is not None
+    noise_rps = data.noise.arw * np.sqrt(RATE_HZ)
+    gyros = LiveSource(array=data.array, rate_hz=RATE_HZ, noise_rps=noise_rps, prior=data.prior)
+    forces = LiveForces.of(recording, DEVICE)
+    rates = BodyRates(table.gimbals, recording.site)
+    for since_ns in range(int(table.t_ns[0]), int(table.t_ns[-1]) + 1, 1_000_000_000):
+        read, taken = ((t >= since_ns) & (t < since_ns + 1_000_000_000) for t in (table.t_ns, data.t_ns))
+        half_ns = None if table.half_width_ns is None else table.half_width_ns[read]
+        rates.add(table.t_ns[read], table.angle_rad[read], table.rate_rps[read], half_ns, table.rate_window_ns)
+        columns = {key: getattr(data, key)[taken] for key in ("t_ns", "rate_rps", "temperature_c", "accel_mps2")}
+        block = SimpleNamespace(**columns)
+        gyros.add(block)
+        forces.add(block)
+        gyros.advance(rates)
+        forces.advance(rates)
+    rates.finish()
+    gyros.advance(rates, everything=True)
+    forces.advance(rates, everything=True)
+    about = gyros.prior, gyros.noise_rps, gyros.offset_sd_s, gyros.history.taken_off
+    of_gyros, of_forces = white_solution(recording, data, None, *about), white_forces(recording, DEVICE, forces)
+    x, covariance = gyros.filter.state()
+    force_x, force_covariance = forces.state()
+    diagonals = [np.sqrt(np.diagonal(c, axis1=-2, axis2=-1)) for c in (covariance, of_gyros.covariance)]
+    of_accelerometers = [np.sqrt(np.diag(c)) for c in (force_covariance, of_forces.covariance)]
+    return [
+        (x, diagonals[0], of_gyros.x, diagonals[1]),
+        (force_x, of_accelerometers[0], of_forces.x, of_accelerometers[1]),
+    ]
+
+
 def speed() -> None:
     """Print the processor time of ``calibrate`` with and without the accelerometers of a fast device."""
     bench = load_bench(BENCH)
@@ -286,7 +343,7 @@ def _cut(recording: Recording, length_s: float) -> Recording:
 def main() -> None:
     """Run the part that is asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", choices=("coverage", "effects", "clean", "speed"))
+    parser.add_argument("part", choices=("coverage", "effects", "clean", "live", "speed"))
     parser.add_argument("--runs", type=int, default=200)
     parser.add_argument("--first", type=int, default=0, help="seed of the first run")
     parser.add_argument("--each", action="store_true", help="coverage of each sensor, too")
@@ -298,6 +355,8 @@ def main() -> None:
         coverage(arguments)
     elif arguments.part in ("effects", "clean"):
         effects(arguments.runs, arguments.first, planted=arguments.part == "effects")
+    elif arguments.part == "live":
+        live(arguments.runs, arguments.first)
     else:
         speed()
 
