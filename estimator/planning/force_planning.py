@@ -73,23 +73,12 @@ def force_covariances(
         common = [law.effect.columns(felt, device.array, number) * law.sd for law in further]
         columns.append(np.hstack([own, *common]))
     information = _by_accelerometer(products(np.hstack(columns)), len(columns))
-    known = PARAMETERS + sum(len(law.sd) for law in shared)
-    covariances = _places(_joined(information[:, :known, :known]), prior_sd, device.prior.arm_m, first_of_arm)
     if rest_angles is not None:
-        covariances[:, :4, :4] += _of_rest_angles(information, known) * np.outer(prior_sd[:4], prior_sd[:4])
-    return covariances
-
-
-def _of_rest_angles(information: Floats, known: int) -> Floats:
-    """Return the covariance (a, 4, 4) of the scaled states that comes from the angles at rest.
-
-    The first ``known`` of the parameters in ``information`` (a, c, c) are estimated, the others are the angles.
-    """
-    there = slice(0, known)
-    angles = slice(known, information.shape[1])
-    expected = np.eye(known)
-    moved = np.linalg.solve(information[:, there, there] + expected, information[:, there, angles])[:, :4]
-    return np.asarray(moved @ moved.transpose(0, 2, 1) * _mean_square(information, known))
+        known = PARAMETERS + sum(len(law.sd) for law in shared)
+        sizes = np.ones(information.shape[1])
+        sizes[known:] = np.sqrt(_mean_square(information, known))
+        information *= np.outer(sizes, sizes)
+    return _places(_joined(information), prior_sd, device.prior.arm_m, first_of_arm)
 
 
 def _mean_square(information: Floats, known: int) -> float:

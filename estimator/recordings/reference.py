@@ -126,6 +126,12 @@ class TableReadings(Reference):
         """The spans in which no axis of the table moves."""
         return _rests_ns(self.t_ns, self.centred_rps)
 
+    @property
+    def stands_ns(self) -> list[list[tuple[int, int]]]:
+        """For each axis the spans in which it stands, whether or not others move."""
+        rates_rps = self.centred_rps
+        return [_rests_ns(self.t_ns, rates_rps[:, [column]]) for column in range(len(self.gimbals))]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RateReadings(Reference):

@@ -99,10 +99,9 @@ class Motion:
         before, rate, after = (self.rate_rps(t_s + step, none)[:, None] for step in (-_STEP_S, 0.0, _STEP_S))
         return rate, (after - before) / (2 * _STEP_S)
 
-    def rests(self) -> np.ndarray:
-        """Return for each group of samples (n,) which rest of the table it belongs to, -1 while an axis turns."""
-        middle_s = self.t_s.reshape(-1, TOGETHER).mean(axis=1)
-        still = np.all([np.abs(motion.rates(middle_s)) < 1e-9 for motion in self.axes.values()], axis=0)
+    def stands(self, axis: str) -> np.ndarray:
+        """Return for each sample (n,) which stand of an axis it belongs to, -1 while the axis turns."""
+        still = np.abs(self.axes[axis].rates(self.t_s)) < 1e-9
         return np.where(still, np.cumsum(np.diff(still.astype(int), prepend=0) > 0) - 1, -1)
 
 
@@ -146,19 +145,16 @@ class Whitening:
             state = self._keep[:, None] * (state + self._gains[n][:, None] * left)
         return out
 
-    def information(self, columns: np.ndarray, of_means: np.ndarray) -> np.ndarray:
-        """Return the Fisher information of columns (n, c) by sample, with further ones (g, d) that do not change in a
-        group.
+    def information(self, columns: np.ndarray) -> np.ndarray:
+        """Return the Fisher information of columns (n, c) by sample.
 
         The bias is the same in all samples of a group: differences within it have white noise, means the rest.
         """
         grouped = columns.reshape(-1, TOGETHER, columns.shape[1])
         means = grouped.mean(axis=1)
         within = (grouped - means[:, None]).reshape(columns.shape)
-        rows = self.of_means(np.hstack([means, of_means]))
-        out = rows.T @ rows
-        out[: columns.shape[1], : columns.shape[1]] += within.T @ within / self.sample_sd**2
-        return np.asarray(out)
+        rows = self.of_means(means)
+        return np.asarray(rows.T @ rows + within.T @ within / self.sample_sd**2)
 
 
 def gyro_bound(motion: Motion, gyros: Sensors, noise: Whitening) -> Bound:
@@ -170,10 +166,9 @@ def gyro_bound(motion: Motion, gyros: Sensors, noise: Whitening) -> Bound:
 
     columns = [*by_states(gyros, inputs(gyros)), derivative(inputs, gyros, "delay_s")]
     whole = np.zeros((13, 13))
-    nothing = np.zeros((len(motion.t_s) // TOGETHER, 0))
     for number in range(3):
         own = [*range(4 * number, 4 * number + 4), 12]
-        whole[np.ix_(own, own)] += noise.information(np.column_stack([c[:, number] for c in columns]), nothing)
+        whole[np.ix_(own, own)] += noise.information(np.column_stack([c[:, number] for c in columns]))
     sd = sds(whole)
     return Bound(states=sd[:12].reshape(3, 4), places_m=None, delay_s=float(sd[12]))
 
@@ -181,8 +176,8 @@ def gyro_bound(motion: Motion, gyros: Sensors, noise: Whitening) -> Bound:
 def force_bounds(
     motion: Motion, accelerometers: Sensors, noise: Whitening, *, gravity_mps2: float
 ) -> tuple[Bound, Bound]:
-    """Return the bounds for accelerometers beside gravity and the level of the base: with angles at rest that are known
-    exactly, and with angles that are read in whole counts of the encoder and are anywhere within them.
+    """Return the bounds for accelerometers beside gravity and level: with angles known exactly, and with axes that
+    stand anywhere within the count of the encoder that is read.
     """
 
     def inputs(one: Sensors, tilt: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
@@ -203,7 +198,7 @@ def force_bounds(
     for number in range(3):
         places = [*range(7 * number, 7 * number + 7), *range(21, len(whole))]
         seen = np.column_stack([column[:, number] for column in (*own, *shared)])
-        whole[np.ix_(places, places)] += noise.information(seen, counts[number])
+        whole[np.ix_(places, places)] += noise.information(np.hstack([seen, counts[number]]))
     exact, counted = sds(whole[:25, :25]), sds(whole)
     return _force_bound(exact), _force_bound(counted)
 
@@ -237,17 +232,16 @@ def moved_at(rate_rps: np.ndarray, change_rps2: np.ndarray, places_m: np.ndarray
 
 
 def counted_angles(motion: Motion, accelerometers: Sensors, gravity_mps2: float) -> np.ndarray:
-    """Return the change (3, g, angles) of the outputs by the angle of each axis in each rest, by group of samples."""
-    middle_s = motion.t_s.reshape(-1, TOGETHER).mean(axis=1) - accelerometers.delay_s
-    angles, rests = motion.angles(middle_s), motion.rests()
+    """Return the change (3, n, angles) of the outputs by the angle of each axis in each of its stands."""
+    t_s = motion.t_s - accelerometers.delay_s
+    angles = motion.angles(t_s)
     up = np.array([0.0, 0.0, gravity_mps2])
     small = 1e-5
     columns = []
     for axis in motion.gimbals[1:]:  # the outermost turns about the plumb line
-        more = {**angles, axis: angles[axis] + small}
-        change = (motion.in_body(up, more) - motion.in_body(up, angles)) / small
-        seen = change @ accelerometers.p.T
-        columns += [np.where((rests == rest)[:, None], seen, 0.0) for rest in range(rests.max() + 1)]
+        change = (motion.in_body(up, {**angles, axis: angles[axis] + small}) - motion.in_body(up, angles)) / small
+        seen, stands = change @ accelerometers.p.T, motion.stands(axis)
+        columns += [np.where((stands == stand)[:, None], seen, 0.0) for stand in range(stands.max() + 1)]
     return np.stack(columns, axis=2).transpose(1, 0, 2)
 
 

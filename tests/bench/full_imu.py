@@ -82,7 +82,7 @@ def _drawn(random: np.random.Generator, sizes: dict[str, tuple[float, str]]) -> 
 class Figures:
     """What one run found of values (sensors, values) of a kind: their errors, stated sigmas, and Cramér-Rao bound.
 
-    ``counted`` is the bound with angles at rest that are only known to a count of the encoders.
+    ``counted`` is the bound with angles of standing axes that are only known to a count of the encoders.
     """
 
     error: np.ndarray

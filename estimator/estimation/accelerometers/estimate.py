@@ -27,7 +27,7 @@ from estimator.estimation.accelerometers.laws import (
     laws_beside,
     rest_angle_law,
 )
-from estimator.estimation.accelerometers.resolution import resolution_covariance
+from estimator.estimation.accelerometers.resolution import with_rest_angles
 from estimator.estimation.noise_evidence import Joint, Law, joint_estimate
 from estimator.geometry.kinematics import gravity_at
 from estimator.geometry.model import decode, decoding
@@ -40,7 +40,7 @@ _MOST_STEPS = 8
 _SETTLED = 0.01  # of a standard deviation
 _SETTLED_ARM_M, _SETTLED_DELAY_S = 1e-7, 1e-8
 _FEWEST_STEPS = 100
-_LINES = (LEVEL, ORTHOGONALITY, GRAVITY)
+_LINES = (LEVEL, ORTHOGONALITY, GRAVITY, RESOLUTION)
 
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
@@ -66,16 +66,14 @@ def estimate_forces(
     The ``effects`` of a model are estimated with the states. Raises TooShort for too few samples beside readings of the
     table, ModelError for an effect that cannot be estimated.
     """
-    settled = settle(recording, source, samples, noise, effects)
+    settled = _with_rest_angles(settle(recording, source, samples, noise, effects))
     joint = settled.joint
     laws = {law.called: number for number, law in enumerate(joint.laws)}
     delay, delay_variance = _parameters(joint, laws[DELAY], 0)
     device = recording.sources[source].device
-    rounded = _rounded(settled, noise)
     found = []
     for number, name in enumerate(samples.array.names):
-        own = slice(4 * number, 4 * number + 4)
-        states, covariance = decode(joint.means[number][:4], joint.covariances[number][:4, :4] + rounded[own, own])
+        states, covariance = decode(joint.means[number][:4], joint.covariances[number][:4, :4])
         place, place_covariance = _place(joint, laws, number)
         found.append(
             AccelerometerCalibration(
@@ -90,7 +88,7 @@ def estimate_forces(
                 noise_mps2=_sample_noise(settled, samples, number),
                 place_m=settled.arm_m + place,
                 place_covariance_m2=place_covariance,
-                budget=_budget(joint, number, rounded[own, own]),
+                budget=_budget(joint, number),
                 noise=joint.noise[number],
             )
         )
@@ -98,7 +96,7 @@ def estimate_forces(
         source=source,
         device=device,
         accelerometers=tuple(found),
-        covariance=_covariance(joint, rounded),
+        covariance=_covariance(joint),
         arm_m=np.mean([one.place_m for one in found], axis=0),
         arm_covariance_m2=_middle_covariance(joint, laws),
         gravity_mps2=settled.gravity_mps2,
@@ -163,14 +161,13 @@ def _about_its_mean(grid: Conditions) -> Conditions:
     return replace(grid, reference_c=float(np.nanmean(grid.temperature_c)))
 
 
-def _rounded(settled: Settled, noise: NoiseModel | None) -> Floats:
-    """Return the covariance (4 a, 4 a) of the states x of all accelerometers that comes from rounded angles."""
+def _with_rest_angles(settled: Settled) -> Settled:
+    """Return the estimate with the angles at rest, if the encoders round them; else ``settled`` itself."""
     table = settled.run.recording.table
     law = rest_angle_law(table) if table is not None else None
     if law is None:
-        count = 4 * len(settled.run.array)
-        return np.zeros((count, count))
-    return resolution_covariance(settled.joint, settled.run, law, noise)
+        return settled
+    return replace(settled, joint=with_rest_angles(settled.joint, law))
 
 
 def _laws(run: ForceRun, samples: ForceSamples, arm_m: Floats, delay_s: float) -> list[Law]:
@@ -236,8 +233,8 @@ def _across(joint: Joint, first: int, second: int) -> Floats:
     return np.asarray(own[:, places] @ np.linalg.solve(own[np.ix_(places, places)], other[places]))
 
 
-def _budget(joint: Joint, accelerometer: int, rounded: Floats) -> tuple[Contribution, ...]:
-    """Return the contributions to the covariance of the states: noise, errors of the table, ``rounded`` angles (4, 4).
+def _budget(joint: Joint, accelerometer: int) -> tuple[Contribution, ...]:
+    """Return the contributions to the covariance of the states: noise, errors of the table, rounded angles.
 
     The errors of the table count one after the other, each with what those before it leave.
     """
@@ -254,21 +251,19 @@ def _budget(joint: Joint, accelerometer: int, rounded: Floats) -> tuple[Contribu
         lines.append(Contribution(line, through - before))
         before = through
     lines.insert(0, Contribution("noise", covariance[:4, :4] - before))
-    if rounded.any():
-        lines.append(Contribution(RESOLUTION, rounded))
     x = joint.means[accelerometer][:4]
     return tuple(Contribution(line.name, decode(x, line.covariance)[1]) for line in lines)
 
 
-def _covariance(joint: Joint, rounded: Floats) -> Floats:
-    """Return the covariance (4 a, 4 a) of the decoded states of all accelerometers, with that of ``rounded`` angles."""
+def _covariance(joint: Joint) -> Floats:
+    """Return the covariance (4 a, 4 a) of the decoded states of all accelerometers."""
     count = len(joint.means)
     rows = [[_across(joint, i, j)[:4, :4] for j in range(count)] for i in range(count)]
-    jacobian = np.zeros_like(rounded)
+    jacobian = np.zeros((4 * count, 4 * count))
     for number, mean in enumerate(joint.means):
         own = slice(4 * number, 4 * number + 4)
         jacobian[own, own] = decoding(mean[:4])
-    return np.asarray(jacobian @ (np.block(rows) + rounded) @ jacobian.T)
+    return np.asarray(jacobian @ np.block(rows) @ jacobian.T)
 
 
 def _sample_noise(settled: Settled, samples: ForceSamples, accelerometer: int) -> float:

@@ -139,36 +139,37 @@ def laws_beside(
 
 
 def rest_angle_law(table: TableReadings) -> Law | None:
-    """Return the law of the angles at rest: each axis stands off its reading by up to half a count of its encoder.
+    """Return the law of the angles of axes that stand: each is off its reading by up to half a count of its encoder.
 
-    A count of 2 pi / 65536 is 1 mm/s2 of gravity. It is the same error for all samples of a rest, so that no averaging
-    reduces it. None without rests, or with readings that are not rounded.
+    A count of 2 pi / 65536 is 1 mm/s2 of gravity. It is the same error until the axis moves again, whatever the other
+    axes do meanwhile, so that no averaging reduces it. None if no axis stands, or with readings that are not rounded.
     """
     return counted_angles_law(table, least_steps(np.abs(np.diff(table.angle_rad, axis=0))))
 
 
 def counted_angles_law(table: TableReadings, counts_rad: Floats) -> Law | None:
-    """Return the law of the angles at rest, each rounded to a count, for counts (g,) in rad, infinite for unknown ones.
+    """Return the law of the angles of axes that stand, for counts (g,) in rad, infinite for unknown ones.
 
-    None without rests, or if no count is known.
+    None if no axis of a known count stands.
     """
-    spans_s = [(first * 1e-9, last * 1e-9) for first, last in table.rests_ns]
     rounded = [place for place, count in enumerate(counts_rad.tolist()) if np.isfinite(count)]
-    if not spans_s or not rounded:
+    stands_ns = table.stands_ns
+    spans_s = [(place, first * 1e-9, last * 1e-9) for place in rounded for first, last in stands_ns[place]]
+    if not spans_s:
         return None
-    names = [f"{table.gimbals[place]} at rest {number + 1}" for place in rounded for number in range(len(spans_s))]
+    names = [f"{table.gimbals[place]} from {first_s:.1f} s" for place, first_s, _ in spans_s]
 
     def columns(conditions: Conditions, axes: Axes) -> Floats:
-        """Return the change of the output by the angle of each axis, within each rest alone."""
-        found = []
+        """Return the change of the output by the angle of each axis, while it stands."""
+        changes = {}
         for place in rounded:
             unit = np.eye(3)[AXES.index(conditions.gimbals[place])]
             about = into_body(unit, conditions.angle_rad[:, place + 1 :], conditions.gimbals[place + 1 :])
-            change = np.cross(conditions.specific_force_mps2, about) @ axes.p
-            found += [change * ((conditions.t_s >= first) & (conditions.t_s <= last)) for first, last in spans_s]
-        return np.column_stack(found)
+            changes[place] = np.cross(conditions.specific_force_mps2, about) @ axes.p
+        t_s = conditions.t_s
+        return np.column_stack([changes[place] * ((t_s >= first) & (t_s <= last)) for place, first, last in spans_s])
 
-    expected = np.repeat(counts_rad[rounded] / np.sqrt(12), len(spans_s))
+    expected = counts_rad[[place for place, _, _ in spans_s]] / np.sqrt(12)
     return _law(RESOLUTION, columns, expected, names=names, shared=True, line=RESOLUTION)
 
 
