@@ -37,6 +37,7 @@ _USUAL = 0.9  # quantile of the rates beyond which an interval has no more weigh
 _MIDDLE, _AT_MOST = (0.05, 0.95), 0.15  # share of the range of nearly all outputs that an interval may be off
 _SEEN = 1e-3  # of the rate about the axis that turns most: one that turns by less is not seen
 _LEAST_NOISE_RPS = 1e-6
+_AT_ONCE = 16_384  # intervals of a search: their arrays fit into the cache of a processor
 _DELAYS: "WeakKeyDictionary[ImuData, tuple[Reference, Site | None, float]]" = WeakKeyDictionary()
 
 
@@ -274,14 +275,30 @@ def _columns(means: _Means, delay_s: float) -> tuple[Floats, Flags, Floats]:
     Intervals that turn faster than nearly all others get less weight, so that a reference that jumps has no more.
     """
     w = means.rates(delay_s)
-    x, y, z = w.T
-    known = np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
+    known, weight = _weights(w.T[None])
+    return np.column_stack([np.ones(len(w)), w]), known[0], weight[0]
+
+
+def _weights(w: Floats) -> tuple[Flags, Floats]:
+    """Return for body rates (d, 3, n) which are known (d, n), and their weights (d, n), 0 elsewhere."""
+    x, y, z = w.transpose(1, 0, 2)
     speed = np.sqrt(x * x + y * y + z * z)
-    weight = np.where(known, 1.0, 0.0)
-    if known.any():
-        usual = float(np.quantile(speed[known], _USUAL))
-        weight[known] = np.minimum(usual / np.maximum(speed[known], 1e-12), 1.0)
-    return np.column_stack([np.ones(len(w)), w]), known, weight
+    known = np.isfinite(speed)
+    weight = np.zeros(speed.shape)
+    for own, good, weights in zip(speed, known, weight, strict=True):
+        if good.any():
+            usual = _usual(own[good])
+            weights[good] = np.minimum(usual / np.maximum(own[good], 1e-12), 1.0)
+    return known, weight
+
+
+def _usual(speeds: Floats) -> float:
+    """Return the quantile ``_USUAL`` of speeds (n,) as ``np.quantile``, which takes several times as long."""
+    place = _USUAL * (len(speeds) - 1)
+    below = int(place)
+    above = min(below + 1, len(speeds) - 1)
+    parted = np.partition(speeds, [below, above])
+    return float(parted[below] + (place - below) * (parted[above] - parted[below]))
 
 
 def _line(means: _Means, delay_s: float, fits: Flags) -> tuple[Floats, Floats, Floats]:
@@ -331,39 +348,47 @@ def _tried(means: _Means, fits: Flags) -> float:
     Normal equations of all gyros at once tell which delays may be it, in half the time of exact least squares.
     """
     tried_s = np.arange(-LONGEST_S, LONGEST_S + _STEP_S / 2, _STEP_S)
-    outputs = np.where(fits, means.outputs, 0.0)
-    losses = np.array([_loss_by_normal_equations(means, outputs, delay, fits) for delay in tried_s.tolist()])
+    outputs = np.where(fits, means.outputs, 0.0).T.copy()
+    at_once = max(_AT_ONCE // len(means.first_s), 1)
+    parts = (tried_s[first : first + at_once] for first in range(0, len(tried_s), at_once))
+    losses = np.concatenate([_losses_by_normal_equations(means, outputs, part, fits) for part in parts])
     may_be = tried_s[losses <= losses.min() + _ALIKE].tolist()
     if len(may_be) == 1:
         return float(may_be[0])
     return float(may_be[int(np.argmin([_loss(means, delay, fits) for delay in may_be]))])
 
 
-def _loss_by_normal_equations(means: _Means, outputs: Floats, delay_s: float, fits: Flags) -> float:
-    """Return what ``_loss`` returns, but for rounding, in less time.
+def _losses_by_normal_equations(means: _Means, outputs: Floats, delays_s: Floats, fits: Flags) -> Floats:
+    """Return for delays (d,) what ``_loss`` returns, but for rounding, in less time.
 
-    ``delay_s`` is tried; ``fits`` (n, m) flags the intervals that count, ``outputs`` (n, m) are 0 where they do not.
+    ``fits`` (n, m) flags the intervals that count, ``outputs`` (m, n) are 0 where they do not.
     """
-    columns, known, weight = _columns(means, delay_s)
+    first_s = (means.first_s - delays_s[:, None]).ravel()
+    w = means.body.means(first_s, first_s + means.length_s).reshape(len(delays_s), -1, 3)
+    columns = np.ones((len(delays_s), 4, w.shape[1]))
+    columns[:, 1:] = w.transpose(0, 2, 1)
+    known, weight = _weights(columns[:, 1:])
     if not known.all():
-        columns = np.where(known[:, None], columns, 0.0)
-    weighed = columns * weight[:, None]
+        columns[:, 1:] = np.where(known[:, None], columns[:, 1:], 0.0)
+    columns *= weight[:, None]
     right = outputs * weight[:, None]
-    good = (fits & known[:, None]).astype(np.float64)
-    number = good.sum(axis=0)
+    good = (fits.T & known[:, None]).astype(np.float64)
+    number = good.sum(axis=-1)
     upper, lower = np.triu_indices(4)
-    gram = np.empty((len(number), 4, 4))
-    gram[:, upper, lower] = good.T @ (weighed[:, upper] * weighed[:, lower])
-    gram[:, lower, upper] = gram[:, upper, lower]
-    scale = _scales(np.diagonal(gram, axis1=1, axis2=2) / np.maximum(number, 1)[:, None])
-    values, vectors = np.linalg.eigh(gram / (scale[:, :, None] * scale[:, None, :]))
-    seen = values > _SEEN**2 * values[:, -1:]
-    along = (((right.T @ weighed) / scale)[:, None, :] @ vectors)[:, 0] / np.where(seen, values, np.inf)
-    rows = (vectors @ along[:, :, None])[:, :, 0].T / scale.T
-    rows[:, number < _FEWEST] = 0.0
-    sizes = np.minimum(np.abs(right - weighed @ rows), means.most_rps) * good
-    squares = np.sum(sizes**2, axis=0) / np.maximum(number, 1)
-    return float(np.sum(number * np.log(squares + _LEAST_NOISE_RPS**2)) / max(number.sum(), 1))
+    gram = np.empty((*number.shape, 4, 4))
+    products = np.concatenate([columns[:, i : i + 1] * columns[:, i:] for i in range(4)], axis=1)
+    gram[:, :, upper, lower] = good @ products.transpose(0, 2, 1)
+    gram[:, :, lower, upper] = gram[:, :, upper, lower]
+    scale = _scales(np.diagonal(gram, axis1=2, axis2=3) / np.maximum(number, 1)[..., None])
+    values, vectors = np.linalg.eigh(gram / (scale[..., :, None] * scale[..., None, :]))
+    seen = values > _SEEN**2 * values[..., -1:]
+    along = ((right @ columns.transpose(0, 2, 1)) / scale)[..., None, :] @ vectors
+    rows = (vectors @ (along[..., 0, :] / np.where(seen, values, np.inf))[..., None])[..., 0] / scale
+    rows[number < _FEWEST] = 0.0
+    sizes = np.minimum(np.abs(right - rows @ columns), means.most_rps[:, None]) * good
+    squares = np.sum(sizes**2, axis=-1) / np.maximum(number, 1)
+    losses = np.sum(number * np.log(squares + _LEAST_NOISE_RPS**2), axis=-1) / np.maximum(number.sum(axis=-1), 1)
+    return np.asarray(losses)
 
 
 def _refined(means: _Means, delay_s: float, fits: Flags) -> float:
