@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(name, "1")
 
+# Before the workers start: glibc returns every large array to the system, which then clears pages for the next one.
+for name, size in (("MMAP_THRESHOLD", 1 << 28), ("TRIM_THRESHOLD", 1 << 30), ("TOP_PAD", 1 << 24)):
+    os.environ.setdefault(f"MALLOC_{name}_", str(size))
+
 # Without bytecode each worker, and each of some two hundred processes that tests start, compiles all sources anew.
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
