@@ -123,5 +123,6 @@ class Accelerometers:
     def _wander_by_sample(self, rows: int) -> Floats:
         """Return the wandering biases (rows, m), which move every 10 samples."""
         each = 10
-        moved = [self._wander.step(min(each, rows - start)) for start in range(0, rows, each)]
-        return np.repeat(moved, each, axis=0)[:rows]
+        moved = self._wander.steps(each, rows // each)
+        rest = [self._wander.step(rows % each)] if rows % each else []
+        return np.concatenate([np.repeat(moved, each, axis=0), *(np.tile(row, (rows % each, 1)) for row in rest)])

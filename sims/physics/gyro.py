@@ -108,7 +108,7 @@ class GyroArray:
         The bias moves in steps of 0.1 s. The noise is not that of ``sample`` with the same seed.
         """
         steps = max(round(_AHEAD_S / self._period_s), 1)
-        wander = np.repeat([self._wander_rps.step(steps) for _ in range(-(-len(t_s) // steps))], steps, axis=0)
+        wander = np.repeat(self._wander_rps.steps(steps, -(-len(t_s) // steps)), steps, axis=0)
         out = np.empty((len(t_s), len(self._truth.k)))
         for start in range(0, len(t_s), _ROWS_AT_ONCE):  # attitudes take many times the room of outputs
             stop = min(start + _ROWS_AT_ONCE, len(t_s))

@@ -54,15 +54,15 @@ class AxisMotion:
         """Return the angle in rad at each instant (n,) in s, in ascending order or not; at the first angle before all
         motion.
         """
-        out = np.full(len(t_s), self._segments[0].angle_rad)
         first_s = t_s.min()
+        begun = [(0.0, self._segments[0].angle_rad, 0.0, 0.0)]
         for segment, following in zip(self._segments, [*self._segments[1:], None], strict=True):
-            if segment.t_s == -math.inf or (following is not None and following.t_s <= first_s):
-                continue
-            dt = t_s - segment.t_s
-            angle = segment.angle_rad + dt * (segment.rate_rps + 0.5 * segment.acceleration_rps2 * dt)
-            out = np.where(dt >= 0, angle, out)
-        return np.asarray(out)
+            if segment.t_s > -math.inf and (following is None or following.t_s > first_s):
+                begun.append((segment.t_s, segment.angle_rad, segment.rate_rps, segment.acceleration_rps2))
+        starts_s, angles, rates, accelerations = np.array(begun).T
+        place = np.searchsorted(starts_s[1:], t_s, side="right")
+        dt = t_s - starts_s[place]
+        return np.asarray(angles[place] + dt * (rates[place] + 0.5 * accelerations[place] * dt))
 
     def rates(self, t_s: Floats) -> Floats:
         """Return the rate at each instant (n,), in ascending order or not."""

@@ -39,6 +39,24 @@ class Wander:
             self._walk = self._walk + step * self._random.standard_normal(len(self._walk))
         return np.asarray(self._size * self._processes.sum(axis=0) + self._walk)
 
+    def steps(self, samples: int, count: int) -> Floats:
+        """Return the biases (count, sensors) after each of ``count`` steps of ``samples``, as ``step`` gives them."""
+        keep, push = self._decay(samples)
+        shape = self._processes.shape
+        rows = shape[0] + bool(self._random_walk)
+        noise = self._random.standard_normal((count, rows, shape[1]))
+        pushed, processes = push * noise[:, : shape[0]], self._processes
+        for row in pushed:  # becomes the processes
+            row += keep * processes
+            processes = row
+        self._processes = processes.copy()
+        walk = self._walk
+        if self._random_walk:
+            step = self._random_walk * math.sqrt(samples * self._period_s)
+            walk = np.cumsum(np.vstack([walk, step * noise[:, -1]]), axis=0)[1:]
+            self._walk = walk[-1].copy() if count else self._walk
+        return np.asarray(self._size * pushed.sum(axis=1) + walk)
+
     def _decay(self, samples: int) -> tuple[Floats, Floats]:
         """Return the factors of the old processes and of new noise over this many samples."""
         if samples not in self._decays:
