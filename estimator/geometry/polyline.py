@@ -51,11 +51,11 @@ def _slopes(corners: Floats, rates: Floats, t_s: Floats) -> tuple[Floats, Floats
     used for values.
     """
     k = len(corners)
-    lengths = np.diff(corners)[:, None]
-    bends = np.diff(rates)[:, None] / lengths
+    lengths = (corners[1:] - corners[:-1])[:, None]
+    bends = (rates[1:] - rates[:-1])[:, None] / lengths
     begun = t_s >= corners[:, None]
     inside = begun[:-1] & ~begun[1:]
-    since = np.clip(t_s - corners[:-1, None], 0.0, lengths)
+    since = np.minimum(np.maximum(t_s - corners[:-1, None], 0.0), lengths)
     x = since / lengths
     # Rate within: rates[i] (1 - x) + rates[i + 1] x, with x = (t - corners[i]) / length.
     share_after = np.where(inside, x, 0.0)

@@ -10,6 +10,7 @@ change of rate with more corners. The fewest corners that the readings agree wit
 """
 
 import itertools
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -320,8 +321,8 @@ def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, las
     prior = np.full(len(start), 1e-6)
     prior[:k], prior[-1] = 1 / (t_s[last] - t_s[first]), 1 / _SCALE_SD
     prior[held] = 1 / _LEAST_SD
-    p, sd = start, np.array([_ANGLE_SD_RAD, _RATE_SD_RPS])
-    most = sd
+    p, sd = start, (most := np.array([_ANGLE_SD_RAD, _RATE_SD_RPS]))
+    rows = np.vstack([np.zeros((2 * len(t_s), len(start))), np.diag(prior)])
     for lap in range(_ROUNDS):
         tail = _TAIL if lap else np.inf
         if lap:
@@ -329,17 +330,17 @@ def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, las
             if lap == 1 and np.mean(residual**2) > _HOPELESS**2:
                 return None
             # The accuracy of angles and rates is seen in their scatter, corrected for the number of fitted parameters.
-            rows = np.vstack([jacobian, np.diag(prior)])
+            rows[: 2 * len(t_s)] = jacobian
             taken = np.sum(np.linalg.qr(rows)[0][: len(jacobian)] ** 2, axis=1)
             squares, freedom = (one.reshape(2, -1).sum(axis=1) for one in (residual**2, 1 - taken))
             sd = np.clip(sd * np.sqrt(squares / np.maximum(freedom, 1e-9)), _LEAST_SD, most)
         for _ in range(_STEPS):
             residual, jacobian, _ = _weighed_deviations(p, readings, sd, tail)
-            rows = np.vstack([jacobian, np.diag(prior)])  # their products may be singular in floating point
+            rows[: 2 * len(t_s)] = jacobian  # products of rows may be singular in floating point
             moved = np.linalg.lstsq(rows, np.concatenate([residual, prior * (start - p)]), rcond=None)[0]
-            shortest = float(np.diff(p[:k]).min())
+            shortest = float((p[1:k] - p[: k - 1]).min())
             p = p + moved * min(1.0, 0.5 * shortest / max(np.abs(moved[:k]).max(), 1e-12))
-            if not np.all(np.diff(p[:k]) > 0):
+            if not (p[1:k] > p[: k - 1]).all():
                 return None
             if np.abs(moved).max() < _MOVES:
                 break
@@ -352,7 +353,7 @@ def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, las
     shorter = p.copy()
     shorter[[0, k - 1]] += _INWARD * (p[k - 1] - p[0]) * np.array([1, -1]) * ~held[[0, k - 1]]
     slopes = modelled(shorter, t_s, window_s)[2] / doubt[:, None]
-    factor = np.linalg.qr(np.vstack([slopes, np.diag(prior)]), mode="r")
+    factor = np.linalg.qr(np.vstack([slopes, rows[len(slopes) :]]), mode="r")
     variance = np.sum(np.linalg.inv(factor) ** 2, axis=1)[:k] * max(float(np.mean(residual**2)), 1.0)
     if not np.all(np.isfinite(variance)):  # readings too coarse to keep its corners apart
         return None
@@ -391,7 +392,7 @@ def _weighed_deviations(p: Floats, readings: Readings, sd: Floats, tail: float) 
         excess = np.minimum(np.abs(off), may)
         share = min(float(np.sum(excess**2) / max(np.sum(may**2), 1e-30)), 1 / 3)
         doubt = np.hypot(doubt, np.maximum(excess, may * np.sqrt(share)))
-    if np.isfinite(tail):
+    if math.isfinite(tail):
         doubt *= np.sqrt((tail + (off / doubt) ** 2) / (tail + 1))
     return off / doubt, slopes / doubt[:, None], doubt
 
