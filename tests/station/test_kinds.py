@@ -47,6 +47,7 @@ rate = "20 deg/s"
 duration = "12 s"
 """
 LONG = SCRIPT.replace("12 s", "120 s").replace("4 s", "1 s")
+IN_REAL_TIME = LONG.replace("120 s", "40 s")  # its step is told after a tenth of it
 _WAIT_S = 30.0
 
 
@@ -78,7 +79,7 @@ def place(site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("PYTHONPATH", str(site))
     (tmp_path / "bench.toml").write_text(default_bench_text() + CHAMBER)
     (tmp_path / "script.toml").write_text(SCRIPT)
-    (tmp_path / "long.toml").write_text(LONG)
+    (tmp_path / "real-time.toml").write_text(IN_REAL_TIME)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -176,7 +177,7 @@ def ask(link: str, line: str) -> str:
 def under_way(place: Path, twins: TwinProcess, name: str) -> Iterator[subprocess.Popen[bytes]]:
     """A run on twins in another process, in real time, whose script has begun: the chamber was sent to 27 degC."""
     links = twins.options("table", "array", "chamber")
-    words = ["run", "--bench", "bench.toml", *links, "--script", "long.toml", "-o", f"{name}.h5"]
+    words = ["run", "--bench", "bench.toml", *links, "--script", "real-time.toml", "-o", f"{name}.h5"]
     said = place / name
     with said.open("wb") as output:
         process = subprocess.Popen(command(*words), stdout=output, stderr=output, cwd=place, start_new_session=True)
