@@ -304,15 +304,25 @@ class BodyRates:
 
     def gimbals_at(self, t_ns: Stamps) -> tuple[Floats, Floats]:
         """Return angles and rates (rows, gimbals) at ordered instants; beyond the readings, those of the nearest."""
+        angle, rate = self._interpolated(t_ns, "angle", "rate")
+        return angle, rate
+
+    def _interpolated(self, t_ns: Stamps, *names: str) -> list[Floats]:
+        """Return columns of final rows (rows, gimbals) at ordered instants; beyond them, those of the nearest."""
         n, times = len(self._final), self._final["t_ns"]
-        first = min(max(int(np.searchsorted(times, t_ns[0], side="right")) - 1, 0), n - 1)
-        last = max(min(int(np.searchsorted(times, t_ns[-1], side="left")) + 1, n), first + 1)
+        first = min(max(int(times.searchsorted(t_ns[0], side="right")) - 1, 0), n - 1)
+        last = max(min(int(times.searchsorted(t_ns[-1], side="left")) + 1, n), first + 1)
         known = times[first:last]
         origin = int(known[0])
         at_s, known_s = (t_ns - origin) * 1e-9, (known - origin) * 1e-9
-        parts = (self._final[name][first:last].T for name in ("angle", "rate"))
-        angle, rate = (np.column_stack([np.interp(at_s, known_s, own) for own in part]) for part in parts)
-        return angle, rate
+        found = []
+        for name in names:
+            values = self._final[name][first:last]
+            out = np.empty((len(at_s), values.shape[1]))
+            for column in range(values.shape[1]):
+                out[:, column] = np.interp(at_s, known_s, values[:, column])
+            found.append(out)
+        return found
 
     def angles_at(self, t_ns: Stamps) -> Floats:
         """Return angles (rows, gimbals) at ordered instants, bent between readings as their rates say.
@@ -335,7 +345,7 @@ class BodyRates:
         # A reading and a corner may lie so close together that the slope between them is nothing but rounding.
         known = self._final["t_ns"]
         before, after = (np.clip(t_ns + way_ns, known[0], known[-1]) for way_ns in (-_HALF_SPAN_NS, _HALF_SPAN_NS))
-        change = self.gimbals_at(after)[1] - self.gimbals_at(before)[1]
+        change = self._interpolated(after, "rate")[0] - self._interpolated(before, "rate")[0]
         return np.asarray(change / (np.maximum(after - before, 1) * 1e-9)[:, None])
 
     def angular_acceleration_at(self, t_ns: Stamps) -> Floats | None:
