@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 
 import h5py
@@ -39,18 +41,24 @@ duration = "3 s"
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a recording of the shipped script with its calibration."""
+def calibrated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """Return a recording of the shipped script with its calibration, and what was printed of it with details."""
     path = tmp_path_factory.mktemp("imu") / "imu.h5"
     bench = read_bench(BENCH.read_text(encoding="utf-8").replace('rate = "100 Hz"', 'rate = "50 Hz"'), "bench")
     write_recording(path, simulate_bench(bench, load_script(Path("full-imu")), 1))
-    assert main(["calibrate", "--write", str(path)]) == 0
-    return path
+    with redirect_stdout(StringIO()) as printed:
+        assert main(["calibrate", "--write", "--details", str(path)]) == 0
+    return path, printed.getvalue()
 
 
-def test_calibrate_prints_states_and_places(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["calibrate", str(recorded), "--details"]) == 0
-    text = capsys.readouterr().out
+@pytest.fixture(scope="module")
+def recorded(calibrated: tuple[Path, str]) -> Path:
+    """Return the recording, which is to be read only."""
+    return calibrated[0]
+
+
+def test_calibrate_prints_states_and_places(calibrated: tuple[Path, str]) -> None:
+    recorded, text = calibrated
     assert "Accelerometers of mti" in text
     (found,) = read_calibration(recorded).forces
     for one in found.accelerometers:
