@@ -9,6 +9,7 @@ from sims.physics.body import Body
 from sims.physics.geometry import MOUNTS_DEG, mounted
 from sims.physics.gyro import GyroArray, GyroTruth
 from sims.physics.motion import AxisMotion
+from sims.physics.wander import Wander
 
 DEG = np.pi / 180
 MOUNTING = mounted(MOUNTS_DEG["tetrahedron"])
@@ -121,3 +122,16 @@ def test_gyros_warm_up_to_their_end_temperature() -> None:
     assert array.temperature_c(0.0) == 25.0
     assert array.temperature_c(300.0) == pytest.approx(25 + 2 * (1 - np.exp(-1)))
     assert array.temperature_c(1e5) == pytest.approx(27.0)
+
+
+@pytest.mark.parametrize("random_walk", [0.0, 1e-3])
+def test_a_bias_wanders_alike_by_single_steps_and_by_many_at_once(random_walk: float) -> None:
+    def wander() -> Wander:
+        random = np.random.default_rng(3)
+        return Wander(count=4, bias_instability=1e-3, random_walk=random_walk, period_s=0.01, random=random)
+
+    singly, together = wander(), wander()
+    expected = [singly.step(10) for _ in range(50)]
+    np.testing.assert_array_equal(together.steps(10, 30), expected[:30])
+    np.testing.assert_array_equal(together.steps(10, 20), expected[30:])
+    np.testing.assert_array_equal(together.step(7), singly.step(7))
