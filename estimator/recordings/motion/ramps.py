@@ -36,6 +36,7 @@ LEAST_RPS2 = 0.02
 """Slower changes of rate are no ramps."""
 
 _ANGLE_SD_RAD, _RATE_SD_RPS = 1e-4, 3e-4  # of readings with known instants, before their scatter is known
+_MOST_SD = np.array([_ANGLE_SD_RAD, _RATE_SD_RPS])
 _LEAST_SD = 1e-6  # rad and rad/s: nothing is read better
 _SCALE_SD = 0.05  # of a drive's rate readback
 _LEAST_RPS = 0.0175  # nor are smaller ones
@@ -161,18 +162,17 @@ def _scatter_sd(t_s: Floats, angle_rad: Floats) -> Floats:
     That of angles is from their scatter about short parabolas, most of which contain no corner; limited to the prior
     one, which also holds for too few readings or an axis that stands. That of rates is the prior one.
     """
-    most = np.array([_ANGLE_SD_RAD, _RATE_SD_RPS])
     if len(t_s) < _SHORT:
-        return most
+        return _MOST_SD.copy()
     t, angle = (sliding_window_view(one, _SHORT)[:: _SHORT // 2] for one in (t_s, angle_rad))
     moves = np.ptp(angle, axis=1) > 0
     if not moves.any():
-        return most
+        return _MOST_SD.copy()
     t, angle = t[moves] - t[moves].mean(axis=1, keepdims=True), angle[moves] - angle[moves].mean(axis=1, keepdims=True)
     basis = np.linalg.qr(np.stack([np.ones_like(t), t, t * t], axis=2))[0]
     left = angle - np.einsum("wij,wkj,wk->wi", basis, basis, angle)
     sd = float(np.median(np.sqrt(np.sum(left**2, axis=1) / (_SHORT - basis.shape[2]))))
-    return np.asarray(np.clip([sd, _RATE_SD_RPS], _LEAST_SD, most))
+    return np.asarray(np.clip([sd, _RATE_SD_RPS], _LEAST_SD, _MOST_SD))
 
 
 def _misfit(ramp: Ramp, readings: Readings, first: int, last: int, sd: Floats) -> float:
@@ -321,7 +321,7 @@ def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, las
     prior = np.full(len(start), 1e-6)
     prior[:k], prior[-1] = 1 / (t_s[last] - t_s[first]), 1 / _SCALE_SD
     prior[held] = 1 / _LEAST_SD
-    p, sd = start, (most := np.array([_ANGLE_SD_RAD, _RATE_SD_RPS]))
+    p, sd = start, _MOST_SD
     rows = np.vstack([np.zeros((2 * len(t_s), len(start))), np.diag(prior)])
     for lap in range(_ROUNDS):
         tail = _TAIL if lap else np.inf
@@ -333,7 +333,7 @@ def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, las
             rows[: 2 * len(t_s)] = jacobian
             taken = np.sum(np.linalg.qr(rows)[0][: len(jacobian)] ** 2, axis=1)
             squares, freedom = (one.reshape(2, -1).sum(axis=1) for one in (residual**2, 1 - taken))
-            sd = np.clip(sd * np.sqrt(squares / np.maximum(freedom, 1e-9)), _LEAST_SD, most)
+            sd = np.clip(sd * np.sqrt(squares / np.maximum(freedom, 1e-9)), _LEAST_SD, _MOST_SD)
         for _ in range(_STEPS):
             residual, jacobian, _ = _weighed_deviations(p, readings, sd, tail)
             rows[: 2 * len(t_s)] = jacobian  # products of rows may be singular in floating point
@@ -344,7 +344,7 @@ def _fitted_from(start: Floats, held: Flags, readings: Readings, first: int, las
                 return None
             if np.abs(moved).max() < _MOVES:
                 break
-    off = _weighed_deviations(p, readings, most, np.inf)[0] ** 2
+    off = _weighed_deviations(p, readings, _MOST_SD, np.inf)[0] ** 2
     near = np.tile((t_s > t_s[first] - 1e-9) & (t_s < t_s[last] + 1e-9), 2)
     if not max(float(np.mean(off)), float(np.mean(off[near]))) < _FITS**2:
         return None
