@@ -10,7 +10,7 @@ from drivers.units import split_quantity
 from estimator.calibration.values import Calibration
 from station.bench.bench import Limits
 from station.errors import sentence
-from station.views.accelerometers.result import FORCE_FIGURES
+from station.views.accelerometers.result import FORCE_FIGURES, names_by_reason
 from station.views.figures import StateUnit, state_figures
 
 
@@ -52,7 +52,8 @@ class LimitLine:
         broken.
         """
         if self.note:
-            return f"{self.gyro} is not estimated: {self.note}"
+            verb = "are" if ", " in self.gyro else "is"
+            return f"{self.gyro} {verb} not estimated: {self.note}"
         if self.unit is not None:
             quantity = f"{self.gyro} sigma of {self.what}" if self.of_u else f"{self.gyro} {self.what}"
             found, most = self._shown(self.high, self.unit.unit, self.unit.factor)
@@ -131,11 +132,15 @@ MEAN_NIS, SAMPLES_LOST = "mean NIS", "samples lost"
 def limit_lines(calibration: Calibration, limits: Limits, labels: Sequence[str] | None = None) -> list[LimitLine]:
     """Return every stated limit with its value: of states and sigmas, accelerometers, mean NIS and lost samples.
 
-    ``labels`` name the gyros, by default their own names. A sensor that was excluded is a broken limit.
+    ``labels`` name the gyros, by default their own names. A sensor that was excluded is a broken limit; accelerometers
+    that are excluded for one reason are one.
     """
+    unknown = [(e.name, e.reason) for e in calibration.excluded]
+    for one in calibration.forces:
+        unknown += [(", ".join(names), reason) for reason, names in names_by_reason(one.excluded).items()]
     lines = [
-        LimitLine(gyro=e.name, what="estimate", value=math.nan, low=0.0, high=1.0, note=e.reason)
-        for e in [*calibration.excluded, *(e for one in calibration.forces for e in one.excluded)]
+        LimitLine(gyro=names, what="estimate", value=math.nan, low=0.0, high=1.0, note=reason)
+        for names, reason in unknown
     ]
     for row, gyro in enumerate(calibration.gyros):
         label = labels[row] if labels else gyro.name

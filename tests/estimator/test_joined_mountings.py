@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from estimator.errors import RecordingError
 from estimator.estimation.accelerometers.calibrate_forces import calibrate_forces
 from estimator.estimation.calibrate import calibrate
 from estimator.estimation.mountings.join import JoinedCalibration, join_mountings
+from estimator.geometry.kinematics import gravity_at
 from estimator.recordings.recording import Recording
 
 SURE = 4.0  # sigmas, for 24 values
@@ -103,6 +105,45 @@ def test_gravity_is_one_error_of_all_runs() -> None:
         lines = {line.name: line.u for line in one.budget}
         assert lines["gravity"][0] == pytest.approx(50e-6, rel=0.05)
         assert one.sd[0] > 49e-6
+
+
+def test_runs_at_places_with_another_gravity_are_each_used_with_its_own() -> None:
+    """On top of a mountain, 0.1 % less gravity leaves all states where they are, and its error is another one."""
+    first, second, third = lying().recordings
+    assert third.site is not None
+    here = gravity_at(third.site).value_mps2
+    mountain = replace(third.site, height_m=third.site.height_m + 3200)
+    data = third.sources[DEVICE]
+    assert data.accel_mps2 is not None
+    felt = replace(data, accel_mps2=data.accel_mps2 * gravity_at(mountain).value_mps2 / here)
+    found = joined(lying(), [first, second, replace(third, site=mountain, sources={DEVICE: felt})])
+    assert np.abs(in_sigmas(found, lying())).max() < SURE
+    assert not found.calibration.doubts
+    (note,) = [note for note in found.calibration.notes if "gravity is not the same" in note]
+    assert "9.80620 m/s2" in note
+    assert "9.79632 m/s2" in note
+    for one in found.calibration.forces[0].accelerometers:
+        u = next(line.u for line in one.budget if line.name == "gravity")
+        assert 30e-6 < u[0] < 50e-6  # two places know gravity better than one
+
+
+def test_a_reason_that_all_accelerometers_have_is_said_once() -> None:
+    """One mounting, joined with itself, shows nothing about two axes of the gyros; then no accelerometer works."""
+    first, *_ = lying().recordings
+    notes = joined(lying(), [first, first]).calibration.notes
+    assert [note for note in notes if "not determined" in note and note.startswith("y, z, accel x: k, ")]
+    dead = [
+        replace(run, path=Path(f"{axis}.h5"), sources={DEVICE: replace(data, accel_mps2=0 * data.accel_mps2)})
+        for axis, run in zip("xyz", lying().recordings, strict=True)
+        for data in run.sources.values()
+        if data.accel_mps2 is not None
+    ]
+    found = joined(lying(), dead).calibration
+    (reason,) = [note for note in found.notes if "disconnected or stuck" in note]
+    assert reason.startswith("x.h5, y.h5, z.h5: accel x, accel y, accel z are not calibrated: ")
+    assert reason in found.doubts
+    assert [one.name for one in found.forces[0].excluded] == ["accel x", "accel y", "accel z"]
+    assert len({one.reason for one in found.forces[0].excluded}) == 1
 
 
 def test_the_mounting_errors_are_found_as_they_were() -> None:

@@ -12,9 +12,10 @@ from estimator.calibration.values import Calibration
 from estimator.errors import RecordingError
 from estimator.estimation.accelerometers.calibrate_forces import calibrate_forces, undetermined
 from estimator.estimation.calibrate import calibrate
+from estimator.estimation.mountings.places import Places, gravity_notes, places_of
 from estimator.estimation.mountings.problem import DeviceSensor, JoinedStates, RunStates, join, run_states
 from estimator.geometry.array import TOLERANCE
-from estimator.geometry.kinematics import Gravity, Site, gravity_at
+from estimator.geometry.kinematics import Site, gravity_at
 from estimator.geometry.model import StatePrior, decoding
 from estimator.observations.health import Excluded
 from estimator.observations.timing import TimeOffset
@@ -27,6 +28,7 @@ from estimator.types import Floats
 
 _UNSEEN = 0.5  # share of the prior's sigma above which runs did not show a state
 _CHANCE = 4.0  # standard deviations of a sum of squares
+_ONE_SENSOR = " is not calibrated: "
 _CHANGED = 0.01  # share of what the data sheet expects of a bias, above which its change from run to run is told
 
 
@@ -76,12 +78,14 @@ def join_mountings(
     sensors = _sensors(runs)
     if not sensors:
         raise RecordingError("none of the recordings has a gyro or an accelerometer that can be estimated")
-    gravity = gravity_at(recordings[0].site)
-    found = join(sensors, [_shown(run, sensors) for run in runs], gravity.sd)
-    gyros = _gyros(runs, sensors, found)
-    forces = _forces(runs, sensors, found, gravity)
-    notes = _notes(runs, sensors, found)
-    doubts = _doubts(runs, found)
+    places = places_of([one.site for one in recordings])
+    shown = [_shown(run, sensors, place) for run, place in zip(runs, places.of_run, strict=True)]
+    joined = join(sensors, shown, [gravity.sd for gravity in places.gravity])
+    gyros = _gyros(runs, sensors, joined)
+    forces = _forces(runs, sensors, joined, places)
+    doubts = _doubts(runs, joined)
+    own_notes = [*gravity_notes(recordings), *_notes(runs, sensors, joined)]
+    notes = [note for note in own_notes if note not in doubts]
     arrays = {name: data.own_array for run in reversed(runs) for name, data in run.recording.sources.items()}
     counted = [run.calibration.nis_mean * run.calibration.samples for run in runs]
     samples = sum(run.calibration.samples for run in runs)
@@ -99,7 +103,7 @@ def join_mountings(
     )
     mountings = tuple(
         MountingFound(recording=run.recording.name, error_rad=error, sd_rad=sd)
-        for run, error, sd in zip(runs, found.mounting_rad, found.mounting_sd_rad, strict=True)
+        for run, error, sd in zip(runs, joined.mounting_rad, joined.mounting_sd_rad, strict=True)
     )
     return JoinedCalibration(calibration=calibration, mountings=mountings)
 
@@ -180,8 +184,9 @@ def _add(
     sensors.setdefault((kind, source, name), sensor)
 
 
-def _shown(run: _Run, sensors: Sequence[DeviceSensor]) -> RunStates:
-    """Return what a run shows of the sensors that it has estimated, with their encoded states (``decode`` undoes it).
+def _shown(run: _Run, sensors: Sequence[DeviceSensor], place: int) -> RunStates:
+    """Return what a run at a place shows of the sensors that it has estimated, with their encoded states (``decode``
+    undoes it).
 
     ``sensors`` are those of the device. A mounting without a stated uncertainty has that of misalignments.
     """
@@ -211,6 +216,7 @@ def _shown(run: _Run, sensors: Sequence[DeviceSensor]) -> RunStates:
         to_x @ block_diag(*blocks) @ to_x.T,
         np.concatenate([sensors[number].prior_sd for number in used]),
         mounting_sd_rad,
+        place=place,
     )
 
 
@@ -243,7 +249,7 @@ def _gyros(runs: Sequence[_Run], sensors: Sequence[DeviceSensor], joined: Joined
 
 
 def _forces(
-    runs: Sequence[_Run], sensors: Sequence[DeviceSensor], joined: JoinedStates, gravity: Gravity
+    runs: Sequence[_Run], sensors: Sequence[DeviceSensor], joined: JoinedStates, places: Places
 ) -> tuple[ForceCalibration, ...]:
     """Return the calibrations of the accelerometers by source; places differ between mountings and become NaN.
 
@@ -256,7 +262,7 @@ def _forces(
         first = max(single, key=lambda forces: bool(forces.accelerometers))
         numbers = [n for n, one in enumerate(sensors) if one.kind is ACCELEROMETER and one.source == source]
         states = [state for number in numbers for state in range(4 * number, 4 * number + 4)]
-        stated = gravity.sd == 0
+        stated = all(gravity.sd == 0 for gravity in places.gravity)
         accelerometers = [_accelerometer(single, sensors[n], n, joined, gravity_stated=stated) for n in numbers]
         calibrations.append(
             replace(
@@ -265,7 +271,7 @@ def _forces(
                 covariance=joined.covariance[np.ix_(states, states)],
                 arm_m=np.full(3, np.nan),
                 arm_covariance_m2=np.full((3, 3), np.nan),
-                gravity_from=gravity.source,
+                gravity_from=places.source,
                 offset=_mean_offset([forces.offset for forces in single if forces.offset is not None]),
                 excluded=_excluded(runs, source),
                 doubts=(),
@@ -275,13 +281,15 @@ def _forces(
 
 
 def _excluded(runs: Sequence[_Run], source: str) -> tuple[Excluded, ...]:
-    """Return the accelerometers of a source that some run could not estimate, with the run and the reason."""
+    """Return the accelerometers of a source that some run could not estimate, with each reason and its runs."""
+    by_name: dict[str, dict[str, list[str]]] = {}
+    for run in runs:
+        for forces in run.forces:
+            for one in forces.excluded if forces.source == source else ():
+                by_name.setdefault(one.name, {}).setdefault(one.reason, []).append(run.recording.name)
     return tuple(
-        Excluded(one.name, f"{run.recording.name}: {one.reason}")
-        for run in runs
-        for forces in run.forces
-        for one in forces.excluded
-        if forces.source == source
+        Excluded(name, "; ".join(f"{', '.join(names)}: {reason}" for reason, names in reasons.items()))
+        for name, reasons in by_name.items()
     )
 
 
@@ -316,12 +324,15 @@ def _accelerometer(
 
 def _notes(runs: Sequence[_Run], sensors: Sequence[DeviceSensor], joined: JoinedStates) -> list[str]:
     """Return sentences on states that no run shows, on accelerometers of single runs, and on biases that change."""
-    notes = [f"{run.recording.name}: {note}" for run in runs for note in run.force_notes]
+    notes = _by_text([(run.recording.name, note) for run in runs for note in run.force_notes])
+    unseen: dict[str, list[str]] = {}
     for sensor, variance in zip(sensors, np.diag(joined.covariance).reshape(-1, 4), strict=True):
         wide = np.sqrt(variance) > _UNSEEN * sensor.prior_sd
-        unseen = [state.symbol for state, own in zip(sensor.kind.states, wide, strict=True) if own]
-        if unseen:
-            notes.append(sentence("estimation.joined_unseen", name=sensor.name, states=", ".join(unseen)))
+        states = ", ".join(state.symbol for state, own in zip(sensor.kind.states, wide, strict=True) if own)
+        if states:
+            unseen.setdefault(states, []).append(sensor.name)
+    for states, names in unseen.items():
+        notes.append(sentence("estimation.joined_unseen", names=", ".join(names), states=states))
     for kind, share in joined.bias_change.items():
         own = [one for one in sensors if one.kind is kind]
         if own and share > _CHANGED:
@@ -334,15 +345,37 @@ def _doubts(runs: Sequence[_Run], joined: JoinedStates) -> list[str]:
 
     Doubts on states that a single run does not show are left out: the others may show them.
     """
-    doubts: list[str] = []
+    of_runs: list[tuple[str, str]] = []
     for run in runs:
         own = list(run.calibration.doubts)
         for forces in run.forces:
             sheet = run.recording.sources[forces.source].accel_sheet
             unseen = undetermined(forces, sheet.prior) if sheet is not None else []
             own += [doubt for doubt in forces.doubts if doubt not in unseen]
-        doubts += [f"{run.recording.name}: {doubt}" for doubt in own]
+        of_runs += [(run.recording.name, doubt) for doubt in own]
+    doubts = _by_text(of_runs)
     beyond = joined.misfit - joined.misfit_count
     if beyond > _CHANCE * np.sqrt(2 * joined.misfit_count):
         doubts.append(sentence("estimation.joined_misfit", misfit=joined.misfit, count=joined.misfit_count))
     return doubts
+
+
+def _by_text(of_runs: Sequence[tuple[str, str]]) -> list[str]:
+    """Return what is said of runs, pairs of run and text, each reason once with all runs and sensors it applies to.
+
+    Of sensors that are not calibrated, each text names one.
+    """
+    runs: dict[str, list[str]] = {}
+    for run, text in of_runs:
+        runs.setdefault(text, []).append(run)
+    names: dict[tuple[str, str], list[str]] = {}
+    for text, own in runs.items():
+        name, about_sensor, rest = text.partition(_ONE_SENSOR)
+        key = ", ".join(dict.fromkeys(own)), rest if about_sensor else text
+        names.setdefault(key, []).extend([name] if about_sensor else [])
+    texts = []
+    for (own_runs, reason), own_names in names.items():
+        verb = " are not calibrated: " if len(own_names) > 1 else _ONE_SENSOR
+        subject = ", ".join(own_names) + verb if own_names else ""
+        texts.append(f"{own_runs}: {subject}{reason}")
+    return texts

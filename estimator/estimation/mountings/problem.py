@@ -2,8 +2,8 @@
 
 A run gives the states of each sensor in the frame in which the table turned the device: those of the device, turned by
 the error of its mounting, with the biases that it had then. All are estimated together: the states of the device; for
-each run a small rotation and a change of each bias; an error of gravity, which all runs have in common. How much biases
-change from run to run is found from the runs.
+each run a small rotation and a change of each bias; for each place an error of gravity, which its runs have in common.
+How much biases change from run to run is found from the runs.
 
 States are x = [k, b, s_j, s_k] (``estimator.geometry.model``), in which the sensitivity of a sensor is linear.
 """
@@ -53,6 +53,7 @@ class RunStates:
     ``sensors`` are their numbers. ``information`` (4 s, 4 s) and ``vector`` (4 s,) are the information matrix of the
     states x and that times the states, both in standard deviations of the prior. ``count`` is the number of
     combinations of states that the run shows. ``mounting_sd_rad`` is what is expected of the mounting error.
+    ``place`` is the number of the place, whose gravity the run has.
     """
 
     sensors: tuple[int, ...]
@@ -60,10 +61,11 @@ class RunStates:
     vector: Floats
     count: int
     mounting_sd_rad: float
+    place: int = 0
 
 
 def run_states(
-    sensors: Sequence[int], x: Floats, covariance: Floats, prior_sd: Floats, mounting_sd_rad: float
+    sensors: Sequence[int], x: Floats, covariance: Floats, prior_sd: Floats, mounting_sd_rad: float, *, place: int = 0
 ) -> RunStates:
     """Return what a run shows of the s ``sensors``, numbers in the device.
 
@@ -83,6 +85,7 @@ def run_states(
         vector=directions @ np.where(seen, precision * mean, 0.0),
         count=int(seen.sum()),
         mounting_sd_rad=mounting_sd_rad,
+        place=place,
     )
 
 
@@ -106,18 +109,21 @@ class JoinedStates:
     misfit_count: int
 
 
-def join(sensors: Sequence[DeviceSensor], runs: Sequence[RunStates], gravity_sd: float) -> JoinedStates:
-    """Return the states of a device that all runs together show; ``gravity_sd`` is that of gravity, relative."""
+def join(sensors: Sequence[DeviceSensor], runs: Sequence[RunStates], gravity_sd: Sequence[float]) -> JoinedStates:
+    """Return the states of a device that all runs together show.
+
+    ``gravity_sd`` are the relative standard uncertainties of gravity, by place.
+    """
     return _Problem(sensors, runs, gravity_sd).solved()
 
 
 @dataclass(eq=False)
 class _Problem:
-    """Parameters u in units of their priors: states (4 s), rotations (3 r), changes of biases (r s), gravity (1)."""
+    """Parameters u in units of their priors: states (4 s), rotations (3 r), changes of biases (r s), gravities."""
 
     sensors: Sequence[DeviceSensor]
     runs: Sequence[RunStates]
-    gravity_sd: float
+    gravity_sd: Sequence[float]
 
     def __post_init__(self) -> None:
         self.p = np.array([one.p for one in self.sensors])
@@ -130,7 +136,7 @@ class _Problem:
     def edges(self) -> list[int]:
         """Where states, rotations, changes of biases and gravity begin, and where they end."""
         count, runs = len(self.sensors), len(self.runs)
-        return list(accumulate([0, 4 * count, 3 * runs, runs * count, 1]))
+        return list(accumulate([0, 4 * count, 3 * runs, runs * count, len(self.gravity_sd)]))
 
     def predicted(self, u: Floats, number: int) -> Floats:
         """Return the states x (4 s,) of the sensors of a run, in standard deviations of their prior."""
@@ -139,7 +145,7 @@ class _Problem:
         x = u[: self.edges[1]].reshape(-1, 4) * self.prior_sd
         turn = _rotation(u[self.edges[1] :][3 * number : 3 * number + 3] * run.mounting_sd_rad)
         rows = self.rows(x) @ turn.T
-        rows[self.felt] *= 1 + u[-1] * self.gravity_sd
+        rows[self.felt] *= 1 + u[self.edges[3] + run.place] * self.gravity_sd[run.place]
         changes = u[self.edges[2] : self.edges[3]].reshape(len(self.runs), -1)[number]
         bias = x[:, 1] + changes * self.prior_sd[:, 1]
         return np.asarray((self.encoded(rows, bias) / self.prior_sd)[of_run].ravel())
@@ -156,7 +162,7 @@ class _Problem:
     def precision(self, gyros: float, accelerometers: float) -> Floats:
         """Return the prior precision of all parameters, for changes of biases of these sizes."""
         sizes = np.tile(np.where(self.felt, accelerometers, gyros), len(self.runs))
-        return np.concatenate([np.ones(self.edges[2]), 1 / sizes**2, np.ones(1)])
+        return np.concatenate([np.ones(self.edges[2]), 1 / sizes**2, np.ones(len(self.gravity_sd))])
 
     def solved(self) -> JoinedStates:
         """Return the estimate: linearised about itself, and averaged over the sizes of the changes of biases by

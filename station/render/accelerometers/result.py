@@ -14,6 +14,7 @@ from station.views.accelerometers.result import (
     OFFSET,
     PLACE,
     effect_rows,
+    excluded_lines,
     fitted_forces,
     place_figure,
 )
@@ -35,8 +36,8 @@ def print_forces(forces: Sequence[ForceCalibration], *, details: bool) -> None:
                 shown.append((_effects_table(one), {}))
             shown += [(line, {"highlight": False}) for line in _lines(one)]
         shown += [
-            (f"[red]{escape(excluded.name)} is not calibrated:[/red] {escape(excluded.reason)}", {"highlight": False})
-            for excluded in one.excluded
+            (f"[red]{escape(which)}:[/red] {escape(reason)}", {"highlight": False})
+            for which, reason in excluded_lines(one.excluded)
         ]
         if details and one.accelerometers:
             shown.append((_intrinsic_table(one), {}))

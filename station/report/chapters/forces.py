@@ -16,6 +16,7 @@ from station.views.accelerometers.result import (
     OFFSET,
     PLACE,
     effect_rows,
+    excluded_lines,
     fitted_forces,
     place_figure,
 )
@@ -70,7 +71,7 @@ def _chapter(calibration: ForceCalibration) -> ForceChapter:
         device=calibration.device or calibration.source,
         tables=tables,
         lines=[typographic(line) for line in lines],
-        excluded=[f"{e.name} is not calibrated: {e.reason}" for e in calibration.excluded],
+        excluded=[f"{which}: {reason}" for which, reason in excluded_lines(calibration.excluded)],
     )
 
 

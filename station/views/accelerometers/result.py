@@ -1,5 +1,6 @@
 """The calibration of accelerometers for tables and for JSON: units of the states, objects with named values."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -8,6 +9,7 @@ import numpy as np
 from estimator.calibration.accelerometer import AccelerometerCalibration, ForceCalibration, ForceEffectValues
 from estimator.estimation.accelerometers.force_effects import BY_NAME, ForceEffect
 from estimator.geometry.kinematics import GRAVITY_MPS2
+from estimator.observations.health import Excluded
 from estimator.sensors.accelerometers import ACCELEROMETER
 from estimator.types import Floats
 from station.views.figures import StateUnit
@@ -59,6 +61,23 @@ def fitted_forces(calibration: ForceCalibration) -> tuple[StateUnit, ...]:
 def place_figure(calibration: ForceCalibration) -> StateUnit:
     """Return the unit of places with the digits that their standard deviations deserve."""
     return PLACE.fitted([sd for a in calibration.accelerometers for sd in a.place_sd_m.tolist()])
+
+
+def names_by_reason(excluded: Sequence[Excluded]) -> dict[str, list[str]]:
+    """Return the names of accelerometers that are not calibrated, by the reason."""
+    names: dict[str, list[str]] = {}
+    for one in excluded:
+        names.setdefault(one.reason, []).append(one.name)
+    return names
+
+
+def excluded_lines(excluded: Sequence[Excluded]) -> list[tuple[str, str]]:
+    """Return which accelerometers are not calibrated, as words, and why: each reason once."""
+    verbs = {True: "are", False: "is"}
+    return [
+        (f"{', '.join(names)} {verbs[len(names) > 1]} not calibrated", reason)
+        for reason, names in names_by_reason(excluded).items()
+    ]
 
 
 def force_object(calibration: ForceCalibration) -> dict[str, Any]:
