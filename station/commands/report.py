@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from estimator.untrusted import harmless
 from station.atomic_write import check_new_file, free_path, write_whole
-from station.errors import EXIT_USAGE, UsageError
+from station.errors import EXIT_USAGE, UsageError, sentence
 from station.render.lines import tell
 
 if TYPE_CHECKING:
@@ -35,24 +35,26 @@ def command_report(arguments: argparse.Namespace) -> int:
     from station.report.document import make_report
     from station.report.formal import read_formal
     from station.report.investigation_chapter import read_traced
-    from station.report.recorded import read_recorded
     from station.run.outcome import ended_of
     from station.screen.archive.register import check_number, enter
 
     if keys:
         read_key(*keys)
-    recorded = read_recorded(Path(arguments.recording))
+    recorded = _recorded(arguments)
     formal = read_formal(recorded, Path(arguments.meta) if arguments.meta else None)
     if dcc is not None:
         check_facts(formal)
-    traced = read_traced(Path(arguments.investigation) if arguments.investigation else None, recorded)
+    investigation = Path(arguments.investigation) if arguments.investigation else None
+    traced = None if recorded.joined else read_traced(investigation, recorded)
     if formal.certificate_number:
         check_number(formal.certificate_number, raw_sha256(recorded.path), recorded.path.absolute().parent)
     report = make_report(recorded, traced, formal)
     enter(_document(recorded, formal, report))
     write_whole(html, report.html)
     standing = report.standing
-    verdict = standing.verdict or ended_of(recorded.recording.attributes)  # without limits it was not judged here
+    verdict = standing.verdict
+    if verdict is None and not recorded.joined:  # without limits it was not judged here
+        verdict = ended_of(recorded.recording.attributes)
     problem, printed = "", None
     try:
         if pdf is not None:
@@ -66,15 +68,24 @@ def command_report(arguments: argparse.Namespace) -> int:
         problem = str(error)
     made = [str(path) if path is not None and path.exists() else None for path in (pdf, dcc)]
     if arguments.json:
-        files = {"recording": arguments.recording, "html": str(html), "pdf": made[0], "dcc": made[1]}
-        print(json.dumps({**_result_object(report, formal, verdict), **files}))
+        files = {"html": str(html), "pdf": made[0], "dcc": made[1]}
+        named = {"recording": arguments.recording, "joined": arguments.join}
+        print(json.dumps({**_result_object(report, formal, verdict), **named, **files}))
     else:
         _print_result(recorded, verdict, details=arguments.details)
-        _print_documents(report, html, made, next_after_report(verdict, recorded.path))
+        _print_documents(report, html, made, next_after_report(verdict, recorded.path, arguments.join))
     if problem:
         tell(f"station: {problem}; the report is in {html}", sys.stderr)
         return EXIT_USAGE
     return 0
+
+
+def _recorded(arguments: argparse.Namespace) -> "Recorded":
+    """Return the recording with its calibration, or with that of all recordings with --join."""
+    from station.report.recorded import read_joined, read_recorded
+
+    path, others = Path(arguments.recording), [Path(name) for name in arguments.join]
+    return read_joined(path, others) if others else read_recorded(path)
 
 
 def _result_object(report: "Report", formal: "Formal", verdict: "Verdict | None") -> dict[str, Any]:
@@ -152,6 +163,9 @@ def _outputs(arguments: argparse.Namespace) -> tuple[Path, Path | None, Path | N
     """
     if bool(arguments.sign) != bool(arguments.certificate) or (arguments.sign and not arguments.dcc):
         raise UsageError("--sign KEY.pem goes with --certificate CERTIFICATE.pem and --dcc")
+    for option in ("dcc", "investigation"):
+        if arguments.join and getattr(arguments, option):
+            raise UsageError(sentence(f"report.not_joined_{option}"))
     if arguments.output is None:
         wanted = [".pdf"] * arguments.pdf + [".xml"] * arguments.dcc
         recording = Path(arguments.recording)  # a folder is reported when it is read

@@ -2,6 +2,7 @@
 
 import importlib.metadata
 import platform
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +19,7 @@ from station.report import figures
 from station.report.chapters import forces, unobserved_effects
 from station.report.chapters.closing import closing_view
 from station.report.chapters.corrected import correction_view
-from station.report.chapters.front import front_view, motion_view
+from station.report.chapters.front import front_view, motion_view, mountings_view
 from station.report.chapters.limits import limits_view
 from station.report.chapters.live import live_view
 from station.report.chapters.noise import noise_view
@@ -53,6 +54,10 @@ _CHAPTERS = {
     "signatures": "Signatures",
 }
 """The titles of all chapters, in order."""
+_OF_ONE_RUN = ("residual", "verification", "unseen", "convergence", "innovations", "noise")
+"""The chapters that the report of a joined calibration does not have."""
+_STORED_FIGURE = re.compile(r' data-h5="calibration[^"]*"')
+"""Where a figure of a calibration stands in its recording."""
 _ALWAYS = ("identification", "method", "clocks", "events", "software", "signatures")
 """The chapters of a report without a calibration."""
 
@@ -104,9 +109,10 @@ def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Re
     before = None if formal.item_as_found is None else _as_found(recorded, formal.item_as_found)
     if before is not None:
         hashes["as_found"] = file_sha256(before.path)
+    hashes |= {f"joined_{number}": file_sha256(one.path) for number, one in enumerate(recorded.joined[1:], start=2)}
     standing = standing_of(recorded, formal)
     number = formal.certificate_number or number_of(recorded, tuple(hashes.values()), formal.certificate_replaces or "")
-    not_seen = unobserved_effects.unseen_of(recorded)
+    not_seen = None if recorded.joined else unobserved_effects.unseen_of(recorded)
     with laid_out(recorded.path, "its content or its investigation cannot be reported ({})"):
         sources = _Sources(
             recorded=recorded,
@@ -119,6 +125,8 @@ def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Re
             number=number,
         )
         html = rendered("station.report", "report.html", _values(sources))
+        if recorded.joined:  # in no recording
+            html = _STORED_FIGURE.sub("", html)
     # Names and texts of recordings, sources and files must not change the document's structure or direction.
     return Report(
         html=harmless(html), standing=standing, number=number, hashes=hashes, before=before, not_seen=not_seen
@@ -153,6 +161,7 @@ def _values(sources: _Sources) -> dict[str, object]:
         "found": recorded.calibration is not None,
         "front": front_view(recorded, sources.formal, sources.standing, adjusted=sources.before is not None),
         "motion": motion_view(recorded),
+        "mountings": mountings_view(recorded) if recorded.joined else None,
         "closing": closing_view(
             recorded,
             sources.formal,
@@ -203,6 +212,8 @@ def _headings(sources: _Sources) -> dict[str, Heading]:
         titles.pop("as_found", None)
     if sources.recorded.calibration is not None and not sources.recorded.calibration.forces:
         titles.pop("accelerometers")
+    if sources.recorded.joined:
+        titles = {key: title for key, title in titles.items() if key not in _OF_ONE_RUN}
     if sources.traced is None:
         titles.pop("verification", None)
     elif "residual" in titles:

@@ -27,6 +27,7 @@ class Kind(Enum):
     FAILED = ("Calibration report: not within limits", ": the calibration failed its limits")
     OVERDUE = ("Calibration report", ": the calibration of an instrument had expired, or has no due date")
     NOT_APPROVED = ("Calibration report", ": the bench file requires approval by someone other than the operator")
+    JOINED = ("Calibration report", ": it joins several runs, each with conditions and a date of its own")
     UNDATED = ("Calibration report", ": no date of measurement is stated ([performed] date)")
     NO_PLACE = (
         "Calibration report",
@@ -127,7 +128,7 @@ def _kind_of(recorded: Recorded, limits: Limits | None, lines: tuple[LimitLine, 
     calibration that passes is no certificate if the run itself ended otherwise.
     """
     ended = ended_of(recorded.recording.attributes)
-    if ended is not None and ended.outcome in (Outcome.MANUAL, Outcome.ABORTED, Outcome.FAULT):
+    if ended is not None and not recorded.joined and ended.outcome in (Outcome.MANUAL, Outcome.ABORTED, Outcome.FAULT):
         return Kind[ended.outcome.name], ended
     if recorded.calibration is None:
         return Kind.NO_ESTIMATE, ended
@@ -142,6 +143,8 @@ def _kind_of(recorded: Recorded, limits: Limits | None, lines: tuple[LimitLine, 
         return Kind.ELSEWHERE, judged
     if judged is None:
         return Kind.UNJUDGED, None
+    if recorded.joined:  # one mounting alone seldom is within the limits, and need not be
+        return Kind.JOINED, judged
     # Calibrated again since, but the run itself was never judged a pass.
     if ended.outcome not in (Outcome.PASS, Outcome.ESTIMATED):
         return Kind.FAILED, ended

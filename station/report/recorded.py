@@ -1,8 +1,8 @@
 """Data of a recording for the report beside its samples: calibration, live estimates, steps, events."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +13,7 @@ from drivers.types import Floats, Stamps
 from estimator.calibration.calibration_file import read_calibration
 from estimator.calibration.values import Calibration
 from estimator.errors import EstimatorError, RecordingError, first_line
+from estimator.estimation.mountings.join import MountingFound
 from estimator.recordings.reading import read_recording
 from estimator.recordings.recording import Recording
 from estimator.recordings.writing import plain
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
 
 _NOTE = "note: "  # written by a session before a note
+_LAYOUT = "its results do not have the layout of the station: {}"
 _MAY_LACK_ESTIMATE = (Outcome.MANUAL, Outcome.FAIL, Outcome.ABORTED, Outcome.FAULT)
 
 
@@ -86,11 +88,25 @@ class RestNoise:
 
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
+class JoinedRun:
+    """A recording of a joined calibration: when it began, how its device was mounted, and the mounting error found.
+
+    ``axes`` (3, 3) has the axes x, y and z of the device in its rows, along those of the table.
+    """
+
+    path: Path
+    begun_utc: datetime | None
+    axes: Floats
+    found: MountingFound
+
+
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Recorded:
     """A recording with the results stored in it.
 
     ``calibration`` is None for a run without an estimate. ``rest`` is the noise at rest, None if not stored.
-    ``courses`` and ``source_attributes`` are by source.
+    ``courses`` and ``source_attributes`` are by source. With ``joined``, the calibration is that of all of these
+    recordings together, of which this is the first; no file holds it.
     """
 
     path: Path
@@ -101,6 +117,7 @@ class Recorded:
     source_attributes: Mapping[str, Mapping[str, Any]]
     steps: tuple[Step, ...]
     events: tuple[Event, ...]
+    joined: tuple[JoinedRun, ...] = ()
 
     def label(self, source: str, name: str) -> str:
         """Return the label of a gyro, different for each."""
@@ -153,17 +170,22 @@ def read_recorded(path: Path) -> Recorded:
     recording = read_recording(path)
     if not any(len(data.t_ns) for data in recording.sources.values()):
         raise RecordingError(f"{path} holds no samples, so there is nothing to report")
-    message = "its results do not have the layout of the station: {}"
-    with laid_out(path, message), h5py.File(path, "r") as file:
-        calibration = None
-        if "calibration" in file or recording.attributes.get("outcome") not in _MAY_LACK_ESTIMATE:
-            calibration = read_calibration(path, trusted=True)
+    with laid_out(path, _LAYOUT), h5py.File(path, "r") as file:
+        stored = "calibration" in file or recording.attributes.get("outcome") not in _MAY_LACK_ESTIMATE
+    return _recorded(path, recording, read_calibration(path, trusted=True) if stored else None)
+
+
+def _recorded(path: Path, recording: Recording, calibration: Calibration | None) -> Recorded:
+    """Return a recording with a calibration, and all else that its file holds."""
+    import h5py
+
+    with laid_out(path, _LAYOUT), h5py.File(path, "r") as file:
         estimates, innovations = file.get("estimate", {}), file.get("innovation", {})
         return Recorded(
             path=path,
             recording=recording,
             calibration=calibration,
-            rest=_rest_noise(file["calibration"]) if calibration is not None else None,
+            rest=_rest_noise(file["calibration"]) if calibration is not None and "calibration" in file else None,
             courses={name: _course(estimates[name], innovations[name]) for name in estimates if name in innovations},
             source_attributes={
                 name: {k: plain(v) for k, v in group.attrs.items()} for name, group in file["imu"].items()
@@ -171,6 +193,30 @@ def read_recorded(path: Path) -> Recorded:
             steps=_steps(file["steps"]) if "steps" in file else (),
             events=_events(file["events"]) if "events" in file else (),
         )
+
+
+def read_joined(path: Path, others: Sequence[Path]) -> Recorded:
+    """Return a recording with the joined calibration of its device, from it and others in other mountings.
+
+    RecordingError or UsageError for files that cannot be read or joined.
+    """
+    from station.run.joining import joined_of
+
+    paths = [path, *others]
+    recordings = [read_recording(one) for one in paths]
+    result = joined_of(recordings)
+    first = _recorded(path, recordings[0], result.calibration)
+    runs = [_recorded(one, recording, None) for one, recording in zip(paths, recordings, strict=True)]
+    joined = [
+        JoinedRun(path=run.path, begun_utc=run.begun_utc, axes=_mounted_axes(run.recording), found=mounting)
+        for run, mounting in zip(runs, result.mountings, strict=True)
+    ]
+    return replace(first, rest=None, courses={}, joined=tuple(joined))
+
+
+def _mounted_axes(recording: Recording) -> Floats:
+    """Return the mounting of the one device of a recording."""
+    return next(iter(recording.sources.values())).mounting.axes
 
 
 def labels_of(recording: Recording) -> dict[tuple[str, str], str]:

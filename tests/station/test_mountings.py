@@ -15,11 +15,17 @@ from estimator.recordings.writing import write_recording
 from station.bench.bench import Bench, read_bench
 from station.cli import main
 from station.errors import BenchError
-from station.exports.exported import exported_of
+from station.exports.exported import exported_of, file_sha256, raw_sha256
 from station.opening.simulate import simulate_bench
 from station.scripts.script import Rest, Script, load_script
 
 BENCH = Path(__file__).parents[1] / "data" / "benches" / "one_axis_imu.toml"
+LIMITS = """
+[limits]
+sd_scale_factor_error = "100 ppm"
+[limits.accelerometers]
+sd_scale_factor_error = "200 ppm"
+"""
 
 
 def mounted(axes: str, more: str = "") -> Bench:
@@ -214,3 +220,57 @@ def test_every_format_holds_the_joined_calibration_or_says_why_not(
     up = made["correct_force"](np.array([0.0, 0.0, 9.80665]))  # type: ignore[operator]
     # z has 300 ppm and 3 mg: (9.80665 + 3 mg) / (1 - 300 ppm)
     assert up[2] == pytest.approx((9.80665 + 3 * 9.80665e-3) / (1 - 300e-6), abs=1e-3)
+
+
+@pytest.fixture
+def judged(three: list[str], tmp_path: Path) -> list[str]:
+    """Return the recordings with limits that no single one of them meets."""
+    bench = BENCH.read_text(encoding="utf-8") + LIMITS
+    paths = [tmp_path / Path(name).name for name in three]
+    for name, path in zip(three, paths, strict=True):
+        path.write_bytes(Path(name).read_bytes())
+        with h5py.File(path, "r+") as file:
+            file.attrs.update(bench=bench, outcome="FAIL", reason="y sigma of k 20000 ppm > 100 ppm")
+    return list(map(str, paths))
+
+
+def test_a_report_holds_the_joined_calibration_and_its_recordings(
+    judged: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each figure of the states is that of `calibrate --join`; the runs stand there with their mountings and hashes."""
+    assert main(["calibrate", "--join", "--json", *judged]) == 0
+    found = json.loads(capsys.readouterr().out)
+    html = tmp_path / "joined.html"
+    joined = [word for name in judged[1:] for word in ("--join", name)]
+    assert main(["report", judged[0], *joined, "-o", str(html), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["joined"] == judged[1:]
+    assert told["outcome"] == found["outcome"] == "PASS"
+    assert told["certificate"] is False
+    text = html.read_text(encoding="utf-8")
+    for gyro in found["gyros"]:
+        assert f'value="{gyro["b_rps"]!r}"' in text
+        assert f'value="{gyro["sd"]["b_rps"]!r}"' in text
+    for words in (
+        "it joins several runs",
+        "Accelerometers",
+        ">200<",
+        "x, y, z",
+        "z, x, y",
+        "y, z, x",
+        *(Path(name).name for name in judged),
+    ):
+        assert words in text
+    for name in judged:
+        assert file_sha256(Path(name)) in text
+        assert raw_sha256(Path(name)) in text
+    assert ">nan<" not in text
+    assert "Lever arm, from the point" not in text
+    assert "calibration/states[" not in text  # these figures are in none of the recordings
+
+
+def test_what_a_joined_report_cannot_state_is_refused(three: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["report", three[0], "--join", three[1], "--dcc"]) == 2
+    assert "Leave out --dcc" in capsys.readouterr().err
+    assert main(["report", three[0], "--join", three[1], "--investigation", "i.json"]) == 2
+    assert "an investigation is of one recording" in capsys.readouterr().err

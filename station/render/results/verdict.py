@@ -66,8 +66,12 @@ def next_steps(verdict: Verdict, calibration: Calibration | None, recording: Pat
     return steps
 
 
-def next_after_report(verdict: Verdict | None, recording: Path) -> list[str]:
-    """Return sentences on what to do after a report; for a run that passed, how to export the calibration."""
+def next_after_report(verdict: Verdict | None, recording: Path, joined: Sequence[str] = ()) -> list[str]:
+    """Return sentences on what to do after a report; for a run that passed, how to export the calibration.
+
+    ``joined`` are the recordings with which it is joined.
+    """
     if verdict is not None and verdict.outcome not in (Outcome.PASS, Outcome.ESTIMATED):
         return next_steps(verdict, None, recording)
-    return [f"`station export {recording} --all FOLDER` writes the calibration for firmware and tools"]
+    named = " ".join([str(recording), *(f"--join {name}" for name in joined)])
+    return [f"`station export {named} --all FOLDER` writes the calibration for firmware and tools"]

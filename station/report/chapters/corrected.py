@@ -61,6 +61,8 @@ def correction_view(
 ) -> CorrectionView:
     """Return the corrections of all devices; ``data_sha256`` is the hash of the samples, for the code."""
     origin = f"Recording {recorded.path.name}, SHA-256 of its samples\n{data_sha256}"
+    if recorded.joined:
+        origin += f"\nJoined with {', '.join(run.path.name for run in recorded.joined[1:])}"
     corrections = corrections_of(recorded)
     augmented = []
     if traced is not None and traced.added and traced.model is not None and traced.model.effects:
@@ -78,7 +80,8 @@ def _axes_table(recorded: Recorded, calibration: Calibration) -> Table:
     """Return a row for each gyro: the stated directions p, j and k of its axes."""
     rows: list[list[Content]] = []
     for gyro in calibration.gyros:
-        array = recorded.recording.sources[gyro.source].array
+        data = recorded.recording.sources[gyro.source]
+        array = data.own_array if recorded.joined else data.array
         number = array.names.index(gyro.name)
         directions = [_direction(axes[number]) for axes in (array.p, array.j, array.k)]
         rows.append([recorded.label(gyro.source, gyro.name), *directions])

@@ -51,13 +51,13 @@ def chapters(recorded: Recorded) -> list[ForceChapter]:
 def _chapter(calibration: ForceCalibration) -> ForceChapter:
     """Return the chapter on the accelerometers of one source: tables, delay, gravity, and which are not calibrated.
 
-    Without calibrated accelerometers there are no tables.
+    Without calibrated accelerometers there are no tables; without places of theirs none of these.
     """
-    tables = (
-        [_states(calibration), _places(calibration), _intrinsic(calibration), _budget(calibration)]
-        if calibration.accelerometers
-        else []
-    )
+    tables = []
+    if calibration.accelerometers:
+        tables = [_states(calibration), _intrinsic(calibration), _budget(calibration)]
+        if calibration.placed:
+            tables.insert(1, _places(calibration))
     if calibration.effects:
         tables.insert(1, _effects(calibration))
     lines = []

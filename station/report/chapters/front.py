@@ -13,13 +13,26 @@ from drivers.types import Floats
 from estimator.observations.rows import observations
 from estimator.recordings.recording import ImuData
 from estimator.recordings.reference import AttitudeReadings, RateReadings, Turns
+from station.exports.exported import file_sha256, raw_sha256
 from station.opening.links import ends_here
 from station.report.chapters.unobserved_effects import driven_step
 from station.report.document_status import Standing
-from station.report.figures import CELSIUS, DEG, DEG_PER_S, PERCENT, SECONDS, Unit, fixed, stated
+from station.report.figures import (
+    CELSIUS,
+    COVERAGE,
+    DEG,
+    DEG_PER_S,
+    MICRORADIANS,
+    PERCENT,
+    SECONDS,
+    Unit,
+    fixed,
+    stated,
+    typographic,
+)
 from station.report.formal import Formal
 from station.report.pictures import Picture, rates_picture
-from station.report.recorded import Recorded, Step
+from station.report.recorded import JoinedRun, Recorded, Step
 from station.report.tables import Content, Fact, Table, facts_of, table_of
 from station.scripts.steps.rotate import Rotate
 
@@ -245,6 +258,54 @@ def motion_view(recorded: Recorded) -> MotionView:
         picture=motion_picture(recorded),
         steps=_steps_table(recorded, driven) if driven else None,
     )
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class MountingsView:
+    """The runs of a joined calibration: how many, the name of the first, their mountings, and their files."""
+
+    count: int
+    first: str
+    runs: Table
+    files: Table
+
+
+def mountings_view(recorded: Recorded) -> MountingsView:
+    """Return the runs of a joined calibration, with the mounting of the device and its error in each."""
+    return MountingsView(
+        count=len(recorded.joined),
+        first=recorded.path.name,
+        runs=_mountings_table(recorded.joined),
+        files=table_of(
+            ["recording", "begun", "SHA-256 of the file", "SHA-256 of the raw data"],
+            "llll",
+            [[run.path.name, _begun(run), file_sha256(run.path), raw_sha256(run.path)] for run in recorded.joined],
+        ),
+    )
+
+
+def _begun(run: JoinedRun) -> str:
+    return f"{run.begun_utc:%Y-%m-%d %H:%M:%S UTC}" if run.begun_utc else _NOT_STATED
+
+
+def _mountings_table(runs: Sequence[JoinedRun]) -> Table:
+    """Return a row for each run: the axes of the table along which x, y and z of the device lay, and the error."""
+    heads = ["recording", "x, y, z along"]
+    for axis in "xyz":
+        heads += [f"error about {axis}, µrad", "U"]
+    rows: list[list[Content]] = []
+    for run in runs:
+        row: list[Content] = [run.path.name, ", ".join(map(_along, run.axes))]
+        for error_rad, sd_rad in zip(run.found.error_rad.tolist(), run.found.sd_rad.tolist(), strict=True):
+            row += [fixed(error_rad, MICRORADIANS, 0), fixed(COVERAGE * sd_rad, MICRORADIANS, 0)]
+        rows.append(row)
+    return table_of(heads, "ll" + 6 * "r", rows)
+
+
+def _along(direction: Floats) -> str:
+    """Return the axis of the table along which a direction lies, with its sign."""
+    number = int(np.argmax(np.abs(direction)))
+    return typographic("-" if direction[number] < 0 else "") + "xyz"[number]
 
 
 def _steps_table(recorded: Recorded, driven: Sequence[tuple[Step, Rotate | None]]) -> Table:

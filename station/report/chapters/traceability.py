@@ -19,6 +19,7 @@ from station.report.tables import Content, Table, grouped_table, table_of
 _SOURCES: Mapping[str, str] = packaged_toml("station.views", "budget.toml")["report"]
 """What lines of the budget are called."""
 _NOT_STATED = "not stated"
+_RUNS = "runs"  # of a joined calibration: all that a run alone leaves open
 _COMBINED = Markup("<strong>combined standard uncertainty</strong>")
 
 
@@ -108,7 +109,7 @@ def budget_view(recorded: Recorded, calibration: Calibration, states: States) ->
 def _budget_rows(gyro: GyroCalibration, row: int, states: States) -> Iterator[list[Content]]:
     """Yield the contributions of a gyro, and their combination."""
     for number, line in enumerate(gyro.budget):
-        kind = "A" if line.name in TYPE_A else "B"
+        kind = "A" if line.name in TYPE_A else "A, B" if line.name == _RUNS else "B"
         place = f"calibration/budget[{row},{number},%d]"
         yield [_SOURCES.get(line.name, line.name), kind, *_shares(line.u, place, states)]
     yield [_COMBINED, None, *_shares(gyro.sd, f"calibration/sd[{row},%d]", states)]
