@@ -30,7 +30,8 @@ _LONGEST_NAME = 100  # characters of an operator's name or a serial number
 class ForceLimits:
     """The limits of accelerometers for PASS, in SI: sizes of the states and their sigmas, infinite where none is given.
 
-    ``written`` has them as in the bench file, by their fields.
+    ``sd_arm_m`` is the largest sigma of a component of the lever arm, from where the axes of the table meet to the
+    middle of the accelerometers. ``written`` has them as in the bench file, by their fields.
     """
 
     k: float = math.inf
@@ -39,7 +40,18 @@ class ForceLimits:
     sd_k: float = math.inf
     sd_b_mps2: float = math.inf
     sd_sigma_rad: float = math.inf
+    sd_arm_m: float = math.inf
     written: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def sds(self) -> tuple[float, ...]:
+        """Largest sigmas of the four states."""
+        return self.sd_k, self.sd_b_mps2, self.sd_sigma_rad, self.sd_sigma_rad
+
+    @property
+    def stated(self) -> bool:
+        """Whether any limit is given."""
+        return any(map(math.isfinite, (self.k, self.b_mps2, self.sigma_rad, *self.sds, self.sd_arm_m)))
 
     def of_state(self, number: int) -> tuple[float, str, float, str]:
         """Return the largest size of a state as a number and as written, and the largest sigma likewise."""
@@ -97,6 +109,7 @@ class Limits:
             any(map(math.isfinite, (*self.sizes, *self.sds)))
             or math.isfinite(self.nis_high)
             or any(v > 0 for v in least)
+            or self.forces.stated
         )
 
 

@@ -59,7 +59,7 @@ def command_plan(arguments: argparse.Namespace) -> int:
         print(json.dumps(json_object(plan_view(plan, early_late=early_late, forces=of_forces, mountings=of_mountings))))
     else:
         print_plan(plan, stdout(), early_late)
-        print_planned_forces(of_forces)
+        print_planned_forces(of_forces, plan.bench.limits.forces)
         print_planned_mountings(of_mountings, bench.units)
     return (Outcome.PASS if plan.reached.all() else Outcome.FAIL).exit_code
 

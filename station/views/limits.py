@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivers.units import split_quantity
+from estimator.calibration.accelerometer import ForceCalibration
 from estimator.calibration.values import Calibration
-from station.bench.bench import Limits
+from station.bench.bench import ForceLimits, Limits
 from station.errors import sentence
-from station.views.accelerometers.result import FORCE_FIGURES, names_by_reason
+from station.views.accelerometers.result import FORCE_FIGURES, PLACE, names_by_reason
 from station.views.figures import StateUnit, state_figures
 
 
@@ -158,6 +159,8 @@ def limit_lines(calibration: Calibration, limits: Limits, labels: Sequence[str] 
             for s, unit in enumerate(FORCE_FIGURES):
                 values = float(accelerometer.states[s]), float(accelerometer.sd[s])
                 lines += _state_lines(label, unit, values, limits.forces.of_state(s))
+        if math.isfinite(limits.forces.sd_arm_m) and source.accelerometers:
+            lines += _arm_lines(source, limits.forces, alone=len(calibration.forces) == 1)
     if math.isfinite(calibration.nis_mean):
         lines.append(
             LimitLine(gyro="all", what=MEAN_NIS, value=calibration.nis_mean, low=limits.nis_low, high=limits.nis_high)
@@ -167,6 +170,27 @@ def limit_lines(calibration: Calibration, limits: Limits, labels: Sequence[str] 
         written = limits.written.get("lost", "")
         lines.append(LimitLine(gyro="all", what=SAMPLES_LOST, value=share, low=0.0, high=limits.lost, written=written))
     return [line for line in lines if line.stated]
+
+
+def _arm_lines(source: ForceCalibration, limits: ForceLimits, *, alone: bool) -> list[LimitLine]:
+    """Return the limits of the sigmas of the lever arm; ``alone``: no other device has accelerometers."""
+    label = "accel" if alone else f"{source.device or source.source} accel"
+    if not source.placed:
+        note = sentence("run.no_lever_arm")
+        return [LimitLine(gyro=label, what="lever arm", value=math.nan, low=0.0, high=limits.sd_arm_m, note=note)]
+    return [
+        LimitLine(
+            gyro=label,
+            what=f"lever arm {axis}",
+            value=sd_m,
+            low=0.0,
+            high=limits.sd_arm_m,
+            of_u=True,
+            unit=PLACE,
+            written=limits.written.get("sd_arm_m", ""),
+        )
+        for axis, sd_m in zip("xyz", source.arm_sd_m.tolist(), strict=True)
+    ]
 
 
 def _state_lines(

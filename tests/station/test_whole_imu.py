@@ -16,9 +16,10 @@ from estimator.calibration.calibration_file import read_calibration
 from estimator.calibration.error_model import ErrorModel, KnownForceEffect, Size
 from estimator.recordings.reading import read_recording
 from estimator.recordings.writing import write_recording
-from station.bench.bench import read_bench
+from station.bench.bench import load_bench, read_bench
 from station.cli import main
 from station.opening.simulate import simulate_bench
+from station.screen.panes.start import limits_text
 from station.scripts.script import load_script
 
 BENCH = Path(__file__).parents[1] / "data" / "benches" / "full_imu.toml"
@@ -90,6 +91,39 @@ def test_limits_of_accelerometers_fail_a_run_and_say_by_how_much(
     assert "1 limit of the bench exceeded" in text
     assert "accel x k" in text
     assert "600 ppm" in text
+
+
+def limited(folder: Path, lines: str) -> Path:
+    """Write the bench with these limits of accelerometers and no others."""
+    before, _, after = BENCH.read_text(encoding="utf-8").partition("[limits]")
+    _, _, after = after.partition("[undeclared]")
+    (folder / "bench.toml").write_text(f"{before}[limits.accelerometers]\n{lines}\n[undeclared]{after}")
+    return folder / "bench.toml"
+
+
+def test_the_lever_arm_has_a_limit_of_its_sigma(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (forces,) = read_calibration(recorded).forces
+    widest_mm = 1e3 * float(forces.arm_sd_m.max())
+    for times, code, outcome in ((1.1, 0, "PASS"), (0.9, 1, "FAIL")):
+        bench = limited(tmp_path, f'sd_lever_arm = "{times * widest_mm:.6f} mm"')
+        assert main(["calibrate", str(recorded), "--bench", str(bench), "--json"]) == code
+        judged = json.loads(capsys.readouterr().out)
+        assert judged["outcome"] == outcome
+        assert ("sigma of lever arm" in judged["reason"]) == (outcome == "FAIL")
+    main(["plan", "full-imu", "--bench", str(bench)])
+    (required,) = [line for line in capsys.readouterr().out.splitlines() if re.search(r"required +│? *-", line)]
+    shown = [float(number) for number in re.findall(r"[0-9.]+", required)]
+    assert shown == pytest.approx([0.9 * widest_mm] * 3, rel=0.05)
+
+
+def test_the_page_prepare_lists_the_limits_of_accelerometers(tmp_path: Path) -> None:
+    lines = 'bias = "20 mg"\nsd_bias = "0.1 mg"\nsd_misalignment = "50 urad"\nsd_lever_arm = "2 mm"'
+    text = limits_text(load_bench(limited(tmp_path, lines)).limits).plain
+    assert "accelerometers: |b| up to 20 mg, its sigma up to 0.1 mg" in text
+    assert "accelerometers: sigma_j, sigma_k: sigma up to 50 urad" in text
+    assert "accelerometers: lever arm: sigma up to 2 mm" in text
 
 
 def test_the_report_has_a_chapter_of_them(recorded: Path, tmp_path: Path) -> None:

@@ -64,10 +64,13 @@ def wanted_of(arguments: argparse.Namespace, bench: Bench, script: Script) -> Wa
 
 
 def _bench_sds(bench: Bench) -> tuple[Floats, Floats]:
-    """Return the sigmas that the bench requires: of gyros (n, 4), and of accelerometers (m, 7), no places."""
+    """Return the sigmas that the bench requires: of gyros (n, 4), and of accelerometers with their places (m, 7).
+
+    Places as certain as the lever arm has to be make it at least as certain: it is their mean.
+    """
     gyros = np.tile(bench.limits.sds, (sum(len(imu.array) for imu in used_imus(bench)), 1))
-    states = [bench.limits.forces.of_state(state)[2] for state in range(4)]
-    return gyros, np.tile([*states, *[np.inf] * 3], (len(accelerometer_rows(bench)), 1))
+    limits = bench.limits.forces
+    return gyros, np.tile([*limits.sds, *[limits.sd_arm_m] * 3], (len(accelerometer_rows(bench)), 1))
 
 
 def _script_sds(bench: Bench, script: Script) -> tuple[Floats, Floats]:

@@ -1,11 +1,13 @@
 """What a script will show of accelerometers, as a person reads it."""
 
+import math
 from collections.abc import Sequence
 
 from rich.markup import escape
 from rich.table import Table
 
 from estimator.estimation.accelerometers.force_effects import BY_NAME
+from station.bench.bench import ForceLimits
 from station.opening.planned_forces import PlannedForces
 from station.render.terminal import Shown, print_all, rich_table, stdout
 from station.views.accelerometers.planned import DETECTED
@@ -13,16 +15,20 @@ from station.views.accelerometers.result import PLACE, fitted_forces, place_figu
 from station.views.figures import number
 
 
-def print_planned_forces(planned: Sequence[PlannedForces]) -> None:
-    """Print the predicted sigmas of the accelerometers of each device, and the effects that a run would detect."""
+def print_planned_forces(planned: Sequence[PlannedForces], limits: ForceLimits) -> None:
+    """Print the predicted sigmas of the accelerometers of each device beside what the bench requires, and the effects
+    that a run would detect.
+    """
     for one in planned:
-        shown: list[Shown] = [(_sigmas(one), {}), (_effects(one), {})] if one.calibration.accelerometers else []
+        shown: list[Shown] = [(_sigmas(one, limits), {}), (_effects(one), {})] if one.calibration.accelerometers else []
         shown += [(escape(line), {"highlight": False}) for line in (*_not_shown(one), *one.notes)]
         print_all(stdout(), shown)
 
 
-def _sigmas(planned: PlannedForces) -> Table:
-    """Return the predicted sigmas of states and places by accelerometer."""
+def _sigmas(planned: PlannedForces, limits: ForceLimits) -> Table:
+    """Return the predicted sigmas of states and places by accelerometer, and those of their middle, the lever arm, if
+    that is limited.
+    """
     figures, place = fitted_forces(planned.calibration), place_figure(planned.calibration)
     heads = ["\nsensor", *(f"± {f.name}\n{f.unit}" for f in figures), *(f"± {axis}\n{PLACE.unit}" for axis in "xyz")]
     rows = []
@@ -31,6 +37,11 @@ def _sigmas(planned: PlannedForces) -> Table:
         cells += [figure.text(sd) for figure, sd in zip(figures, accelerometer.sd.tolist(), strict=True)]
         cells += [place.text(sd) for sd in accelerometer.place_sd_m.tolist()]
         rows.append(cells)
+    if math.isfinite(limits.sd_arm_m):
+        rows.append(["middle", *[""] * len(figures), *map(place.text, planned.calibration.arm_sd_m.tolist())])
+    required = (*zip(figures, limits.sds, strict=True), *[(place, limits.sd_arm_m)] * 3)
+    if any(math.isfinite(sd) for _, sd in required):
+        rows.append(["required", *(f.text(sd) if math.isfinite(sd) else "-" for f, sd in required)])
     title = f"Predicted standard deviations of the accelerometers of {escape(planned.device)}"
     return rich_table(title, heads, "l" + 7 * "r", rows)
 

@@ -15,7 +15,7 @@ from station.views.answers.plan import PlanView
 from station.views.figures import StateUnit, clock_between, three_digits
 
 if TYPE_CHECKING:
-    from station.bench.bench import Limits
+    from station.bench.bench import ForceLimits, Limits
 
 _LIMITED = ("|k|", "|b|", "|sigma_j|, |sigma_k|")
 
@@ -80,21 +80,37 @@ def limits_text(limits: "Limits | None") -> Text:
 
 
 def _stated_limits(limits: "Limits") -> list[str]:
-    """Return the limits that the bench states, in its words: of states, mean NIS and lost samples; left out if
-    infinite.
+    """Return the limits that the bench states, in its words: of states, accelerometers, mean NIS and lost samples; left
+    out if infinite.
     """
-    stated = []
-    for state, name in enumerate(_LIMITED):
-        size = f"{name} up to {limits.written_sizes[state]}"
-        sigma = f"sigma up to {limits.written_sds[state]}"
-        if math.isfinite(limits.sizes[state]):
-            stated.append(f"{size}, its {sigma}" if math.isfinite(limits.sds[state]) else size)
-        elif math.isfinite(limits.sds[state]):
-            stated.append(f"{name.replace('|', '')}: {sigma}")
+    rows = zip(_LIMITED, limits.sizes, limits.written_sizes, limits.sds, limits.written_sds, strict=False)
+    stated = _state_limits(rows)
+    stated += _stated_force_limits(limits.forces)
     if limits.nis_low > 0 or math.isfinite(limits.nis_high):
         stated.append(f"mean NIS {limits.nis_low:g} to {limits.nis_high:g}")
     if limits.lost < 1:
         stated.append(f"samples lost up to {limits.written['lost']}")
+    return stated
+
+
+def _stated_force_limits(limits: "ForceLimits") -> list[str]:
+    """Return the limits of accelerometers as their section states them."""
+    stated = _state_limits((name, *limits.of_state(state)) for state, name in enumerate(_LIMITED))
+    if math.isfinite(limits.sd_arm_m):
+        stated.append(f"lever arm: sigma up to {limits.written['sd_arm_m']}")
+    return [f"accelerometers: {text}" for text in stated]
+
+
+def _state_limits(rows: Iterable[tuple[str, float, str, float, str]]) -> list[str]:
+    """Return limits in words; rows hold the name, the largest size and sigma of states, each as written, too."""
+    stated = []
+    for name, size, written_size, sd, written_sd in rows:
+        words = f"{name} up to {written_size}"
+        sigma = f"sigma up to {written_sd}"
+        if math.isfinite(size):
+            stated.append(f"{words}, its {sigma}" if math.isfinite(sd) else words)
+        elif math.isfinite(sd):
+            stated.append(f"{name.replace('|', '')}: {sigma}")
     return stated
 
 
