@@ -1,19 +1,26 @@
-"""When a run has shown enough: every sigma that the bench requires reached, and the residual clean."""
+"""When a run has shown enough: every sigma that the bench requires reached, and the residual clean.
+
+Accelerometers count where the bench limits their sigmas, and states a data sheet for them.
+"""
 
 import asyncio
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from estimator.calibration.budget import table_budget
+from estimator.estimation.accelerometers.calibrate_forces import calibrate_forces
 from estimator.estimation.live.source import RECENT_S, LiveSource
 from estimator.estimation.noise_evidence import TooShort, joint_estimate, run_of_blocks
+from estimator.geometry.array import accelerometer_axes
 from estimator.geometry.model import decode
 from estimator.observations.blocks import Blocks
-from estimator.recordings.recording import ImuData
+from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import TableReadings, TableUncertainty
-from station.bench.bench import Bench
+from estimator.sensors.accelerometers import ACCELEROMETER
+from estimator.types import Floats
+from station.bench.bench import Bench, ForceLimits
 from station.bench.imu import ImuConfig
 from station.errors import UsageError, sentence
 from station.opening import OpenBench
@@ -27,18 +34,45 @@ _IN_A_ROW = 2  # so many confirmations: a repeated estimate often falls below it
 
 
 def check_early_end(bench: Bench) -> None:
-    """Check that the bench states required sigmas; UsageError if not."""
-    if not np.isfinite(bench.limits.sds).any():
+    """Check that the bench states required sigmas, of gyros or of accelerometers that it has; UsageError if not."""
+    forces = _limits_forces(bench) and any(imu.used and imu.force_sheet is not None for imu in bench.imus)
+    if not forces and not np.isfinite(bench.limits.sds).any():
         raise UsageError(sentence("run.no_sigmas"))
+
+
+def _limits_forces(bench: Bench) -> bool:
+    """Return whether the bench limits sigmas of accelerometers."""
+    limits = bench.limits.forces
+    return bool(np.isfinite([*limits.sds, limits.sd_arm_m]).any())
+
+
+@dataclass(kw_only=True, frozen=True, slots=True)
+class _Shares:
+    """Sigmas as shares of their limits: the largest of the gyros, and those of accelerometers by their names."""
+
+    gyros: float
+    forces: Mapping[str, float]
+
+    @property
+    def largest(self) -> float:
+        """The largest of all."""
+        return max([self.gyros, *self.forces.values()])
+
+    def awaited(self) -> list[str]:
+        """Return what is not reached of accelerometers, empty as long as gyros are not reached either."""
+        return [name for name, share in self.forces.items() if share > _ENOUGH] if self.gyros <= _ENOUGH else []
 
 
 class EarlyEnd:
     """Watches the live estimate; sigmas that seem to suffice are confirmed with coloured noise."""
 
-    def __init__(self, opened: OpenBench, live: LiveEstimate, time_scale: float) -> None:
-        """``time_scale`` is how fast the loop's clock runs."""
+    def __init__(
+        self, opened: OpenBench, live: LiveEstimate, time_scale: float, on_wait: Callable[[str], None]
+    ) -> None:
+        """``time_scale`` is how fast the loop's clock runs; ``on_wait`` gets what is awaited once the gyros suffice."""
         self._imus, self._bench, self._live, self._time_scale = opened.imus, opened.bench, live, time_scale
         self._required = np.array(self._bench.limits.sds)
+        self._on_wait, self._told_of_wait = on_wait, False
         live.keep_blocks()
 
     async def wait(self) -> str:
@@ -54,8 +88,14 @@ class EarlyEnd:
             if not self._seems_enough():
                 confirmed = 0
                 continue
+            self._tell_of_wait(self._live_forces())
+            if self._live_forces():
+                confirmed = 0
+                continue
             # In a thread: while a real table turns, its readings must not wait for an estimate.
-            share = await loop.run_in_executor(None, self._largest_share())
+            found = await loop.run_in_executor(None, self._shares())
+            self._tell_of_wait(found.awaited())
+            share = found.largest
             confirmed = confirmed + 1 if share <= _ENOUGH else 0
             if confirmed >= _IN_A_ROW:
                 nis, recent = self._live.nis_mean, self._live.nis_recent
@@ -76,16 +116,84 @@ class EarlyEnd:
         both = (self._live.nis_mean, self._live.nis_recent)
         return reached and all(limits.nis_low <= nis <= limits.nis_high for nis in both)
 
-    def _largest_share(self) -> Callable[[], float]:
-        """Return a function that computes the largest sigma as a share of its limit, from a copy of the present
-        data.
+    def _tell_of_wait(self, awaited: Sequence[str]) -> None:
+        """Say what is awaited, the first time that the gyros suffice and accelerometers do not."""
+        if awaited and not self._told_of_wait:
+            self._told_of_wait = True
+            self._on_wait(sentence("run.waits_for_accelerometers", awaited=", ".join(awaited)))
+
+    def _live_forces(self) -> list[str]:
+        """Return the sigmas of accelerometers that the live filters have not reached; empty if none is limited.
+
+        An accelerometer that is excluded, or that has sent nothing, never reaches its own.
         """
+        if not _limits_forces(self._bench):
+            return []
+        awaited: list[str] = []
+        for imu in self._imus:
+            if imu.config.force_sheet is None:
+                continue
+            filters = [self._live.forces[name] for name in imu.source.names if name in self._live.forces]
+            if not any(one.blocks for one in filters):
+                awaited.append(f"accelerometers of {imu.config.name}")
+            for one in filters:
+                shares = _force_shares(one.array.names, one.decoded()[1], one.arm()[1], self._bench.limits.forces)
+                shares |= {name: np.inf for name, out in zip(one.array.names, one.excluded, strict=True) if out}
+                awaited += [name for name, share in shares.items() if share > 1]
+        return awaited
+
+    def _shares(self) -> Callable[[], _Shares]:
+        """Return a function that computes all sigmas as shares of their limits, from a copy of the present data."""
         devices = []
         for imu in self._imus:
             sources = [self._live.sources[name] for name in imu.source.names]
             devices.append((imu.config, [(s, s.blocks(), s.filter.offset_sd_s) for s in sources]))
         readings = self._live.readings(self._bench.table.uncertainty)
-        return lambda: max(self._share(config, own, readings) for config, own in devices)
+        samples: list[ImuData] = []
+        if _limits_forces(self._bench):
+            samples = [
+                self._force_data(name, imu.config)
+                for imu in self._imus
+                for name in imu.source.names
+                if name in self._live.forces
+            ]
+        return lambda: _Shares(
+            gyros=max(self._share(config, own, readings) for config, own in devices),
+            forces=self._confirmed_forces(samples, readings),
+        )
+
+    def _force_data(self, name: str, config: ImuConfig) -> ImuData:
+        """Return what there is of the accelerometers of a source, without its gyros."""
+        t_ns, outputs = self._live.kept_forces(name)
+        source = self._live.sources[name]
+        return ImuData(
+            source.array,
+            t_ns,
+            np.full((len(t_ns), len(source.array)), np.nan),
+            accel_mps2=outputs,
+            accel_axes=accelerometer_axes(source.array, config.mounting.axes),
+            accel_sheet=config.force_sheet,
+            prior=source.prior,
+            device=config.name,
+            rate_hz=config.rate_hz,
+        )
+
+    def _confirmed_forces(self, samples: Sequence[ImuData], readings: TableReadings) -> dict[str, float]:
+        """Return the sigmas of accelerometers as shares of their limits, by the estimate at the end of a run.
+
+        Infinite for those that cannot be estimated.
+        """
+        sources = {str(number): data for number, data in enumerate(samples)}
+        found, _ = calibrate_forces(Recording(sources, readings, site=self._bench.site))
+        shares: dict[str, float] = {}
+        for one in found:
+            names = [each.name for each in one.accelerometers]
+            sds = np.array([each.sd for each in one.accelerometers]).reshape(-1, 4)
+            own = _force_shares(names, sds, one.arm_sd_m, self._bench.limits.forces)
+            own |= {each.name: np.inf for each in one.excluded}
+            for name, share in own.items():
+                shares[name] = max(share, shares.get(name, 0.0))
+        return shares
 
     def _share(
         self, config: ImuConfig, sources: Sequence[tuple[LiveSource, Blocks, float]], readings: TableReadings
@@ -117,3 +225,18 @@ class EarlyEnd:
                 sd = np.sqrt(np.diag(decode(found.means[g], whole)[1]))
                 share = max(share, float((sd / self._required).max()))
         return share
+
+
+def _force_shares(names: Sequence[str], sds: Floats, arm_sd_m: Floats, limits: ForceLimits) -> dict[str, float]:
+    """Return the sigmas (a, 4) of accelerometers, and those of their lever arm (3,), as shares of their limits."""
+    shares = {
+        f"{name} {state.symbol}": float(sd / most)
+        for name, own in zip(names, sds, strict=True)
+        for state, sd, most in zip(ACCELEROMETER.states, own, limits.sds, strict=True)
+        if np.isfinite(most)
+    }
+    if len(names) and np.isfinite(limits.sd_arm_m):
+        shares |= {
+            f"lever arm {axis}": float(sd_m / limits.sd_arm_m) for axis, sd_m in zip("xyz", arm_sd_m, strict=True)
+        }
+    return shares

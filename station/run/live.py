@@ -45,6 +45,7 @@ class LiveEstimate:
         self._keeping = threading.Lock()
         self._gimbals, self._site = gimbals, site
         self._kept_rows: GrowingRows | None = None
+        self._kept_forces: dict[str, list[ImuBlock]] = {}
         self._window_ns = 0
 
     def add_accelerometers(
@@ -68,6 +69,8 @@ class LiveEstimate:
         self.sources[name].add(block)
         if name in self.forces:
             self.forces[name].add(block)
+            if self._kept_rows is not None:
+                self._kept_forces.setdefault(name, []).append(block)
 
     def take_histories(self, fewest: int) -> Iterator[tuple[str, dict[str, Any]]]:
         """Yield the name of a group of the recording and new columns for it, of sources with ``fewest`` new blocks."""
@@ -79,11 +82,18 @@ class LiveEstimate:
                 yield f"{group}/{name}", columns
 
     def keep_blocks(self) -> None:
-        """Keep from now on the data for estimates under coloured noise: block sums and table readings."""
+        """Keep from now on the data for estimates under coloured noise: block sums, samples of accelerometers,
+        readings of the table.
+        """
         n = len(self._gimbals)
         self._kept_rows = GrowingRows(t_ns=np.int64, angle=(n,), rate=(n,), half_ns=np.int64)
         for source in self.sources.values():
             source.keep_blocks()
+
+    def kept_forces(self, name: str) -> tuple[Stamps, Floats]:
+        """Return the samples of accelerometers kept so far: instants (n,), and outputs (n, a) in m/s2."""
+        blocks = [(one.t_ns, one.accel_mps2) for one in self._kept_forces[name] if one.accel_mps2 is not None]
+        return np.concatenate([t_ns for t_ns, _ in blocks]), np.vstack([outputs for _, outputs in blocks])
 
     def readings(self, uncertainty: TableUncertainty | None) -> TableReadings:
         """Return the readings of the table kept so far, with this ``uncertainty``; none are kept before

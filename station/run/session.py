@@ -134,7 +134,8 @@ class Session:
         self._way_out = WayOut(bench, self._time_scale, self._event)
         self._guard = Guard(bench.guarded, path, time_scale, self._tell_of_guard)
         self._ended_early = ""
-        self._early_end = EarlyEnd(bench, self._live, time_scale) if options.end_early else None
+        script_event = partial(self._event, EventKind.SCRIPT)
+        self._early_end = EarlyEnd(bench, self._live, time_scale, script_event) if options.end_early else None
 
     async def run(self) -> Result:
         """Run to the end, bring the table to rest, close the recording and return the result; nothing is raised.

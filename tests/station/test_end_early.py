@@ -127,3 +127,45 @@ def test_a_bench_that_requires_no_sigma_is_refused(tmp_path: Path, capsys: pytes
     assert main(["run", "--bench", str(path), "--end-early", "-o", str(tmp_path / "r.h5")]) == 2
     assert "needs required sigmas" in capsys.readouterr().err
     assert not (tmp_path / "r.h5").exists()
+
+
+WHOLE_IMU = Path(__file__).parents[1] / "data/benches/full_imu.toml"
+POSE = """
+[[step]]
+kind = "pose"
+{axes}
+rate = "60 deg/s"
+acceleration = "50 deg/s2"
+settle = "1 s"
+duration = "6 s"
+"""
+POSES = ('x = "90 deg"', 'x = "-90 deg"', 'x = "180 deg"', 'x = "0 deg"\ny = "90 deg"', 'y = "-90 deg"', 'y = "45 deg"')
+
+
+def test_a_run_does_not_end_before_its_accelerometers_are_known_and_says_that_it_waits_for_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Turns about z show nothing of two accelerometers, which gravity reaches once y and x have turned."""
+    bench = tmp_path / "whole.toml"
+    limits = '[limits.accelerometers]\nsd_scale_factor_error = "75 ppm"\nsd_lever_arm = "20 mm"\n\n[undeclared]'
+    wider = ('sd_bias = "5 deg/h"', 'sd_bias = "20 deg/h"')
+    text = changed(WHOLE_IMU.read_text(encoding="utf-8"), ("[undeclared]", limits), wider)
+    bench.write_text(text, encoding="utf-8")
+    poses = "".join(POSE.format(axes=axes) for axes in POSES)
+    script = script_file(tmp_path, REST.format(10) + TURNS + TURNS + REST.format(20) + poses + REST.format(100))
+    path = tmp_path / "run.h5"
+    assert main(["run", "--bench", str(bench), "--script", script, "--end-early", "-o", str(path), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["outcome"] == "PASS"
+    assert result["ended_early"]
+    sd = [one["sd"]["k"] for source in result["accelerometers"] for one in source["accelerometers"]]
+    assert max(sd) < 75e-6
+    with h5py.File(path) as file:
+        events = [text.decode() for text in file["events/text"][:]]
+        waited_s, ended_s = (
+            file["events/t_ns"][next(i for i, event in enumerate(events) if words in event)] * 1e-9
+            for words in ("waiting for", "ended early")
+        )
+    (waits,) = [event for event in events if "waiting for" in event]
+    assert re.search(r"waiting for accel [xyz] k", waits)
+    assert waited_s + 5 < ended_s
