@@ -14,7 +14,7 @@ from scipy.special import chdtri
 from drivers.packaged import packaged_text, packaged_toml
 from station.errors import UsageError, sentence
 from station.render.template import rendered
-from station.report.dcc_forces import force_results
+from station.report.dcc_forces import force_results, gyro_definition
 from station.report.document import Report
 from station.report.document_status import Kind
 from station.report.figures import COVERAGE
@@ -50,6 +50,7 @@ def make_dcc(recorded: Recorded, formal: Formal, report: Report, pdf: bytes | No
         "report": report,
         "seen": seen_by(recorded.recording.sources.values()),
         "force_results": force_results,
+        "gyro_definition": gyro_definition,
         "k": f"{COVERAGE:g}",
         "p": PROBABILITY,
         "k_of_four": float(np.sqrt(chdtri(4, 1 - PROBABILITY))),  # JCGM 102:2011, 6.5.2.4

@@ -1,11 +1,16 @@
 """Accelerometers of a digital calibration certificate: results as lists of quantities with D-SI units."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from estimator.calibration.accelerometer import AccelerometerCalibration, ForceCalibration, Intrinsic
+from estimator.calibration.gyro import GyroCalibration
+from estimator.estimation.accelerometers.force_effects import BY_NAME
 from estimator.sensors.accelerometers import ACCELEROMETER
+from estimator.types import Floats
+from station.errors import sentence
 from station.report.figures import COVERAGE
+from station.report.recorded import Recorded
 
 _ACCELERATION = r"\metre\second\tothe{-2}"
 _STATES = {
@@ -29,19 +34,21 @@ class Quantity:
 
 @dataclass(kw_only=True, frozen=True, slots=True)
 class QuantityList:
-    """Quantities that belong together."""
+    """Quantities that belong together; ``description`` says how they are defined, if their names do not."""
 
     name: str
     quantities: tuple[Quantity, ...]
+    description: str = ""
 
 
 @dataclass(kw_only=True, frozen=True, slots=True)
 class ForceResult:
-    """One result of a certificate; ``id`` is unique within it."""
+    """One result of a certificate; ``id`` is unique within it, ``description`` says what signs and axes mean."""
 
     id: str
     name: str
     lists: tuple[QuantityList, ...]
+    description: str = ""
 
 
 def force_results(forces: tuple[ForceCalibration, ...], before: str, dsi: Mapping[str, str]) -> list[ForceResult]:
@@ -58,10 +65,31 @@ def force_results(forces: tuple[ForceCalibration, ...], before: str, dsi: Mappin
             lists = [_states(accelerometer), _place(accelerometer)]
             lists += _effects(one, place, dsi)
             name = f"Accelerometer {accelerometer.name} of {device}"
-            found.append(ForceResult(id=f"{before}Force{number}x{place}", name=name, lists=tuple(lists)))
+            axes = (accelerometer.p, accelerometer.j, accelerometer.k_axis)
+            found.append(
+                ForceResult(
+                    id=f"{before}Force{number}x{place}",
+                    name=name,
+                    lists=tuple(lists),
+                    description=_definition("report.dcc_accelerometer", axes),
+                )
+            )
         name = f"Accelerometers of {device}, independent of the mounting"
         found.append(ForceResult(id=f"{before}Triad{number}", name=name, lists=tuple(_triad(one))))
     return found
+
+
+def gyro_definition(recorded: Recorded, gyro: GyroCalibration) -> str:
+    """Return what the signs of the states of a gyro mean, and its nominal axes in the body."""
+    array = recorded.recording.sources[gyro.source].array
+    place = array.names.index(gyro.name)
+    return _definition("report.dcc_gyro", (array.p[place], array.j[place], array.k[place]))
+
+
+def _definition(key: str, axes: Sequence[Floats]) -> str:
+    """Return a definition of states, with the components of the axes p, j and k."""
+    p, j, k = ("(" + ", ".join(f"{round(x, 9) + 0.0:.9g}" for x in axis.tolist()) + ")" for axis in axes)
+    return sentence(key, p=p, j=j, k=k)
 
 
 def _quantity(name: str, value: float, unit: str, sd: float) -> Quantity:
@@ -98,7 +126,13 @@ def _effects(calibration: ForceCalibration, place: int, dsi: Mapping[str, str]) 
             words = f"{own.value} {effect.unit}, expanded uncertainty (k = {COVERAGE:g}) {own.expanded} {effect.unit}"
             quantities.append(own if own.unit else replace(own, words=words))
     if quantities:
-        yield QuantityList(name="Effects", quantities=tuple(quantities))
+        adds = "; ".join(
+            f"{effect.name.replace('_', ' ')}, {name}: {added}"
+            for effect in calibration.effects
+            for name, added in zip(effect.parameters, BY_NAME[effect.name].adds, strict=True)
+        )
+        description = sentence("report.dcc_effects", adds=adds)
+        yield QuantityList(name="Effects", quantities=tuple(quantities), description=description)
 
 
 def _triad(calibration: ForceCalibration) -> Iterator[QuantityList]:
@@ -111,7 +145,9 @@ def _triad(calibration: ForceCalibration) -> Iterator[QuantityList]:
         name="Sensitivities", quantities=tuple(_quantity(name, x, r"\one", sd) for name, x, sd in sensitivities)
     )
     yield QuantityList(
-        name="Offsets", quantities=tuple(_quantity(name, x, _ACCELERATION, sd) for name, x, sd in offsets)
+        name="Offsets",
+        quantities=tuple(_quantity(name, x, _ACCELERATION, sd) for name, x, sd in offsets),
+        description=sentence("report.dcc_offset"),
     )
     yield QuantityList(
         name="Angles between the axes",

@@ -138,6 +138,20 @@ def test_limits_and_decision_rule_are_stated_with_the_verdict(run: Path) -> None
     assert [float(texts(one, "si:real/si:value")[0]) for one in upper] == [line.high for line in lines]
 
 
+def test_signs_and_axes_are_defined_beside_the_states(run: Path) -> None:
+    """From the axes that it states, in the axes x, y, z that it defines, the output of each gyro can be computed."""
+    xml = made(run)
+    (source,) = read_recorded(run).recording.sources.values()
+    axes = [source.array.p, source.array.j, source.array.k]
+    for place, text in enumerate(texts(xml, "//dcc:result[starts-with(@id, 'gyro')]/dcc:description/dcc:content")):
+        assert "Without rotation the output is -b" in text
+        stated = re.findall(r"[pjk] = \(([^)]*)\)", text)
+        for own, words in zip(axes, stated, strict=True):
+            assert np.allclose(own[place], [float(x) for x in words.split(",")], atol=1e-8)
+    statement = "//dcc:statement[dcc:name/dcc:content='Axes']/dcc:declaration/dcc:content"
+    assert "innermost axis of the table" in texts(xml, statement)[0]
+
+
 def test_a_guard_band_moves_what_is_accepted_and_is_told(run: Path, tmp_path: Path) -> None:
     meta = tmp_path / "meta.toml"
     meta.write_text(f'{META}[decision]\nrule = "guard band"\nfalse_accept = "1 %"\n', encoding="utf-8")
@@ -327,11 +341,18 @@ def test_accelerometers_have_states_places_intrinsic_parameters_and_effects(run:
     assert np.allclose(numbers(place, ".//si:value"), [0.04, -0.025, 0.015])
     assert np.allclose(numbers(effects, ".//si:value"), 2e-4)
     assert "0.0002 1/g" in texts(effects, ".//dcc:noQuantity/dcc:content")[0]
+    (meaning,) = texts(second, "dcc:description/dcc:content")
+    assert "Without specific force the output is -b" in meaning
+    assert "p = (0, 1, 0)" in meaning
+    (added,) = texts(effects, "dcc:description/dcc:content")
+    assert "asymmetry" in added
+    assert "second order" in added
     (triad,) = found(xml, "//dcc:result[contains(@id, 'Triad')]")
     lists = {one.findtext("dcc:name/dcc:content", namespaces=SPACES): one for one in found(triad, ".//dcc:list")}
     assert list(lists) == ["Sensitivities", "Offsets", "Angles between the axes", "Delay of the outputs"]
     assert [len(found(one, "dcc:quantity")) for one in lists.values()] == [3, 3, 3, 1]
     assert np.allclose(numbers(lists["Offsets"], ".//si:value"), [-0.02, -0.04, -0.06])
+    assert "the offset is -b" in texts(lists["Offsets"], "dcc:description/dcc:content")[0]
     condition = "//dcc:influenceCondition[@refType='gravity']"
     assert texts(xml, f"{condition}//si:value") == ["9.8062"]
     assert texts(xml, f"{condition}/dcc:description/dcc:content") == ["stated"]
