@@ -162,6 +162,11 @@ def test_one_bad_accelerometer_spoils_neither_itself_nor_the_others(defect) -> N
     assert np.abs(errors).max() < SURE
     never = defect in (dead, constant, none)
     assert bool(live.left_out[1]) == (never or defect is stuck)
+    places_m = run()[1].places_m
+    middle_m = places_m[[0, 2]].mean(axis=0) if never else places_m.mean(axis=0)
+    arm_m, arm_sd_m = live.arm()
+    assert np.abs((arm_m - middle_m) / arm_sd_m).max() < SURE
+    assert arm_sd_m.max() < 1.2e-3  # that of one of which nothing comes would be 5 mm, a third of which counted
     if never:
         assert live.decoded()[1][1, 0] > 5e-3  # still that of the data sheet
     else:

@@ -152,7 +152,7 @@ class LiveForces:
         return np.array([s for s, _ in pairs]), np.array([np.sqrt(np.diag(c)) for _, c in pairs])
 
     def arm(self) -> tuple[Floats, Floats]:
-        """Return the mean place (3,) of the accelerometers that are not excluded in m, and its sigmas."""
+        """Return the mean place (3,) in m of the accelerometers that give something, and its sigmas."""
         return self.problem.arm(*self.state(), self._counted())
 
     @property
@@ -191,9 +191,11 @@ class LiveForces:
             return {group: rows.take() for group, rows in self._history.items() if len(rows)}
 
     def _counted(self) -> list[int]:
-        """Return the accelerometers that are not excluded, by number; all if none is left."""
+        """Return the accelerometers by number whose place counts: some of their samples could be used, and they are not
+        excluded; all if there are none.
+        """
         numbers = range(len(self.array))
-        return [i for i in numbers if not self._judges[i].excluded] or list(numbers)
+        return [i for i in numbers if len(self._kept[i]) and not self._judges[i].excluded] or list(numbers)
 
     def _begin(self) -> None:
         """Make the filter with the data sheet alone."""
