@@ -221,7 +221,7 @@ async def _stopped(opened: OpenBench, how: str, at_s: float = 0.0) -> str:
 
 
 async def _ready(opened: OpenBench) -> str:
-    """Open, identify and ready the device of another kind, and read its series; return what is wrong, "" if nothing."""
+    """Open, identify twice and ready a device of another kind, and read its rows; return what is wrong or ""."""
     (device,) = opened.others
     config, driver = device.config, device.driver
     await driver.open()

@@ -275,7 +275,10 @@ class Twins:
         return lambda t_s: up(t_s) @ p.T
 
     def _felt(self, imu: ImuConfig, truth: AccelerometerTruth, gravity_mps2: float) -> Callable[[Floats], Floats]:
-        """Return the outputs in g (n, 3) of the accelerometers of a device, which lie along its first three gyros."""
+        """Return a function of instants (n,) in s: the outputs (n, 3), in standard g, of a device's accelerometers.
+
+        They lie along its first three gyros. ``gravity_mps2`` is the gravity that acts on them.
+        """
         mounting = self._mounts[imu.name]
         twin = self.bench.twin
         index = [other.name for other in self.bench.imus].index(imu.name)

@@ -82,7 +82,10 @@ def empty_object(reason: str, outcome: str | None = None, recording: str | None 
 
 
 def result_object(verdict: Verdict, recording: str, calibration: Calibration | None) -> dict[str, Any]:
-    """Return the result for --json; without a calibration its lists are empty and its numbers null or 0."""
+    """Return the result for --json; without a calibration its lists and texts are empty and its numbers null or 0.
+
+    "accelerometers" is there only if some were calibrated.
+    """
     found = calibration or Calibration(gyros=(), nis_mean=math.nan, samples=0, lost=0, notes=())
     return {
         "outcome": str(verdict.outcome),

@@ -392,8 +392,8 @@ class Acquisition:
     async def close(self, attributes: Mapping[str, str], *, undisturbed: bool) -> None:
         """Close all sources and other devices, write ``attributes``, and close the recording.
 
-        Of an ``undisturbed`` run, which has no verdict so far, the live estimate is finished and identities are checked
-        first: DeviceFault if another device is there; the recording then stays open.
+        If ``undisturbed`` (no verdict so far), open each closed device again to check its identity, and finish the live
+        estimate. DeviceFault if another device is there: devices after it and the recording then stay open.
         """
         self.monitor.end()
         for imu in self._imus:

@@ -65,8 +65,9 @@ class StopBar(Widget):
         cast(SeenApp, self.app).show_stop()
 
     def show(self, run: LiveRun | None, other_sessions: int, recording_line: str = "") -> None:
-        """Show the state of a run; without one the number of ``other_sessions``, or the text ``recording_line`` about a
-        recording.
+        """Show the state of a run; without one the number of ``other_sessions``; if that is 0, ``recording_line``.
+
+        That is a text about a recording; if it is empty too, say that no session is running.
         """
         view = stop_view(run, other_sessions, recording_line)
         if view.text != self._text:

@@ -105,11 +105,11 @@ def run_of(recording: Recording, source: str, data: ImuData) -> Run | None:
 
 
 def _run(recording: Recording, source: str, data: ImuData, block_s: float, order: int, held: int) -> Run | None:
-    """Return one source as a run of block means over ``block_s``, None with too few blocks; turns become blocks of
-    their own.
+    """Return one source as a run of block means, None with too few; of a recording of turns each turn or rest is one.
 
-    ``order`` is the place of the run among others, ``held`` the number of samples for which each value is held. At rest
-    the output errors are means over the samples.
+    Blocks last about ``block_s``; blocks without samples are filled in with weight 0. ``order`` is the place of the run
+    among others, ``held`` the number of samples for which each value is held. At rest the output errors are means over
+    the samples.
     """
     if recording.turns is not None:
         return _run_of_turns(recording, recording.turns, source, data, order)

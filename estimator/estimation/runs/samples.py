@@ -19,7 +19,10 @@ class Samples:
 
 
 def samples_of(run: Run) -> Samples:
-    """Return the samples of a run that its reference covers; of values held over several samples, one each."""
+    """Return the output errors (n, m) in rad/s, with instants, at the samples of a run that its reference covers.
+
+    Of a value that is held over several samples there is one. Empty for turns, and for references without rates.
+    """
     t: list[Floats] = [np.empty(0)]
     z = [np.empty((0, len(run.array)))]
     for part in observations(run.recording, run.data):

@@ -43,9 +43,10 @@ def read_log(mapping: PoseMapping, path: Path) -> HandLog:
 
 
 def _timed(mapping: PoseMapping, timing: Timing, path: Path) -> HandLog:
-    """Return the samples of a file of samples, without held values and without rows that lack the accelerometers.
+    """Return the samples of a file, without rows that lack all accelerometers or only repeat their held values.
 
-    RecordingError if gyros and accelerometers differ in rows, or there are fewer than two rows.
+    What the gyros have in those rows is dropped too. RecordingError if gyros and accelerometers differ in rows, or
+    fewer than two rows have a number of the accelerometers.
     """
     label = mapping.known.cuts.column if mapping.known else None
     table = read_table(path, mapping.format, wanted(timing, mapping.names, (label,) if label else ()))

@@ -71,8 +71,8 @@ def _together(source: Source, data: ImuData) -> ImuData:
 def _source(recording: Recording, data: ImuData, notes: Sequence[str], line: Following | None) -> Source:
     """Return the usable data of one source, with its faults and notes, ``notes`` first.
 
-    Stuck values are searched only in a source whose values are not held for several samples; these are counted on a
-    table.
+    ``line`` is how its outputs follow the reference; without it nothing is expected of them. How many samples a value
+    is held for is counted against a table only, else it is 1; stuck values are searched only if it is 1.
     """
     fine = recording.table is not None
     held = held_samples(data) if fine else 1

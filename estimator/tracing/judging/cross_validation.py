@@ -38,7 +38,7 @@ _TONE_BLOCKS = 8.0  # blocks in a period of a tone, where its error is judged
 
 
 def by_step(runs: Sequence[Run]) -> list[Mask]:
-    """Return for each of ``FOLDS`` folds one mask (b,) over the blocks of each run: those in the fold.
+    """Return ``FOLDS`` masks, each a list of one array (b,) for each run: true for the blocks in the fold.
 
     Steps (phases of a run) are counted over all runs, and dealt to the folds in turn. Blocks outside steps are in none.
     """

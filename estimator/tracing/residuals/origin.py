@@ -128,8 +128,9 @@ def _common_stretches(
 ) -> list[tuple[Stretch, Floats]]:
     """Return the stretches of recordings in which all gyros measure, with their residuals (b, n) in rad/s.
 
-    ``rests`` are the residuals (b, m) of each run, ``names`` the n gyros. Single blocks in which a gyro is missing are
-    0. Recordings whose sources have blocks of different length are left out, and so are short stretches.
+    ``rests`` are the residuals (b, m) of each run, ``names`` the n gyros. A block in which any gyro is missing is 0 for
+    all; a stretch ends at a gap of more than ``_GAP_S``. Recordings whose sources have blocks of different length are
+    left out, and so are short stretches.
     """
     found = []
     for order in dict.fromkeys(run.order for run in runs):

@@ -41,7 +41,11 @@ class Quantity:
 
 
 def limits_view(standing: Standing, false_accept: float | None) -> LimitsView | None:
-    """Return all limits, and how many are not met; None if the recording states none or has no calibration."""
+    """Return all limits, and how many are not met; None if the recording states none or has no calibration.
+
+    ``false_accept`` is the probability that sets the guard band, None for simple acceptance. A limit whose value is
+    unknown is not met.
+    """
     if not standing.lines:
         return None
     return LimitsView(

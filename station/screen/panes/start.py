@@ -146,9 +146,10 @@ def script_text(view: ScriptView) -> Text:
 
 
 def _predicted(plan: PlanView, figures: Sequence[StateUnit]) -> list[Text]:
-    """Return the predicted sigmas of each gyro and accelerometer, and axes that do not prove constancy.
+    """Return lines on the predicted sigmas of each gyro and accelerometer, and axes that do not prove constancy.
 
-    Gyros that do not reach the required sigmas are yellow.
+    Gyros are in the units of ``figures``, followed by the required sigmas if any is stated; those that do not reach
+    them are yellow. Accelerometers have units of their own and are not judged.
     """
     heads = ["predicted", *(f"{figure.name} {figure.unit}" for figure in figures)]
     rows = [heads, *([gyro.name, *_sigmas(gyro.sd.values(), figures)] for gyro in plan.gyros)]

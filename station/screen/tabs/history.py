@@ -154,7 +154,10 @@ class HistoryScreen(StationScreen):
         self.redraw()
 
     def redraw(self) -> None:
-        """Show the trend of the chosen recording's device, for the chosen gyro; nothing before the screen is built."""
+        """Choose the recording under the cursor, and show the trend of its device for the chosen gyro.
+
+        ``recording`` becomes its path, None without one. Nothing is done before the screen is built.
+        """
         if not self.query(Charts):
             return
         table, self._trend, failed = self.query_one(DataTable), Trend(), 0
