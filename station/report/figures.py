@@ -96,6 +96,11 @@ def interval(value: float, low: float, high: float, unit: Unit, place: str) -> M
     return Markup("{} ({} to {})").format(plain(value, unit, 3, f"calibration/rest_noise{place}"), lower, upper)
 
 
+def hash_text(text: str) -> Markup:
+    """Return a hash, which may be broken anywhere to fit its column."""
+    return Markup('<code class="hash">{}</code>').format(text)
+
+
 def fixed(value: float, unit: Unit, decimals: int, source: str | None = None) -> Markup:
     """Return a figure with ``decimals`` decimals."""
     text = _minus(f"{value * unit.factor:.{decimals}f}") if math.isfinite(value) else UNKNOWN

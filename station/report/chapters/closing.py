@@ -19,6 +19,7 @@ from station.report.figures import (
     Unit,
     count,
     fixed,
+    hash_text,
     plain,
 )
 from station.report.formal import Formal
@@ -29,7 +30,6 @@ from station.views.seen import seen_by
 
 _UNKNOWN = "–"
 _BLANK = Markup('<span class="blank"></span>')
-_HASH = Markup('<code class="hash">{}</code>')
 _SOURCE_HEADS = (
     "source",
     "samples",
@@ -166,7 +166,7 @@ def _software(
 
 
 def _hash(text: str) -> Content:
-    return _HASH.format(text) if text else None
+    return hash_text(text) if text else None
 
 
 def _signatures(recorded: Recorded, formal: Formal) -> Table:

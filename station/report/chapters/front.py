@@ -27,6 +27,7 @@ from station.report.figures import (
     SECONDS,
     Unit,
     fixed,
+    hash_text,
     stated,
     typographic,
 )
@@ -279,7 +280,10 @@ def mountings_view(recorded: Recorded) -> MountingsView:
         files=table_of(
             ["recording", "begun", "SHA-256 of the file", "SHA-256 of the raw data"],
             "llll",
-            [[run.path.name, _begun(run), file_sha256(run.path), raw_sha256(run.path)] for run in recorded.joined],
+            [
+                [run.path.name, _begun(run), hash_text(file_sha256(run.path)), hash_text(raw_sha256(run.path))]
+                for run in recorded.joined
+            ],
         ),
     )
 

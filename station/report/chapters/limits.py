@@ -111,7 +111,7 @@ def _value(line: LimitLine | None) -> Content:
     if line is None:
         return _NONE
     if line.note:
-        return f"not estimated: {line.note}"
+        return Markup('<span class="reason">not estimated: {}</span>').format(line.note)
     quantity = quantity_of(line)
     return plain(line.value, quantity.unit, 4, quantity.source)
 
