@@ -163,9 +163,10 @@ def _outputs(arguments: argparse.Namespace) -> tuple[Path, Path | None, Path | N
     """
     if bool(arguments.sign) != bool(arguments.certificate) or (arguments.sign and not arguments.dcc):
         raise UsageError("--sign KEY.pem goes with --certificate CERTIFICATE.pem and --dcc")
-    for option in ("dcc", "investigation"):
-        if arguments.join and getattr(arguments, option):
-            raise UsageError(sentence(f"report.not_joined_{option}"))
+    if arguments.join and arguments.dcc:
+        raise UsageError(sentence("report.not_joined_dcc"))
+    if arguments.join and arguments.investigation:
+        raise UsageError(sentence("report.not_joined_investigation"))
     if arguments.output is None:
         wanted = [".pdf"] * arguments.pdf + [".xml"] * arguments.dcc
         recording = Path(arguments.recording)  # a folder is reported when it is read

@@ -1,6 +1,6 @@
 """Accelerometers of a digital calibration certificate: results as lists of quantities with D-SI units."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from estimator.calibration.accelerometer import AccelerometerCalibration, ForceCalibration, Intrinsic
@@ -65,13 +65,13 @@ def force_results(forces: tuple[ForceCalibration, ...], before: str, dsi: Mappin
             lists = [_states(accelerometer), _place(accelerometer)]
             lists += _effects(one, place, dsi)
             name = f"Accelerometer {accelerometer.name} of {device}"
-            axes = (accelerometer.p, accelerometer.j, accelerometer.k_axis)
+            p, j, k = _components(accelerometer.p, accelerometer.j, accelerometer.k_axis)
             found.append(
                 ForceResult(
                     id=f"{before}Force{number}x{place}",
                     name=name,
                     lists=tuple(lists),
-                    description=_definition("report.dcc_accelerometer", axes),
+                    description=sentence("report.dcc_accelerometer", p=p, j=j, k=k),
                 )
             )
         name = f"Accelerometers of {device}, independent of the mounting"
@@ -83,13 +83,13 @@ def gyro_definition(recorded: Recorded, gyro: GyroCalibration) -> str:
     """Return what the signs of the states of a gyro mean, and its nominal axes in the body."""
     array = recorded.recording.sources[gyro.source].array
     place = array.names.index(gyro.name)
-    return _definition("report.dcc_gyro", (array.p[place], array.j[place], array.k[place]))
+    p, j, k = _components(array.p[place], array.j[place], array.k[place])
+    return sentence("report.dcc_gyro", p=p, j=j, k=k)
 
 
-def _definition(key: str, axes: Sequence[Floats]) -> str:
-    """Return a definition of states, with the components of the axes p, j and k."""
-    p, j, k = ("(" + ", ".join(f"{round(x, 9) + 0.0:.9g}" for x in axis.tolist()) + ")" for axis in axes)
-    return sentence(key, p=p, j=j, k=k)
+def _components(*axes: Floats) -> list[str]:
+    """Return the components of each axis (3,) as a text in parentheses."""
+    return ["(" + ", ".join(f"{round(x, 9) + 0.0:.9g}" for x in axis.tolist()) + ")" for axis in axes]
 
 
 def _quantity(name: str, value: float, unit: str, sd: float) -> Quantity:
