@@ -199,6 +199,15 @@ def test_samples_at_a_limit_are_left_out(limit_mps2: float) -> None:
         assert np.all(np.abs(one.states - whole.states) < SURE * one.sd)
 
 
+def test_steps_that_noise_does_not_average_are_told() -> None:
+    rounded = outputs().copy()
+    rounded[:, 0] = np.round(rounded[:, 0] / 0.004) * 0.004  # a step is one standard deviation of the noise
+    rounded[:, 1] = np.round(rounded[:, 1] / 0.02) * 0.02
+    (found,), _ = calibrate_forces(with_outputs(rounded))
+    (doubt,) = found.doubts
+    assert doubt.startswith("accel y changes in steps of 0.02 m/s2")
+
+
 def test_a_table_that_does_not_tilt_shows_little_and_says_so() -> None:
     recording = run()[0]
     table = recording.table

@@ -49,7 +49,7 @@ def calibrate_forces(
             doubts += [f"{one.name} is not calibrated: {one.reason}" for one in lost]
             found.append(_none(source, data.device, [*seen.excluded, *lost], doubts))
             continue
-        doubts += [*seen.doubts, *undetermined(own, seen.samples.prior)]
+        doubts += [*seen.doubts, *own.doubts, *undetermined(own, seen.samples.prior)]
         found.append(replace(own, excluded=seen.excluded, doubts=tuple(doubts)))
     return tuple(found), notes
 

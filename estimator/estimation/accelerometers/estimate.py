@@ -27,12 +27,14 @@ from estimator.estimation.accelerometers.laws import (
     laws_beside,
     rest_angle_law,
 )
+from estimator.estimation.accelerometers.output_steps import coarse_steps
 from estimator.estimation.accelerometers.resolution import with_rest_angles
 from estimator.estimation.noise_evidence import Joint, Law, joint_estimate
 from estimator.geometry.kinematics import gravity_at
 from estimator.geometry.model import decode, decoding
 from estimator.geometry.noise import NoiseModel
 from estimator.observations.timing import TimeOffset, expected_sd_s
+from estimator.packaged import sentence
 from estimator.recordings.recording import Recording
 from estimator.types import Floats
 
@@ -100,6 +102,10 @@ def estimate_forces(
         arm_m=np.mean([one.place_m for one in found], axis=0),
         arm_covariance_m2=_middle_covariance(joint, laws),
         gravity_mps2=settled.gravity_mps2,
+        doubts=tuple(
+            sentence("estimation.accelerometer_steps", name=one.name, step=one.step_mps2, size=one.sd_mps2)
+            for one in coarse_steps(settled.run)
+        ),
         gravity_from=gravity_at(recording.site).source,
         offset=TimeOffset(settled.delay_s + float(delay[0]), float(np.sqrt(delay_variance[0, 0]))),
         effects=tuple(_effect_values(settled, laws[known.name], known.name) for known in effects),
