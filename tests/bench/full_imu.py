@@ -295,8 +295,8 @@ def replayed(recording: Recording) -> list[tuple[np.ndarray, np.ndarray, np.ndar
         gyros.advance(rates)
         forces.advance(rates)
     rates.finish()
-    gyros.advance(rates, everything=True)
-    forces.advance(rates, everything=True)
+    gyros.advance(rates, flush=True)
+    forces.advance(rates, flush=True)
     about = gyros.prior, gyros.noise_rps, gyros.offset_sd_s, gyros.history.taken_off
     of_gyros, of_forces = white_solution(recording, data, None, *about), white_forces(recording, DEVICE, forces)
     x, covariance = gyros.filter.state()
