@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from estimator.estimation.mountings.join import JoinedCalibration, join_mountings
 from estimator.recordings.recording import Recording
 from station.bench.bench import read_excluded
@@ -17,10 +19,11 @@ def joined_of(
     """Return the calibration of the one device of all recordings.
 
     ``undeclared`` holds the effects that a file rules out in place of the bench files. UsageError for devices with
-    different serial numbers and for runs that did not come to their end, EstimatorError for others that cannot be
-    joined.
+    different serial numbers, for runs that did not come to their end and for a run that is given twice, EstimatorError
+    for others that cannot be joined.
     """
     _check(recordings)
+    _check_distinct(recordings)
     excluded = [undeclared[0] if undeclared is not None else _excluded(recording) for recording in recordings]
     return join_mountings(recordings, excluded=excluded)
 
@@ -39,6 +42,23 @@ def _check(recordings: Sequence[Recording]) -> None:
         ended = ended_of(recording.attributes)
         if ended is not None and ended.outcome in _UNFINISHED:
             raise UsageError(sentence("calibrate.unfinished", recording=recording.name, outcome=str(ended.outcome)))
+
+
+def _check_distinct(recordings: Sequence[Recording]) -> None:
+    """Raise UsageError for two recordings with the same samples: one run, or a copy of its file."""
+    for number, first in enumerate(recordings):
+        for second in recordings[number + 1 :]:
+            if _samples_equal(first, second):
+                raise UsageError(sentence("calibrate.joined_twice", first=first.name, second=second.name))
+
+
+def _samples_equal(first: Recording, second: Recording) -> bool:
+    """Return whether all gyros of two recordings have the same outputs at the same instants."""
+    return first.sources.keys() == second.sources.keys() and all(
+        np.array_equal(own.t_ns, second.sources[name].t_ns)
+        and np.array_equal(own.rate_rps, second.sources[name].rate_rps, equal_nan=True)
+        for name, own in first.sources.items()
+    )
 
 
 def _excluded(recording: Recording) -> frozenset[str] | None:

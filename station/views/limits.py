@@ -173,11 +173,13 @@ def limit_lines(calibration: Calibration, limits: Limits, labels: Sequence[str] 
 
 
 def _arm_lines(source: ForceCalibration, limits: ForceLimits, *, alone: bool) -> list[LimitLine]:
-    """Return the limits of the sigmas of the lever arm; ``alone``: no other device has accelerometers."""
+    """Return the limits of the sigmas of the lever arm; ``alone``: no other device has accelerometers.
+
+    A joined calibration has a lever arm for each mounting and states none: there is nothing to limit.
+    """
     label = "accel" if alone else f"{source.device or source.source} accel"
     if not source.placed:
-        note = sentence("run.no_lever_arm")
-        return [LimitLine(gyro=label, what="lever arm", value=math.nan, low=0.0, high=limits.sd_arm_m, note=note)]
+        return []
     return [
         LimitLine(
             gyro=label,

@@ -164,6 +164,15 @@ def test_recordings_of_two_serial_numbers_are_not_joined(
     assert "y.h5 ended as ABORTED" in capsys.readouterr().err
 
 
+def test_a_run_is_joined_once(three: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    copy = tmp_path / "copy.h5"
+    copy.write_bytes(Path(three[0]).read_bytes())
+    assert main(["calibrate", "--join", *three, str(copy)]) == 2
+    assert "x.h5 and copy.h5 hold the same run" in capsys.readouterr().err
+    assert main(["report", three[0], "--join", three[0], "-o", str(tmp_path / "x.html")]) == 2
+    assert "hold the same run" in capsys.readouterr().err
+
+
 def test_a_joined_calibration_does_not_take_what_it_lacks(three: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["calibrate", "--join", "--write", *three]) == 2
     assert "has no --write" in capsys.readouterr().err

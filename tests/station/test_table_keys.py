@@ -214,9 +214,15 @@ def test_another_link_of_the_table_is_that_of_all_its_axes(tmp_path: Path) -> No
         ("two_triads", ("[table]\n", '[table]\nlink = "tcp://1.2.3.4:99999"\n'), r"line \d+: table.link: .* is no"),
         ("two_triads", axis("x", 'link = "tcp://[::1"'), r"line \d+: table.x.link: 'tcp://\[::1' is not a link"),
         ("galil_xsens", ("[[imu]]\n", '[[imu]]\nlink = "rfc2217://a:b"\n'), r"line \d+: imu.0.link: .* is not a link"),
+        ("galil_xsens", ('sd_bias = "5 deg/h"', 'sd_bias = "-5 deg/h"'), "limits.sd_bias: must be above zero"),
+        (
+            "full_imu",
+            ("[limits]\n", '[limits.accelerometers]\nsd_lever_arm = "0 mm"\n\n[limits]\n'),
+            "limits.accelerometers.sd_lever_arm: must be above zero",
+        ),
     ],
 )
-def test_what_a_table_cannot_have_is_told_with_its_key(
+def test_what_a_bench_cannot_have_is_told_with_its_key(
     name: str, change: tuple[str, str], said: str, tmp_path: Path
 ) -> None:
     with pytest.raises(BenchError, match=said):
