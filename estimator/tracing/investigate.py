@@ -214,7 +214,8 @@ def _most_probable(
     kind: an effect that imitates another leaves such. That does not hold where the reference is another instrument,
     whose own errors are in that run. Tones are seen as lines.
     """
-    explained = 1.0 if errors.improvement is None else max(1 - errors.improvement.ratio**-2, 0.0)
+    ratio = np.inf if errors.improvement is None else errors.improvement.ratio
+    explained = 1 - ratio**-2 if ratio > 1 else 0.0
     foreign = any(run.by_another for run in search.runs)
     most = {}
     for part in certain:

@@ -139,7 +139,8 @@ class EarlyEnd:
             for one in filters:
                 shares = _force_shares(one.array.names, one.decoded()[1], one.arm()[1], self._bench.limits.forces)
                 shares |= {name: np.inf for name, out in zip(one.array.names, one.excluded, strict=True) if out}
-                awaited += [name for name, share in shares.items() if share > 1]
+                device = f"{imu.config.name} " if len(self._imus) > 1 else ""
+                awaited += [f"{device}{name}" for name, share in shares.items() if share > 1]
         return awaited
 
     def _shares(self) -> Callable[[], _Shares]:

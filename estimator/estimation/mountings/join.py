@@ -271,6 +271,7 @@ def _forces(
                 covariance=joined.covariance[np.ix_(states, states)],
                 arm_m=np.full(3, np.nan),
                 arm_covariance_m2=np.full((3, 3), np.nan),
+                gravity_mps2=first.gravity_mps2 if len(places.gravity) == 1 else np.nan,  # notes name the values
                 gravity_from=places.source,
                 offset=_mean_offset([forces.offset for forces in single if forces.offset is not None]),
                 excluded=_excluded(runs, source),

@@ -72,7 +72,7 @@ def with_structure(
             incomplete[name] |= squares > 0
     for number, (name, phases) in enumerate(shapes.items()):
         difference, doubt = _measured_difference(runs, first, models, name, phases)
-        chance = doubt * np.random.default_rng((0, number)).standard_normal(DRAWS)
+        chance = doubt * np.random.default_rng((1, number)).standard_normal(DRAWS)
         before = np.maximum(drawn[name].after + difference + chance, 0.0)
         drawn[name] = replace(drawn[name], before=np.where(incomplete[name], before, drawn[name].before))
     return drawn

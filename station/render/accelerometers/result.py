@@ -1,5 +1,6 @@
 """The calibration of accelerometers as a person reads it: states, places, and what another laboratory compares."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -96,13 +97,14 @@ def _place_row(name: str, place_m: Sequence[float], sd_m: Sequence[float], figur
 
 
 def _lines(calibration: ForceCalibration) -> list[str]:
-    """Return sentences on the delay, if it is known, and the gravity."""
-    lines = [f"gravity: {calibration.gravity_mps2:.5f} m/s2, {calibration.gravity_from}"]
+    """Return sentences on the delay and the gravity, if they are known."""
+    lines = []
     if calibration.offset is not None:
         late_ms = 1e3 * calibration.offset.offset_s
-        lines.insert(
-            0, f"delay: {late_ms:.3f} ± {1e3 * calibration.offset.sd_s:.3f} ms after the readings of the table"
-        )
+        wide_ms = 1e3 * calibration.offset.sd_s
+        lines.append(f"delay: {late_ms:.3f} ± {wide_ms:.3f} ms after the readings of the table")
+    if math.isfinite(calibration.gravity_mps2):  # recordings of several places have several
+        lines.append(f"gravity: {calibration.gravity_mps2:.5f} m/s2, {calibration.gravity_from}")
     return lines
 
 

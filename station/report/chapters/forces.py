@@ -1,5 +1,6 @@
 """The chapter on accelerometers: states, places, intrinsic parameters and sources of uncertainty as finished tables."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -65,7 +66,7 @@ def _chapter(calibration: ForceCalibration) -> ForceChapter:
         late_ms = 1e3 * calibration.offset.offset_s
         wide_ms = COVERAGE * 1e3 * calibration.offset.sd_s
         lines.append(f"Delay after the readings of the table: {late_ms:.3f} ms, U {wide_ms:.3f} ms.")
-    if calibration.accelerometers:
+    if calibration.accelerometers and math.isfinite(calibration.gravity_mps2):
         lines.append(f"Gravity: {calibration.gravity_mps2:.5f} m/s², {calibration.gravity_from}.")
     return ForceChapter(
         device=calibration.device or calibration.source,
