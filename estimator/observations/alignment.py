@@ -287,18 +287,9 @@ def _weights(w: Floats) -> tuple[Flags, Floats]:
     weight = np.zeros(speed.shape)
     for own, good, weights in zip(speed, known, weight, strict=True):
         if good.any():
-            usual = _usual(own[good])
+            usual = float(np.quantile(own[good], _USUAL))
             weights[good] = np.minimum(usual / np.maximum(own[good], 1e-12), 1.0)
     return known, weight
-
-
-def _usual(speeds: Floats) -> float:
-    """Return the quantile ``_USUAL`` of speeds (n,) as ``np.quantile``, which takes several times as long."""
-    place = _USUAL * (len(speeds) - 1)
-    below = int(place)
-    above = min(below + 1, len(speeds) - 1)
-    parted = np.partition(speeds, [below, above])
-    return float(parted[below] + (place - below) * (parted[above] - parted[below]))
 
 
 def _line(means: _Means, delay_s: float, fits: Flags) -> tuple[Floats, Floats, Floats]:
