@@ -41,6 +41,23 @@ class _PhaseShape:
     white: float
 
 
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
+class _GyroShape:
+    """The phases of one gyro, and by how much its squared residual is larger under the first model.
+
+    The square of the noise is in both residuals, so it is not in the difference.
+    """
+
+    phases: Sequence[_PhaseShape]
+    difference: float
+
+    @property
+    def difference_sd(self) -> float:
+        """Standard deviation of the difference by noise."""
+        variances = (4 * np.sum((phase.before - phase.after) ** 2 * phase.noise) for phase in self.phases)
+        return float(np.sqrt(sum(variances)))
+
+
 def with_structure(
     runs: Sequence[Run], first: int, models: tuple[Augmented, Augmented], errors: Mapping[str, Drawn]
 ) -> dict[str, Drawn]:
@@ -52,47 +69,49 @@ def with_structure(
     in. ``first`` is the number of the first run, ``errors`` are by gyro.
     """
     drawn = dict(errors)
-    shapes = {name: _shapes(runs, first, models, name) for name in errors}
-    shapes = {name: phases for name, phases in shapes.items() if phases}
-    wander = _share_of_wander([phase for phases in shapes.values() for phase in phases])
-    for name, phases in shapes.items():
-        shown, doubt = _beyond_noise(phases, 1, wander)
+    shapes = {name: _shape(runs, first, models, name) for name in errors}
+    shapes = {name: shape for name, shape in shapes.items() if shape.phases}
+    wander = _share_of_wander([phase for shape in shapes.values() for phase in shape.phases])
+    for name, shape in shapes.items():
+        shown, doubt = _beyond_noise(shape.phases, 1, wander)
         beyond = np.maximum(drawn[name].after - shown.max(), 0.0)
         drawn[name] = drawn[name].chosen(_by_chance(-0.5 * (beyond / doubt) ** 2))
     incomplete = {name: np.zeros(DRAWS, dtype=np.bool_) for name in shapes}
     # Chance contributes little to means, so little shows there; structure within phases has to be larger.
     for orders, odds in _LACKS:
         open_squares = {}
-        for name, phases in shapes.items():
-            shown, doubt = _beyond_noise(phases, orders, wander)
+        for name, shape in shapes.items():
+            shown, doubt = _beyond_noise(shape.phases, orders, wander)
             open_squares[name] = shown - drawn[name].after, doubt
         lacking = _lacking(open_squares, odds)
         for name, squares in lacking.items():
             drawn[name] = drawn[name].more_by(squares)
             incomplete[name] |= squares > 0
-    for number, (name, phases) in enumerate(shapes.items()):
-        difference, doubt = _measured_difference(runs, first, models, name, phases)
-        chance = doubt * np.random.default_rng((1, number)).standard_normal(DRAWS)
-        before = np.maximum(drawn[name].after + difference + chance, 0.0)
+    for number, (name, shape) in enumerate(shapes.items()):
+        chance = shape.difference_sd * np.random.default_rng((1, number)).standard_normal(DRAWS)
+        before = np.maximum(drawn[name].after + shape.difference + chance, 0.0)
         drawn[name] = replace(drawn[name], before=np.where(incomplete[name], before, drawn[name].before))
     return drawn
 
 
-def _shapes(runs: Sequence[Run], first: int, models: tuple[Augmented, Augmented], name: str) -> list[_PhaseShape]:
-    """Return the shapes of a gyro's residuals in each phase; phases without full blocks are left out."""
+def _shape(runs: Sequence[Run], first: int, models: tuple[Augmented, Augmented], name: str) -> _GyroShape:
+    """Return the shape of a gyro's residuals under two models; phases without full blocks are left out."""
     last = models[-1]
     sigma_rps = float(last.arw[last.names.index(name)])
-    found = []
+    phases = []
+    difference = 0.0
     for number, run, i in with_gyro(runs, name):
         before, after = (run.z_rps[:, i] - model.predict(run, first + number, i)[0] for model in models)
+        held = run.weight > 0
+        difference += float(np.sum(before[held] ** 2) - np.sum(after[held] ** 2))
         white = sigma_rps**2 / run.length_s
         span_s = float(run.t_s[-1] - run.t_s[0]) + run.length_s
         for phase in phases_of(run):
-            full = run.weight[phase.blocks] > 0
+            full = held[phase.blocks]
             if not full.any():
                 continue
             stretch = Stretch.of(0, slice(0, int(full.sum())), run.length_s, True)
-            found.append(
+            phases.append(
                 _PhaseShape(
                     at_rest=phase.kind == "rest",
                     before=cosines(before[phase.blocks][full]),
@@ -101,7 +120,7 @@ def _shapes(runs: Sequence[Run], first: int, models: tuple[Augmented, Augmented]
                     white=white,
                 )
             )
-    return found
+    return _GyroShape(phases=phases, difference=difference)
 
 
 def _share_of_wander(phases: Sequence[_PhaseShape]) -> Floats:
@@ -133,27 +152,6 @@ def _beyond_noise(phases: Sequence[_PhaseShape], orders: int, wander: Floats) ->
         of_wander += float(np.sum(noise - phase.white))
         variance += float(np.sum(2 * noise**2 + 4 * noise * np.maximum(squares - noise, 0.0)))
     return beyond_white - wander * of_wander, float(np.sqrt(variance))
-
-
-def _measured_difference(
-    runs: Sequence[Run],
-    first: int,
-    models: tuple[Augmented, Augmented],
-    name: str,
-    phases: Sequence[_PhaseShape],
-) -> tuple[float, float]:
-    """Return by how much the squared residual of a gyro is larger under the first model, and the noise of that.
-
-    The square of the noise is in both residuals, so it is not in the difference.
-    """
-    difference = 0.0
-    for number, run, i in with_gyro(runs, name):
-        before, after = (
-            (run.z_rps[:, i] - model.predict(run, first + number, i)[0])[run.weight > 0] for model in models
-        )
-        difference += float(before @ before - after @ after)
-    variance = sum(4 * float(np.sum((phase.before - phase.after) ** 2 * phase.noise)) for phase in phases)
-    return difference, float(np.sqrt(variance))
 
 
 def _lacking(shown: Mapping[str, tuple[Floats, float]], odds: float) -> dict[str, Floats]:
