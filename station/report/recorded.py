@@ -206,7 +206,7 @@ def read_joined(path: Path, others: Sequence[Path]) -> Recorded:
     recordings = [read_recording(one) for one in paths]
     result = joined_of(recordings)
     first = _recorded(path, recordings[0], result.calibration)
-    runs = [_recorded(one, recording, None) for one, recording in zip(paths, recordings, strict=True)]
+    runs = [first, *(_recorded(one, recording, None) for one, recording in zip(others, recordings[1:], strict=True))]
     joined = [
         JoinedRun(path=run.path, begun_utc=run.begun_utc, axes=_mounted_axes(run.recording), found=mounting)
         for run, mounting in zip(runs, result.mountings, strict=True)

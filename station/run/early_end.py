@@ -88,8 +88,9 @@ class EarlyEnd:
             if not self._seems_enough():
                 confirmed = 0
                 continue
-            self._tell_of_wait(self._live_forces())
-            if self._live_forces():
+            awaited = self._live_forces()
+            self._tell_of_wait(awaited)
+            if awaited:
                 confirmed = 0
                 continue
             # In a thread: while a real table turns, its readings must not wait for an estimate.
