@@ -54,9 +54,9 @@ def state_lines(view: StatesView) -> list[Text]:
     return [_styled(cells, row - _HEAD_ROWS, view.exceeded) for row, cells in enumerate(padded(rows))]
 
 
-def _headings(figures: Sequence[StateUnit], first_columns: str, kind: str = "gyro") -> list[list[str]]:
+def _headings(figures: Sequence[StateUnit], sigma_head: str, kind: str = "gyro") -> list[list[str]]:
     """Return the rows of names and units, with a pair of columns for each state."""
-    names = chain.from_iterable((figure.name, first_columns) for figure in figures)
+    names = chain.from_iterable((figure.name, sigma_head) for figure in figures)
     units = chain.from_iterable((figure.unit, "") for figure in figures)
     return [[kind, *names], ["", *units]]
 
