@@ -25,7 +25,7 @@ from station.views.accelerometers.result import force_object
 from station.views.json_values import budget_and_noise, by_state, json_object, named
 
 if TYPE_CHECKING:  # acquisition also imports drivers
-    from station.run.acquisition import SourceReport
+    from station.run.source_report import SourceReport
 
 
 def print_result(

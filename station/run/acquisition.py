@@ -4,21 +4,19 @@ import asyncio
 from collections import defaultdict
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import asdict, astuple, dataclass
+from dataclasses import asdict, astuple
 from typing import Any
 
 import numpy as np
 
-from drivers.clocks.sampling import Alignment
 from drivers.errors import DeviceError, DeviceFault, DeviceRefused, LinkLost
 from drivers.protocols import AppendsSeries, EarlySource
-from drivers.types import Identity, ImuBlock, LinkCounts, SourceCounts
+from drivers.types import Identity, ImuBlock, LinkCounts
 from estimator.calibration.error_model import ErrorModel
 from estimator.errors import EstimatorError
 from estimator.estimation.live.sample_columns import SampleColumns
 from estimator.estimation.live.source import LiveSource
 from estimator.geometry.array import accelerometer_axes
-from estimator.observations.timing import TimeOffset
 from estimator.recordings.recording import DEVICES
 from estimator.recordings.writing import RecordingWriter
 from station.bench.imu import ImuConfig
@@ -31,8 +29,8 @@ from station.run.event_loop.loops import is_virtual
 from station.run.live import LiveEstimate
 from station.run.monitor import Monitor, TaskGuard
 from station.run.snapshot import EventKind, Phase
+from station.run.source_report import SourceReport
 from station.run.table_watch import TableRow
-from station.views.json_values import named
 
 _JOURNAL_S = 0.006  # the most that a killed station loses, besides data on their way
 _LOOK_S = 0.2  # between readings of counts, which go into the journal
@@ -42,46 +40,6 @@ _SLOW_S = 0.02  # of the table, after which its answers may be why a run fails
 _FIRST_SAMPLE_S = 3.0
 _SILENCE_S = 1.0
 _LOST_WHILE_READIED = 5  # times that a link may be lost while its device is readied
-_TIMED_S, _SIGMAS = 0.0005, 4.0  # a reported offset exceeds both
-
-
-@dataclass(frozen=True, slots=True)
-class SourceReport:
-    """Counts of one source, and, where known, its clock against the station's and its samples against the table."""
-
-    name: str
-    counts: SourceCounts
-    clock: Alignment | None
-    offset: TimeOffset | None = None
-
-    def attributes(self) -> dict[str, float | int]:
-        """Return the attributes of the source in the recording: counts, clock and time offset, as far as known."""
-        found: dict[str, float | int] = named(self.counts, ("lost", "repeated", "late", "corrupt"))
-        if self.clock is not None:
-            found |= {
-                "clock_drift_ppm": self.clock.drift_ppm,
-                "clock_drift_sd_ppm": self.clock.sd_drift_ppm,
-                "clock_offset_sd_s": self.clock.sd_offset_s,
-                "arrival_jitter_rms_s": self.clock.jitter_rms_s,
-            }
-        if self.offset is not None:
-            found |= {"time_offset_s": self.offset.offset_s, "time_offset_sd_s": self.offset.sd_s}
-        return found
-
-    def as_object(self) -> dict[str, Any]:
-        """Return the object for --json, in SI."""
-        return {
-            **asdict(self.counts),
-            "clock": self.clock and asdict(self.clock),
-            "offset_to_table": self.offset and asdict(self.offset),
-        }
-
-    @property
-    def mistimed(self) -> str:
-        """Sentence on samples that were not taken when the table was read; empty if they were."""
-        if self.offset is None or abs(self.offset.offset_s) < max(_TIMED_S, _SIGMAS * self.offset.sd_s):
-            return ""
-        return f"{self.name} is {self.offset.offset_s * 1e3:+.2f} ± {self.offset.sd_s * 1e3:.2f} ms against the table"
 
 
 class Acquisition:
@@ -127,7 +85,10 @@ class Acquisition:
             self._add_sources(imu)
 
     def _add_sources(self, imu: OpenImu) -> None:
-        """Add the sources of a device to the recording and to the live estimate, with the effects of the model."""
+        """Describe the sources of a device in the recording, and create their filters in the live estimate.
+
+        The filters estimate the effects of the model, too, if it has any.
+        """
         config, table = imu.config, self._bench.table
         noise_rps = float(config.noise.arw * np.sqrt(config.rate_hz))
         timing_s = table.uncertainty.timing_s if table.uncertainty else 0.0
@@ -157,7 +118,10 @@ class Acquisition:
         return identity
 
     async def open_others(self) -> None:
-        """Open, identify and record the devices of other kinds; DeviceRefused if one would refuse its set point."""
+        """Open, identify and record the devices other than the table and those under test, in order.
+
+        DeviceRefused for the first that would refuse its set point; errors of drivers pass through.
+        """
         for device in self._others:
             config, driver = device.config, device.driver
             await driver.open()
@@ -177,7 +141,10 @@ class Acquisition:
         return found
 
     async def prepare_others(self) -> bool:
-        """Ready the devices of other kinds; return if there are any. LinkLost for a link that was reopened 5 times."""
+        """Bring the devices of other kinds to their set points, in order; return whether there are any.
+
+        A lost link is reopened up to five times for each device; after that LinkLost. Sets the phase.
+        """
         for device in self._others:
             self.monitor.phase = Phase.PREPARING
             for lost in range(_LOST_WHILE_READIED + 1):
@@ -200,8 +167,9 @@ class Acquisition:
     async def follow(self, device: OpenDevice) -> None:
         """Record the series of a device until cancelled; a lost link is reopened while nothing turns.
 
-        Links of the table and of tested devices are reopened elsewhere. DeviceFault for an incomplete row, the end of
-        the series, or an unexpected exception.
+        Links of the table and of tested devices are reopened elsewhere: the series is then tried again every 0.2 s.
+        DeviceFault for an incomplete row, the end of the series, or an unexpected exception; LinkLost from the
+        reopening.
         """
         driver = device.driver
         assert isinstance(driver, AppendsSeries)
@@ -228,7 +196,10 @@ class Acquisition:
                 raise DeviceFault(device.name, reason) from error
 
     async def acquire(self, imu: OpenImu) -> None:
-        """Record the samples of a device until cancelled; a lost link is reopened while nothing turns."""
+        """Record the samples of a device until cancelled; a lost link is reopened while nothing turns, else LinkLost.
+
+        The silence of its sources counts from the reopening.
+        """
         while True:
             try:
                 async for name, block in imu.source.blocks():
@@ -239,7 +210,11 @@ class Acquisition:
                 self._last_seen_s |= {name: now_s for name in imu.source.names if name in self._last_seen_s}
 
     def _take_block(self, name: str, block: ImuBlock) -> None:
-        """Record a block and pass it to the live estimate and the monitor; the first adds the accelerometers' axes."""
+        """Record a block of samples of the source ``name`` and pass it to the live estimate and the monitor.
+
+        The first with accelerometers adds their axes to the recording, and, if the bench has a data sheet for them and
+        their number is right, a live filter. An error of the monitor is only reported.
+        """
         self._last_seen_s[name] = asyncio.get_running_loop().time()
         self.task_guard.attempt("the monitor", lambda: self.monitor.take_block(name, block), None)
         keys = ("t_ns", "arrival_ns", "rate_rps", "temperature_c", "counter", "accel_mps2")
@@ -256,7 +231,10 @@ class Acquisition:
         self.live.add(name, block)
 
     def take_row(self, row: TableRow) -> None:
-        """Record a row of table readings and pass it to live estimate and monitor; note the widest half width."""
+        """Record a row of table readings and pass it to live estimate and monitor; note the widest half width.
+
+        A new rate window is recorded first.
+        """
         columns = row._asdict()
         if columns.pop("rate_window_ns") != self._rate_window_ns:
             table, self._rate_window_ns = self._bench.table, row.rate_window_ns
@@ -287,7 +265,11 @@ class Acquisition:
             self.task_guard.attempt("telling of events", lambda: on_event(now_ns * 1e-9, kind, text), None)
 
     async def first_samples(self) -> None:
-        """Wait until every source has sent samples; LinkLost, naming those that have not, after 3 s."""
+        """Wait until every source of the devices under test has sent samples; LinkLost after 3 s, naming those that
+        have not.
+
+        All times stretch with a clock that runs fast. The error names the device of the first.
+        """
         limit_s = _FIRST_SAMPLE_S * self._scale
         names = {name for imu in self._imus for name in imu.source.names}
         deadline = asyncio.get_running_loop().time() + limit_s
@@ -299,9 +281,11 @@ class Acquisition:
             await asyncio.sleep(0.05)
 
     async def watch_silence(self) -> None:
-        """Check until cancelled that samples keep coming; LinkLost if a source is silent for 1 s but its link open.
+        """Check until cancelled that samples keep coming; LinkLost if a source is silent for 1 s while its link is
+        open.
 
-        Nothing is concluded after a sleep that took too long, as arrived samples may still be unread.
+        A source counts from its first sample on. Nothing is concluded after a sleep that took too long, as arrived
+        samples may still be unread.
         """
         limit_s = _SILENCE_S * self._scale
         while True:
@@ -332,9 +316,11 @@ class Acquisition:
         return self.host.blame(error, served_here=device is not None and any(map(ends_here, device.links)))
 
     async def keep_flushing(self) -> None:
-        """Write new data to the journal some 150 times a second, and less often to the recording, until cancelled.
+        """Write new data to the journal some 150 times a second, and every 2 s to the recording, until cancelled.
 
-        Intervals are in the host's time, as it is the host that may fail. In virtual time both are written together.
+        Counts, marks of the monitor and the host's load are taken every 0.2 s. While the journal is synced to the disk,
+        the recording is not written. Intervals are in the host's time, which may fail; in virtual time all is written
+        every 2 s.
         """
         loop = asyncio.get_running_loop()
         virtual, journal = is_virtual(loop), self.writer.journal
@@ -390,7 +376,7 @@ class Acquisition:
         }
 
     async def close(self, attributes: Mapping[str, str], *, undisturbed: bool) -> None:
-        """Close all sources and other devices, write ``attributes``, and close the recording.
+        """Close all sources and other devices, record counts and the root's ``attributes``, and close the recording.
 
         If ``undisturbed`` (no verdict so far), open each closed device again to check its identity, and finish the live
         estimate. DeviceFault if another device is there: devices after it and the recording then stay open.
@@ -430,7 +416,10 @@ class Acquisition:
             self.writer.append_rows(group, columns)
 
     def causes(self) -> list[str]:
-        """Return possible causes of a failure besides the gyros: mistimed samples, a slow table, a late computer."""
+        """Return sentences on possible causes of a failure besides the gyros, empty if there are none.
+
+        They are mistimed samples, a table slower than 20 ms, and a computer that fell behind. Call it after ``close``.
+        """
         took_s = 2e-9 * self._half_width_ns
         took_ms = f"{2e-6 * self._half_width_ns:.0f} ms"
         slow = f"the table answered up to {took_ms} late, so the time of each angle is only known to {took_ms}"

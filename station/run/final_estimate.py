@@ -15,8 +15,8 @@ from estimator.estimation.live.sample_columns import white_solution
 from estimator.recordings.reading import read_recording
 from estimator.recordings.recording import Recording
 from estimator.recordings.writing import write_attributes
-from station.run.acquisition import SourceReport
 from station.run.live import LiveEstimate
+from station.run.source_report import SourceReport
 
 
 def final_estimate(

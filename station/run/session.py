@@ -25,7 +25,7 @@ from estimator.recordings.writing import TEXT_BYTES, RecordingWriter, site_attri
 from station.errors import UsageError, sentence
 from station.opening import OpenBench
 from station.opening.reopening import Reopening
-from station.run.acquisition import Acquisition, SourceReport, identity_attributes
+from station.run.acquisition import Acquisition, identity_attributes
 from station.run.early_end import EarlyEnd
 from station.run.event_loop.loops import is_virtual
 from station.run.event_loop.services import leaves, serve
@@ -37,6 +37,7 @@ from station.run.manual import ManualSequencer
 from station.run.outcome import MANUAL_VERDICT, Outcome, Verdict, judge
 from station.run.sequencer import Sequencer
 from station.run.snapshot import EventKind, Phase, Snapshot
+from station.run.source_report import SourceReport
 from station.run.table_watch import TableRow, watch_table
 from station.run.uncommanded import UntrueReadings, check_axes, watch_homing
 from station.scripts.polling import too_steep
@@ -104,10 +105,11 @@ class Session:
         on_progress: Callable[[Callable[[], Snapshot]], None] = lambda look: None,
         on_event: Callable[[float, EventKind, str], None] | None = None,
     ) -> None:
-        """Create the recording; no device is opened. RecordingError if the file cannot be created.
+        """Create the recording ``path``; no device is opened. RecordingError if it exists or cannot be created.
 
-        ``on_event(t_s, kind, text)`` is called for every event, ``on_progress`` with a function that returns a
-        snapshot.
+        ``on_event(t_s, kind, text)`` is called for every event, at ``t_s`` seconds of the loop's clock. ``on_progress``
+        is called with every row of table readings; its argument is a function that returns a brief snapshot. An
+        exception of either is reported once and does not end the run.
         """
         config, time_scale = bench.bench, options.time_scale
         self._model = options.model if options.model is not None and not options.model.is_empty else None
@@ -141,8 +143,9 @@ class Session:
         """Run to the end, bring the table to rest, close the recording and return the result; nothing is raised.
 
         Whatever interrupts the run, a KeyboardInterrupt, a cancel or an error, becomes its verdict, and the remaining
-        steps are skipped. After ``_MOST_INTERRUPTIONS`` of them, the way out included, only the recording is closed;
-        the reason of the verdict then says whether the table may still move.
+        steps of the script are skipped; of several the first counts. After ``_MOST_INTERRUPTIONS`` of them, the way out
+        included, only the recording is closed; the reason of the verdict then says whether the table may still move.
+        Signals that ask for an end call ``stop``.
         """
         this = asyncio.current_task()
         with heeded_signals(self.stop, self._outlive if self._options.outlives_terminal else None):
@@ -156,7 +159,11 @@ class Session:
             return self._unended()
 
     def _unended(self) -> Result:
-        """Close the recording of a run whose way out failed or was interrupted too often; return the result so far."""
+        """Close the recording of a run whose way out failed or was interrupted too often; return the result so far.
+
+        There is no calibration, and the agreement is NaN. The reason of the verdict, "cancelled" without an earlier
+        one, also says whether the table may still move. A recording that cannot be closed is ignored.
+        """
         verdict = self._verdict or Verdict(Outcome.ABORTED, "cancelled")
         safe = self._rested or not self._connected
         look = sentence("run.unended") if safe else sentence("run.unended_in_motion")
@@ -173,10 +180,11 @@ class Session:
         )
 
     async def _go_through(self) -> Result:
-        """Work, make the devices safe, conclude; return the result.
+        """Work, make the devices safe, conclude; return the result. Errors of each part are raised.
 
-        Called again after an interruption, it cancels the work, waits for its end for a limited time, and continues;
-        devices that are safe are left alone. A stop that came before the work cancels that, too.
+        Called again after an interruption, it cancels the work, waits at most ``_STOP_LIMIT_S`` for its end, and
+        continues with the next part; devices that are safe are left alone. A stop that came before the work cancels
+        that, too.
         """
         if self._running is None:
             self._running = asyncio.get_running_loop().create_task(self._work())
@@ -225,9 +233,9 @@ class Session:
         self._script_under_way().obey(action, given)
 
     def note(self, text: str) -> None:
-        """Add a note of the operator to the recording; UsageError if it is empty, too long, or too late.
+        """Add a note of the operator to the recording; UsageError if it is empty, too long, or the recording is closed.
 
-        Control characters are dropped, line ends become spaces.
+        A run of white space becomes one space; control characters are dropped. The length limit is one of UTF-8 bytes.
         """
         kept = "".join(c for c in " ".join(text.split()) if c.isprintable())
         size, most = len(kept.encode()), TEXT_BYTES - len(_NOTE)
@@ -253,7 +261,9 @@ class Session:
         """Open and ready all devices in their order, run the script while services record and watch, then end the
         services.
 
-        Any error of a device or service ends it; stopping the table is left to the caller.
+        The table is opened last and homed before the script. In manual mode commands take the place of the script; with
+        an early end it may be broken off, with the table still turning. Any error of a device or service ends the work,
+        in an exception group; stopping the table is left to the caller.
         """
         table = self._open.table
         axes = self._bench.table.gimbals
@@ -309,9 +319,10 @@ class Session:
                 service.cancel()
 
     def _check_serial(self, device: str, serial: str) -> None:
-        """Record the serial number ``serial`` of the only device under test, unless it is the stated one.
+        """Record ``serial``, which the only device under test has told, if no serial number or another one was stated.
 
-        DeviceError if another one was stated without a reason. Ignored if there are several devices or it tells none.
+        DeviceError if another one was stated without a reason; with a reason both are recorded. Nothing is done if
+        ``serial`` is empty, is the stated one, or there are several devices.
         """
         options, attributes = self._options, {}
         if not serial or len(self._open.imus) != 1:
@@ -329,9 +340,10 @@ class Session:
         self._acquisition.task_guard.attempt("progress", lambda: self._on_progress(self._monitor.brief), None)
 
     async def _run_until_enough(self, group: asyncio.TaskGroup, sequencer: Sequencer, early_end: EarlyEnd) -> None:
-        """Run the script to its end, or until enough has been seen; the table may then still turn.
+        """Run the script to its end, or until ``early_end`` has seen enough; the table may then still turn.
 
-        The end of the script counts, also one by an error; an error of ``early_end`` does not end the script.
+        A pause under way is waited out before the script is broken off, which is recorded as an event and set as
+        ``_ended_early``. An error of the script or of ``early_end`` ends all tasks of ``group``, which raises it.
         """
 
         async def enough_seen() -> str:
@@ -356,7 +368,8 @@ class Session:
     async def _rest(self) -> None:
         """Make all devices safe, the table first; does nothing if the table was never connected.
 
-        Troubles become part of the verdict; without a verdict the first makes it FAULT.
+        Troubles become part of the verdict's reason; without a verdict the first makes it FAULT. An exception of the
+        table's driver is raised. Sets the phase.
         """
         self._monitor.phase = Phase.STOPPING
         if not self._connected:
@@ -370,10 +383,13 @@ class Session:
         self._event(EventKind.NOTE, text)
 
     async def _conclude(self) -> Result:
-        """Close table and recording, calibrate a run that has no verdict yet, judge it, and store the outcome.
+        """Close table and recording, calibrate a run that has no verdict yet, judge it, store the outcome, return the
+        result.
 
-        Returns the result. A run by hand is not calibrated; one that cannot be calibrated has failed. Doubts on
-        reopened devices and that the outcome cannot be stored become parts of the reason.
+        A run by hand is judged MANUAL and not calibrated; one that cannot be calibrated is a FAIL. Then, and after any
+        earlier verdict, there is no calibration and the agreement is NaN. Doubts on reopened devices, and that the
+        outcome cannot be stored, become parts of the reason. Errors of closing are raised; a recording that is closed
+        is not closed again.
         """
         acquisition = self._acquisition
         if not acquisition.closed:
@@ -416,11 +432,12 @@ class Session:
         )
 
     def _verdict_of(self, error: BaseException) -> Verdict:
-        """Return the verdict for an error or group of errors: FAULT by a device's, else by the estimator's, else
+        """Return the verdict for an error, or for the first of a group: FAULT by a device or the estimator, else
         ABORTED.
 
-        ABORTED are a stop, a failure of this computer and a defect of the station. A fault of the table is shown as its
-        state, and untrue readings are noted.
+        The first error of a device in a group goes before all others; its reason may be that this computer was too
+        slow. ABORTED are a stop, a failure of this computer and a defect of the station. A fault of the table is set as
+        the state that the monitor shows, and untrue readings are remembered.
         """
         errors = list(leaves(error))
         for device_error in errors:

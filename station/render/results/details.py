@@ -26,7 +26,7 @@ from station.views.calibration import (
 from station.views.figures import StateUnit
 
 if TYPE_CHECKING:  # acquisition also imports drivers
-    from station.run.acquisition import SourceReport
+    from station.run.source_report import SourceReport
 
 _UNDECLARED_HEADS = ("state", "sigma", "without them", "largest, of variance", "shown by")
 _NEGLIGIBLE = 1e-3
