@@ -23,7 +23,7 @@ class BenchFaults:
 def read_faults(of_table: Any, truths: Table, bench: Bench) -> BenchFaults:
     """Return the faults from [twin.fault], given as ``of_table``, and [twin.NAME.fault]; BenchError if one is invalid.
 
-    ``truths`` is the table [twin].
+    ``truths`` is the table [twin]. A device without a section has no faults.
     """
     try:
         fault, wire = table_faults(of_table, bench.table.gimbals, "twin.fault")

@@ -23,8 +23,9 @@ _LEAST_GATHER_S = 0.002  # less saves nothing; more, in scaled time, would excee
 def driver_link(spec: DeviceSpec, link: str, device: str, time_scale: float = 1.0, *, gather_s: float = 0.0) -> Any:
     """Return the link for the driver of a device: CAN frames, serial or TCP bytes, not yet open; BenchError if invalid.
 
-    A driver that opens links itself gets the address. Time limits are stretched by ``time_scale``, how fast the loop's
-    clock runs. Bytes of a serial stream may be handed over every ``gather_s``, in s of that clock.
+    A driver that opens links itself gets the address: a ``SerialPort``, or host and port. Time limits are stretched by
+    ``time_scale``, how fast the loop's clock runs. Bytes of a serial stream may be handed over every ``gather_s``, in s
+    of that clock; 0 hands them over at once.
     """
     if spec.on_can:
         return CanLink(device, *can_address(link, device))

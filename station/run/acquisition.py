@@ -265,10 +265,10 @@ class Acquisition:
             self.task_guard.attempt("telling of events", lambda: on_event(now_ns * 1e-9, kind, text), None)
 
     async def first_samples(self) -> None:
-        """Wait until every source of the devices under test has sent samples; LinkLost after 3 s, naming those that
-        have not.
+        """Wait until every source of the devices under test has sent samples; LinkLost after 3 s.
 
-        All times stretch with a clock that runs fast. The error names the device of the first.
+        The error names the missing sources, and the device of the first. The limit stretches with a clock that runs
+        fast.
         """
         limit_s = _FIRST_SAMPLE_S * self._scale
         names = {name for imu in self._imus for name in imu.source.names}
@@ -281,8 +281,7 @@ class Acquisition:
             await asyncio.sleep(0.05)
 
     async def watch_silence(self) -> None:
-        """Check until cancelled that samples keep coming; LinkLost if a source is silent for 1 s while its link is
-        open.
+        """Check until cancelled that samples keep coming; LinkLost if a source is silent for 1 s on an open link.
 
         A source counts from its first sample on. Nothing is concluded after a sleep that took too long, as arrived
         samples may still be unread.

@@ -78,8 +78,9 @@ class EarlyEnd:
     async def wait(self) -> str:
         """Wait until all required sigmas are confirmed twice in a row; return a sentence about it.
 
-        The live filters are looked at every second; only what they find sufficient is confirmed, in a thread, every 5
-        s.
+        The live filters are looked at every second. Only what they show to be sufficient is confirmed, in a thread,
+        every 5 s of the wall's clock; a sigma must be below 90 % of its limit then. If accelerometers alone do not
+        suffice, ``on_wait`` is called, once.
         """
         loop = asyncio.get_running_loop()
         confirmed = 0
@@ -105,9 +106,10 @@ class EarlyEnd:
             await asyncio.sleep(_CONFIRM_EVERY_S * self._time_scale)
 
     def _seems_enough(self) -> bool:
-        """Return whether the live filters have reached all sigmas, and NIS is within its limits.
+        """Return whether the live filters of gyros have reached all sigmas, and NIS is within its limits.
 
-        They assume white noise. False while a source has no block yet.
+        The NIS is judged over the whole run and over the last half minute. The filters assume white noise. False while
+        a source has no block yet.
         """
         sources = self._live.sources.values()
         if not all(source.history.blocks for source in sources):
@@ -124,9 +126,10 @@ class EarlyEnd:
             self._on_wait(sentence("run.waits_for_accelerometers", awaited=", ".join(awaited)))
 
     def _live_forces(self) -> list[str]:
-        """Return the sigmas of accelerometers that the live filters have not reached; empty if none is limited.
+        """Return the names of the sigmas of accelerometers that the live filters have not reached.
 
-        An accelerometer that is excluded, or that has sent nothing, never reaches its own.
+        Empty if none is limited. Devices without a data sheet for accelerometers do not count. An accelerometer that is
+        excluded, or a device whose accelerometers have sent nothing, stays in the list.
         """
         if not _limits_forces(self._bench):
             return []
@@ -145,7 +148,10 @@ class EarlyEnd:
         return awaited
 
     def _shares(self) -> Callable[[], _Shares]:
-        """Return a function that computes all sigmas as shares of their limits, from a copy of the present data."""
+        """Return a function that computes all sigmas as shares of their limits, from a copy of the present data.
+
+        It may run in a thread. Accelerometers are left out if none is limited.
+        """
         devices = []
         for imu in self._imus:
             sources = [self._live.sources[name] for name in imu.source.names]
@@ -165,7 +171,7 @@ class EarlyEnd:
         )
 
     def _force_data(self, name: str, config: ImuConfig) -> ImuData:
-        """Return what there is of the accelerometers of a source, without its gyros."""
+        """Return the samples of the accelerometers of a source, with NaN as the rates of its gyros."""
         t_ns, outputs = self._live.kept_forces(name)
         source = self._live.sources[name]
         return ImuData(
@@ -183,7 +189,8 @@ class EarlyEnd:
     def _confirmed_forces(self, samples: Sequence[ImuData], readings: TableReadings) -> dict[str, float]:
         """Return the sigmas of accelerometers as shares of their limits, by the estimate at the end of a run.
 
-        Infinite for those that cannot be estimated.
+        Keys are name and state, or the name alone of an accelerometer that cannot be estimated, whose share is
+        infinite. Of several devices with the same names the largest share counts.
         """
         sources = {str(number): data for number, data in enumerate(samples)}
         found, _ = calibrate_forces(Recording(sources, readings, site=self._bench.site))
@@ -200,11 +207,10 @@ class EarlyEnd:
     def _share(
         self, config: ImuConfig, sources: Sequence[tuple[LiveSource, Blocks, float]], readings: TableReadings
     ) -> float:
-        """Return the largest sigma of a device as a share of its limit, computed as by
-        ``estimator.estimation.calibrate``.
+        """Return the largest sigma of a device's gyros as a share of its limit, by the estimate at the end of a run.
 
-        ``sources`` are its sources with their blocks and the time offset's sigma known by the live filter; ``readings``
-        are those of the table. Infinite if the data do not suffice.
+        ``sources`` are its sources with their blocks and the live filter's sigma of the time offset (s); ``readings``
+        are those of the table, whose uncertainty counts. Infinite if the data do not suffice.
         """
         runs = []
         for number, (source, blocks, _) in enumerate(sources):
@@ -230,7 +236,10 @@ class EarlyEnd:
 
 
 def _force_shares(names: Sequence[str], sds: Floats, arm_sd_m: Floats, limits: ForceLimits) -> dict[str, float]:
-    """Return the sigmas (a, 4) of accelerometers, and those of their lever arm (3,), as shares of their limits."""
+    """Return the sigmas (a, 4) of accelerometers, and those of their lever arm (3,) in m, as shares of their limits.
+
+    Keys are name and state, such as "ax b", or "lever arm x". Sigmas without a limit are left out.
+    """
     shares = {
         f"{name} {state.symbol}": float(sd / most)
         for name, own in zip(names, sds, strict=True)

@@ -43,7 +43,10 @@ def final_estimate(
 
 
 def _agreement(recording: Recording, live: LiveEstimate) -> float:
-    """Return the largest difference between live filter and batch estimate, in sigmas, both with white noise."""
+    """Return the largest difference between live filter and batch estimate, in sigmas of the latter, with white noise.
+
+    It is over all states of gyros and accelerometers; accelerometers without a block are left out. 0 without sources.
+    """
     largest = 0.0
     for name, source in live.sources.items():
         about = source.effects, source.prior, source.noise_rps, source.offset_sd_s, source.history.taken_off

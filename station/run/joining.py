@@ -16,11 +16,11 @@ _UNFINISHED = (Outcome.ABORTED, Outcome.FAULT, Outcome.MANUAL)
 def joined_of(
     recordings: Sequence[Recording], undeclared: tuple[frozenset[str] | None] | None = None
 ) -> JoinedCalibration:
-    """Return the calibration of the one device of all recordings.
+    """Return the calibration of the one device of all recordings, each made in another mounting.
 
-    ``undeclared`` holds the effects that a file rules out in place of the bench files. UsageError for devices with
-    different serial numbers, for runs that did not come to their end and for a run that is given twice, EstimatorError
-    for others that cannot be joined.
+    ``undeclared`` holds one value, the effects that a file rules out, or None; without it they come from the bench file
+    or mapping in each recording. UsageError for devices with different serial numbers, for runs that did not come to
+    their end and for a run that is given twice, EstimatorError for others that cannot be joined.
     """
     _check(recordings)
     _check_distinct(recordings)
@@ -29,7 +29,10 @@ def joined_of(
 
 
 def _check(recordings: Sequence[Recording]) -> None:
-    """Raise UsageError for recordings of devices with different serial numbers, or of a run that did not end."""
+    """Raise UsageError for recordings of devices with different serial numbers, or of a run that did not end.
+
+    Such a run was aborted, in fault or driven by hand. Recordings without a serial number or an outcome are accepted.
+    """
     first = recordings[0]
     serial = ""
     for recording in recordings:

@@ -73,7 +73,11 @@ class LiveEstimate:
                 self._kept_forces.setdefault(name, []).append(block)
 
     def take_histories(self, fewest: int) -> Iterator[tuple[str, dict[str, Any]]]:
-        """Yield the name of a group of the recording and new columns for it, of sources with ``fewest`` new blocks."""
+        """Yield the name of a group of the recording and new columns for it, by source; what is yielded is not kept.
+
+        A source with less than ``fewest`` new blocks of its gyros is left out; of accelerometers a fifth of that is
+        enough.
+        """
         for name, source in self.sources.items():
             for group, columns in source.take_history(fewest).items():
                 yield f"{group}/{name}", columns
@@ -82,8 +86,9 @@ class LiveEstimate:
                 yield f"{group}/{name}", columns
 
     def keep_blocks(self) -> None:
-        """Keep from now on the data for estimates under coloured noise: block sums, samples of accelerometers,
-        readings of the table.
+        """Keep from now on the data for estimates under coloured noise.
+
+        They are block sums, samples of accelerometers, and readings of the table.
         """
         n = len(self._gimbals)
         self._kept_rows = GrowingRows(t_ns=np.int64, angle=(n,), rate=(n,), half_ns=np.int64)
@@ -96,9 +101,7 @@ class LiveEstimate:
         return np.concatenate([t_ns for t_ns, _ in blocks]), np.vstack([outputs for _, outputs in blocks])
 
     def readings(self, uncertainty: TableUncertainty | None) -> TableReadings:
-        """Return the readings of the table kept so far, with this ``uncertainty``; none are kept before
-        ``keep_blocks``.
-        """
+        """Return the readings of the table kept so far, with this ``uncertainty``; call ``keep_blocks`` before."""
         assert self._kept_rows is not None
         with self._keeping:
             kept = [self._kept_rows[name] for name in ("t_ns", "angle", "rate", "half_ns")]
@@ -119,7 +122,7 @@ class LiveEstimate:
         return len(self._rows) >= _ROWS_AT_ONCE
 
     def advance(self) -> None:
-        """Use the rows, and the samples that they cover."""
+        """Use the rows, and the samples that they cover; body rates older than a minute are then forgotten."""
         with self._working:
             self._take_rows()
             for source in self.sources.values():
@@ -147,8 +150,9 @@ class LiveEstimate:
                 forces.advance(self.rates, flush=True)
 
     def _take_rows(self) -> None:
-        """Move the rows that have arrived into the body rates and the kept readings, if these are kept; nothing without
-        rows.
+        """Move the rows that have arrived into the body rates, and into the kept readings if these are kept.
+
+        Does nothing without rows.
         """
         rows = [self._rows.popleft() for _ in range(len(self._rows))]
         if not rows:

@@ -62,10 +62,10 @@ class ManualSequencer(Sequencer):
         return math.nan if abs(angle_rad) == _ENDLESS_RAD else angle_rad
 
     def obey(self, action: str, given: Mapping[str, Any]) -> None:
-        """Accept a command, which replaces the last; ``given`` are its values by name.
+        """Accept a command, which replaces the last; ``given`` are its values by name, in rad, rad/s and rad/s2.
 
-        Commands are hold, end, jog, go and home. UsageError if it is invalid or comes after "end", ScriptError beyond a
-        limit.
+        Commands are hold, end, jog, go and home; "home" without an axis drives all, one after the other. UsageError if
+        it is invalid or comes after "end", ScriptError beyond a limit.
         """
         numbers = [value for key, value in given.items() if key != "axis"]
         sound = all(type(value) in (int, float) and (_LEAST <= abs(value) < _MOST or value == 0) for value in numbers)
@@ -88,8 +88,8 @@ class ManualSequencer(Sequencer):
     def _jog(self, axis: str, rate_rps: float, given: Mapping[str, Any]) -> None:
         """Start a jog of an axis, or extend the present one if it has the same rate and acceleration.
 
-        It goes to the end of the travel at most; UsageError if the axis stands there already, ScriptError beyond a
-        limit.
+        It ends 0.7 s after the first word and 0.4 s after each further one (wall), or at the end of the travel.
+        UsageError if the axis stands at that end already, ScriptError beyond a limit.
         """
         limits = self._table.limits.get(axis)
         low, high = (limits and limits.travel_rad) or (-_ENDLESS_RAD, _ENDLESS_RAD)
@@ -122,7 +122,7 @@ class ManualSequencer(Sequencer):
         self._word.set()
 
     async def run(self) -> None:
-        """Carry out commands until "end", except those that come to their turn after they were to be over.
+        """Carry out commands one after the other until "end"; a jog whose time is over before its turn is dropped.
 
         DeviceRefused if an axis does not come to rest.
         """
@@ -138,9 +138,9 @@ class ManualSequencer(Sequencer):
                 await self._word.wait()
 
     async def _obey(self, step: Move) -> None:
-        """Carry out a move while it is wanted, then halt the axis unless it arrived; a refusal is only reported.
+        """Carry out a move while it is wanted, then halt the axis unless it arrived.
 
-        An endless move is a jog. The recording gets the move as a step.
+        A move without an end is a jog. A refusal by the table is only reported. The motion is recorded as a step.
         """
         loop, axis = asyncio.get_running_loop(), step.axis
         from_rad = self._target_rad[axis]

@@ -130,7 +130,10 @@ class Monitor:
         )
 
     def mark(self) -> None:
-        """Record the progress of each source, a few times a second, as the base for rates; old marks are dropped."""
+        """Record the progress of each source that has sent samples, a few times a second, as the base for rates.
+
+        The latency is the mean of the last block. Marks older than two seconds are dropped, but for the newest of them.
+        """
         now_s = asyncio.get_running_loop().time()
         for name, last in self._last.items():
             latency_s = float((last.arrival_ns - last.t_ns).mean()) * 1e-9
@@ -213,10 +216,11 @@ class Monitor:
         )
 
     def _axis_snapshots(self, now_s: float) -> Iterator[AxisSnapshot]:
-        """Yield the state of each axis at ``now_s``; NaN where nothing was read yet.
+        """Yield the state of each axis at ``now_s`` (loop time), outermost first.
 
-        Its word is the fault of the table if there is one, the phase before the script, else whether it turns. Before
-        the script the setpoint is 0 and the target NaN.
+        ``state`` is the fault of the table if there is one, the phase before the script, else whether the axis turns,
+        faster than 0.02 deg/s. Angle and rate are NaN before a reading. The setpoint is 0 and the target NaN before the
+        script, and for an axis that is not driven.
         """
         nothing = np.full(len(self._axes), np.nan)
         angles, rates = (self.row.angle_rad, self.row.rate_rps) if self.row else (nothing, nothing)
@@ -238,9 +242,9 @@ class Monitor:
             )
 
     def _source_snapshots(self, now_s: float) -> Iterator[SourceSnapshot]:
-        """Yield the state of each source at ``now_s``: rate, counts, latency, jitter, temperature, link.
+        """Yield the state of each source at ``now_s`` (loop time): rate, counts, latency, jitter, temperature, link.
 
-        NaN where nothing is known yet.
+        NaN where nothing is known yet. The latency is the mean over the marks of the last two seconds.
         """
         for imu in self._open.imus:
             for name in imu.source.names:
@@ -266,10 +270,10 @@ class Monitor:
         return "ok" if heard else "silent"
 
     def _rate_hz(self, name: str, link: str, now_s: float) -> float:
-        """Return the samples per second of a source since its oldest mark, by sample times; until ``now_s`` if it is
-        silent.
+        """Return the samples per second of a source since its oldest mark.
 
-        NaN while there is no mark, or no time has passed; ``link`` is the state of its link, "ok" unless silent.
+        ``link`` is the state of its link. The time ends with the newest sample if that is "ok", else at ``now_s``, so
+        that the rate of a silent source falls. NaN while there is no mark, or no time has passed.
         """
         marks = self._marks[name]
         if not marks:
@@ -279,9 +283,10 @@ class Monitor:
         return (self._rows[name] - marks[0].rows) / span_s if span_s > 0 else math.nan
 
     def _gyro_snapshots(self) -> Iterator[GyroSnapshot]:
-        """Yield the state of each gyro by the live filter, with its latest rate and the rate expected of it.
+        """Yield the state of each gyro by the live filter, with its latest rate and the rate expected of it (rad/s).
 
-        NaN where nothing is known yet.
+        The expected rate is that of a gyro with the present estimates at the last row of table readings. NaN where
+        nothing is known yet: ``nis`` and ``residual`` without innovations, rates without samples or rows.
         """
         w_rps = self._live.body_rate(self.row) if self.row else np.full((1, 3), np.nan)
         for name, source in self._live.sources.items():
@@ -307,7 +312,8 @@ class Monitor:
     def _accelerometer_snapshots(self) -> Iterator[AccelerometerSnapshot]:
         """Yield the state of each accelerometer by the live filter, with its latest output and the one expected of it.
 
-        NaN where nothing is known yet, and for one that is not what is stated.
+        The expected output, in m/s2, is that at rest in the last row of table readings. NaN where nothing is known yet;
+        an accelerometer that the filter excludes has NaN in the place of its values and sigmas.
         """
         for name, forces in tuple(self._live.forces.items()):
             states, sd = forces.decoded()
@@ -333,7 +339,10 @@ class Monitor:
                 )
 
     def _arm_snapshots(self) -> Iterator[ArmSnapshot]:
-        """Yield lever arm, delay and recent NIS of the accelerometers of each source; NaN without innovations."""
+        """Yield lever arm, delay and recent NIS of the accelerometers of each source that has a live filter for them.
+
+        The NIS is NaN without innovations.
+        """
         for name, forces in tuple(self._live.forces.items()):
             arm_m, arm_sd_m = forces.arm()
             delay, recent = forces.delay, forces.recent_innovations()

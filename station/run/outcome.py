@@ -50,8 +50,8 @@ def judge(calibration: Calibration, limits: Limits | None, causes: Sequence[str]
     """Compare a calibration with the limits of its bench; the reason names every broken limit.
 
     ESTIMATED without limits, else PASS or FAIL. Doubts about the sigmas are always part of the reason; errors that no
-    sigma can cover fail the calibration. ``causes``, possible faults of the run itself, are named only if it fails.
-    Otherwise the reason also says for which axes or times nothing proves constancy.
+    sigma can cover fail the calibration. ``causes``, sentences on possible faults of the run itself, are named only in
+    a FAIL, and what nothing proves to be constant only in the others.
     """
     unproved = tuple(filter(None, [not_proved(calibration.constancy)]))
     if limits is None or not limits.stated:
@@ -77,10 +77,10 @@ def judge_recorded(
 ) -> Verdict:
     """Judge the calibration of a recording whose run ``ended`` with a verdict, None for imported data.
 
-    A run that was driven by hand, aborted or in fault keeps its outcome; the result of its data is added to the reason.
-    So does a run that failed, unless it is judged by other than its ``own_rules``, that is other limits or an error
-    model; the reason then says how the run ended. ``calibration`` is None if there is none; ``ended`` must be given
-    then.
+    A run driven by hand is MANUAL, whatever its data. ``calibration`` is None if there is none: then ``ended`` must be
+    given and is returned. A run that was aborted or in fault keeps its outcome, and the reason adds what its data show.
+    A run that failed stays FAIL, unless it is judged by other than its ``own_rules``, that is other limits or an error
+    model; a better outcome then says in its reason how the run ended.
     """
     if ended is not None and ended.outcome is Outcome.MANUAL:
         return MANUAL_VERDICT
@@ -98,9 +98,10 @@ def judge_recorded(
 
 
 def _until_then(judged: Verdict) -> str:
-    """Return in words how the data of an incomplete run compare with the limits, by its verdict ``judged``.
+    """Return in words how the data of an incomplete run compare with the limits, by their verdict ``judged``.
 
-    They exceed them (FAIL, with the first), were estimated without limits to compare with (ESTIMATED), or are within.
+    They exceed them (FAIL, with the first and the number of others), were estimated without limits (ESTIMATED), or are
+    within.
     """
     if judged.outcome is Outcome.FAIL:
         first = judged.broken[0].broken if judged.broken else judged.reason

@@ -35,8 +35,8 @@ class Sequencer:
     ) -> None:
         """Prepare to carry out ``script``; the table is at home.
 
-        ``on_step(label, start_ns, end_ns)`` is called after each step, part and pause, ``tell`` for each event.
-        ``newest`` returns the newest value of a quantity by source.
+        ``on_step(label, start_ns, end_ns)`` is called after each step, part and pause, in ns of the loop's clock.
+        ``tell`` gets a sentence for each event. ``newest(quantity)`` returns the newest value of a quantity by source.
         """
         self._table, self._script, self._on_step, self._tell = table, script, on_step, tell
         self._newest = newest
@@ -91,7 +91,11 @@ class Sequencer:
         raise UsageError("this run follows a script. `station run --manual` starts one that is driven by hand")
 
     def commanded(self, axis: str) -> Commanded:
-        """Return the last command to an axis: target, range, rate, and since when."""
+        """Return the last command to an axis: range of angles, largest rate, and since when.
+
+        For the axis that turns, the range is from its start to its target, and the course is the planned one. Any other
+        is to stand at its last target, without a course.
+        """
         target, turn = self._target_rad[axis], self._turn
         if turn is None or axis != turn.axis:
             return Commanded(target, target, 0.0, self._stands_since_s[axis])
@@ -126,11 +130,11 @@ class Sequencer:
         return self._turn.to_rad if self._turn is not None and self._turn.axis == axis else math.nan
 
     def wanted_hz(self, now_s: float) -> float:
-        """Return how often (Hz) the table should be read at ``now_s`` (loop time) for the sake of a ramp, 0 away from
-        one.
+        """Return how often (Hz) the table should be read at ``now_s`` (loop time) for the sake of a ramp.
 
-        It is near one up to the end of the first ramp of a turn and from the beginning of the last, each 0.1 s wider,
-        and while a turn lasts longer than planned. 0 without a turn under way, and for a turn without ramps.
+        The first ramp counts from the beginning of a turn until 0.1 s after its end, the last from 0.1 s before its
+        beginning, and on if the turn lasts longer than planned. 0 at other times, without a turn under way, and for a
+        turn without ramps.
         """
         turn = self._turn
         if turn is None:
@@ -140,7 +144,11 @@ class Sequencer:
         return wanted_hz(turn.ramp_s) if near else 0.0
 
     def times(self, now_s: float) -> tuple[float, Span]:
-        """Return the planned time of the steps done (s), and the planned time that remains."""
+        """Return how much of the planned time is done (s), and the span of it that remains, at ``now_s`` (loop time).
+
+        The step under way counts as done in part. A step that took longer or less than planned counts with what was
+        planned.
+        """
         done_s, ahead = sum(self._done_s), self._spans[len(self._done_s) :]
         if len(self._done_s) > self._index:  # the step has ended
             return done_s, total(ahead)
@@ -155,7 +163,9 @@ class Sequencer:
         return f"after {done_s:.1f} s of {planned}, in step {self.label!r}"
 
     async def run(self) -> None:
-        """Carry out the script, recording each step, and pauses asked for between its steps; errors of ``turn`` pass
+        """Carry out the script and record each step, or each part of a step that has several.
+
+        A pause asked for begins at the end of a step, and is recorded. Errors of the steps and of ``turn`` pass
         through.
         """
         loop = asyncio.get_running_loop()
@@ -208,8 +218,9 @@ class Sequencer:
         self._record(_PAUSE, began_s)
 
     def _overdue(self, turn: Turn, angle_rad: float) -> Overdue:
-        """Return the error for an axis that did not report its arrival in time, by its angle: not there, or not saying
-        so.
+        """Return the error for an axis that did not report its arrival in time.
+
+        Its text depends on ``angle_rad``: the axis is not at its target, or it is there and does not say so.
         """
         at, to = math.degrees(angle_rad), math.degrees(turn.to_rad)
         if abs(at - to) < math.degrees(ON_TARGET_RAD):
@@ -219,10 +230,11 @@ class Sequencer:
         return Overdue("table", text)
 
     async def turn(self, turn: Turn) -> None:
-        """Turn an axis and wait for its arrival; the turn is recorded if the step has several parts.
+        """Turn an axis and wait for its arrival and the planned time; record it if the step has several parts.
 
         The standstill before it is recorded first. DeviceRefused if the turn is beyond a limit, as a step may differ
-        from its plan, or the axis stops elsewhere; Overdue if it does not arrive in time.
+        from its plan, or if the axis stops more than 0.05 deg off; Overdue if it is not there 5 s after it should be,
+        in which time the sending of the command is not counted.
         """
         loop = asyncio.get_running_loop()
         axis = turn.axis

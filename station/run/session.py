@@ -258,8 +258,7 @@ class Session:
         return self._monitor.sequencer
 
     async def _work(self) -> None:
-        """Open and ready all devices in their order, run the script while services record and watch, then end the
-        services.
+        """Open and ready all devices, run the script while services record and watch, then end the services.
 
         The table is opened last and homed before the script. In manual mode commands take the place of the script; with
         an early end it may be broken off, with the table still turning. Any error of a device or service ends the work,
@@ -383,8 +382,7 @@ class Session:
         self._event(EventKind.NOTE, text)
 
     async def _conclude(self) -> Result:
-        """Close table and recording, calibrate a run that has no verdict yet, judge it, store the outcome, return the
-        result.
+        """Close table and recording, calibrate a run without a verdict, judge it, store the outcome, return the result.
 
         A run by hand is judged MANUAL and not calibrated; one that cannot be calibrated is a FAIL. Then, and after any
         earlier verdict, there is no calibration and the agreement is NaN. Doubts on reopened devices, and that the
@@ -432,12 +430,12 @@ class Session:
         )
 
     def _verdict_of(self, error: BaseException) -> Verdict:
-        """Return the verdict for an error, or for the first of a group: FAULT by a device or the estimator, else
-        ABORTED.
+        """Return the verdict for an error or a group of errors: FAULT by a device or the estimator, else ABORTED.
 
-        The first error of a device in a group goes before all others; its reason may be that this computer was too
-        slow. ABORTED are a stop, a failure of this computer and a defect of the station. A fault of the table is set as
-        the state that the monitor shows, and untrue readings are remembered.
+        The first error of a device in a group goes before all others, else the first of all counts. The reason of a
+        lost link or a late arrival may be that this computer was too slow. ABORTED are a stop, a failure of this
+        computer and a defect of the station. A fault of the table is set as the state that the monitor shows, and
+        untrue readings are remembered.
         """
         errors = list(leaves(error))
         for device_error in errors:

@@ -83,7 +83,7 @@ class Aligner:
     def _row(self, index: int) -> list[TableRow]:
         """Return the row of reading number ``index`` in a list, with angles and rates of all axes at one instant.
 
-        Empty before the first reading is noted, or if the window over which its rates are means begins before that.
+        Empty if its rates are means over a window that begins before the first reading.
         """
         at_ns, states = self._at_ns(index), self._readings[index].values()
         half_width_ns, window_ns = (max(getattr(s, key) for s in states) for key in ("half_width_ns", "rate_window_ns"))
@@ -110,9 +110,10 @@ class Aligner:
 
 
 def _cubic_at_zero(times_ns: Floats, rates: Floats) -> float:
-    """Return the rate at time 0, or at the nearest end, by the cubic through the last four readings (Lagrange).
+    """Return the rate at time 0 by the cubic through the last four readings (Lagrange).
 
-    Of readings (n,) at nearly the same time only the last counts; with fewer the polynomial is of lower degree.
+    Time 0 beyond these counts as the nearest of their ends. Of readings (n,) within 1 ms of each other only the last
+    counts; with fewer than four the polynomial is of lower degree.
     """
     apart = np.diff(times_ns, append=np.inf) > _WELL_NS  # nearer instants are equivalent
     times, series = times_ns[apart][-4:], rates[apart][-4:]
@@ -133,8 +134,8 @@ async def watch_table(
 ) -> None:
     """Read the table and pass rows to ``on_row`` until cancelled.
 
-    DeviceFault when an axis goes to fault, leaves operation, or moves or stands without a command; UntrueReadings when
-    its readings contradict each other. The table is read at ``rate_hz``, faster if ``sequencer`` wants it, slower if
+    DeviceFault when an axis goes to fault, leaves operation, or moves without a command; UntrueReadings when its
+    readings contradict its command or each other. The table is read at ``rate_hz``, faster if ``sequencer`` wants it, slower if
     the link is slow. ``on_lost`` reopens a lost link or raises.
 
     An axis that is driven or turns is read every time. Of the others only the one read longest ago is read, at most
@@ -159,14 +160,13 @@ async def watch_table(
             broken_off = False
 
     async def read_once() -> None:
-        """Read the axes that are driven or turn, and the one not read for longest if it is due; check them, pass rows
-        on.
+        """Read the axes that need it, check them against their commands, pass on rows, and check the status at times.
 
-        An axis that turned at its last reading is read once more. An axis at rest is read every time if none turns,
-        else when its last reading is 0.4 s old. The others keep their last values at the new instant. Each reading is
-        compared with the command. The status of all axes is read with every fifth reading, that of an axis at the
-        latest after 0.6 s. DeviceFault for a fault, an axis out of operation or motion against a command;
-        UntrueReadings for readings that contradict each other; LinkLost for a lost link.
+        Read are the axes that are driven or turn, one that has just stopped once more, and the one not read for
+        longest: always if no other is read, else when its last reading is 0.4 s old. The others keep their last values
+        at the new instant. The status of all axes is read with every fifth reading, that of an axis at the latest after
+        0.6 s. DeviceFault for a fault, an axis out of operation or motion against a command; UntrueReadings for
+        readings that contradict each other; LinkLost for a lost link.
         """
         count = next(counter)
         busy = [a for a in axes if a == sequencer.driven_axis or states[a].rate_rps != 0.0 or a in turned]

@@ -117,8 +117,7 @@ class MotionGuard:
         raise DeviceFault("table", f"axis {axis} {does}; {_command_text(command)}")
 
     def _off(self, axis: str, state: AxisState) -> bool:
-        """Return whether a reading is outside the commanded angles or rate, with its noise and a late start allowed
-        for.
+        """Return whether a reading is outside the commanded angles or rate, allowing for noise and a late stop.
 
         A reading from before the command does not count. The rates of an axis that is to stand go into its noise.
         """
@@ -134,10 +133,9 @@ class MotionGuard:
         return judged and abs(command.off_rad(state.angle_rad)) > _ANGLE_RAD + _LATE_S * command.rate_rps
 
     def _untrue(self, axis: str, state: AxisState) -> str:
-        """Add a reading, and return in words how those of the last moments contradict the course or each other, "" if
-        not.
+        """Add a reading; return in words how those of the last moments contradict the course or each other, else "".
 
-        "", too, while the readings do not yet span the time needed to decide.
+        "" also while the readings do not yet span the time needed to decide. Older readings are dropped.
         """
         command, limits = self._commanded(axis), self._table.limits[axis]
         readings = self._readings[axis]

@@ -35,8 +35,9 @@ class HostWatch:
         """The longest delay so far, in seconds of the wall; 0 if none was worth telling."""
 
     def woke(self, due_s: float) -> bool:
-        """Record that a sleep due at ``due_s`` (loop time) has ended; return whether it ended more than 30 ms (wall)
-        late.
+        """Record that a sleep due at ``due_s`` (loop time) has ended; return whether it was late.
+
+        Late is more than 30 ms by the wall's clock; a shorter delay is not recorded.
         """
         now_s = asyncio.get_running_loop().time()
         late_s = (now_s - due_s) / self._scale

@@ -59,8 +59,9 @@ class PacedLoop(asyncio.SelectorEventLoop):
         return max(self._zero_s + (self._now + seconds) / self.scale - time.monotonic(), 0.0)
 
     def follow(self) -> None:
-        """Advance the clock with the wall clock, but not beyond the next timer; longer delays are added to
-        ``waited_s``.
+        """Advance the clock with the wall's, but not beyond the next timer.
+
+        If it stays behind by more than 50 ms (wall), the rest is never made up for, and is added to ``waited_s``.
         """
         scheduled: list[asyncio.TimerHandle] = self._scheduled  # type: ignore[attr-defined]
         reached_s = (time.monotonic() - self._zero_s) * self.scale
@@ -147,11 +148,11 @@ def is_virtual(loop: asyncio.AbstractEventLoop) -> bool:
 
 
 def run_to_end(runner: asyncio.Runner, work: Coroutine[Any, Any, T]) -> T:
-    """Run ``work`` until it has ended, whatever callbacks raise meanwhile, and return its result.
+    """Run ``work`` until it has ended, whatever callbacks raise meanwhile; return its result, or raise its error.
 
-    KeyboardInterrupt, SystemExit and exceptions of callbacks cancel ``work`` once, with the exception as the message,
-    and the loop goes on, so that a table is brought to rest. The exception is raised only if ``work`` gives no result,
-    or after several of them.
+    KeyboardInterrupt, SystemExit and exceptions of callbacks cancel ``work``, once, with the exception as the message,
+    and the loop goes on, so that a table is brought to rest. Such an exception is raised only if ``work`` ends by the
+    cancel, or after more than 100 of them.
     """
     try:
         loop = runner.get_loop()

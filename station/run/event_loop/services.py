@@ -26,9 +26,7 @@ def serve(group: asyncio.TaskGroup, service: Coroutine[Any, Any, None]) -> async
     """
 
     async def served() -> None:
-        """Await the service; RuntimeError if it ends by itself, also by a cancellation that was not asked of this
-        task.
-        """
+        """Await the service; RuntimeError if it ends by itself, or by a cancel that was not asked of this task."""
         task = asyncio.current_task()
         try:
             await service

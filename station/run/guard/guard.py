@@ -92,10 +92,10 @@ class Guard:
             await self._see_ready()
 
     async def _see_ready(self) -> None:
-        """Wait until a guard is ready, and arm it if that was asked for.
+        """Wait until a guard is ready, and arm it if that was asked for; does nothing without devices to guard.
 
-        One that ends is restarted until it was started five times, and given up then. After 10 s it is armed
-        nevertheless. Each failure is told; no error is raised.
+        One that ends is restarted until it was started five times, and given up then. After 10 s without an answer it
+        is armed nevertheless. Each failure is told; no error is raised.
         """
         limit_s = asyncio.get_running_loop().time() + _READY_LIMIT_S * max(self._time_scale, 1.0)
         while self._devices is not None and (self._process is None or not self._ready):
@@ -140,8 +140,9 @@ class Guard:
             self._close()
 
     def _close(self) -> None:
-        """Wait half a second for the guard's end, killing it then, or at once if it was not ready, and close its
-        pipes.
+        """End the guard's process and close its pipes; does nothing if there is none.
+
+        It is killed if it has not ended after half a second, and at once if it was not ready.
         """
         process, self._process = self._process, None
         if process is None:

@@ -37,7 +37,10 @@ _Device = tuple[DeviceKind, Any]
 
 
 def main() -> None:
-    """Read the order from stdin, confirm it, wait for the station's end, and act on it; signals are ignored."""
+    """Read the order from stdin, confirm it, wait for the station's end, act on it, and end this process.
+
+    Signals that end or stop a process are ignored.
+    """
     for name in _SIGNALS:
         signal.signal(getattr(signal, name), signal.SIG_IGN)
     _ask_to_be_spared()
@@ -132,8 +135,9 @@ async def _station_dies(pid: int) -> bool:
 
 
 def _process(pid: int) -> int:
-    """Return a descriptor that becomes readable when the station ends; -1 if the system has none or it has ended
-    already.
+    """Return a descriptor that becomes readable when the station, process ``pid``, ends.
+
+    -1 if the system has none, or if the station has ended already.
     """
     if not hasattr(os, "pidfd_open"):
         return -1
